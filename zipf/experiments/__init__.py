@@ -1,0 +1,1 @@
+"""The laboratory: joins agents and environments into runs, evaluations and reports."""
