@@ -1,0 +1,159 @@
+"""Encoders: one observation in, one vector out. They read `[N, ...]` and know nothing of time."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import gymnasium as gym
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+
+from zipf.agents.options import Options
+
+Size = Annotated[int, Field(ge=1)]
+
+
+class ResNetOptions(Options):
+    """The paper's vision encoder (its architecture table)."""
+
+    name: Literal["resnet"]
+    channels: Annotated[list[Size], Field(min_length=1)]
+    blocks: Annotated[int, Field(ge=0)]
+    head_size: Annotated[int, Field(ge=0)]
+
+
+class CompactOptions(Options):
+    """One convolution whose patches do not overlap, then a dense layer: made for CPUs."""
+
+    name: Literal["compact"]
+    patch: Size
+    channels: Size
+    size: Size
+    head_size: Annotated[int, Field(ge=0)]
+
+
+NetworkOptions = Annotated[ResNetOptions | CompactOptions, Field(discriminator="name")]
+
+
+class ResidualBlock(nn.Module):
+    """ReLU, convolution, ReLU, convolution, add (Espeholt et al. 2018, figure 3)."""
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.ReLU(),
+            nn.Conv2d(channels, channels, 3, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(channels, channels, 3, padding=1),
+        )
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        return inputs + self.layers(inputs)
+
+
+class ResNet(nn.Module):
+    """Sections of convolution, max-pool and residual blocks, flattened: uint8 [N, H, W, 3] -> [N, F].
+
+    Every section halves the picture, rounding up.
+    """
+
+    def __init__(self, shape: tuple[int, ...], options: ResNetOptions):
+        super().__init__()
+        height, width, channels = shape
+        layers: list[nn.Module] = []
+        for outputs in options.channels:
+            layers += [nn.Conv2d(channels, outputs, 3, padding=1), nn.MaxPool2d(3, 2, padding=1)]
+            layers += [ResidualBlock(outputs) for _ in range(options.blocks)]
+            height, width, channels = (height + 1) // 2, (width + 1) // 2, outputs
+        self.layers = nn.Sequential(*layers, nn.ReLU(), nn.Flatten())
+        self.layers.to(memory_format=torch.channels_last)
+        self.size = height * width * channels
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.layers(image.permute(0, 3, 1, 2) / 255.0)
+
+
+class PatchEncoder(nn.Module):
+    """Non-overlapping patches, each embedded alike, then a dense layer: uint8 [N, H, W, 3] -> [N, F].
+
+    The stride-`patch` convolution is written as the matrix product it is, which is several times
+    faster on CPUs than the convolution routine.
+    """
+
+    def __init__(self, shape: tuple[int, ...], options: CompactOptions):
+        super().__init__()
+        height, width, channels = shape
+        if height % options.patch or width % options.patch:
+            raise ValueError(
+                f"network.patch={options.patch} does not divide the image of {height} x {width} "
+                "pixels; choose a common divisor, or network=resnet"
+            )
+        self.patch = options.patch
+        self.size = options.size
+        rows, columns = height // options.patch, width // options.patch
+        self.embed = nn.Linear(options.patch**2 * channels, options.channels)
+        self.mix = nn.Linear(rows * columns * options.channels, options.size)
+
+    def forward(self, image: Tensor) -> Tensor:
+        n, height, width, channels = image.shape
+        p = self.patch
+        patches = image.view(n, height // p, p, width // p, p * channels).transpose(2, 3)
+        patches = patches.reshape(n, -1, p * p * channels) / 255.0
+        return self.mix(self.embed(patches).relu().flatten(1)).relu()
+
+
+class InstructionEncoder(nn.Module):
+    """Word embeddings and an LSTM, its output at the last word: int64 [N, L] -> [N, 32].
+
+    Sizes 32 and 32 from the paper's architecture table; word 0 is padding.
+    """
+
+    def __init__(self, vocabulary: int):
+        super().__init__()
+        self.size = 32
+        self.embedding = nn.Embedding(vocabulary, 32, padding_idx=0)
+        self.lstm = nn.LSTM(32, self.size, batch_first=True)
+
+    def forward(self, instruction: Tensor) -> Tensor:
+        outputs, _ = self.lstm(self.embedding(instruction))
+        last = (instruction != 0).sum(-1).clamp(min=1) - 1
+        return outputs[torch.arange(len(outputs), device=outputs.device), last]
+
+
+class Encoder(nn.Module):
+    """Encodes every part of a dictionary observation and concatenates ("flatten+concat").
+
+    Raises:
+        ValueError: the observation space has a part that no encoder reads, or lacks an image.
+    """
+
+    def __init__(self, space: gym.spaces.Dict, options: ResNetOptions | CompactOptions):
+        super().__init__()
+        unknown = set(space) - {"image", "instruction"}
+        if unknown or "image" not in space.spaces:
+            raise ValueError(
+                f"network={options.name} reads observations with an `image` and, where there is "
+                f"language, an `instruction`; this level gives {', '.join(sorted(space))}"
+            )
+        shape = space["image"].shape
+        assert shape is not None
+        self.image = (
+            ResNet(shape, options)
+            if isinstance(options, ResNetOptions)
+            else PatchEncoder(shape, options)
+        )
+        self.size = self.image.size
+        self.instruction = None
+        if "instruction" in space.spaces:
+            words = space["instruction"]
+            assert isinstance(words, gym.spaces.Box)
+            self.instruction = InstructionEncoder(int(words.high.max()) + 1)
+            self.size += self.instruction.size
+
+    def forward(self, observation: dict[str, Tensor]) -> Tensor:
+        """`{name: [N, ...]}` -> `[N, size]`."""
+        parts = [self.image(observation["image"])]
+        if self.instruction is not None:
+            parts.append(self.instruction(observation["instruction"]))
+        return torch.cat(parts, -1)

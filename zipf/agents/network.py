@@ -1,0 +1,91 @@
+"""Encoder, memory and heads, assembled from options."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import gymnasium as gym
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+
+from zipf.agents.encoders import CompactOptions, Encoder, ResNetOptions
+from zipf.agents.memory import LSTMOptions, MLPOptions, State, build_memory
+
+
+class Inputs(NamedTuple):
+    """What an agent sees, with leading axes `[T, B]` in a network and `[B]` when acting."""
+
+    observation: dict[str, Tensor]
+    previous_action: Tensor  # int64, -1 where an episode begins
+    previous_reward: Tensor  # float32, 0 where an episode begins
+    is_first: Tensor  # bool: an episode begins here
+
+    @classmethod
+    def of(cls, steps: TensorDict) -> Inputs:
+        """The agent's inputs among the steps of an unroll."""
+        observation = {name: steps["observation", name] for name in steps["observation"].keys()}
+        return cls(
+            observation, steps["previous_action"], steps["previous_reward"], steps["is_first"]
+        )
+
+    def unsqueeze(self) -> Inputs:
+        """`[B]` -> `[1, B]`."""
+        observation = {name: part.unsqueeze(0) for name, part in self.observation.items()}
+        return Inputs(observation, *(part.unsqueeze(0) for part in self[1:]))
+
+
+class Outputs(NamedTuple):
+    """What an actor-critic computes, with leading axes `[T, B]`; float32."""
+
+    logits: Tensor  # [T, B, actions]
+    value: Tensor  # [T, B]
+    core: Tensor  # [T, B, memory size], what auxiliary losses read
+    state: State  # {name: [B, ...]} after the last frame
+
+
+def head(inputs: int, hidden: int, outputs: int) -> nn.Module:
+    """A linear head, or one with a hidden layer where `hidden` is not 0."""
+    if hidden == 0:
+        return nn.Linear(inputs, outputs)
+    return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, outputs))
+
+
+class ActorCritic(nn.Module):
+    """Policy and value of a discrete-action agent with a memory.
+
+    The memory reads the encoded observation, the last action (one-hot; zeros where an episode
+    begins) and the last reward, clipped to [-1, 1] (Espeholt et al. 2018).
+    """
+
+    def __init__(
+        self,
+        observation_space: gym.spaces.Dict,
+        action_space: gym.spaces.Discrete,
+        network: ResNetOptions | CompactOptions,
+        memory: MLPOptions | LSTMOptions,
+    ):
+        super().__init__()
+        self.actions = int(action_space.n)
+        self.encoder = Encoder(observation_space, network)
+        self.memory = build_memory(self.encoder.size + self.actions + 1, memory)
+        self.policy = head(self.memory.size, network.head_size, self.actions)
+        self.baseline = head(self.memory.size, network.head_size, 1)
+
+    def forward(self, inputs: Inputs, state: State) -> Outputs:
+        """Unrolls `[T, B]` frames from the memory's `state`."""
+        steps, batch = inputs.is_first.shape
+        encoded = self.encoder({k: v.flatten(0, 1) for k, v in inputs.observation.items()})
+        actions = torch.arange(self.actions, device=encoded.device)
+        features = torch.cat(
+            [
+                encoded.view(steps, batch, -1),
+                (inputs.previous_action.unsqueeze(-1) == actions).to(encoded.dtype),
+                inputs.previous_reward.clamp(-1, 1).unsqueeze(-1).to(encoded.dtype),
+            ],
+            -1,
+        )
+        core, state = self.memory(features, inputs.is_first, state)
+        return Outputs(
+            self.policy(core).float(), self.baseline(core).squeeze(-1).float(), core, state
+        )
