@@ -1,0 +1,14 @@
+"""Zipfian environment families. Importing this registers them with Gymnasium."""
+
+import gymnasium
+
+from zipf.envs.levels import SPLITS, Split, chance, make, make_vec, split
+from zipf.envs.vector import ZipfVectorEnv
+
+__all__ = ["SPLITS", "Split", "ZipfVectorEnv", "chance", "make", "make_vec", "split"]
+
+gymnasium.register(
+    id="zipf/Gridworld-v0",
+    entry_point="zipf.envs.gridworld.single:GridworldEnv",
+    vector_entry_point="zipf.envs.gridworld.vector:GridworldVectorEnv",
+)

@@ -1,0 +1,144 @@
+"""The gridworld's inner loops over a batch of worlds, compiled.
+
+A world's situation is one row of `worlds`, int64 [N, 4]: map, target, row, column. What the agent
+sees is a function of that row, so drawing needs no other state.
+"""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+
+from zipf.envs.gridworld.looks import AGENT, CELL, FIRST_LOOK, FLOOR, NUM_CODES, SPRITES, WALL
+from zipf.envs.gridworld.maps import MOVES, PAD, VIEW
+from zipf.envs.pcg64 import choice
+
+MAP, TARGET, ROW, COLUMN = range(4)
+
+_BLOCK = 32
+_STRIPE = 3 * CELL  # bytes of one pixel row of a cell
+_LINE = VIEW * _STRIPE  # bytes of one pixel row of an image
+_SPRITE = CELL * _BLOCK  # bytes of a sprite in STRIPES
+_MOVES = np.array(MOVES)
+
+STRIPES = np.zeros((2, NUM_CODES, CELL, _BLOCK), dtype=np.uint8)
+"""`SPRITES`, with each pixel row padded to one block."""
+STRIPES[..., :_STRIPE] = SPRITES.reshape(2, NUM_CODES, CELL, _STRIPE)
+
+
+def _copier(size: int) -> Any:
+    """A kernel function that copies `size` bytes between two addresses in one load and store.
+
+    Numba compiles a copy of 27 bytes to a loop or a call; a vector of 32 takes two instructions.
+    """
+
+    def copy(typingctx: Any, destination: Any, source: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            vector = ir.VectorType(ir.IntType(8), size).as_pointer()
+            value = builder.load(builder.inttoptr(args[1], vector), align=1)
+            builder.store(value, builder.inttoptr(args[0], vector), align=1)
+            return context.get_dummy_value()
+
+        return types.void(types.intp, types.intp), codegen
+
+    return intrinsic(copy)
+
+
+_copy_block = _copier(_BLOCK)
+_copy_half = _copier(_BLOCK // 2)
+
+
+@njit(nogil=True, cache=True)
+def begin(mask, forced, map_cdf, target_cdf, cells, streams, worlds):
+    """Starts an episode in every world of `mask` (bool [N]).
+
+    Map and target are always drawn, in this order, and then replaced by `forced` (int64 [2, N])
+    where that is not negative: forcing a situation does not shift a world's random stream.
+    """
+    for i in range(len(worlds)):
+        if not mask[i]:
+            continue
+        map = choice(streams[i], map_cdf)
+        target = choice(streams[i], target_cdf)
+        if forced[0, i] >= 0:
+            map = forced[0, i]
+        if forced[1, i] >= 0:
+            target = forced[1, i]
+        worlds[i, MAP] = map
+        worlds[i, TARGET] = target
+        worlds[i, ROW] = cells[map, -1, 0]
+        worlds[i, COLUMN] = cells[map, -1, 1]
+
+
+@njit(nogil=True, cache=True)
+def move(actions, codes, cells, max_steps, lengths, worlds, reward, terminated, truncated):
+    """Moves every agent and says which episodes end. `lengths` counts this step already."""
+    for i in range(len(worlds)):
+        map, row, column = worlds[i, MAP], worlds[i, ROW] + PAD, worlds[i, COLUMN] + PAD
+        down, right = _MOVES[actions[i], 0], _MOVES[actions[i], 1]
+        blocked = codes[map, row + down, column + right] == WALL
+        if down != 0 and right != 0:
+            blocked |= codes[map, row + down, column] == WALL and (
+                codes[map, row, column + right] == WALL
+            )
+        if not blocked:
+            row += down
+            column += right
+            worlds[i, ROW] = row - PAD
+            worlds[i, COLUMN] = column - PAD
+        goal = cells[map, worlds[i, TARGET]]
+        touched = codes[map, row, column] >= FIRST_LOOK
+        reward[i] = goal[0] == row - PAD and goal[1] == column - PAD
+        terminated[i] = touched
+        truncated[i] = not touched and lengths[i] >= max_steps
+
+
+@njit(nogil=True, cache=True)
+def draw_tiles(mask, worlds, codes, cells, tiles, cue):
+    """Writes the cell codes seen in the worlds of `mask` to `tiles` [N, 7, 7] and `cue` [N, 1]."""
+    for i in range(len(worlds)):
+        if not mask[i]:
+            continue
+        map, row, column = worlds[i, MAP], worlds[i, ROW], worlds[i, COLUMN]
+        tiles[i] = codes[map, row : row + VIEW, column : column + VIEW]
+        if tiles[i, PAD, PAD] == FLOOR:
+            tiles[i, PAD, PAD] = AGENT
+        tiles[i, 0, 0] = FLOOR
+        goal = cells[map, worlds[i, TARGET]]
+        cue[i, 0] = codes[map, goal[0] + PAD, goal[1] + PAD]
+
+
+@njit(nogil=True, cache=True)
+def draw_images(mask, worlds, codes, cells, stripes, image):
+    """Draws what is seen in the worlds of `mask` to `image`, uint8 [N, 63, 63, 3].
+
+    Each pixel row of a cell is 27 bytes, written as one block of 32 whose surplus the next cell
+    overwrites; the last one of an image is written as two halves that end where the image does.
+    """
+    sprites = np.empty((VIEW, VIEW), dtype=np.intp)
+    source = stripes.ctypes.data
+    for i in range(len(worlds)):
+        if not mask[i]:
+            continue
+        map, row, column = worlds[i, MAP], worlds[i, ROW], worlds[i, COLUMN]
+        for r in range(VIEW):
+            for c in range(VIEW):
+                sprites[r, c] = source + _SPRITE * np.intp(codes[map, row + r, column + c])
+        if codes[map, row + PAD, column + PAD] == FLOOR:
+            sprites[PAD, PAD] = source + _SPRITE * AGENT
+        goal = cells[map, worlds[i, TARGET]]
+        cue = np.intp(codes[map, goal[0] + PAD, goal[1] + PAD])
+        sprites[0, 0] = source + _SPRITE * (NUM_CODES + cue)
+
+        line = image[i].ctypes.data
+        for r in range(VIEW):
+            for stripe in range(CELL):
+                offset = stripe * _BLOCK
+                for c in range(VIEW - 1):
+                    _copy_block(line + c * _STRIPE, sprites[r, c] + offset)
+                last = sprites[r, VIEW - 1] + offset
+                _copy_half(line + _LINE - _STRIPE, last)
+                _copy_half(line + _LINE - _BLOCK // 2, last + _STRIPE - _BLOCK // 2)
+                line += _LINE

@@ -1,0 +1,203 @@
+"""The maps: rooms, doors, objects and their looks, built from seeds.
+
+Map `i` comes from `numpy.random.default_rng(1234 + i)`, and with the default sizes the first 20
+are the maps of the released benchmark. Scores are comparable only on identical maps, so the order
+of every draw, and in places the order in which Python iterates a set, is part of the benchmark.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.envs.gridworld import looks
+
+FIRST_SEED = 1234
+VIEW = 7  # cells the agent sees in each direction of the board, itself in the middle
+PAD = VIEW // 2
+MOVES = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
+"""(row, column) steps of the actions N, NE, E, SE, S, SW, W, NW."""
+
+_LOOK_ATTEMPTS = 10_000
+
+Room = tuple[int, int]
+Cell = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """The maps of a level. Arrays are read-only and shared between environments.
+
+    Attributes:
+        num_maps, num_rooms, room_size, num_objects: what they were built from.
+        codes: uint8 [maps, rows + 6, columns + 6], cell codes (`looks.py`) without the agent,
+            with three cells of floor around the board so that every view is a slice.
+        cells: int64 [maps, objects + 1, 2], (row, column) on the board of each object in order
+            of frequency rank, and last the agent's start.
+    """
+
+    num_maps: int
+    num_rooms: tuple[int, int]
+    room_size: tuple[int, int]
+    num_objects: int
+    codes: NDArray[np.uint8]
+    cells: NDArray[np.int64]
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return build_maps, (self.num_maps, self.num_rooms, self.room_size, self.num_objects)
+
+    @property
+    def boards(self) -> NDArray[np.uint8]:
+        """`codes` without the padding: uint8 [maps, rows, columns]."""
+        return self.codes[:, PAD:-PAD, PAD:-PAD]
+
+    def look(self, map: int, target: int) -> tuple[str, str]:
+        """The colour and shape of an object."""
+        row, column = self.cells[map, target]
+        return looks.look(int(self.boards[map, row, column]))
+
+
+@lru_cache(maxsize=16)
+def build_maps(
+    num_maps: int = 20,
+    num_rooms: tuple[int, int] = (3, 3),
+    room_size: tuple[int, int] = (3, 3),
+    num_objects: int = 20,
+) -> Maps:
+    """Builds maps `0 .. num_maps - 1`, of `num_rooms` rooms (rows, columns) of `room_size` cells.
+
+    Raises:
+        ValueError: if a size is below 1, or a map has fewer places or looks than objects.
+    """
+    for name, value in (
+        ("num_maps", (num_maps,)),
+        ("num_rooms", num_rooms),
+        ("room_size", room_size),
+        ("num_objects", (num_objects,)),
+    ):
+        if min(value) < 1:
+            shown = value if len(value) > 1 else value[0]
+            raise ValueError(f"{name} must be at least 1, got {shown}")
+    if num_objects > looks.NUM_LOOKS:
+        raise ValueError(
+            f"num_objects = {num_objects}, but there are only {looks.NUM_LOOKS} different looks "
+            f"({len(looks.COLOURS)} colours x {len(looks.SHAPES)} shapes)"
+        )
+    height, width = (n * (size + 1) + 1 for n, size in zip(num_rooms, room_size, strict=True))
+    codes = np.zeros((num_maps, height + 2 * PAD, width + 2 * PAD), dtype=np.uint8)
+    cells = np.zeros((num_maps, num_objects + 1, 2), dtype=np.int64)
+    maps = Maps(num_maps, num_rooms, room_size, num_objects, codes, cells)
+    for i in range(num_maps):
+        rng = np.random.default_rng(FIRST_SEED + i)
+        step = (room_size[0] + 1, room_size[1] + 1)
+        links = _link_rooms(num_rooms, rng)
+        doors = _open_doors(links, step, rng)
+        places = _places(list(links), doors, step)
+        if len(places) <= num_objects:
+            raise ValueError(
+                f"num_objects = {num_objects}, but map {i} has only {len(places)} places for the "
+                f"objects and the agent, so at most {len(places) - 1} objects fit: "
+                f"use fewer objects, or more or larger rooms than num_rooms = {num_rooms}, "
+                f"room_size = {room_size}"
+            )
+        rng.shuffle(places)
+        board = maps.boards[i]
+        board[:: step[0], :] = looks.WALL
+        board[:, :: step[1]] = looks.WALL
+        for door in doors:
+            board[door] = looks.FLOOR
+        cells[i] = places[: num_objects + 1]
+        for place, look in zip(places[:num_objects], _draw_looks(num_objects, rng), strict=True):
+            board[place] = looks.code(*look)
+    codes.flags.writeable = False
+    cells.flags.writeable = False
+    return maps
+
+
+def _link_rooms(num_rooms: tuple[int, int], rng: np.random.Generator) -> dict[Room, list[Room]]:
+    """Which rooms a door joins, so that every room can be reached; both ways, in order made."""
+    rooms = [(row, column) for row in range(num_rooms[0]) for column in range(num_rooms[1])]
+    links: dict[Room, list[Room]] = {room: [] for room in rooms}
+
+    def neighbours(room: Room, among: list[Room]) -> list[Room]:
+        return [other for other in among if abs(room[0] - other[0]) + abs(room[1] - other[1]) == 1]
+
+    def link(room: Room, other: Room) -> None:
+        links[room].append(other)
+        links[other].append(room)
+
+    for room in rooms:
+        if not links[room] and (candidates := neighbours(room, rooms)):
+            link(room, candidates[rng.integers(len(candidates))])
+
+    connected, uncertain = rooms[:1], rooms[1:]
+    while uncertain:
+        unconnected: list[Room] = []
+        while uncertain:
+            joined = []
+            for room in uncertain:
+                if any(room in links[other] for other in connected):
+                    connected.append(room)
+                    joined.append(room)
+            if joined:
+                uncertain = list(set(uncertain) - set(joined))
+            else:
+                unconnected, uncertain = uncertain, []
+        if unconnected:
+            rng.shuffle(unconnected)
+            room = next(room for room in unconnected if neighbours(room, connected))
+            candidates = neighbours(room, connected)
+            rng.shuffle(candidates)
+            link(room, candidates[0])
+            connected.append(room)
+            uncertain = list(set(unconnected) - {room})
+    return links
+
+
+def _open_doors(
+    links: dict[Room, list[Room]], step: tuple[int, int], rng: np.random.Generator
+) -> list[Cell]:
+    doors = []
+    for (row, column), others in links.items():
+        for other_row, other_column in set(others):
+            if other_row < row:
+                doors.append((row * step[0], column * step[1] + int(rng.integers(1, step[1]))))
+            elif other_column < column:
+                doors.append((row * step[0] + int(rng.integers(1, step[0])), column * step[1]))
+    return doors
+
+
+def _places(rooms: list[Room], doors: list[Cell], step: tuple[int, int]) -> list[Cell]:
+    """Cells beside a wall and not beside a door, in row-major order."""
+    blocked = {
+        (row + down, column + right)
+        for row, column in doors
+        for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1))
+    }
+    places = [
+        (room_row * step[0] + row, room_column * step[1] + column)
+        for room_row, room_column in rooms
+        for row in range(1, step[0])
+        for column in range(1, step[1])
+        if row in (1, step[0] - 1) or column in (1, step[1] - 1)
+    ]
+    return sorted(set(places) - blocked)
+
+
+def _draw_looks(num_objects: int, rng: np.random.Generator) -> list[tuple[str, str]]:
+    """`num_objects` different (colour, shape) pairs, in order of frequency rank."""
+    colours, shapes = list(looks.COLOURS), list(looks.SHAPES)
+    draws = num_objects + 10
+    for _ in range(_LOOK_ATTEMPTS):
+        drawn_colours = rng.choice(colours, draws, replace=True).tolist()
+        drawn_shapes = rng.choice(shapes, draws, replace=True).tolist()
+        pairs = sorted(set(zip(drawn_colours, drawn_shapes, strict=True)))
+        rng.shuffle(pairs)
+        if len(pairs) >= num_objects:
+            return pairs[:num_objects]
+    raise ValueError(
+        f"num_objects = {num_objects} is too many: the benchmark draws {draws} looks out of "
+        f"{looks.NUM_LOOKS} until {num_objects} of them differ, and {_LOOK_ATTEMPTS} draws did not "
+        "do it; up to about 90 objects are practical"
+    )

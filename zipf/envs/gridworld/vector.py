@@ -1,0 +1,97 @@
+"""Zipf's Gridworld, many worlds at once."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from zipf.envs.gridworld import kernels
+from zipf.envs.gridworld.spec import GridworldSpec
+from zipf.envs.vector import Observation, ZipfVectorEnv
+
+
+class GridworldVectorEnv(ZipfVectorEnv):
+    """`N` worlds of Zipf's Gridworld; see `GridworldEnv` for the task and its arguments.
+
+    World `i` of `reset(seed=s)` is a `GridworldEnv` of `reset(seed=s + i)`. Every episode takes
+    two numbers from its world's random stream, for the map and for the target, forced or not.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 8}  # noqa: RUF012 (Gymnasium's form)
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        level: str = "zipf_2",
+        *,
+        num_maps: int = 20,
+        num_rooms: Sequence[int] = (3, 3),
+        room_size: Sequence[int] = (3, 3),
+        num_objects: int = 20,
+        max_steps: int = 100,
+        observation: str = "image",
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        copy: bool = True,
+        render_mode: str | None = None,
+    ) -> None:
+        self.world = GridworldSpec.make(
+            level, num_maps, num_rooms, room_size, num_objects, max_steps, observation
+        )
+        super().__init__(
+            num_envs,
+            single_observation_space=self.world.observation_space,
+            single_action_space=self.world.action_space,
+            situation=self.world.situation,
+            autoreset_mode=autoreset_mode,
+            copy=copy,
+            render_mode=render_mode,
+        )
+        self._worlds = np.zeros((num_envs, 4), dtype=np.int64)
+
+    def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
+        world = self.world
+        kernels.begin(
+            mask,
+            forced,
+            world.map_cdf,
+            world.target_cdf,
+            world.maps.cells,
+            self._streams,
+            self._worlds,
+        )
+
+    def _advance(
+        self, actions: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        reward = np.empty(self.num_envs)
+        terminated = np.empty(self.num_envs, dtype=np.bool_)
+        truncated = np.empty(self.num_envs, dtype=np.bool_)
+        kernels.move(
+            actions,
+            self.world.maps.codes,
+            self.world.maps.cells,
+            self.world.max_steps,
+            self._lengths,
+            self._worlds,
+            reward,
+            terminated,
+            truncated,
+        )
+        return reward, terminated, truncated, reward > 0
+
+    def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
+        self.world.observe(out, mask, self._worlds)
+
+    def _situations(self) -> dict[str, NDArray[np.int64]]:
+        return {
+            "map": self._worlds[:, kernels.MAP].copy(),
+            "target": self._worlds[:, kernels.TARGET].copy(),
+        }
+
+    def _get_worlds(self) -> dict[str, NDArray[Any]]:
+        return {"worlds": self._worlds}
+
+    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+        self._worlds[:] = state["worlds"]

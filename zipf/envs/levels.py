@@ -1,0 +1,115 @@
+"""Every level by name, and which levels train and which test a benchmark.
+
+A level is `<family>/<distribution>`, for instance `gridworld/zipf_2`, `gridworld/uniform` or
+`gridworld/rare`.
+"""
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+from gymnasium.vector import AutoresetMode
+
+from zipf.envs import distributions
+from zipf.envs.gridworld.chance import random_policy_success
+from zipf.envs.gridworld.single import GridworldEnv
+from zipf.envs.gridworld.vector import GridworldVectorEnv
+from zipf.envs.vector import ZipfVectorEnv
+
+
+@dataclass(frozen=True)
+class Split:
+    """A benchmark: the level to train on and the two that test, by full name."""
+
+    name: str
+    train: str
+    uniform: str
+    rare: str
+
+
+SPLITS = {
+    "gridworld": Split("gridworld", "gridworld/zipf_2", "gridworld/uniform", "gridworld/rare"),
+}
+
+
+@dataclass(frozen=True)
+class _Family:
+    single: Callable[..., gym.Env]
+    vector: Callable[..., ZipfVectorEnv]
+    chance: Callable[..., float] | None
+    check: Callable[[str], object]
+    """Raises ValueError for a name, without the family, that is no level."""
+
+
+_FAMILIES = {
+    "gridworld": _Family(
+        GridworldEnv, GridworldVectorEnv, random_policy_success, distributions.by_name
+    ),
+}
+
+
+def split(name: str) -> Split:
+    """The split of this name. Raises `ValueError` for an unknown one."""
+    if name not in SPLITS:
+        raise ValueError(_unknown("split", name, list(SPLITS)))
+    return SPLITS[name]
+
+
+def make(level: str, **kwargs: Any) -> gym.Env:
+    """One world of a level; `kwargs` are its family's constructor options.
+
+    Raises:
+        ValueError: for an unknown level, or options out of range.
+    """
+    family, name = _resolve(level)
+    return family.single(level=name, **kwargs)
+
+
+def make_vec(
+    level: str,
+    num_envs: int,
+    *,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+    **kwargs: Any,
+) -> ZipfVectorEnv:
+    """`num_envs` worlds of a level that step together; otherwise as `make`."""
+    family, name = _resolve(level)
+    return family.vector(num_envs, level=name, autoreset_mode=autoreset_mode, **kwargs)
+
+
+def chance(level: str, **kwargs: Any) -> float | None:
+    """The score of uniformly random actions on a level, where it is known exactly.
+
+    Args:
+        level: a full level name.
+        kwargs: constructor options as for `make` and `make_vec`; those that only change what is
+            shown are ignored.
+
+    Returns:
+        The mean return of an episode, or None where no exact figure exists.
+    """
+    family, name = _resolve(level)
+    if family.chance is None:
+        return None
+    shown = {"observation", "render_mode", "copy", "autoreset_mode"}
+    options = {key: value for key, value in kwargs.items() if key not in shown}
+    return family.chance(name, **options)
+
+
+def _resolve(level: str) -> tuple[_Family, str]:
+    """The family of a full level name, and the level's name within it."""
+    prefix, _, name = level.partition("/")
+    if prefix not in _FAMILIES or not name:
+        known = [one for s in SPLITS.values() for one in (s.train, s.uniform, s.rare)]
+        raise ValueError(_unknown("level", level, known))
+    family = _FAMILIES[prefix]
+    family.check(name)
+    return family, name
+
+
+def _unknown(kind: str, name: str, known: list[str]) -> str:
+    nearest = difflib.get_close_matches(name, known, n=2, cutoff=0.4)
+    hint = f" (did you mean {' or '.join(map(repr, nearest))}?)" if nearest else ""
+    return f"unknown {kind} {name!r}{hint}: expected one of {', '.join(known)}"

@@ -1,0 +1,382 @@
+"""The batched environment contract that every family of the benchmark keeps."""
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from zipf.envs import pcg64
+
+Observation = dict[str, NDArray[Any]]
+Info = dict[str, Any]
+Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]
+
+
+class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
+    """`N` worlds that step together and report the situation of every episode.
+
+    A `gymnasium.vector.VectorEnv` in `AutoresetMode.SAME_STEP` (default) or `DISABLED`, with:
+
+    - **Situations.** An episode is drawn at one or more frequency ranks (0 = most frequent), named
+      and sized in `situation`. `info` holds the ranks of the episodes now running, int64 [N] each.
+    - **Own random streams.** World `i` after `reset(seed=s)` draws from
+      `numpy.random.default_rng(s + i)` and equals a single environment seeded `s + i`.
+    - **Writing in place.** `reset(out=...)` and `step(actions, out=..., final_out=...)` write
+      observations to C-contiguous arrays `[N, ...]` of the caller's, with the dtypes and shapes of
+      `observation_space`, and return those.
+    - **Complete state.** After `set_state(get_state())` stepping continues bit for bit.
+
+    `info` of a step in `SAME_STEP` mode, when episodes ended: `final_info`, a dict of arrays [N]
+    with the ended episodes' ranks (int64), `success` (bool), `return` (float64) and `length`
+    (int64), and `final_obs`, a dict of arrays [N, ...] of their last observations. Both are valid
+    only where the masks `_final_info` and `_final_obs` (bool [N]) are set. `final_obs` is written
+    to `final_out`; with `out` and no `final_out` it is left out, which saves drawing it.
+
+    `info` of a step in `DISABLED` mode, when episodes ended: `success`, `return` and `length`,
+    valid where the masks `_success`, `_return` and `_length` are set. A world whose episode has
+    ended must be reset before the next step, by
+    `reset(options={"reset_mask": mask})` (bool [N]), which leaves the others alone.
+
+    Args:
+        num_envs: number of worlds N.
+        single_observation_space: what one world shows.
+        single_action_space: what one world takes.
+        situation: name and size of each rank an episode is drawn at.
+        autoreset_mode: `SAME_STEP` or `DISABLED`.
+        copy: whether observations returned without `out` are fresh arrays (True, as in
+            Gymnasium's SyncVectorEnv) or this environment's own, overwritten by the next step.
+        render_mode: one of `metadata["render_modes"]` or None.
+    """
+
+    single_observation_space: spaces.Dict
+    single_action_space: spaces.Discrete
+    situation: dict[str, int]
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        single_observation_space: spaces.Dict,
+        single_action_space: spaces.Discrete,
+        situation: Mapping[str, int],
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        copy: bool = True,
+        render_mode: str | None = None,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, got {num_envs}")
+        autoreset_mode = AutoresetMode(autoreset_mode)
+        if autoreset_mode is AutoresetMode.NEXT_STEP:
+            raise ValueError("autoreset_mode must be SAME_STEP or DISABLED, got NEXT_STEP")
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(
+                f"render_mode must be one of {self.metadata['render_modes']} or None, "
+                f"got {render_mode!r}"
+            )
+        self.num_envs = num_envs
+        self.single_observation_space = single_observation_space
+        self.single_action_space = single_action_space
+        self.observation_space = batch_space(single_observation_space, num_envs)
+        self.action_space = batch_space(single_action_space, num_envs)
+        self.situation = dict(situation)
+        self.autoreset_mode = autoreset_mode
+        self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
+        self.render_mode = render_mode
+        self.copy = copy
+
+        self._streams = np.zeros((num_envs, 4), dtype=np.uint64)
+        self._seeded = np.zeros(num_envs, dtype=np.bool_)
+        self._running = np.zeros(num_envs, dtype=np.bool_)
+        self._lengths = np.zeros(num_envs, dtype=np.int64)
+        self._returns = np.zeros(num_envs, dtype=np.float64)
+        self._all_running = False
+        self._everywhere = np.ones(num_envs, dtype=np.bool_)
+        self._unforced = np.full((len(self.situation), num_envs), -1, dtype=np.int64)
+        self._shapes = {
+            key: ((num_envs, *space.shape), space.dtype)
+            for key, space in single_observation_space.items()
+            if space.shape is not None
+        }
+        self._buffers: dict[str, Observation] = {}
+
+    # What a family implements.
+
+    @abstractmethod
+    def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
+        """Starts an episode in the worlds of `mask`, drawing from `self._streams`.
+
+        `forced` is int64 [ranks, N] in the order of `self.situation`, -1 where to draw.
+        """
+
+    @abstractmethod
+    def _advance(
+        self, actions: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Steps every world, without autoreset: reward, terminated, truncated, success [N].
+
+        `self._lengths` counts this step already. Success matters only where an episode ends.
+        """
+
+    @abstractmethod
+    def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
+        """Writes the observations of the worlds of `mask` to their rows of `out`."""
+
+    @abstractmethod
+    def _situations(self) -> dict[str, NDArray[np.int64]]:
+        """The ranks of the episodes now running, as fresh arrays int64 [N]."""
+
+    @abstractmethod
+    def _get_worlds(self) -> dict[str, NDArray[Any]]:
+        """The family's own state, as a flat dict of numeric arrays that may alias it."""
+
+    @abstractmethod
+    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Takes the family's own state from what `_get_worlds` gave."""
+
+    # What users call.
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+        out: Observation | None = None,
+    ) -> tuple[Observation, Info]:
+        """Starts new episodes.
+
+        Args:
+            seed: `s` seeds world `i` with `s + i`; a list seeds each world by itself, and None
+                lets a world's stream go on (from fresh entropy if it was never seeded).
+            options: `reset_mask` (bool [N]) limits the reset to some worlds. The name of a rank
+                of the situation forces it: an integer for all worlds or integers [N].
+            out: where to write the observations, else as the constructor's `copy` says.
+
+        Returns:
+            Observations of all worlds and `info` with the ranks of all episodes now running.
+
+        Raises:
+            ValueError: for seeds, options or `out` of the wrong length, type or range.
+        """
+        if self.closed:
+            raise ClosedEnvironmentError("reset() of an environment that was closed")
+        mask, forced = self._read_options(options)
+        seeds = self._read_seeds(seed)
+        observation = self._writable(out, "out")
+        for i in np.flatnonzero(mask):
+            if seeds[i] is not None or not self._seeded[i]:
+                self._streams[i] = pcg64.stream(seeds[i])
+                self._seeded[i] = True
+        self._begin(mask, forced)
+        self._lengths[mask] = 0
+        self._returns[mask] = 0.0
+        self._running[mask] = True
+        self._all_running = bool(self._running.all())
+        self._observe(observation, self._everywhere)
+        return observation, dict(self._situations())
+
+    def step(
+        self,
+        actions: NDArray[Any],
+        *,
+        out: Observation | None = None,
+        final_out: Observation | None = None,
+    ) -> Step:
+        """Takes one action in every world.
+
+        Args:
+            actions: integers [N].
+            out: where to write the observations, else as the constructor's `copy` says.
+            final_out: where to write the last observations of episodes that end (their rows only).
+
+        Returns:
+            Observations, reward (float64 [N]), terminated, truncated (bool [N]) and `info`, as
+            the class describes.
+
+        Raises:
+            ValueError: for actions or buffers of the wrong shape, dtype or range; nothing has
+                happened then.
+            ResetNeeded: if a world has no running episode.
+        """
+        if self.closed:
+            raise ClosedEnvironmentError("step() of an environment that was closed")
+        if not self._all_running:
+            waiting = np.flatnonzero(~self._running).tolist()
+            raise ResetNeeded(f"step() needs a running episode: reset worlds {waiting} first")
+        actions = self._read_actions(actions)
+        observation = self._writable(out, "out")
+        same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
+        final: Observation | None = None
+        if same_step and (final_out is not None or out is None):
+            final = self._writable(final_out, "final_out")
+
+        before = self._situations()
+        self._lengths += 1
+        reward, terminated, truncated, success = self._advance(actions)
+        self._returns += reward
+        done = terminated | truncated
+        info: Info = before
+        if done.any():
+            outcome = {
+                "success": success,
+                "return": self._returns.copy(),
+                "length": self._lengths.copy(),
+            }
+            if same_step:
+                info = {"final_info": {**before, **outcome}, "_final_info": done}
+                if final is not None:
+                    self._observe(final, done)
+                    info["final_obs"] = final
+                    info["_final_obs"] = done.copy()
+                self._begin(done, self._unforced)
+                self._lengths[done] = 0
+                self._returns[done] = 0.0
+                info.update(self._situations())
+            else:
+                info.update(outcome)
+                info.update({f"_{key}": done.copy() for key in outcome})
+                self._running &= ~done
+                self._all_running = False
+        self._observe(observation, self._everywhere)
+        return observation, reward, terminated, truncated, info
+
+    def observations(self, out: Observation | None = None) -> Observation:
+        """The current observations, written as by `step`; for use after `set_state`."""
+        observation = self._writable(out, "out")
+        self._observe(observation, self._everywhere)
+        return observation
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Everything that stepping depends on, random streams included, as numeric arrays."""
+        state = {
+            "streams": self._streams,
+            "seeded": self._seeded,
+            "running": self._running,
+            "lengths": self._lengths,
+            "returns": self._returns,
+            **self._get_worlds(),
+        }
+        return {key: value.copy() for key, value in state.items()}
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Goes on from what `get_state` gave, here or in an equal environment.
+
+        Raises:
+            ValueError: if the state is of another kind or number of worlds.
+        """
+        own = self.get_state()
+        if state.keys() != own.keys():
+            raise ValueError(f"a state has the keys {sorted(own)}, got {sorted(state)}")
+        for key, value in own.items():
+            if state[key].shape != value.shape or state[key].dtype != value.dtype:
+                raise ValueError(
+                    f"state {key!r} must be {value.dtype} {value.shape}, "
+                    f"got {state[key].dtype} {state[key].shape}"
+                )
+        self._streams[:] = state["streams"]
+        self._seeded[:] = state["seeded"]
+        self._running[:] = state["running"]
+        self._lengths[:] = state["lengths"]
+        self._returns[:] = state["returns"]
+        self._all_running = bool(self._running.all())
+        self._set_worlds(state)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_buffers": {}}
+
+    # Checks of what came from outside.
+
+    def _writable(self, out: Observation | None, name: str) -> Observation:
+        if out is None:
+            if self.copy:
+                return self._allocate()
+            if name not in self._buffers:
+                self._buffers[name] = self._allocate()
+            return self._buffers[name]
+        if out.keys() != self._shapes.keys():
+            raise ValueError(f"{name} must have the keys {list(self._shapes)}, got {list(out)}")
+        for key, (shape, dtype) in self._shapes.items():
+            array = out[key]
+            flags = array.flags
+            if (
+                array.shape != shape
+                or array.dtype != dtype
+                or not (flags.c_contiguous and flags.writeable)
+            ):
+                raise ValueError(
+                    f"{name}[{key!r}] must be a writable C-contiguous array {dtype} {shape}, "
+                    f"got {array.dtype} {array.shape}"
+                )
+        return out
+
+    def _allocate(self) -> Observation:
+        return {key: np.zeros(shape, dtype) for key, (shape, dtype) in self._shapes.items()}
+
+    def _read_actions(self, actions: Any) -> NDArray[np.int64]:
+        actions = np.asarray(actions)
+        if actions.shape != (self.num_envs,) or actions.dtype.kind not in "iu":
+            raise ValueError(
+                f"actions must be {self.num_envs} integers, "
+                f"got {actions.dtype} of shape {actions.shape}"
+            )
+        actions = np.ascontiguousarray(actions, dtype=np.int64)
+        # As unsigned, a negative action is a huge one.
+        if (actions.view(np.uint64) >= self.single_action_space.n).any():
+            raise ValueError(
+                f"actions must be in 0 .. {self.single_action_space.n - 1}, "
+                f"got {actions.min()} .. {actions.max()}"
+            )
+        return actions
+
+    def _read_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            seeds: list[int | None] = [None] * self.num_envs
+        elif isinstance(seed, int | np.integer):
+            seeds = [int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed must have {self.num_envs} entries, got {len(seeds)}")
+        if any(one is not None and one < 0 for one in seeds):
+            raise ValueError(f"seeds must not be negative, got {seed}")
+        return seeds
+
+    def _read_options(
+        self, options: Mapping[str, Any] | None
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """The worlds to reset, bool [N], and the ranks to force, int64 [ranks, N]."""
+        options = options or {}
+        unknown = options.keys() - self.situation.keys() - {"reset_mask"}
+        if unknown:
+            raise ValueError(
+                f"unknown reset options {sorted(unknown)}: "
+                f"expected {['reset_mask', *self.situation]}"
+            )
+        mask = np.asarray(options.get("reset_mask", self._everywhere))
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            raise ValueError(
+                f"reset_mask must be bool of shape ({self.num_envs},), "
+                f"got {mask.dtype} of shape {mask.shape}"
+            )
+        forced = self._unforced
+        for row, (name, size) in enumerate(self.situation.items()):
+            if name not in options:
+                continue
+            ranks = np.asarray(options[name])
+            if ranks.dtype.kind not in "iu" or ranks.shape not in ((), (self.num_envs,)):
+                raise ValueError(
+                    f"option {name!r} must be an integer or {self.num_envs} integers, "
+                    f"got {options[name]!r}"
+                )
+            if (ranks < 0).any() or (ranks >= size).any():
+                raise ValueError(
+                    f"option {name!r} must be in 0 .. {size - 1}, got {options[name]!r}"
+                )
+            forced = forced.copy()
+            forced[row] = ranks
+        return mask, forced
