@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numba import njit, prange  # noqa: F401
+from numba import njit
+from numpy.typing import NDArray
 from pydantic import Field
 
 from zipf.agents.options import Options
@@ -30,3 +31,66 @@ class CountOptions(Options):
 
 
 ExplorationOptions = Annotated[NoExplorationOptions | CountOptions, Field(discriminator="name")]
+
+
+class CountBonus:
+    """Counts visits of hashed observations (Tang et al. 2017, with a universal hash).
+
+    Observations that differ share a count with probability 1 / table_size, so the table should be
+    several times larger than the number of observations that matter.
+    """
+
+    def __init__(self, options: CountOptions):
+        self.scale = options.scale
+        self.visits = np.zeros(options.table_size, np.int32)
+        self.weights: dict[str, NDArray[np.uint64]] = {}
+
+    def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
+        """Counts the observations `{name: [N, ...]}` where `mask` [N]; returns float32 [N].
+
+        Where the mask is not set nothing is counted and the bonus is 0.
+        """
+        hashes = np.zeros(len(mask), np.uint64)
+        for name in sorted(observation):
+            part = observation[name].reshape(len(mask), -1).view(np.uint8)
+            if name not in self.weights:  # the same in every process: the name is the seed
+                rng = np.random.default_rng(list(name.encode()))
+                self.weights[name] = rng.integers(2**64, size=part.shape[1], dtype=np.uint64)
+            _add_hashes(part, self.weights[name], mask, hashes)
+        bonus = np.zeros(len(mask), np.float32)
+        _count(hashes, mask, self.visits, self.scale, bonus)
+        return bonus
+
+    def state_dict(self) -> dict[str, NDArray]:
+        """The counts."""
+        return {"visits": self.visits}
+
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
+        """Continues from `state_dict()`."""
+        self.visits[:] = state["visits"]
+
+
+@njit(nogil=True, cache=True)
+def _add_hashes(part, weights, mask, hashes):  # type: ignore[no-untyped-def]
+    """Multilinear hashing: the high bits of sum_i weight_i * byte_i mod 2^64 are universal."""
+    for i in range(len(part)):
+        if mask[i]:
+            total = np.uint64(0)
+            for j in range(part.shape[1]):
+                total += weights[j] * np.uint64(part[i, j])
+            hashes[i] += total
+
+
+@njit(nogil=True, cache=True)
+def _count(hashes, mask, visits, scale, bonus):  # type: ignore[no-untyped-def]
+    size = np.uint64(len(visits))
+    for i in range(len(hashes)):
+        if mask[i]:
+            slot = ((hashes[i] >> np.uint64(32)) * size) >> np.uint64(32)
+            visits[slot] += 1
+            bonus[i] = scale / np.sqrt(visits[slot])
+
+
+def build_exploration(options: NoExplorationOptions | CountOptions) -> CountBonus | None:
+    """The bonus that the options name, or None."""
+    return CountBonus(options) if isinstance(options, CountOptions) else None

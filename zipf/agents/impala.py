@@ -1,0 +1,175 @@
+"""IMPALA (Espeholt et al. 2018): an actor-critic with V-trace corrections, top to bottom.
+
+The actor samples from the policy; the learner takes one optimiser step per unroll on
+
+    mean_{t,b}[ -log pi(a_t|x_t) A_t + c_b/2 (v_t - V(x_t))^2 + c_e sum_a pi log pi ]
+
+with v_t and A_t from V-trace. The losses are means over the unroll; where a source sums, divide
+its gradient clip by T x B.
+"""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from typing import Annotated, Any, Literal
+
+import gymnasium as gym
+import torch
+import torch.nn.functional as F
+from pydantic import Field
+from torch import Tensor
+
+from zipf.agents.encoders import CompactOptions, ResNetOptions
+from zipf.agents.memory import LSTMOptions, MLPOptions, State
+from zipf.agents.network import ActorCritic, Inputs
+from zipf.agents.options import Options
+from zipf.agents.returns import vtrace
+from zipf.agents.unroll import Unroll
+
+Positive = Annotated[float, Field(gt=0)]
+Fraction = Annotated[float, Field(ge=0, lt=1)]
+
+
+class ImpalaOptions(Options):
+    """What can be chosen; sources of the values are in `configs/agent/impala.yaml`."""
+
+    name: Literal["impala"]
+    learning_rate: Positive
+    adam_beta1: Fraction
+    adam_beta2: Fraction
+    adam_epsilon: Positive
+    max_gradient_norm: Positive
+    discount: Annotated[float, Field(ge=0, le=1)]
+    baseline_cost: Annotated[float, Field(ge=0)]
+    entropy_cost: Annotated[float, Field(ge=0)]
+    clip_rho: Positive
+    clip_pg_rho: Positive
+    clip_c: Positive
+    trace_lambda: Annotated[float, Field(ge=0, le=1)]
+
+
+class Impala:
+    """The agent: acts on batches of observations and learns from unrolls.
+
+    Args:
+        observation_space, action_space: of one world.
+        seed: of the network's initial weights.
+        precision: "float32", or "bfloat16" for automatic mixed precision.
+    """
+
+    def __init__(
+        self,
+        observation_space: gym.spaces.Dict,
+        action_space: gym.spaces.Discrete,
+        options: ImpalaOptions,
+        network: ResNetOptions | CompactOptions,
+        memory: MLPOptions | LSTMOptions,
+        *,
+        seed: int,
+        device: str = "cpu",
+        precision: str = "float32",
+    ):
+        self.options = options
+        self.device = device
+        self.precision = precision
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            self.network = ActorCritic(observation_space, action_space, network, memory)
+        self.network.to(device)
+        self.optimiser = torch.optim.Adam(
+            self.network.parameters(),
+            lr=options.learning_rate,
+            betas=(options.adam_beta1, options.adam_beta2),
+            eps=options.adam_epsilon,
+            fused=True,
+        )
+
+    def initial_memory(self, batch: int) -> State:
+        """The memory before the first frame of `batch` worlds."""
+        return self.network.memory.initial_state(batch)
+
+    @torch.no_grad()
+    def act(
+        self, inputs: Inputs, memory: State, generator: torch.Generator
+    ) -> tuple[Tensor, State, dict[str, Tensor]]:
+        """Samples an action in each of B worlds.
+
+        Returns actions int64 [B], the memory after this frame, and what `update` will want to know
+        of the behaviour policy: `logits` float32 [B, actions].
+        """
+        with self._autocast():
+            outputs = self.network(inputs.unsqueeze(), memory)
+        logits = outputs.logits[0]
+        action = torch.multinomial(logits.softmax(-1), 1, generator=generator).squeeze(-1)
+        return action, outputs.state, {"logits": logits}
+
+    @torch.no_grad()
+    def value(self, inputs: Inputs, memory: State) -> Tensor:
+        """V of each of B worlds, float32 [B]."""
+        with self._autocast():
+            return self.network(inputs.unsqueeze(), memory).value[0]
+
+    def update(self, unroll: Unroll) -> dict[str, float]:
+        """One optimiser step; returns the losses and what explains them."""
+        o = self.options
+        steps = unroll.steps
+        with self._autocast():
+            outputs = self.network(Inputs.of(steps), unroll.memory)
+
+        steps = steps[:-1]
+        log_policy = outputs.logits[:-1].log_softmax(-1)
+        log_pi = action_log_probability(log_policy, steps["action"])
+        log_mu = action_log_probability(steps["logits"].log_softmax(-1), steps["action"])
+        returns = vtrace(
+            log_ratios=log_pi.detach() - log_mu,
+            rewards=steps["reward"] + steps["bonus"],
+            values=outputs.value.detach(),
+            terminated=steps["terminated"],
+            truncated=steps["truncated"],
+            truncation_values=steps["truncation_value"],
+            discount=o.discount,
+            clip_rho=o.clip_rho,
+            clip_pg_rho=o.clip_pg_rho,
+            clip_c=o.clip_c,
+            lambda_=o.trace_lambda,
+        )
+        policy_loss = -(log_pi * returns.advantages).mean()
+        baseline_loss = 0.5 * (returns.targets - outputs.value[:-1]).square().mean()
+        entropy = -(log_policy.exp() * log_policy).sum(-1).mean()
+        loss = policy_loss + o.baseline_cost * baseline_loss - o.entropy_cost * entropy
+
+        self.optimiser.zero_grad()
+        loss.backward()
+        gradient_norm = torch.nn.utils.clip_grad_norm_(
+            self.network.parameters(), o.max_gradient_norm
+        )
+        self.optimiser.step()
+        metrics = {
+            "loss": loss,
+            "policy_loss": policy_loss,
+            "baseline_loss": baseline_loss,
+            "entropy": entropy,
+            "gradient_norm": gradient_norm,
+            "value": outputs.value.mean(),
+            "importance_ratio": (log_pi - log_mu).exp().mean(),
+        }
+        return {name: metric.item() for name, metric in metrics.items()}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that `update` changes."""
+        return {"network": self.network.state_dict(), "optimiser": self.optimiser.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continues from `state_dict()`."""
+        self.network.load_state_dict(state["network"])
+        self.optimiser.load_state_dict(state["optimiser"])
+
+    def _autocast(self) -> Any:
+        if self.precision == "float32":
+            return nullcontext()
+        return torch.autocast(torch.device(self.device).type, torch.bfloat16)
+
+
+def action_log_probability(log_policy: Tensor, action: Tensor) -> Tensor:
+    """log pi(a|x) of the actions taken: [T, B, actions], [T, B] -> [T, B]."""
+    return -F.nll_loss(log_policy.movedim(-1, 1), action, reduction="none")

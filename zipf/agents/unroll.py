@@ -1,0 +1,40 @@
+"""The unroll: what a collector hands to an agent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tensordict import TensorDict
+from torch import Tensor
+
+from zipf.agents.memory import State
+
+
+@dataclass
+class Unroll:
+    """T steps of B worlds, time-major; row T is the first row of the next unroll.
+
+    `steps`, a TensorDict [T + 1, B], holds in row t
+        observation: what the agent saw, {name: [T + 1, B, ...]} in the environment's dtypes
+        previous_action: int64, the action that led here, -1 where an episode begins
+        previous_reward: float32, the task reward that came with it, 0 where an episode begins
+        is_first: bool, an episode begins here
+        action: int64, what the agent did
+        reward: float32, the task reward that followed
+        bonus: float32, the exploration bonus that followed, 0 without exploration
+        terminated: bool, the episode ended for good after the action
+        truncated: bool, the episode was cut after the action
+        truncation_value: float32, the behaviour's value of the observation it was cut at, else 0
+        and what the behaviour policy says of its action (for IMPALA: `logits` float32 [actions])
+    In row T only the first four are filled; the rest belongs to the next unroll.
+
+    `memory` is the agent's memory before row 0, {name: [B, ...]}.
+    """
+
+    steps: TensorDict
+    memory: State
+
+    def to(self, device: str) -> Unroll:
+        """The same on another device."""
+        memory: dict[str, Tensor] = {k: v.to(device) for k, v in self.memory.items()}
+        return Unroll(self.steps.to(device, non_blocking=True), memory)

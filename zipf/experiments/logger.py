@@ -1,0 +1,183 @@
+"""What a run leaves behind: plain files and TensorBoard, and what it shows while it goes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import pandas as pd
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from torch.utils.tensorboard.writer import SummaryWriter
+
+from zipf.experiments.errors import UserError
+from zipf.experiments.evaluator import KINDS, Result
+
+
+class Logger:
+    """Appends to `metrics.csv`, `evaluations.csv`, `situations.csv`, `train.log` and TensorBoard.
+
+    Args:
+        folder: the run's folder.
+        resume_at: forget what was written after this update; -1 for a new run.
+    """
+
+    def __init__(self, folder: Path, resume_at: int):
+        self.folder = folder
+        for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
+            _forget_after(folder / name, resume_at)
+        # SummaryWriter hides the steps that the run is about to take again.
+        self.tensorboard = SummaryWriter(str(folder / "tensorboard"), purge_step=resume_at + 1)
+
+    def metrics(self, update: int, metrics: Mapping[str, float]) -> None:
+        """One wide row; the columns are those of the first row ever written."""
+        self._append("metrics.csv", [{"update": update, **metrics}])
+        for name, value in metrics.items():
+            self.tensorboard.add_scalar(f"train/{name}", value, update)
+
+    def evaluation(self, when: Mapping[str, float], results: list[Result]) -> None:
+        """The rows of an evaluation, and of the situations in it."""
+        self._append("evaluations.csv", [{**when, **result.row()} for result in results])
+        for result in results:
+            situations = result.situations()
+            situations.insert(0, "update", int(when["update"]))
+            self._append("situations.csv", situations.to_dict("records"))
+            self.tensorboard.add_scalar(f"score/{result.kind}", result.score, int(when["update"]))
+
+    def text(self, line: str) -> None:
+        """One line of `train.log`."""
+        self._write("train.log", f"{time.strftime('%Y-%m-%d %H:%M:%S')} {line}\n")
+
+    def close(self) -> None:
+        """Flushes TensorBoard."""
+        self.tensorboard.close()
+
+    def _append(self, name: str, rows: list[Any]) -> None:
+        path = self.folder / name
+        columns = _columns(path) or list(rows[0])
+        text = io.StringIO()
+        writer = csv.DictWriter(text, columns, restval="", extrasaction="ignore")
+        if not path.exists():
+            writer.writeheader()
+        writer.writerows(rows)
+        self._write(name, text.getvalue())
+
+    def _write(self, name: str, text: str) -> None:
+        path = self.folder / name
+        try:
+            with open(path, "a", newline="") as file:
+                file.write(text)
+        except OSError as error:
+            raise UserError(
+                f"{path}: cannot be written: {error.strerror}; the last checkpoint is kept"
+            ) from None
+
+
+def _columns(path: Path) -> list[str]:
+    if not path.exists():
+        return []
+    with open(path, newline="") as file:
+        return next(csv.reader(file), [])
+
+
+def _forget_after(path: Path, update: int) -> None:
+    """Drops the rows that a resumed run will write again, and a last line cut short by a crash."""
+    if not path.exists():
+        return
+    lines = path.read_text().splitlines(keepends=True)
+    position = lines[0].rstrip().split(",").index("update")
+    kept = [
+        line
+        for line in lines[1:]
+        if line.endswith("\n") and int(line.split(",")[position]) <= update
+    ]
+    replacement = path.with_name(path.name + ".new")
+    replacement.write_text("".join([lines[0], *kept]))
+    replacement.replace(path)
+
+
+class Display:
+    """Shows a run as it goes: a live panel on a terminal, now and then a line elsewhere."""
+
+    def __init__(self, name: str, updates: int, update: int, console: Console | None = None):
+        self.console = console or Console(highlight=False)
+        self.name = name
+        self.updates = updates
+        self.live = self.console.is_terminal
+        self.scores: dict[str, float] = {}
+        self.metrics: dict[str, float] = {}
+        self.progress = Progress(
+            TextColumn("[bold]{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("updates"),
+            TimeRemainingColumn(),
+        )
+        self.task = self.progress.add_task(name, total=updates, completed=update)
+        self._live = Live(console=self.console, get_renderable=self._panel, refresh_per_second=4)
+        self._printed = 0.0
+
+    def __enter__(self) -> Display:
+        if self.live:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self.live:
+            self._live.stop()
+
+    def advance(self, update: int) -> None:
+        """An update was made."""
+        self.progress.update(self.task, completed=update)
+
+    def show_metrics(self, update: int, metrics: Mapping[str, float]) -> None:
+        """The latest row of metrics."""
+        self.metrics = dict(metrics)
+        if not self.live and time.monotonic() - self._printed > 30:
+            self._print(update)
+
+    def show_scores(self, update: int, results: list[Result]) -> None:
+        """The latest scores."""
+        self.scores = {result.kind: result.score for result in results}
+        if not self.live:
+            self._print(update)
+
+    def _print(self, update: int) -> None:
+        self._printed = time.monotonic()
+        parts = [f"update {update}/{self.updates}"]
+        if "frames" in self.metrics:
+            parts.append(f"{int(self.metrics['frames']):,} frames")
+            parts.append(f"{self.metrics['frames_per_second']:,.0f} frames/s")
+        parts += [f"{kind} {score:.3f}" for kind, score in self.scores.items()]
+        self.console.print("  ".join(parts), soft_wrap=True)
+
+    def _panel(self) -> Group:
+        scores = Table.grid(padding=(0, 3))
+        m = self.metrics
+        scores.add_row(
+            *(f"{kind} [bold]{self.scores[kind]:.3f}[/]" for kind in KINDS if kind in self.scores),
+            f"{int(m.get('frames', 0)):,} frames",
+            f"{m.get('frames_per_second', 0):,.0f} frames/s",
+        )
+        parts = ("environment", "inference", "learning", "evaluation")
+        seconds = {part: m.get(f"time_{part}", 0.0) for part in parts}
+        total = sum(seconds.values()) or 1.0
+        split = "  ".join(f"{part} {spent / total:.0%}" for part, spent in seconds.items())
+        return Group(self.progress, scores, f"[dim]time: {split}[/]")
+
+
+def write_table(path: Path, rows: list[Mapping[str, Any]]) -> None:
+    """Writes a whole CSV file."""
+    pd.DataFrame(rows).to_csv(path, index=False)

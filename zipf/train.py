@@ -1,0 +1,50 @@
+"""`python -m zipf.train experiment=gridworld`: trains an agent and scores it as it learns."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+import hydra
+from hydra._internal.utils import get_args_parser
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from zipf.experiments import config, runner
+from zipf.experiments.errors import UserError
+
+_failures: list[str] = []
+
+
+@hydra.main(version_base="1.3", config_path=str(config.CONFIG_DIR), config_name="train")
+def _job(_: DictConfig) -> None:
+    try:
+        finished = runner.train(config.load(list(HydraConfig.get().overrides.task)))
+    except UserError as error:
+        _failures.append(str(error))
+        return
+    except KeyboardInterrupt:
+        finished = False
+    if not finished:
+        sys.exit(128 + signal.SIGINT)
+
+
+def main() -> None:
+    """The command: checks every job first, then runs one after another."""
+    arguments = get_args_parser().parse_args()
+    asks_only = arguments.help or arguments.hydra_help or arguments.cfg or arguments.info
+    try:
+        if not asks_only:
+            config.check_command_line(arguments.overrides)
+        _job()
+    except UserError as error:
+        _failures.append(str(error))
+    for failure in _failures:
+        for line in failure.splitlines():
+            print(f"error: {line}", file=sys.stderr)
+    if _failures:
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()
