@@ -1,0 +1,128 @@
+"""`python -m zipf.report FOLDER...`: the paper's tables and plots for the runs found there.
+
+Reads result files alone, never a checkpoint.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zipf.experiments.errors import UserError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from zipf.experiments.tables import ScoreTable
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a report holds and where it lies; `files` are in the order they should be shown."""
+
+    tables: tuple[ScoreTable, ...]
+    files: tuple[Path, ...]
+
+
+def report(
+    folders: Sequence[str | Path],
+    output: str | Path | None = None,
+    window: str | None = None,
+    *,
+    record: str | Path | None = None,
+    console: Console | None = None,
+) -> Report:
+    """Print the tables of all runs under `folders` and write them, with plots, to files.
+
+    Args:
+        folders: run folders, or folders with runs at any depth.
+        output: where `report.md`, `.tex`, `.csv` and the plots go; `<first folder>/report` if None.
+        window: `START:END` in updates, `last` or `last:N`; each experiment's own if None.
+        record: also write all tables, and what each run was, to this Markdown file.
+        console: where to print; standard output if None.
+
+    Raises:
+        UserError: no run there, a damaged file, an unknown window, or a file cannot be written.
+    """
+    from rich.console import Console
+
+    from zipf.experiments import plots, rendering, results, tables
+
+    chosen = tables.parse_window(window) if window is not None else None
+    found = tables.score_tables(results.load_runs(folders), chosen)
+    if console is None:
+        console = Console()
+        if not console.is_terminal:
+            console = Console(width=120)
+    for table in found:
+        rendering.print_table(table, console)
+        console.print()
+
+    target = Path(output) if output is not None else Path(folders[0]) / "report"
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        drawn = plots.draw(found, target)
+        texts = {
+            target / "report.md": rendering.markdown_report(found, drawn),
+            target / "report.tex": rendering.latex_report(found),
+            target / "report.csv": rendering.csv_report(found),
+        }
+        if record is not None:
+            texts[Path(record)] = rendering.record(found, _command(folders, window, record))
+        for path, text in texts.items():
+            path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        where = error.filename or target
+        raise UserError(f"{where}: cannot be written: {error.strerror}") from error
+    files = (*texts, *(path for paths in drawn.values() for path in paths))
+    for path in files:
+        console.print(f"Wrote {path.as_posix()}", highlight=False, markup=False, soft_wrap=True)
+    return Report(tuple(found), files)
+
+
+def _command(folders: Sequence[str | Path], window: str | None, record: str | Path) -> str:
+    chosen = ["--window", window] if window is not None else []
+    paths = [Path(folder).as_posix() for folder in folders]
+    arguments = [*paths, *chosen, "--record", Path(record).as_posix()]
+    return shlex.join(["python", "-m", "zipf.report", *arguments])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m zipf.report",
+        description="Print and write the paper's tables and plots for the runs found in folders.",
+    )
+    parser.add_argument("folders", nargs="+", metavar="FOLDER", help="searched at any depth")
+    parser.add_argument(
+        "--output",
+        metavar="DIR",
+        help="where report.md, report.tex, report.csv and the plots go (<first folder>/report)",
+    )
+    parser.add_argument(
+        "--window",
+        metavar="WINDOW",
+        help="instead of the experiment's own: START:END in updates (2000000:3000000 or 2M:3M), "
+        "last, or last:N for the last N evaluations of each run",
+    )
+    parser.add_argument(
+        "--record",
+        metavar="FILE",
+        help="also write every table, and what each run was, to this Markdown file",
+    )
+    chosen = parser.parse_args(arguments)
+    try:
+        report(chosen.folders, chosen.output, chosen.window, record=chosen.record)
+    except UserError as error:
+        print(f"zipf.report: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
