@@ -26,7 +26,8 @@ def zipfian(n: int, exponent: float) -> NDArray[np.float64]:
     _check_size(n)
     if not math.isfinite(exponent) or exponent < 0:
         raise ValueError(f"the exponent of Zipf's law must be finite and >= 0, got {exponent}")
-    weights = 1.0 / np.arange(1, n + 1, dtype=np.float64) ** exponent
+    with np.errstate(over="ignore"):  # 1 / inf is the 0 that is meant
+        weights = 1.0 / np.arange(1, n + 1, dtype=np.float64) ** exponent
     return weights / weights.sum()
 
 

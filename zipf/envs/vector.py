@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -54,6 +54,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         render_mode: one of `metadata["render_modes"]` or None.
     """
 
+    observation_space: spaces.Dict
     single_observation_space: spaces.Dict
     single_action_space: spaces.Discrete
     situation: dict[str, int]
@@ -82,7 +83,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self.num_envs = num_envs
         self.single_observation_space = single_observation_space
         self.single_action_space = single_action_space
-        self.observation_space = batch_space(single_observation_space, num_envs)
+        self.observation_space = cast(spaces.Dict, batch_space(single_observation_space, num_envs))
         self.action_space = batch_space(single_action_space, num_envs)
         self.situation = dict(situation)
         self.autoreset_mode = autoreset_mode
@@ -137,7 +138,10 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     @abstractmethod
     def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Takes the family's own state from what `_get_worlds` gave."""
+        """Takes the family's own state from what `_get_worlds` gave.
+
+        Raises ValueError, with nothing taken, if a kernel could not work on it.
+        """
 
     # What users call.
 
@@ -251,6 +255,10 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self._observe(observation, self._everywhere)
         return observation
 
+    def allocate(self) -> Observation:
+        """Fresh arrays fit for `out` and `final_out`, all zero."""
+        return {key: np.zeros(shape, dtype) for key, (shape, dtype) in self._shapes.items()}
+
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that stepping depends on, random streams included, as numeric arrays."""
         state = {
@@ -278,13 +286,13 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                     f"state {key!r} must be {value.dtype} {value.shape}, "
                     f"got {state[key].dtype} {state[key].shape}"
                 )
+        self._set_worlds(state)
         self._streams[:] = state["streams"]
         self._seeded[:] = state["seeded"]
         self._running[:] = state["running"]
         self._lengths[:] = state["lengths"]
         self._returns[:] = state["returns"]
         self._all_running = bool(self._running.all())
-        self._set_worlds(state)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_buffers": {}}
@@ -294,9 +302,9 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _writable(self, out: Observation | None, name: str) -> Observation:
         if out is None:
             if self.copy:
-                return self._allocate()
+                return self.allocate()
             if name not in self._buffers:
-                self._buffers[name] = self._allocate()
+                self._buffers[name] = self.allocate()
             return self._buffers[name]
         if out.keys() != self._shapes.keys():
             raise ValueError(f"{name} must have the keys {list(self._shapes)}, got {list(out)}")
@@ -313,9 +321,6 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                     f"got {array.dtype} {array.shape}"
                 )
         return out
-
-    def _allocate(self) -> Observation:
-        return {key: np.zeros(shape, dtype) for key, (shape, dtype) in self._shapes.items()}
 
     def _read_actions(self, actions: Any) -> NDArray[np.int64]:
         actions = np.asarray(actions)

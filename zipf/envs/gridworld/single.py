@@ -11,16 +11,100 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from numpy.typing import NDArray
 
 from zipf.envs.gridworld import looks
+from zipf.envs.gridworld.level import OBSERVATIONS, Level
 from zipf.envs.gridworld.maps import MOVES
-from zipf.envs.gridworld.spec import GridworldSpec
+from zipf.envs.gridworld.render import Window, frame
+
+_ONE = np.ones(1, dtype=np.bool_)
 
 Observation = dict[str, NDArray[np.uint8]]
 
 
 class GridworldEnv(gym.Env[dict[str, Any], Any]):
-    """Zipf's Gridworld, one world."""
+    """Zipf's Gridworld: find the cued object in one of 20 fixed maps.
 
-    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 8}  # noqa: RUF012 (Gymnasium's form)
+    ## Description
+
+    A map of 3 x 3 rooms holds 20 objects that differ in colour and shape. The agent sees the
+    7 x 7 cells around it and, in the top-left corner of its view, a cue: the object to find. Where
+    the objects are, how they look and where the agent starts is fixed for each of 20 maps, so an
+    agent can learn every way by heart, but which map and which object an episode is about is
+    drawn from a Zipfian distribution in training, and from others in the tests. From "Zipfian
+    environments for reinforcement learning" (Chan et al., 2022); maps, images and random
+    sequences are those of its release.
+
+    ## Observation space
+
+    A `Dict` with, for `observation="image"` (the benchmark):
+
+    - `image`: uint8 [63, 63, 3], 9 x 9 pixels a cell, the agent in the centre. Outside the board
+      is floor. An object that is touched hides the agent.
+
+    and for `observation="tiles"`, the same view in symbols:
+
+    - `tiles`: uint8 [7, 7], cell codes: 0 floor, 1 wall, 2 agent, 3 + 15 * colour + shape an
+      object. The top-left cell, which the cue covers in the image, is 0.
+    - `cue`: uint8 [1], the code of the object to find.
+
+    ## Action space
+
+    `Discrete(8)`: move to a neighbouring cell.
+
+    | Action    | 0 | 1  | 2 | 3  | 4 | 5  | 6 | 7  |
+    |-----------|---|----|---|----|---|----|---|----|
+    | Direction | N | NE | E | SE | S | SW | W | NW |
+
+    A move is blocked by a wall at its destination, a diagonal one also by walls on both cells it
+    passes between. A blocked move takes a step and leaves the agent where it is.
+
+    ## Rewards
+
+    1 for reaching the cued object, 0 otherwise.
+
+    ## Starting state
+
+    The map's frequency rank is drawn first, then the target's, each from the level's distribution
+    by one number of `np_random`. `reset(options={"map": 3, "target": 17})` forces either or both;
+    forced ones are drawn all the same and then replaced, so that the episodes that follow do not
+    depend on it.
+
+    ## Episode end
+
+    Terminated when the agent touches any object; truncated after `max_steps` steps without one.
+
+    ## Info
+
+    `map` and `target`, the ranks of the situation (0 = most frequent). The step that ends an
+    episode adds `success` (bool), `return` (float) and `length` (int).
+
+    ## Levels
+
+    - `zipf_2`: exponent 2, to train on; `zipf_<exponent>` for any other exponent >= 0.
+    - `uniform`: every map and object alike.
+    - `rare`: uniform over the rarest fifth of maps and of objects (`uniform_rare` in the paper).
+
+    ## Arguments
+
+    - `level`: one of these names, with or without `gridworld/` before it.
+    - `num_maps`, `num_rooms` (rows, columns), `room_size` (rows, columns), `num_objects`: what
+      maps there are; scores compare with the paper's only at the defaults.
+    - `max_steps`: after how many steps an episode is truncated.
+    - `observation`: `"image"` or `"tiles"`.
+    - `render_mode`: `"rgb_array"` (the whole map with the agent's view outlined), `"human"` (the
+      same in a window; needs pygame and a display) or None.
+
+    ## Registered as
+
+    `zipf/Gridworld-v0`, by `import zipf.envs`, or in one go
+    `gymnasium.make("zipf.envs:zipf/Gridworld-v0", level="zipf_2")`. With `gymnasium.make_vec` the
+    same id gives `GridworldVectorEnv`, which steps many worlds at once.
+
+    Raises:
+        ValueError: for arguments out of range, or more objects than a map has places for.
+        ImportError, RuntimeError: for `render_mode="human"` without pygame, without a display.
+    """
+
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 8}  # noqa: RUF012
     observation_space: spaces.Dict
     action_space: spaces.Discrete
 
@@ -41,16 +125,21 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
                 f"render_mode must be one of {self.metadata['render_modes']} or None, "
                 f"got {render_mode!r}"
             )
-        self.world = GridworldSpec.make(
+        self.level = Level.make(
             level, num_maps, num_rooms, room_size, num_objects, max_steps, observation
         )
-        self.observation_space = self.world.observation_space
-        self.action_space = self.world.action_space
-        self.situation = self.world.situation
+        self.observation_space = self.level.observation_space
+        self.action_space = self.level.action_space
+        self.situation = self.level.situation
         self.render_mode = render_mode
+        self._window: Window | None = None
+        if render_mode == "human":
+            self._window = Window("Zipf's Gridworld", self.metadata["render_fps"])
         self._closed = False
         self._running = False
         self._map = self._target = self._row = self._column = self._length = 0
+        self._goal = (0, 0)
+        self._board: list[list[int]] = []
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -79,14 +168,16 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
                     f"option {name!r} must be an integer in 0 .. {size - 1}, got {rank!r}"
                 )
         super().reset(seed=seed)
-        drawn = {"map": self._draw(self.world.map_cdf), "target": self._draw(self.world.target_cdf)}
+        drawn = {"map": self._draw(self.level.map_cdf), "target": self._draw(self.level.target_cdf)}
         self._map, self._target = (int(options.get(name, drawn[name])) for name in drawn)
-        maps = self.world.maps
+        maps = self.level.maps
         self._board = maps.boards[self._map].tolist()
-        self._goal = tuple(maps.cells[self._map, self._target].tolist())
+        goal_row, goal_column = maps.cells[self._map, self._target].tolist()
+        self._goal = (goal_row, goal_column)
         self._row, self._column = maps.cells[self._map, -1].tolist()
         self._length = 0
         self._running = True
+        self._show()
         return self._observe(), {"map": self._map, "target": self._target}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -115,16 +206,37 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
         self._length += 1
         success = (row, column) == self._goal
         terminated = board[row][column] >= looks.FIRST_LOOK
-        truncated = not terminated and self._length >= self.world.max_steps
+        truncated = not terminated and self._length >= self.level.max_steps
         reward = float(success)
         info: dict[str, Any] = {"map": self._map, "target": self._target}
         if terminated or truncated:
             info.update({"success": success, "return": reward, "length": self._length})
             self._running = False
+        self._show()
         return self._observe(), reward, terminated, truncated, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The current frame, uint8 [height, width, 3], with `render_mode="rgb_array"`.
+
+        Raises:
+            ResetNeeded: before the first episode.
+        """
+        if not self._board:
+            raise ResetNeeded("render() needs an episode: call reset() first")
+        return self._frame() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         self._closed = True
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def _show(self) -> None:
+        if self._window is not None:
+            self._window.show(self._frame())
+
+    def _frame(self) -> NDArray[np.uint8]:
+        return frame(self.level.maps, self._map, self._target, self._row, self._column)
 
     def _draw(self, cdf: NDArray[np.float64]) -> int:
         """What `Generator.choice(len(p), p=p)` draws, without its checks."""
@@ -132,12 +244,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
 
     def _observe(self) -> Observation:
         world = np.array([[self._map, self._target, self._row, self._column]])
-        batch = {
-            key: np.empty((1, *space.shape), dtype=np.uint8)
-            for key, space in self.observation_space.items()
-        }
-        self.world.observe(batch, _ONE, world)
+        shapes = OBSERVATIONS[self.level.observation]
+        batch = {key: np.empty((1, *shape), dtype=np.uint8) for key, shape in shapes.items()}
+        self.level.observe(batch, _ONE, world)
         return {key: value[0] for key, value in batch.items()}
-
-
-_ONE = np.ones(1, dtype=np.bool_)

@@ -8,7 +8,8 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.gridworld import kernels
-from zipf.envs.gridworld.spec import GridworldSpec
+from zipf.envs.gridworld.level import Level
+from zipf.envs.gridworld.render import frame
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 
@@ -19,7 +20,7 @@ class GridworldVectorEnv(ZipfVectorEnv):
     two numbers from its world's random stream, for the map and for the target, forced or not.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 8}  # noqa: RUF012 (Gymnasium's form)
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 8}  # noqa: RUF012
 
     def __init__(
         self,
@@ -36,28 +37,33 @@ class GridworldVectorEnv(ZipfVectorEnv):
         copy: bool = True,
         render_mode: str | None = None,
     ) -> None:
-        self.world = GridworldSpec.make(
+        self.level = Level.make(
             level, num_maps, num_rooms, room_size, num_objects, max_steps, observation
         )
         super().__init__(
             num_envs,
-            single_observation_space=self.world.observation_space,
-            single_action_space=self.world.action_space,
-            situation=self.world.situation,
+            single_observation_space=self.level.observation_space,
+            single_action_space=self.level.action_space,
+            situation=self.level.situation,
             autoreset_mode=autoreset_mode,
             copy=copy,
             render_mode=render_mode,
         )
         self._worlds = np.zeros((num_envs, 4), dtype=np.int64)
 
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One frame of each world, uint8 [height, width, 3], with `render_mode="rgb_array"`."""
+        if self.render_mode is None:
+            return None
+        return tuple(frame(self.level.maps, *world) for world in self._worlds.tolist())
+
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
-        world = self.world
         kernels.begin(
             mask,
             forced,
-            world.map_cdf,
-            world.target_cdf,
-            world.maps.cells,
+            self.level.map_cdf,
+            self.level.target_cdf,
+            self.level.maps.cells,
             self._streams,
             self._worlds,
         )
@@ -70,9 +76,9 @@ class GridworldVectorEnv(ZipfVectorEnv):
         truncated = np.empty(self.num_envs, dtype=np.bool_)
         kernels.move(
             actions,
-            self.world.maps.codes,
-            self.world.maps.cells,
-            self.world.max_steps,
+            self.level.maps.codes,
+            self.level.maps.cells,
+            self.level.max_steps,
             self._lengths,
             self._worlds,
             reward,
@@ -82,7 +88,7 @@ class GridworldVectorEnv(ZipfVectorEnv):
         return reward, terminated, truncated, reward > 0
 
     def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
-        self.world.observe(out, mask, self._worlds)
+        self.level.observe(out, mask, self._worlds)
 
     def _situations(self) -> dict[str, NDArray[np.int64]]:
         return {
@@ -94,4 +100,9 @@ class GridworldVectorEnv(ZipfVectorEnv):
         return {"worlds": self._worlds}
 
     def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+        # The kernels index with these numbers and check no bounds.
+        maps = self.level.maps
+        limits = (maps.num_maps, maps.num_objects, *maps.boards.shape[1:])
+        if (state["worlds"] < 0).any() or (state["worlds"] >= limits).any():
+            raise ValueError("the state is of other maps, or damaged: worlds outside the board")
         self._worlds[:] = state["worlds"]

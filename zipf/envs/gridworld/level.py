@@ -12,23 +12,26 @@ from zipf.envs.gridworld import kernels
 from zipf.envs.gridworld.looks import CELL, NUM_CODES
 from zipf.envs.gridworld.maps import MOVES, VIEW, Maps, build_maps
 
-IMAGE_SIZE = VIEW * CELL
-OBSERVATIONS = ("image", "tiles")
+OBSERVATIONS: dict[str, dict[str, tuple[int, ...]]] = {
+    "image": {"image": (VIEW * CELL, VIEW * CELL, 3)},
+    "tiles": {"tiles": (VIEW, VIEW), "cue": (1,)},
+}
+"""Keys and shapes of what one world shows, all uint8, by the `observation` option."""
 
 
 @dataclass(frozen=True, eq=False)
-class GridworldSpec:
+class Level:
     """A level with its constructor options, checked and resolved.
 
     Attributes:
-        level: the level's name without its family.
+        name: the level's name without its family.
         maps: the maps.
         map_cdf, target_cdf: cumulated probabilities of the ranks, float64 [maps], [objects].
         max_steps: after how many steps an episode is truncated.
         observation: "image" or "tiles".
     """
 
-    level: str
+    name: str
     maps: Maps
     map_cdf: NDArray[np.float64]
     target_cdf: NDArray[np.float64]
@@ -38,30 +41,32 @@ class GridworldSpec:
     @classmethod
     def make(
         cls,
-        level: str,
+        name: str,
         num_maps: int,
         num_rooms: Sequence[int],
         room_size: Sequence[int],
         num_objects: int,
         max_steps: int,
         observation: str,
-    ) -> "GridworldSpec":
+    ) -> "Level":
         """Resolves the arguments of an environment.
 
         Raises:
             ValueError: for an unknown level or observation, or sizes that make no map.
         """
-        level = level.removeprefix("gridworld/")
-        distribution = distributions.by_name(level)
+        name = name.removeprefix("gridworld/")
+        distribution = distributions.by_name(name)
         if observation not in OBSERVATIONS:
-            raise ValueError(f"observation must be 'image' or 'tiles', got {observation!r}")
+            raise ValueError(
+                f"observation must be {' or '.join(map(repr, OBSERVATIONS))}, got {observation!r}"
+            )
         if max_steps < 1:
             raise ValueError(f"max_steps must be at least 1, got {max_steps}")
-        for name, pair in (("num_rooms", num_rooms), ("room_size", room_size)):
+        for option, pair in (("num_rooms", num_rooms), ("room_size", room_size)):
             if len(pair) != 2:
-                raise ValueError(f"{name} must be (rows, columns), got {pair}")
+                raise ValueError(f"{option} must be (rows, columns), got {pair}")
         return cls(
-            level=level,
+            name=name,
             maps=build_maps(
                 num_maps, (num_rooms[0], num_rooms[1]), (room_size[0], room_size[1]), num_objects
             ),
@@ -82,14 +87,10 @@ class GridworldSpec:
 
     @property
     def observation_space(self) -> spaces.Dict:
-        if self.observation == "image":
-            image = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
-            return spaces.Dict({"image": image})
+        highest = 255 if self.observation == "image" else NUM_CODES - 1
+        shapes = OBSERVATIONS[self.observation]
         return spaces.Dict(
-            {
-                "tiles": spaces.Box(0, NUM_CODES - 1, (VIEW, VIEW), dtype=np.uint8),
-                "cue": spaces.Box(0, NUM_CODES - 1, (1,), dtype=np.uint8),
-            }
+            {key: spaces.Box(0, highest, shape, dtype=np.uint8) for key, shape in shapes.items()}
         )
 
     def observe(

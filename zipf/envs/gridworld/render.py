@@ -1,0 +1,122 @@
+"""Frames for people: the whole map, and a window on the screen that shows it."""
+
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.envs.gridworld import looks
+from zipf.envs.gridworld.maps import PAD, VIEW, Maps
+
+_SCALE = 3  # screen pixels per sprite pixel
+_CELL = _SCALE * looks.CELL
+_LINE = 2  # thickness of outlines in screen pixels
+
+_NO_DISPLAY = 'render_mode="human" needs a display, and none was found; use render_mode="rgb_array"'
+_BACKGROUND = (24, 26, 32)
+_SEEN = (235, 235, 235)
+_TARGET = (255, 190, 60)
+
+# The walls of the agent's image, 40 of 255, would vanish where the map is shown darker.
+_SPRITES = looks.SPRITES.copy()
+_SPRITES[0, looks.WALL] = 96
+_SPRITES = _SPRITES.repeat(_SCALE, axis=2).repeat(_SCALE, axis=3)
+
+
+def frame(maps: Maps, map: int, target: int, row: int, column: int) -> NDArray[np.uint8]:
+    """The whole map of one world, with the cue above it.
+
+    What the agent sees is bright and outlined in white, the rest is darker. The cue and the
+    target on the map are outlined in amber.
+
+    Args:
+        maps: the level's maps.
+        map, target: the situation.
+        row, column: where the agent is on the board.
+
+    Returns:
+        uint8 [height, width, 3], 27 pixels a cell.
+    """
+    board = maps.boards[map].copy()
+    goal_row, goal_column = maps.cells[map, target].tolist()
+    cue = board[goal_row, goal_column]
+    if board[row, column] == looks.FLOOR:
+        board[row, column] = looks.AGENT
+    height, width = board.shape
+    drawn = _SPRITES[0][board].swapaxes(1, 2).reshape(height * _CELL, width * _CELL, 3)
+
+    top, left = max(row - PAD, 0), max(column - PAD, 0)
+    seen = np.s_[top * _CELL : (row + PAD + 1) * _CELL, left * _CELL : (column + PAD + 1) * _CELL]
+    shown = drawn // 8 * 5
+    shown[seen] = drawn[seen]
+
+    # One cell of margin on each side, and a row of its own for the cue.
+    header = 3 * _CELL
+    canvas = np.full(
+        (header + (height + 1) * _CELL, (width + 2) * _CELL, 3), _BACKGROUND, dtype=np.uint8
+    )
+    canvas[header:-_CELL, _CELL:-_CELL] = shown
+    canvas[_CELL : 2 * _CELL, _CELL : 2 * _CELL] = _SPRITES[1, cue]
+    _outline(canvas, header + (row - PAD) * _CELL, (column - PAD + 1) * _CELL, VIEW, _SEEN)
+    _outline(canvas, _CELL, _CELL, 1, _TARGET)
+    _outline(canvas, header + goal_row * _CELL, (goal_column + 1) * _CELL, 1, _TARGET)
+    return canvas
+
+
+def _outline(
+    canvas: NDArray[np.uint8], top: int, left: int, cells: int, colour: tuple[int, int, int]
+) -> None:
+    """Draws a square frame around `cells` x `cells` cells, clipped to the canvas."""
+    rows = np.arange(canvas.shape[0])[:, None]
+    columns = np.arange(canvas.shape[1])
+    size = cells * _CELL
+    # Distance outside the square, negative inside it.
+    outside = np.maximum(
+        np.maximum(top - rows, rows - (top + size - 1)),
+        np.maximum(left - columns, columns - (left + size - 1)),
+    )
+    canvas[(outside > 0) & (outside <= _LINE)] = colour
+
+
+class Window:
+    """A window on the screen that shows frames at a steady rate.
+
+    Raises:
+        ImportError: if pygame is not installed.
+        RuntimeError: if there is no display to open a window on.
+    """
+
+    def __init__(self, title: str, fps: int) -> None:
+        try:
+            import pygame
+        except ImportError as error:
+            raise ImportError(
+                'render_mode="human" needs pygame: pip install "zipf-rl[human]"'
+            ) from error
+        self._pygame: Any = pygame
+        self._fps = fps
+        self._screen: Any = None
+        try:
+            pygame.display.init()
+        except pygame.error as error:
+            raise RuntimeError(_NO_DISPLAY) from error
+        # SDL's last resort is a window nobody sees; only those who ask for that get it.
+        if pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in os.environ:
+            pygame.display.quit()
+            raise RuntimeError(_NO_DISPLAY)
+        pygame.display.set_caption(title)
+        self._clock = pygame.time.Clock()
+
+    def show(self, frame: NDArray[np.uint8]) -> None:
+        """Shows a frame, uint8 [height, width, 3], and waits for its turn."""
+        height, width, _ = frame.shape
+        if self._screen is None:
+            self._screen = self._pygame.display.set_mode((width, height))
+        self._pygame.event.pump()
+        self._pygame.surfarray.blit_array(self._screen, frame.swapaxes(0, 1))
+        self._pygame.display.flip()
+        self._clock.tick(self._fps)
+
+    def close(self) -> None:
+        self._pygame.display.quit()
