@@ -10,6 +10,7 @@ import difflib
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,7 +19,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from hydra.errors import HydraException, OverrideParseException
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field, ValidationError
@@ -156,8 +157,8 @@ def load(overrides: list[str]) -> Config:
     problems = list(_unknown_names(_parse(overrides)))
     if problems:
         raise UserError("\n".join(problems))
-    composed = _compose(overrides)
-    values = composed.values
+    composed = _compose(*overrides)
+    values = dict(composed.values)
     if values["condition"] is None:
         values["condition"] = _condition(composed)
     try:
@@ -202,12 +203,13 @@ def nearest(name: str, accepted: list[str]) -> str:
     return f"there is {', '.join(sorted(accepted))}"
 
 
-def _compose(overrides: list[str]) -> _Composed:
+@cache
+def _compose(*overrides: str) -> _Composed:
     backup = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
     try:
         with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-            config = compose("train", overrides, return_hydra_config=True)
+            config = compose("train", list(overrides), return_hydra_config=True)
         choices = {k: str(v) for k, v in config.hydra.runtime.choices.items()}
         OmegaConf.set_struct(config, False)
         del config["hydra"]
@@ -226,7 +228,7 @@ def _parse(overrides: list[str]) -> list[Override]:
     for text in overrides:
         try:
             parsed.append(parser.parse_override(text))
-        except OverrideParseException:
+        except HydraException:
             problems.append(f"{text}: not of the form option=value")
     if problems:
         raise UserError("\n".join(problems))
@@ -265,7 +267,7 @@ def _unknown_names(overrides: list[Override]) -> Iterator[str]:
     if not any(text.startswith("experiment=") for text in valid):
         return
     fields = GridworldOptions.model_fields
-    known = [*_flatten(_compose(valid).values), *(f"environment.{name}" for name in fields)]
+    known = [*_flatten(_compose(*valid).values), *(f"environment.{name}" for name in fields)]
     parents = {name.rsplit(".", 1)[0] for name in known if "." in name}
     for key in named:
         if key not in known and key not in parents:
@@ -326,8 +328,8 @@ def _condition(composed: _Composed) -> str:
         if chosen[group] != plain:
             name += f"_{chosen[group]}"
     experiment = f"experiment={chosen['experiment']}"
-    usual = _compose([experiment]).choices
-    plain = _flatten(_compose([experiment, *(f"{g}={chosen[g]}" for g in _GROUPS)]).values)
+    usual = _compose(experiment).choices
+    plain = _flatten(_compose(experiment, *(f"{g}={chosen[g]}" for g in _GROUPS)).values)
     for group in ("network", "exploration"):
         if chosen[group] != usual[group]:
             name += f",{group}={chosen[group]}"

@@ -1,0 +1,120 @@
+"""Configurations: every shipped one composes, and every mistake is told at once."""
+
+import pytest
+
+from zipf.experiments import config
+from zipf.experiments.errors import UserError
+
+
+@pytest.mark.parametrize("experiment", config.choices("experiment"))
+@pytest.mark.parametrize("memory", config.choices("memory"))
+@pytest.mark.parametrize("network", config.choices("network"))
+@pytest.mark.parametrize("exploration", config.choices("exploration"))
+def test_every_combination_composes(experiment, memory, network, exploration):
+    loaded = config.load(
+        [
+            f"experiment={experiment}",
+            f"memory={memory}",
+            f"network={network}",
+            f"exploration={exploration}",
+        ]
+    )
+    assert loaded.experiment == experiment
+    assert loaded.memory.name == memory
+    assert loaded.network.name == network
+    assert loaded.exploration.name == exploration
+
+
+def test_the_papers_values():
+    """Its IMPALA table (third column) and architecture table, as printed."""
+    paper = config.load(["experiment=gridworld"])
+    assert paper.agent.learning_rate == 3e-4
+    assert paper.agent.entropy_cost == 9.4e-5
+    assert paper.agent.baseline_cost == 0.59
+    assert paper.agent.discount == 0.99
+    assert paper.collector.unroll_length == 128
+    assert paper.network.channels == [16, 32, 32]
+    assert paper.network.blocks == 2
+    assert paper.memory.name == "lstm"
+    assert paper.memory.size == 512
+    assert paper.exploration.name == "none"
+    assert paper.evaluation.episodes == 1000
+    assert paper.schedule.window == [2_000_000, 3_000_000]
+    assert paper.is_released_benchmark
+    assert not config.load(["experiment=demo"]).is_released_benchmark
+
+
+MISTAKES = [
+    (["experiment=gridwrld"], ["experiment=gridwrld", "gridworld"]),
+    (["experiment=demo", "agent=impla"], ["agent=impla", "impala"]),
+    ([], ["experiment", "demo", "gridworld_compact"]),
+    (["experiment=demo", "agent.learning_rat=1"], ["agent.learning_rat:", "agent.learning_rate"]),
+    (["experiment=demo", "seeed=1"], ["seeed", "seed"]),
+    (["experiment=demo", "foo"], ["foo", "option=value"]),
+    (["experiment=demo", "seed=-1"], ["seed=-1", "greater than or equal to 0"]),
+    (["experiment=demo", "updates=many"], ["updates=many", "integer"]),
+    (["experiment=demo", "updates=0"], ["updates=0", "greater"]),
+    (["experiment=demo", "agent.learning_rate=fast"], ["agent.learning_rate=fast", "number"]),
+    (["experiment=demo", "precision=half"], ["precision=half", "bfloat16"]),
+    (["experiment=demo", "resume=perhaps"], ["resume=perhaps", "must"]),
+    (["experiment=demo", "device=gpu"], ["device=gpu"]),
+    (["experiment=demo", "device=cuda:99"], ["device=cuda:99", "CUDA", "device=cpu"]),
+    (["experiment=demo", "collector.num_envs=0"], ["collector.num_envs=0", "greater"]),
+    (["experiment=demo", "evaluation.episodes=0"], ["evaluation.episodes=0", "greater"]),
+    (
+        ["experiment=demo", "environment.split=gridwrld"],
+        ["environment.split=gridwrld", "gridworld"],
+    ),
+    (["experiment=demo", "environment.num_objects=90"], ["num_objects = 90", "at most 25"]),
+    (["experiment=demo", "environment.num_rooms=[2]"], ["environment.num_rooms"]),
+    (["experiment=demo", "schedule.window=[3,1]"], ["schedule.window", "begin before"]),
+    (["experiment=demo", "condition=a/b"], ["condition=a/b", "folder"]),
+    (["experiment=demo", "+agent.momentum=1"], ["agent.momentum", "no such option"]),
+]
+
+
+@pytest.mark.parametrize(("overrides", "told"), MISTAKES, ids=[str(m[0]) for m in MISTAKES])
+def test_a_mistake_is_one_clear_line(overrides, told):
+    with pytest.raises(UserError) as error:
+        config.load(overrides)
+    message = str(error.value)
+    assert len(message.splitlines()) == 1
+    for words in told:
+        assert words in message
+
+
+def test_all_mistakes_are_told_at_once():
+    with pytest.raises(UserError) as error:
+        config.load(["experiment=demo", "seed=-1", "updates=many", "agent.discount=2"])
+    assert len(str(error.value).splitlines()) == 3
+
+
+def test_a_sweep_is_checked_before_it_starts():
+    assert config.check_command_line(["experiment=demo", "seed=0,1,2", "memory=mlp,lstm"]) == 6
+    assert config.check_command_line(["experiment=demo", "seed=range(4)"]) == 4
+    with pytest.raises(UserError) as error:
+        config.check_command_line(["experiment=demo,gridwrld", "seed=0,-1"])
+    lines = str(error.value).splitlines()
+    assert any("seed=-1" in line for line in lines)
+    assert any("gridwrld" in line for line in lines)
+
+
+CONDITIONS = [
+    (["experiment=gridworld"], "impala"),
+    (["experiment=gridworld", "memory=mlp"], "impala_mlp"),
+    (["experiment=demo"], "impala_mlp"),
+    (["experiment=demo", "memory=lstm"], "impala"),
+    (["experiment=gridworld", "network=compact"], "impala,network=compact"),
+    (["experiment=gridworld_compact", "exploration=none"], "impala_mlp,exploration=none"),
+    (["experiment=gridworld", "agent.discount=0.9"], "impala,agent.discount=0.9"),
+    (["experiment=gridworld", "agent.discount=0.99"], "impala"),
+    (["experiment=gridworld", "seed=3", "updates=7", "evaluation.every=2", "device=cpu"], "impala"),
+    (["experiment=gridworld", "condition=mine", "agent.discount=0.9"], "mine"),
+]
+
+
+@pytest.mark.parametrize(("overrides", "condition"), CONDITIONS)
+def test_a_condition_is_named_after_what_differs(overrides, condition):
+    loaded = config.load([*overrides, "run_root=here"])
+    assert loaded.condition == condition
+    assert loaded.folder.parts == ("here", loaded.experiment, condition, f"seed{loaded.seed}")
