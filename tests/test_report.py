@@ -113,7 +113,7 @@ def hand_made(root: Path) -> None:
     write_run(root, constant(0.5), condition="impala_mlp")
     write_run(root, constant(0.6), condition="impala_mlp", seed=1)
     write_run(root, {40: (0.4, 0.3, 0.2), 80: (0.5, 0.4, 0.3)}, condition="impala_byol")
-    write_run(root, constant(-0.001), condition="my_agent", commit=None)
+    write_run(root, constant(-0.001), condition="my_agent", commit="0123456789abcdef+changes")
     write_run(
         root,
         {150: (0.875, 0.5, 0.0)},
@@ -121,6 +121,7 @@ def hand_made(root: Path) -> None:
         experiment="demo_50%",
         paper=None,
         chance=None,
+        commit=None,
         window=[150, 150],
         num_updates=150,
     )
@@ -249,8 +250,8 @@ def test_the_last_evaluations_on_request(runs: Path) -> None:
     last = only_table(runs / "gridworld", "last")
     assert row(last, "impala_byol", "train")["median"] == 0.5
     assert row(last, "impala", "train")["median"] == pytest.approx(0.99)  # 0.99, 0.99, 0.91
-    assert "over the last evaluation of each run (not the experiment's own window)" in (
-        rendering.caption(last)
+    assert rendering.caption(last).startswith(
+        "The last evaluation of the median seed (not the experiment's own window), ± median"
     )
     last_two = only_table(runs / "gridworld", "last:2")
     assert row(last_two, "impala_byol", "train")["median"] == pytest.approx(0.45)
@@ -260,7 +261,10 @@ def test_a_given_window_includes_both_ends(runs: Path) -> None:
     table = only_table(runs / "gridworld", "40:80")
     assert row(table, "impala_byol", "train")["median"] == pytest.approx(0.45)
     assert row(table, "impala", "train")["seeds"] == 2  # seed 2 has nothing at update 50
-    assert "updates 40 to 80 (not the experiment's own window)" in rendering.caption(table)
+    assert rendering.caption(table).startswith(
+        "Median over the evaluations at updates 40 to 80 of the median seed "
+        "(not the experiment's own window), ± median"
+    )
 
 
 def test_a_window_that_is_not_over_yet_is_noted(tmp_path: Path) -> None:
@@ -333,6 +337,13 @@ def test_seeds_trained_with_other_settings_are_noted(tmp_path: Path) -> None:
     )
 
 
+def test_chance_may_be_known_for_some_levels_only(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5), chance={"train": 0.1, "uniform": None, "rare": None})
+    table = only_table(tmp_path)
+    assert table.chance == {"train": 0.1}
+    assert "| Chance |  | 0.10 |  | – |  | – |  |" in rendering.markdown(table)
+
+
 def test_disagreement_about_chance_is_noted(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5))
     write_run(tmp_path, constant(0.5), seed=1, chance={**CHANCE, "rare": 0.1})
@@ -355,6 +366,14 @@ def test_a_torn_last_line_is_left_out_and_noted(tmp_path: Path) -> None:
         f"{folder.as_posix()}/evaluations.csv: the last line is torn and was left out",
         f"{folder.as_posix()}/situations.csv: the last line is torn and was left out",
     )
+
+
+def test_either_line_ending_is_read(tmp_path: Path) -> None:
+    hand_made(tmp_path)
+    before = only_table(tmp_path / "gridworld").scores
+    for path in tmp_path.rglob("*.csv"):
+        path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    pd.testing.assert_frame_equal(only_table(tmp_path / "gridworld").scores, before)
 
 
 @pytest.mark.parametrize(
@@ -629,6 +648,16 @@ def test_situations_with_other_ranks(tmp_path: Path) -> None:
         "gridworld_learning.png",
         "gridworld_ranks.png",
     ]
+
+
+def test_a_figure_without_data_does_not_stay_behind(tmp_path: Path) -> None:
+    header = "update,level_kind,map,target,episodes,successes,return_sum"
+    write_run(tmp_path, constant(0.5), situations=(header, "300,uniform,0,1,10,5,5.0"))
+    figure = tmp_path / "report/gridworld_ranks.png"
+    report.report([tmp_path])
+    assert figure.exists()
+    report.report([tmp_path], window="100:200")
+    assert not figure.exists()
 
 
 def test_a_condition_looks_the_same_in_any_company() -> None:

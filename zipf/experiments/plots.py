@@ -88,9 +88,10 @@ def draw(tables: Sequence[ScoreTable], folder: Path) -> dict[str, list[Path]]:
                 "situations": success_by_situation(table),
             }
             for name, figure in figures.items():
-                if figure is None:
-                    continue
                 path = folder / f"{table.name}_{name}.png"
+                if figure is None:
+                    path.unlink(missing_ok=True)  # of an earlier report, no longer true
+                    continue
                 figure.savefig(path)
                 files.setdefault(table.name, []).append(path)
     return files

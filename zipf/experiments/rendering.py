@@ -57,14 +57,15 @@ def duration_text(seconds: float) -> str:
 def caption(table: ScoreTable) -> str:
     """How to read the table: window, statistics, effort, chance, the paper."""
     scores, window = table.scores, table.window
+    what = window_text(window)
     if isinstance(window, UpdateWindow):
-        where = f"over the evaluations at {window_text(window)}"
-    else:
-        where = f"over {window_text(window)} of each run"
-    if not table.own_window:
-        where += " (not the experiment's own window)"
+        what = f"Median over the evaluations at {what}"
+    elif window.count > 1:
+        what = f"Median over {what}"
+    own = "" if table.own_window else " (not the experiment's own window)"
     sentences = [
-        f"Median {where} of the median seed, ± median absolute deviation across seeds (unscaled)."
+        f"{what[0].upper()}{what[1:]} of the median seed{own}, "
+        f"± median absolute deviation across seeds (unscaled)."
     ]
     if (scores["seeds"] < PROTOCOL_SEEDS).any():
         sentences.append(f"n/{PROTOCOL_SEEDS}: fewer seeds than the protocol's {PROTOCOL_SEEDS}.")
@@ -228,8 +229,14 @@ def _run_cells(run: Run) -> list[str]:
         f"{description.device}, {description.precision}",
         description.torch,
         description.version,
-        description.commit[:10] if description.commit else NONE,
+        _commit_text(description.commit),
     ]
+
+
+def _commit_text(commit: str | None) -> str:
+    """The commit, shortened, with what a run adds to it ("+changes")."""
+    identifier, plus, addition = (commit or NONE).partition("+")
+    return f"{identifier[:10]}{plus}{addition}"
 
 
 def _markdown_escape(text: str) -> str:

@@ -46,7 +46,7 @@ class RunDescription(BaseModel):
     precision: str
     window: tuple[int, int]
     num_updates: int
-    chance: dict[Literal["train", "uniform", "rare"], float] | None
+    chance: dict[Literal["train", "uniform", "rare"], float | None] | None
     environment: dict[str, Any]
     paper: str | None
 

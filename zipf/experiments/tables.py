@@ -376,10 +376,13 @@ def _paper(runs: Sequence[Run]) -> PaperTable | None:
 
 
 def _chance(runs: Sequence[Run]) -> dict[str, float]:
+    """The first known value for each level kind."""
+    chance: dict[str, float] = {}
     for run in runs:
-        if run.description.chance is not None:
-            return {str(kind): value for kind, value in run.description.chance.items()}
-    return {}
+        for level_kind, value in (run.description.chance or {}).items():
+            if value is not None:
+                chance.setdefault(level_kind, value)
+    return chance
 
 
 def _notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
@@ -387,8 +390,7 @@ def _notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
     for run in runs:
         notes += run.notes
         notes += _window_notes(run, window)
-    chances = {json.dumps(run.description.chance, sort_keys=True): run for run in runs}
-    chances.pop("null", None)
+    chances = {json.dumps(run.description.chance, sort_keys=True): run for run in reversed(runs)}
     if len(chances) > 1:
         names = " and ".join(sorted(run.label for run in chances.values())[:2])
         notes.append(f"{names} disagree about chance: the first known value is shown.")
