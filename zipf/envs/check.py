@@ -10,6 +10,7 @@
 It knows no family: everything it asks for is in `ZipfVectorEnv`.
 """
 
+import math
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ import numpy as np
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
 
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
@@ -211,8 +213,14 @@ class _Check:
         _same(self._rollout(env, self.seed), first, "a second rollout from the same seed")
         seeds = [self.seed + i for i in range(self.n)]
         _same(self._rollout(env, seeds), first, "a rollout from a list of the same seeds")
+        if math.prod(env.situation.values()) > 1:
+            self._worlds_differ(env, first)
+        env.close()
+
+    def _worlds_differ(self, env: ZipfVectorEnv, first: list[Any]) -> None:
         other = self._rollout(env, self.seed + self.n)
         _require(not _equal(other, first), "rollouts from different seeds are the same")
+        seeds = [self.seed + i for i in range(self.n)]
         starts = [[env.reset(seed=seed)[1]] + [env.reset()[1] for _ in range(20)] for seed in seeds]
         worlds = [[{k: v[0] for k, v in info.items()} for info in infos] for infos in starts]
         _require(
@@ -223,7 +231,6 @@ class _Check:
             any(not _equal(worlds[0][0], start) for start in worlds[0][1:]),
             "reset() without a seed repeats the same episode",
         )
-        env.close()
 
     def buffers(self) -> None:
         """`out` and `final_out` get what a step without them returns; `copy` does what it says."""
@@ -263,22 +270,25 @@ class _Check:
                 env.reset(out=bad)
         _same(env.get_state(), before, "the state after refused buffers")
 
-        env.reset(seed=self.seed)
-        kept = env.step(self.actions[0])
-        copies = _copied(kept)
-        for actions in self.actions[1:20]:
-            env.step(actions)
-        _same(kept, copies, "what an earlier step returned, with copy=True,")
+        self._fresh(env, "copy=True", lambda step: step)
         env.close()
         env = self.make_vec(self.n, copy=False)
         _same(self._rollout(env, self.seed), expected, "a rollout with copy=False")
-        kept = env.step(self.actions[0])
-        copies = _copied(kept[1:4])
-        again = env.step(self.actions[1])
-        for key in kept[0]:
-            _require(kept[0][key] is again[0][key], f"copy=False must reuse observation {key!r}")
-        _same(kept[1:4], copies, "reward and ends of an earlier step, with copy=False,")
+        first, second = env.step(self.actions[0])[0], env.step(self.actions[1])[0]
+        for key in first:
+            _require(first[key] is second[key], f"copy=False must reuse observation {key!r}")
+        self._fresh(env, "copy=False", lambda step: [*step[1:4], step[4].get("final_info", {})])
         env.close()
+
+    def _fresh(self, env: ZipfVectorEnv, how: str, part: Callable[[Any], Any]) -> None:
+        """That part of what a step returns is not overwritten by later steps."""
+        env.reset(seed=self.seed)
+        before: list[NDArray[Any]] = []
+        for t, actions in enumerate(self.actions):
+            now = list(_arrays(part(env.step(actions))))
+            shared = any(np.may_share_memory(one, other) for one in before for other in now)
+            _require(not shared, f"step {t} overwrites what an earlier step returned, with {how}")
+            before = now
 
     def state(self) -> None:
         """Stepping goes on bit for bit from a state, here and in another environment."""
@@ -412,6 +422,14 @@ def _copied(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return tuple(_copied(item) for item in value)
     return np.array(value)
+
+
+def _arrays(value: Any) -> Iterator[NDArray[Any]]:
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, dict | list | tuple):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _arrays(item)
 
 
 def _stack(rows: list[Any]) -> Any:

@@ -54,7 +54,7 @@ def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:
     """Follows the distribution over the cells of each map, which random actions make a Markov
     chain that objects absorb, up to the step limit."""
     num_maps, height, width = maps.boards.shape
-    destinations = _destinations(maps)
+    leads_to = destinations(maps)
     success = np.zeros((num_maps, maps.num_objects))
     timeout, length = np.zeros(num_maps), np.zeros(num_maps)
     for i in range(num_maps):
@@ -64,7 +64,7 @@ def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:
         for _ in range(max_steps):
             length[i] += at.sum()
             at = np.bincount(
-                destinations[i].ravel(), np.repeat(at / len(MOVES), len(MOVES)), height * width
+                leads_to[i].ravel(), np.repeat(at / len(MOVES), len(MOVES)), height * width
             )
             success[i] += at[cells[:-1]]
             at[cells[:-1]] = 0.0
@@ -72,7 +72,7 @@ def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:
     return RandomPolicy(success, timeout, length)
 
 
-def _destinations(maps: Maps) -> NDArray[np.int64]:
+def destinations(maps: Maps) -> NDArray[np.int64]:
     """Where each action leads from each cell, as flat cell indices [maps, cells, actions]."""
     num_maps, height, width = maps.boards.shape
     shape = (num_maps, height, width, len(MOVES))

@@ -101,7 +101,8 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
 
     Raises:
         ValueError: for arguments out of range, or more objects than a map has places for.
-        ImportError, RuntimeError: for `render_mode="human"` without pygame, without a display.
+        ImportError, RuntimeError: by the first `reset`, for `render_mode="human"` without pygame
+            or without a display.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 8}  # noqa: RUF012
@@ -133,8 +134,6 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
         self.situation = self.level.situation
         self.render_mode = render_mode
         self._window: Window | None = None
-        if render_mode == "human":
-            self._window = Window("Zipf's Gridworld", self.metadata["render_fps"])
         self._closed = False
         self._running = False
         self._map = self._target = self._row = self._column = self._length = 0
@@ -232,7 +231,9 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
             self._window = None
 
     def _show(self) -> None:
-        if self._window is not None:
+        if self.render_mode == "human":
+            if self._window is None:
+                self._window = Window("Zipf's Gridworld", self.metadata["render_fps"])
             self._window.show(self._frame())
 
     def _frame(self) -> NDArray[np.uint8]:

@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from zipf.envs import pcg64
+from zipf.envs.distributions import by_name, rare, uniform, zipfian
+
+
+def test_zipfian_follows_the_law() -> None:
+    p = zipfian(4, 2)
+    np.testing.assert_allclose(p / p[0], [1, 1 / 4, 1 / 9, 1 / 16])
+    np.testing.assert_array_equal(zipfian(7, 0), uniform(7))
+
+
+def test_the_most_frequent_pair_of_the_benchmark_is_39_percent() -> None:
+    assert zipfian(20, 2)[0] ** 2 == pytest.approx(0.3925051762686023, abs=1e-12)
+
+
+def test_rare_is_the_last_fifth() -> None:
+    np.testing.assert_array_equal(np.flatnonzero(rare(20)), [16, 17, 18, 19])
+    np.testing.assert_array_equal(np.flatnonzero(rare(9)), [8])
+
+
+@given(n=st.integers(5, 200), exponent=st.floats(0, 1e6))
+def test_distributions_are_probabilities(n: int, exponent: float) -> None:
+    for p in (zipfian(n, exponent), uniform(n), rare(n)):
+        assert p.dtype == np.float64
+        assert p.shape == (n,)
+        assert (p >= 0).all()
+        assert p.sum() == pytest.approx(1)
+
+
+@pytest.mark.parametrize("exponent", [-0.1, float("nan"), float("inf")])
+def test_bad_exponents_are_refused(exponent: float) -> None:
+    with pytest.raises(ValueError, match="exponent"):
+        zipfian(20, exponent)
+
+
+def test_empty_distributions_are_refused() -> None:
+    for distribution in (uniform, rare, by_name("zipf_2")):
+        with pytest.raises(ValueError, match="at least one rank"):
+            distribution(0)
+    with pytest.raises(ValueError, match="n >= 5"):
+        rare(4)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("zipf_2", zipfian(20, 2)),
+        ("zipf_0", uniform(20)),
+        ("zipf_1.5", zipfian(20, 1.5)),
+        ("uniform", uniform(20)),
+        ("rare", rare(20)),
+        ("uniform_rare", rare(20)),
+    ],
+)
+def test_distributions_by_name(name: str, expected: np.ndarray) -> None:
+    np.testing.assert_array_equal(by_name(name)(20), expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("zipf_", "unknown level 'zipf_'"),
+        ("zipf_two", "zipf_<exponent>"),
+        ("unifrom", "did you mean 'uniform'"),
+        ("zipf_-1", "finite and >= 0"),
+        ("zipf_nan", "finite and >= 0"),
+        ("zipf_inf", "finite and >= 0"),
+        ("", "unknown level"),
+    ],
+)
+def test_unknown_names_say_what_would_do(name: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        by_name(name)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 1234, 2**31, 2**63 + 5])
+def test_compiled_streams_are_those_of_numpy(seed: int) -> None:
+    stream, rng = pcg64.stream(seed), np.random.default_rng(seed)
+    assert [pcg64.next_double(stream) for _ in range(2000)] == rng.random(2000).tolist()
+
+
+@pytest.mark.parametrize("name", ["zipf_2", "zipf_0.3", "uniform", "rare"])
+def test_compiled_choice_is_that_of_numpy(name: str) -> None:
+    p = by_name(name)(20)
+    stream, rng = pcg64.stream(7), np.random.default_rng(7)
+    cumulative = pcg64.cumulative(p)
+    drawn = [pcg64.choice(stream, cumulative) for _ in range(500)]
+    assert drawn == [rng.choice(20, p=p) for _ in range(500)]
+
+
+def test_streams_without_a_seed_differ() -> None:
+    assert (pcg64.stream(None) != pcg64.stream(None)).any()

@@ -1,0 +1,193 @@
+"""The self-check passes on the families' environments, and fails on broken ones."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from zipf.envs import make, make_vec
+from zipf.envs.check import check_vector_env
+from zipf.envs.gridworld import GridworldVectorEnv
+
+SMALL = {"num_maps": 6, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
+
+
+@pytest.mark.parametrize("level", ["gridworld/zipf_2", "gridworld/uniform", "gridworld/rare"])
+@pytest.mark.parametrize("observation", ["image", "tiles"])
+def test_gridworld_keeps_the_contract(level: str, observation: str) -> None:
+    options = {"observation": observation}
+    check_vector_env(partial(make_vec, level, **options), partial(make, level, **options))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        SMALL,
+        {"num_maps": 1, "num_objects": 1, "max_steps": 9},
+        {"num_rooms": (1, 2), "room_size": (6, 4), "num_objects": 7},
+        {"num_rooms": [5, 4], "room_size": [3, 5], "num_objects": 60, "num_maps": 3},
+    ],
+)
+def test_other_sizes_keep_the_contract(options: dict[str, Any]) -> None:
+    level, options = "gridworld/zipf_1", {"observation": "tiles", **options}
+    check_vector_env(partial(make_vec, level, **options), partial(make, level, **options))
+
+
+class SharedSeed(GridworldVectorEnv):
+    def _read_seeds(self, seed: Any) -> list[int | None]:
+        return [seed if isinstance(seed, int) else None] * self.num_envs
+
+
+class NewSituationInFinalInfo(GridworldVectorEnv):
+    def step(self, actions: Any, **buffers: Any) -> Any:
+        result = super().step(actions, **buffers)
+        if "final_info" in result[4]:
+            result[4]["final_info"]["map"] = result[4]["map"]
+        return result
+
+
+class FinalObservationOfTheNextEpisode(GridworldVectorEnv):
+    def step(self, actions: Any, **buffers: Any) -> Any:
+        result = super().step(actions, **buffers)
+        if "final_obs" in result[4]:
+            for key, value in result[4]["final_obs"].items():
+                value[:] = result[0][key]
+        return result
+
+
+class MergedEnds(GridworldVectorEnv):
+    def step(self, actions: Any, **buffers: Any) -> Any:
+        observation, reward, terminated, truncated, info = super().step(actions, **buffers)
+        return observation, reward, terminated | truncated, np.zeros_like(truncated), info
+
+
+class NarrowReward(GridworldVectorEnv):
+    def step(self, actions: Any, **buffers: Any) -> Any:
+        observation, reward, *rest = super().step(actions, **buffers)
+        return observation, reward.astype(np.float32), *rest
+
+
+class ReusedReward(GridworldVectorEnv):
+    kept = np.zeros(5)
+
+    def step(self, actions: Any, **buffers: Any) -> Any:
+        observation, reward, *rest = super().step(actions, **buffers)
+        self.kept[:] = reward
+        return observation, self.kept, *rest
+
+
+class IgnoredOut(GridworldVectorEnv):
+    def step(self, actions: Any, *, out: Any = None, final_out: Any = None) -> Any:
+        return super().step(actions, final_out=final_out)
+
+
+class IgnoredCopy(GridworldVectorEnv):
+    def _writable(self, out: Any, name: str) -> Any:
+        if out is None:
+            return self._buffers.setdefault(name, self.allocate())
+        return super()._writable(out, name)
+
+
+class MaskResetsAll(GridworldVectorEnv):
+    def _begin(self, mask: Any, forced: Any) -> None:
+        disabled = self.autoreset_mode is AutoresetMode.DISABLED
+        super()._begin(self._everywhere if disabled else mask, forced)
+
+
+class ForgottenStreams(GridworldVectorEnv):
+    def set_state(self, state: Any) -> None:
+        super().set_state({**state, "streams": self.get_state()["streams"]})
+
+
+class ForgottenLengths(GridworldVectorEnv):
+    def __getstate__(self) -> dict[str, Any]:
+        return {**super().__getstate__(), "_lengths": np.zeros_like(self._lengths)}
+
+
+class IgnoredOptions(GridworldVectorEnv):
+    def _read_options(self, options: Any) -> Any:
+        return super()._read_options(options)[0], self._unforced
+
+
+class ForcingSkipsDraws(GridworldVectorEnv):
+    def _begin(self, mask: Any, forced: Any) -> None:
+        before = self._streams.copy()
+        super()._begin(mask, forced)
+        if (forced >= 0).any():
+            self._streams[:] = before
+
+
+class AcceptedActions(GridworldVectorEnv):
+    def _read_actions(self, actions: Any) -> Any:
+        return np.resize(np.asarray(actions), self.num_envs).astype(np.int64) % 8
+
+
+class WrongActions(GridworldVectorEnv):
+    def _read_actions(self, actions: Any) -> Any:
+        return super()._read_actions(actions)[::-1].copy()
+
+
+class SteppedWhenOver(GridworldVectorEnv):
+    def step(self, actions: Any, **buffers: Any) -> Any:
+        self._all_running = bool(self._seeded.all())
+        return super().step(actions, **buffers)
+
+
+class SteppedWhenClosed(GridworldVectorEnv):
+    def step(self, actions: Any, **buffers: Any) -> Any:
+        self.closed = False
+        return super().step(actions, **buffers)
+
+
+class SharedState(GridworldVectorEnv):
+    def get_state(self) -> Any:
+        return {**super().get_state(), "worlds": self._worlds}
+
+
+class LengthOffByOne(GridworldVectorEnv):
+    def step(self, actions: Any, **buffers: Any) -> Any:
+        result = super().step(actions, **buffers)
+        if "final_info" in result[4]:
+            result[4]["final_info"]["length"] -= 1
+        return result
+
+
+BROKEN = [
+    (SharedSeed, "reset.seed=0. differs"),
+    (NewSituationInFinalInfo, "final_info of world"),
+    (FinalObservationOfTheNextEpisode, "final_obs of world"),
+    (MergedEnds, "reward and ends differs"),
+    (NarrowReward, "reward must be float64"),
+    (ReusedReward, "overwrites what an earlier step returned, with copy=True"),
+    (IgnoredOut, "must return out"),
+    (IgnoredCopy, "overwrites what an earlier step returned, with copy=True"),
+    (MaskResetsAll, "reset of worlds"),
+    (ForgottenStreams, "after set_state"),
+    (ForgottenLengths, "after pickling"),
+    (IgnoredOptions, "options="),
+    (ForcingSkipsDraws, "episode after a forced one"),
+    (AcceptedActions, "negative action must raise ValueError, and was accepted"),
+    (WrongActions, "step .* differs"),
+    (SteppedWhenOver, "episode has ended must raise ResetNeeded, and was accepted"),
+    (SteppedWhenClosed, r"after close\(\) must raise ClosedEnvironmentError, and was accepted"),
+    (SharedState, "after its environment went on"),
+    (LengthOffByOne, "final_info of world"),
+]
+
+
+@pytest.mark.parametrize(("broken", "message"), BROKEN, ids=[one[0].__name__ for one in BROKEN])
+def test_broken_environments_are_caught(broken: type[GridworldVectorEnv], message: str) -> None:
+    level, options = "uniform", {"observation": "tiles", **SMALL}
+    with pytest.raises(AssertionError, match=message):
+        check_vector_env(
+            lambda n, **kwargs: broken(n, level, **options, **kwargs),
+            partial(make, f"gridworld/{level}", **options),
+        )
+
+
+def test_too_few_steps_to_tell_are_noticed() -> None:
+    level = "gridworld/zipf_2"
+    with pytest.raises(AssertionError, match="check with more steps"):
+        check_vector_env(partial(make_vec, level), partial(make, level), steps=2)

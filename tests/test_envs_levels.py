@@ -1,0 +1,59 @@
+from typing import Any
+
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from zipf.envs import SPLITS, ZipfVectorEnv, chance, make, make_vec, split
+
+
+@pytest.mark.parametrize("name", list(SPLITS))
+def test_every_level_of_every_split_can_be_made(name: str) -> None:
+    levels = split(name)
+    assert levels.name == name
+    for level in (levels.train, levels.uniform, levels.rare):
+        batch, single = make_vec(level, 2), make(level)
+        assert isinstance(batch, ZipfVectorEnv)
+        assert batch.single_observation_space == single.observation_space
+        assert batch.autoreset_mode is AutoresetMode.SAME_STEP
+
+
+def test_the_gridworld_split() -> None:
+    levels = split("gridworld")
+    assert levels.train == "gridworld/zipf_2"
+    assert levels.uniform == "gridworld/uniform"
+    assert levels.rare == "gridworld/rare"
+
+
+def test_other_names_of_the_same_level() -> None:
+    for name in ("gridworld/rare", "gridworld/uniform_rare"):
+        assert make_vec(name, 8).reset(seed=0)[1]["map"].min() >= 16
+    uniform = make_vec("gridworld/uniform", 50).reset(seed=0)[1]["map"]
+    assert (make_vec("gridworld/zipf_0", 50).reset(seed=0)[1]["map"] == uniform).all()
+
+
+def test_options_reach_the_environment() -> None:
+    env = make_vec("gridworld/zipf_1", 3, autoreset_mode="Disabled", num_maps=7, num_objects=4)
+    assert env.autoreset_mode is AutoresetMode.DISABLED
+    assert env.situation == {"map": 7, "target": 4}
+
+
+@pytest.mark.parametrize(
+    ("level", "message"),
+    [
+        ("gridworld/unifrom", "did you mean 'uniform'"),
+        ("gridworld/zipf_-2", "finite and >= 0"),
+        ("gridwrld/zipf_2", "did you mean 'gridworld/zipf_2'"),
+        ("zipf_2", "did you mean 'gridworld/zipf_2'"),
+        ("gridworld", "unknown level 'gridworld'"),
+        ("", "expected one of gridworld/zipf_2"),
+    ],
+)
+@pytest.mark.parametrize("function", [make, lambda level: make_vec(level, 2), chance])
+def test_unknown_levels_name_the_nearest(function: Any, level: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        function(level)
+
+
+def test_unknown_splits_name_the_nearest() -> None:
+    with pytest.raises(ValueError, match="did you mean 'gridworld'"):
+        split("gridwolrd")

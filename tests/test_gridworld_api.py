@@ -1,0 +1,280 @@
+"""The gridworld as users of Gymnasium and TorchRL meet it."""
+
+import importlib.util
+import subprocess
+import sys
+import warnings
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.passive_env_checker import env_render_passive_checker
+from gymnasium.vector import AutoresetMode
+
+import zipf.envs
+from zipf.envs.gridworld import GridworldEnv, GridworldVectorEnv
+from zipf.envs.gridworld.render import frame
+
+ID = "zipf/Gridworld-v0"
+HAS_PYGAME = importlib.util.find_spec("pygame") is not None
+
+
+@pytest.mark.parametrize("level", ["zipf_2", "uniform", "rare", "gridworld/uniform_rare"])
+@pytest.mark.parametrize("observation", ["image", "tiles"])
+def test_gymnasium_checks_the_environment(
+    level: str, observation: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = gym.make(ID, level=level, observation=observation)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # The checker also opens a window, which takes pygame.
+        check_env(env.unwrapped, skip_render_check=not HAS_PYGAME)
+        env = gym.make(ID, level=level, observation=observation, render_mode="rgb_array")
+        env.reset(seed=0)
+        env_render_passive_checker(env.unwrapped)
+
+
+def test_make_vec_gives_the_native_batch() -> None:
+    env = gym.make_vec(ID, num_envs=256, level="zipf_2", num_maps=10)
+    assert isinstance(env, GridworldVectorEnv)
+    assert env.num_envs == 256
+    assert env.situation == {"map": 10, "target": 20}
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert env.spec is not None
+    assert env.spec.id == ID
+
+
+def test_the_id_brings_its_module() -> None:
+    """`gym.make("zipf.envs:...")` needs no import of ours before it."""
+    program = (
+        "import gymnasium; env = gymnasium.make('zipf.envs:zipf/Gridworld-v0', level='rare');"
+        "print(env.reset(seed=0)[1]['map'] >= 16)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "True"
+
+
+def test_importing_the_environments_does_not_import_torch() -> None:
+    program = (
+        "import sys, zipf.envs; print(sorted({'torch', 'pydantic', 'hydra'} & set(sys.modules)))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"level": "zipf"}, "unknown level 'zipf'"),
+        ({"level": "zipf_-1"}, "finite and >= 0"),
+        ({"num_objects": 100}, "at most .* objects fit"),
+        ({"num_objects": 300}, "only 225 different looks"),
+        ({"num_maps": 0}, "num_maps must be at least 1"),
+        ({"num_rooms": (3,)}, r"num_rooms must be \(rows, columns\)"),
+        ({"max_steps": 0}, "max_steps must be at least 1"),
+        ({"observation": "pixels"}, "'image' or 'tiles', got 'pixels'"),
+        ({"render_mode": "ansi"}, "render_mode must be one of"),
+        ({"level": "rare", "num_maps": 4}, "n >= 5"),
+    ],
+)
+def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:
+    for make in (GridworldEnv, GridworldVectorEnv):
+        with pytest.raises(ValueError, match=message):
+            make(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"map": 20}, "'map' must be an integer in 0 .. 19, got 20"),
+        ({"target": -1}, "'target' must be an integer in 0 .. 19, got -1"),
+        ({"target": 1.5}, "must be an integer"),
+        ({"goal": 1}, r"unknown reset options \['goal'\]: expected \['map', 'target'\]"),
+    ],
+)
+def test_bad_reset_options_are_refused(options: dict[str, Any], message: str) -> None:
+    env = GridworldEnv()
+    with pytest.raises(ValueError, match=message):
+        env.reset(options=options)
+
+
+def test_single_world_refuses_what_cannot_be_done() -> None:
+    env = GridworldEnv(max_steps=1)
+    with pytest.raises(ResetNeeded, match="reset"):
+        env.step(0)
+    env.reset(seed=0)
+    for action in (-1, 8):
+        with pytest.raises(ValueError, match=r"0 .. 7"):
+            env.step(action)
+    with pytest.raises(TypeError):
+        env.step(0.5)
+    env.step(0)
+    with pytest.raises(ResetNeeded, match="reset"):
+        env.step(0)
+    env.close()
+    env.close()
+    for call in (env.reset, lambda: env.step(0)):
+        with pytest.raises(ClosedEnvironmentError, match="closed"):
+            call()
+
+
+def test_a_damaged_state_is_refused_before_anything_is_taken() -> None:
+    env = GridworldVectorEnv(3)
+    env.reset(seed=0)
+    before = env.get_state()
+    for column, value in ((0, 20), (1, -1), (2, 13), (3, 1000)):
+        damaged = env.get_state()
+        damaged["worlds"][1, column] = value
+        damaged["lengths"] += 1
+        with pytest.raises(ValueError, match="damaged"):
+            env.set_state(damaged)
+    for key, value in env.get_state().items():
+        np.testing.assert_array_equal(value, before[key])
+
+
+# Rendering.
+
+
+def test_frames_show_the_whole_map() -> None:
+    env = gym.make(ID, level="uniform", render_mode="rgb_array")
+    with pytest.raises(gym.error.ResetNeeded):
+        env.unwrapped.render()
+    env.reset(seed=0, options={"map": 0, "target": 2})
+    first: Any = env.render()
+    assert first.dtype == np.uint8
+    assert first.shape == ((13 + 4) * 27, (13 + 2) * 27, 3)
+    env.step(4)
+    assert (env.render() != first).any()
+
+
+def test_frames_of_a_batch_are_those_of_single_worlds() -> None:
+    batch = GridworldVectorEnv(3, "uniform", render_mode="rgb_array")
+    batch.reset(seed=4)
+    frames = batch.render()
+    assert frames is not None
+    for i, given in enumerate(frames):
+        single = GridworldEnv("uniform", render_mode="rgb_array")
+        single.reset(seed=4 + i)
+        np.testing.assert_array_equal(given, single.render())
+    assert GridworldVectorEnv(3).render() is None
+
+
+def test_frames_mark_target_agent_and_view() -> None:
+    maps = GridworldEnv().level.maps
+    row, column = maps.cells[0, -1].tolist()
+    drawn = frame(maps, 0, 0, row, column)
+
+    def cell(r: int, c: int) -> np.ndarray:
+        return drawn[(r + 3) * 27 : (r + 4) * 27, (c + 1) * 27 : (c + 2) * 27]
+
+    assert (cell(row, column) == 255).all()
+    goal_row, goal_column = maps.cells[0, 0].tolist()
+    assert (drawn[(goal_row + 3) * 27 - 1, (goal_column + 1) * 27] == (255, 190, 60)).all()
+    assert cell(6, 7).max() == 255  # pink, seen
+    assert cell(1, 11).max() == 255 // 8 * 5  # pink, not seen
+
+
+def test_a_window_takes_pygame(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    env = GridworldEnv(render_mode="human")
+    with pytest.raises(ImportError, match=r"zipf-rl\[human\]"):
+        env.reset()
+
+
+def test_a_window_takes_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pygame")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    if sys.platform == "linux":
+        with pytest.raises(RuntimeError, match="needs a display"):
+            GridworldEnv(render_mode="human").reset()
+
+
+def test_a_window_shows_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    human, array = (GridworldEnv(render_mode=mode) for mode in ("human", "rgb_array"))
+    for env in (human, array):
+        env.reset(seed=0)
+        env.step(0)
+    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+    np.testing.assert_array_equal(shown, array.render())
+    human.close()
+
+
+# Other people's wrappers.
+
+
+def test_episode_statistics_of_gymnasium() -> None:
+    from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+    env = RecordEpisodeStatistics(gym.make_vec(ID, num_envs=8, level="uniform"), buffer_length=9999)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    returns, lengths = [], []
+    for _ in range(300):
+        *_, info = env.step(rng.integers(8, size=8))
+        if "_final_info" in info:
+            mask = info["_final_info"]
+            returns += info["final_info"]["return"][mask].tolist()
+            lengths += info["final_info"]["length"][mask].tolist()
+    assert len(lengths) > 50
+    assert list(env.return_queue) == returns
+    assert list(env.length_queue) == lengths
+
+
+def test_gymnasium_wrappers_of_observations() -> None:
+    from gymnasium.wrappers.vector import FlattenObservation
+
+    # Gymnasium's observation wrappers refuse SAME_STEP.
+    batch = gym.make_vec(
+        ID, 4, level="uniform", observation="tiles", autoreset_mode=AutoresetMode.DISABLED
+    )
+    env = FlattenObservation(batch)
+    observation, _ = env.reset(seed=0)
+    assert observation.shape == (4, 50)
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        observation, _, terminated, truncated, _ = env.step(rng.integers(8, size=4))
+        assert observation in env.observation_space
+        if (done := terminated | truncated).any():
+            env.reset(options={"reset_mask": done})
+
+
+def test_gymnasium_batches_single_worlds_alike() -> None:
+    vector_kwargs = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    slow = gym.make_vec(
+        ID, 4, vectorization_mode="sync", vector_kwargs=vector_kwargs, level="uniform"
+    )
+    fast = gym.make_vec(ID, 4, level="uniform")
+    rng = np.random.default_rng(0)
+    given, expected = fast.reset(seed=3)[0], slow.reset(seed=3)[0]
+    for _ in range(200):
+        np.testing.assert_array_equal(given["image"], expected["image"])
+        actions = rng.integers(8, size=4)
+        given, *ends, _ = fast.step(actions)
+        expected, *expected_ends, _ = slow.step(actions)
+        np.testing.assert_array_equal(ends, expected_ends)
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.DISABLED])
+@pytest.mark.filterwarnings("ignore")
+def test_torchrl_can_wrap_a_batch(mode: AutoresetMode) -> None:
+    torchrl = pytest.importorskip("torchrl.envs")
+    batch = zipf.envs.make_vec(
+        "gridworld/uniform", 4, autoreset_mode=mode, observation="tiles", max_steps=20
+    )
+    env = torchrl.GymWrapper(batch, categorical_action_encoding=True)
+    torchrl.check_env_specs(env)
+    rollout = env.rollout(50, break_when_any_done=False)
+    assert rollout.batch_size == (4, 50)
+    assert rollout["tiles"].shape == (4, 50, 7, 7)
+    assert rollout["next", "done"].sum() >= 4 * 2
