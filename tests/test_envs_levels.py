@@ -1,5 +1,7 @@
+import tracemalloc
 from typing import Any
 
+import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
@@ -52,6 +54,26 @@ def test_options_reach_the_environment() -> None:
 def test_unknown_levels_name_the_nearest(function: Any, level: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         function(level)
+
+
+def test_a_world_takes_little_memory_beside_its_observation() -> None:
+    def taken(num_envs: int) -> int:
+        """Bytes a batch holds after some steps, without the caller's buffers."""
+        tracemalloc.start()
+        env = make_vec("gridworld/zipf_2", num_envs)
+        assert env.observation_space.shape is None
+        before, _ = tracemalloc.get_traced_memory()
+        out = env.allocate()
+        buffers = tracemalloc.get_traced_memory()[0] - before
+        env.reset(seed=0, out=out)
+        for _ in range(20):
+            env.step(np.arange(num_envs) % 8, out=out)
+        total, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return total - buffers
+
+    taken(2)
+    assert (taken(2050) - taken(2)) / 2048 < 1024
 
 
 def test_unknown_splits_name_the_nearest() -> None:

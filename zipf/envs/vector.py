@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -54,7 +55,6 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         render_mode: one of `metadata["render_modes"]` or None.
     """
 
-    observation_space: spaces.Dict
     single_observation_space: spaces.Dict
     single_action_space: spaces.Discrete
     situation: dict[str, int]
@@ -83,7 +83,6 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self.num_envs = num_envs
         self.single_observation_space = single_observation_space
         self.single_action_space = single_action_space
-        self.observation_space = cast(spaces.Dict, batch_space(single_observation_space, num_envs))
         self.action_space = batch_space(single_action_space, num_envs)
         self.situation = dict(situation)
         self.autoreset_mode = autoreset_mode
@@ -105,6 +104,21 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             if space.shape is not None
         }
         self._buffers: dict[str, Observation] = {}
+
+    @cached_property
+    def observation_space(self) -> spaces.Dict:  # type: ignore[override]
+        """The batched space, made when asked for.
+
+        Gymnasium keeps the bounds of every pixel of every world, four times what a batch of images
+        takes itself. They are all alike, so here they are views of the single space's.
+        """
+        batched = cast(spaces.Dict, batch_space(self.single_observation_space, self.num_envs))
+        for key, space in batched.items():
+            single = self.single_observation_space[key]
+            if isinstance(space, spaces.Box) and isinstance(single, spaces.Box):
+                for bound in ("low", "high", "bounded_below", "bounded_above"):
+                    setattr(space, bound, np.broadcast_to(getattr(single, bound), space.shape))
+        return batched
 
     # What a family implements.
 
@@ -295,7 +309,9 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self._all_running = bool(self._running.all())
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_buffers": {}}
+        state = {**self.__dict__, "_buffers": {}}
+        state.pop("observation_space", None)
+        return state
 
     # Checks of what came from outside.
 

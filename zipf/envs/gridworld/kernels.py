@@ -2,6 +2,9 @@
 
 A world's situation is one row of `worlds`, int64 [N, 4]: map, target, row, column. What the agent
 sees is a function of that row, so drawing needs no other state.
+
+Compiled code is cached beside this file and renewed only when this file changes: after a change to
+what it imports (the constants of `looks.py` and `maps.py`, `pcg64.py`), touch it.
 """
 
 from typing import Any

@@ -1,0 +1,196 @@
+"""How fast the environments step, on one core, beside a memory copy and beside the original.
+
+    python scripts/benchmark_envs.py
+
+Actions are uniformly random; writing every observation and resetting at the end of episodes are
+included. Times are CPU seconds of this process, so that other jobs on the machine disturb less.
+All rows are measured in turn, several times over, and each row's median is shown: ratios are of
+figures from the same run, and the only ones to compare between machines.
+"""
+
+import argparse
+import os
+import statistics
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import gymnasium as gym
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import zipf.envs
+
+LEVEL = "gridworld/zipf_2"
+ORIGINAL_FRAMES_PER_SECOND = 4195
+ORIGINAL_SOURCE = (
+    "reference figure for the released engine (pycolab 1.2), random actions, resets included: "
+    "3,400 to 4,200 frames/s on one EPYC Zen 4 core with NumPy 1.24, of which the fastest is taken "
+    "here; it does not run on this NumPy"
+)
+GOALS = {"batch of 256, out=": 450, "batch of 1024, out=": 250, "gym.make": 20}
+
+
+@dataclass
+class Row:
+    """One thing to measure: `run(calls)` makes that many calls of `frames` frames each."""
+
+    name: str
+    frames: int
+    run: Callable[[int], None]
+    bytes_per_frame: int = 0
+    speeds: list[float] = field(default_factory=list)
+
+    def measure(self, seconds: float) -> None:
+        calls = 1
+        while True:
+            start = time.process_time()
+            self.run(calls)
+            spent = time.process_time() - start
+            if spent >= seconds:
+                self.speeds.append(calls * self.frames / spent)
+                return
+            calls = max(calls * 2, int(1.2 * calls * seconds / max(spent, 1e-6)))
+
+    @property
+    def median(self) -> float:
+        return statistics.median(self.speeds)
+
+
+def batch(name: str, num_envs: int, *, into_out: bool, observation: str = "image") -> Row:
+    env = zipf.envs.make_vec(LEVEL, num_envs, observation=observation)
+    out = env.allocate() if into_out else None
+    actions = np.random.default_rng(0).integers(8, size=(256, num_envs))
+    env.reset(seed=0, out=out)
+
+    def run(calls: int) -> None:
+        for call in range(calls):
+            env.step(actions[call % 256], out=out)
+
+    size = sum(array.nbytes for array in env.allocate().values()) // num_envs
+    return Row(name, num_envs, run, size)
+
+
+def single() -> Row:
+    env = gym.make("zipf/Gridworld-v0", level="zipf_2")
+    actions = np.random.default_rng(0).integers(8, size=1 << 16)
+    env.reset(seed=0)
+
+    def run(calls: int) -> None:
+        for call in range(calls):
+            _, _, terminated, truncated, _ = env.step(actions[call & 0xFFFF])
+            if terminated or truncated:
+                env.reset()
+
+    size = sum(array.nbytes for array in env.reset(seed=0)[0].values())
+    return Row("gym.make", 1, run, size)
+
+
+def memcpy(frames: int, bytes_per_frame: int) -> Row:
+    source = np.ones((frames, bytes_per_frame), dtype=np.uint8)
+    target = np.empty_like(source)
+
+    def run(calls: int) -> None:
+        for _ in range(calls):
+            np.copyto(target, source)
+
+    return Row("memcpy", frames, run)
+
+
+def original() -> Row | None:
+    """The released environment, if it is installed and works with this NumPy."""
+    try:
+        from zipfian_environments.gridworld import zipfs_gridworld
+
+        env = zipfs_gridworld.simple_builder("zipf_2")
+        env.reset()
+    except Exception:  # its library fails in several ways on newer NumPy
+        return None
+    actions = np.random.default_rng(0).integers(8, size=1 << 16)
+
+    def run(calls: int) -> None:
+        for call in range(calls):
+            if env.step(int(actions[call & 0xFFFF])).last():
+                env.reset()
+
+    return Row("original", 1, run)
+
+
+def bytes_per_world() -> float:
+    """How much memory a batch takes for each world more, beside `out`."""
+
+    def taken(num_envs: int) -> int:
+        tracemalloc.start()
+        env = zipf.envs.make_vec(LEVEL, num_envs)
+        before = tracemalloc.get_traced_memory()[0]
+        out = env.allocate()
+        buffers = tracemalloc.get_traced_memory()[0] - before
+        env.reset(seed=0, out=out)
+        rng = np.random.default_rng(0)
+        for _ in range(50):
+            env.step(rng.integers(8, size=num_envs), out=out)
+        total = tracemalloc.get_traced_memory()[0]
+        tracemalloc.stop()
+        return total - buffers
+
+    return (taken(4096) - taken(64)) / (4096 - 64)
+
+
+def rows() -> Iterator[Row]:
+    for num_envs in (1, 32, 256, 1024):
+        yield batch(f"batch of {num_envs}, out=", num_envs, into_out=True)
+    yield batch("batch of 256, fresh arrays", 256, into_out=False)
+    yield batch("batch of 256, tiles, out=", 256, into_out=True, observation="tiles")
+    yield single()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repetitions", type=int, default=7)
+    parser.add_argument("--seconds", type=float, default=0.3, help="CPU seconds per measurement")
+    parser.add_argument("--core", type=int, default=0, help="the core to run on, where possible")
+    arguments = parser.parse_args()
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {arguments.core})
+
+    measured = [(row, memcpy(row.frames, row.bytes_per_frame)) for row in rows()]
+    released = original()
+    for _ in range(arguments.repetitions):
+        if released is not None:
+            released.measure(arguments.seconds)
+        for pair in measured:
+            for row in pair:
+                row.measure(arguments.seconds)
+
+    base = released.median if released is not None else ORIGINAL_FRAMES_PER_SECOND
+    table = Table(title=f"{LEVEL}, one core, random actions, resets included", title_justify="left")
+    table.add_column("", no_wrap=True)
+    for column in ("frames/s", "lowest .. highest", "us/call", "of memcpy", "x original", "goal"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for row, copy in measured:
+        goal = GOALS.get(row.name)
+        table.add_row(
+            row.name,
+            f"{row.median:,.0f}",
+            f"{min(row.speeds):,.0f} .. {max(row.speeds):,.0f}",
+            f"{1e6 * row.frames / row.median:.1f}",
+            f"{row.median / copy.median:.2f}",
+            f"{row.median / base:.0f}",
+            f">= {goal}" if goal else "",
+        )
+    table.add_row("original", f"{base:,.0f}", "", "", "", "1", "")
+    console = Console(width=120)
+    console.print(table)
+    if released is None:
+        console.print(f"original: {ORIGINAL_SOURCE}.", highlight=False)
+    console.print(
+        f"memory: {bytes_per_world():.0f} bytes for each world more, beside the observations "
+        "(goal < 1024)",
+        highlight=False,
+    )
+
+
+if __name__ == "__main__":
+    main()
