@@ -118,3 +118,11 @@ def test_a_condition_is_named_after_what_differs(overrides, condition):
     loaded = config.load([*overrides, "run_root=here"])
     assert loaded.condition == condition
     assert loaded.folder.parts == ("here", loaded.experiment, condition, f"seed{loaded.seed}")
+
+
+def test_the_shipped_environment_is_the_released_benchmark():
+    assert config.load(["experiment=gridworld"]).environment == config.GridworldOptions(
+        split="gridworld"
+    )
+    assert config.load(["experiment=gridworld_compact"]).is_released_benchmark
+    assert not config.load(["experiment=gridworld", "environment.num_maps=6"]).is_released_benchmark

@@ -1,4 +1,4 @@
-"""Memories: unrolling a sequence equals stepping through it, and nothing crosses an episode's end."""
+"""Memories: unrolling equals stepping, and nothing crosses an episode's end."""
 
 import numpy as np
 import pytest

@@ -19,14 +19,14 @@ _failures: list[str] = []
 @hydra.main(version_base="1.3", config_path=str(config.CONFIG_DIR), config_name="train")
 def _job(_: DictConfig) -> None:
     try:
-        finished = runner.train(config.load(list(HydraConfig.get().overrides.task)))
+        stopped = runner.train(config.load(list(HydraConfig.get().overrides.task)))
     except UserError as error:
         _failures.append(str(error))
         return
     except KeyboardInterrupt:
-        finished = False
-    if not finished:
-        sys.exit(128 + signal.SIGINT)
+        stopped = signal.SIGINT
+    if stopped:
+        sys.exit(128 + stopped)
 
 
 def main() -> None:

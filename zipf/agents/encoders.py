@@ -54,7 +54,7 @@ class ResidualBlock(nn.Module):
 
 
 class ResNet(nn.Module):
-    """Sections of convolution, max-pool and residual blocks, flattened: uint8 [N, H, W, 3] -> [N, F].
+    """Sections of convolution, max-pool and residual blocks: uint8 [N, H, W, 3] -> [N, F].
 
     Every section halves the picture, rounding up.
     """
@@ -68,7 +68,7 @@ class ResNet(nn.Module):
             layers += [ResidualBlock(outputs) for _ in range(options.blocks)]
             height, width, channels = (height + 1) // 2, (width + 1) // 2, outputs
         self.layers = nn.Sequential(*layers, nn.ReLU(), nn.Flatten())
-        self.layers.to(memory_format=torch.channels_last)
+        self.layers.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.size = height * width * channels
 
     def forward(self, image: Tensor) -> Tensor:
@@ -76,7 +76,7 @@ class ResNet(nn.Module):
 
 
 class PatchEncoder(nn.Module):
-    """Non-overlapping patches, each embedded alike, then a dense layer: uint8 [N, H, W, 3] -> [N, F].
+    """Patches, each embedded alike, then a dense layer: uint8 [N, H, W, 3] -> [N, F].
 
     The stride-`patch` convolution is written as the matrix product it is, which is several times
     faster on CPUs than the convolution routine.

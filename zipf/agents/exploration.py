@@ -71,7 +71,7 @@ class CountBonus:
 
 
 @njit(nogil=True, cache=True)
-def _add_hashes(part, weights, mask, hashes):  # type: ignore[no-untyped-def]
+def _add_hashes(part, weights, mask, hashes):
     """Multilinear hashing: the high bits of sum_i weight_i * byte_i mod 2^64 are universal."""
     for i in range(len(part)):
         if mask[i]:
@@ -82,7 +82,7 @@ def _add_hashes(part, weights, mask, hashes):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _count(hashes, mask, visits, scale, bonus):  # type: ignore[no-untyped-def]
+def _count(hashes, mask, visits, scale, bonus):
     size = np.uint64(len(visits))
     for i in range(len(hashes)):
         if mask[i]:

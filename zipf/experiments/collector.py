@@ -67,11 +67,11 @@ class Collector:
         rows, worlds = unroll_length + 1, env.num_envs
         spaces = env.single_observation_space.spaces
         self._observation = {
-            name: np.zeros((rows, worlds, *space.shape), space.dtype)
+            name: np.zeros((rows, worlds, *(space.shape or ())), space.dtype)
             for name, space in spaces.items()
         }
         self._final = {name: np.zeros_like(part[0]) for name, part in self._observation.items()}
-        self._fields = {
+        self._fields: dict[str, NDArray[Any]] = {
             "previous_action": np.full((rows, worlds), -1, np.int64),
             "previous_reward": np.zeros((rows, worlds), np.float32),
             "is_first": np.ones((rows, worlds), np.bool_),
@@ -93,7 +93,7 @@ class Collector:
         env.reset(seed=seed, out=self._row(self._observation, unroll_length))
 
     def collect(self) -> Unroll:
-        """Plays `unroll_length` steps in every world; the result is overwritten by the next call."""
+        """Plays `unroll_length` steps in every world; the next call overwrites the result."""
         for part in (*self._observation.values(), *self._fields.values()):
             part[0] = part[-1]
         memory = self._memory

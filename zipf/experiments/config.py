@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import torch
 from hydra import compose, initialize_config_dir
@@ -40,6 +40,9 @@ CONFIG_DIR = next(
 )
 
 PositiveInt = Annotated[int, Field(ge=1)]
+Pair = Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]
+Device = Annotated[str, Field(pattern=r"^(auto|cpu|cuda(:\d+)?)$")]
+AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 
 class GridworldOptions(Options):
@@ -47,10 +50,11 @@ class GridworldOptions(Options):
 
     split: Literal["gridworld"]
     num_maps: PositiveInt = 20
-    num_rooms: Annotated[list[PositiveInt], Field(min_length=2, max_length=2)] = [3, 3]
-    room_size: Annotated[list[PositiveInt], Field(min_length=2, max_length=2)] = [3, 3]
+    num_rooms: Pair = Field(default=[3, 3])
+    room_size: Pair = Field(default=[3, 3])
     num_objects: PositiveInt = 20
     max_steps: PositiveInt = 100
+    observation: Literal["image", "tiles"] = "image"
 
 
 class NoAuxiliaryOptions(Options):
@@ -90,7 +94,7 @@ class Config(Options):
     seed: Annotated[int, Field(ge=0)]
     updates: PositiveInt
     run_root: Annotated[str, Field(min_length=1)]
-    device: Annotated[str, Field(pattern=r"^(auto|cpu|cuda(:\d+)?)$")]
+    device: Device
     precision: Literal["float32", "bfloat16"]
     resume: Literal["auto", "must", "never"]
     agent: ImpalaOptions
@@ -120,10 +124,8 @@ class Config(Options):
 
     @property
     def torch_device(self) -> str:
-        """The device that `auto` stands for here."""
-        if self.device == "auto":
-            return "cuda" if torch.cuda.is_available() else "cpu"
-        return self.device
+        """The device to compute on."""
+        return find_device(self.device)
 
     @property
     def what_is_learned(self) -> dict[str, Any]:
@@ -135,7 +137,7 @@ class Config(Options):
         }
 
 
-# What does not change what is learned: it names no condition and a checkpoint does not depend on it.
+# What does not change what is learned: no condition is named after it, no checkpoint tied to it.
 _NOT_LEARNED = frozenset(
     ["condition", "updates", "run_root", "device", "resume", "evaluation", "schedule"]
 )
@@ -171,6 +173,25 @@ def load(overrides: list[str]) -> Config:
     return config
 
 
+def find_device(device: str) -> str:
+    """The device that is meant: `auto` is CUDA where there is one, else the CPU.
+
+    Raises:
+        UserError: CUDA is asked for where there is none.
+    """
+    if device == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if (
+        device.startswith("cuda")
+        and int(device.partition(":")[2] or 0) >= torch.cuda.device_count()
+    ):
+        raise UserError(
+            f"device={device}: PyTorch {torch.__version__} finds {torch.cuda.device_count()} CUDA "
+            "devices here; use device=cpu or device=auto"
+        )
+    return device
+
+
 def check_command_line(overrides: list[str]) -> int:
     """Checks every job that the overrides ask for, before any starts; returns how many there are.
 
@@ -188,6 +209,31 @@ def check_command_line(overrides: list[str]) -> int:
     if problems:
         raise UserError("\n".join(problems))
     return count
+
+
+def read_options(schema: type[AnyOptions], arguments: list[str]) -> AnyOptions:
+    """The options of a small command, from `name=value` arguments.
+
+    Raises:
+        UserError: with one line for every unknown, missing or mistyped option.
+    """
+    accepted = list(schema.model_fields)
+    problems, values = [], {}
+    for argument in arguments:
+        name, equals, value = argument.partition("=")
+        if not equals:
+            problems.append(f"{argument}: not of the form option=value")
+        elif name not in accepted:
+            problems.append(f"{name}: no such option; {nearest(name, accepted)}")
+        else:
+            values[name] = value
+    try:
+        options = schema.model_validate_strings(values)
+    except ValidationError as error:
+        problems += _explain(error, values)
+    if problems:
+        raise UserError("\n".join(problems))
+    return options
 
 
 def choices(group: str) -> list[str]:
@@ -266,8 +312,7 @@ def _unknown_names(overrides: list[Override]) -> Iterator[str]:
         return
     if not any(text.startswith("experiment=") for text in valid):
         return
-    fields = GridworldOptions.model_fields
-    known = [*_flatten(_compose(*valid).values), *(f"environment.{name}" for name in fields)]
+    known = list(_flatten(_compose(*valid).values))
     parents = {name.rsplit(".", 1)[0] for name in known if "." in name}
     for key in named:
         if key not in known and key not in parents:
@@ -298,13 +343,10 @@ def _impossible(config: Config) -> Iterator[str]:
     start, end = config.schedule.window
     if start > end:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"
-    if config.torch_device.startswith("cuda"):
-        index = int(config.torch_device.partition(":")[2] or 0)
-        if index >= torch.cuda.device_count():
-            yield (
-                f"device={config.device}: PyTorch {torch.__version__} finds "
-                f"{torch.cuda.device_count()} CUDA devices here; use device=cpu or device=auto"
-            )
+    try:
+        find_device(config.device)
+    except UserError as error:
+        yield str(error)
     for name in ("condition", "experiment"):
         value = getattr(config, name)
         if "/" in value or value.startswith("."):
@@ -329,14 +371,14 @@ def _condition(composed: _Composed) -> str:
             name += f"_{chosen[group]}"
     experiment = f"experiment={chosen['experiment']}"
     usual = _compose(experiment).choices
-    plain = _flatten(_compose(experiment, *(f"{g}={chosen[g]}" for g in _GROUPS)).values)
+    base = _flatten(_compose(experiment, *(f"{g}={chosen[g]}" for g in _GROUPS)).values)
     for group in ("network", "exploration"):
         if chosen[group] != usual[group]:
             name += f",{group}={chosen[group]}"
     for option, value in _flatten(composed.values).items():
         if option.split(".")[0] in _NOT_LEARNED | {"seed", "experiment"}:
             continue
-        if value != plain.get(option):
+        if value != base.get(option):
             name += f",{option}={str(value).replace(' ', '').replace('/', '_')}"
     return name
 

@@ -107,13 +107,7 @@ class Result:
 
 
 def play(policy: Policy, env: ZipfVectorEnv, *, episodes: int, seed: int) -> pd.DataFrame:
-    """Plays the first `episodes` episodes to start; one row each, in that order.
-
-    Raises:
-        ValueError: fewer than one episode.
-    """
-    if episodes < 1:
-        raise ValueError(f"episodes={episodes}: should be at least 1")
+    """Plays the first `episodes` episodes to start; one row each, in that order."""
     names = [*env.situation, "success", "return", "length"]
     records: dict[str, NDArray] = {}
     # Which episode each world plays; from `episodes` on they are not scored.
@@ -156,7 +150,12 @@ def evaluate(
     """Scores a policy on the split's train, uniform and rare levels, in this order.
 
     Worlds are seeded from `seed` and the kind of level; nothing else's randomness is touched.
+
+    Raises:
+        ValueError: no episodes, no worlds, or options that no level can have.
     """
+    if episodes < 1:
+        raise ValueError(f"episodes={episodes}: should be at least 1")
     results = []
     for index, kind in enumerate(KINDS):
         level = getattr(split, kind)
@@ -229,8 +228,12 @@ class _Function:
         return np.asarray([self.function({name: part[0] for name, part in observation.items()})])
 
 
-class _Predictor(_Function):
+class _Predictor:
     """An agent in Stable-Baselines3's convention."""
+
+    def __init__(self, predict: Callable[..., Any], batched: bool):
+        self.predict = predict
+        self.batched = batched
 
     def start(self, num_envs: int) -> None:
         self.state = None
@@ -240,7 +243,7 @@ class _Predictor(_Function):
     ) -> NDArray:
         if not self.batched:
             observation = {name: part[0] for name, part in observation.items()}
-        actions, self.state = self.function(observation, state=self.state, episode_start=is_first)
+        actions, self.state = self.predict(observation, state=self.state, episode_start=is_first)
         return np.atleast_1d(actions)
 
 

@@ -103,6 +103,24 @@ def _forget_after(path: Path, update: int) -> None:
     replacement.replace(path)
 
 
+def write_results(stem: Path, results: list[Result]) -> list[Path]:
+    """Writes the results of one evaluation to `<stem>.csv` and `<stem>-situations.csv`.
+
+    Raises:
+        UserError: the disk is full or cannot be written.
+    """
+    tables = {
+        stem.with_name(f"{stem.name}.csv"): pd.DataFrame([r.row() for r in results]),
+        stem.with_name(f"{stem.name}-situations.csv"): pd.concat([r.situations() for r in results]),
+    }
+    for path, table in tables.items():
+        try:
+            table.to_csv(path, index=False)
+        except OSError as error:
+            raise UserError(f"{path}: cannot be written: {error.strerror}") from None
+    return list(tables)
+
+
 class Display:
     """Shows a run as it goes: a live panel on a terminal, now and then a line elsewhere."""
 
@@ -138,6 +156,10 @@ class Display:
         if self.live:
             self._live.stop()
 
+    def say(self, line: str) -> None:
+        """Prints a line, above the panel where there is one."""
+        self.console.print(line, soft_wrap=True, markup=False)
+
     def advance(self, update: int) -> None:
         """An update was made."""
         self.progress.update(self.task, completed=update)
@@ -161,7 +183,7 @@ class Display:
             parts.append(f"{int(self.metrics['frames']):,} frames")
             parts.append(f"{self.metrics['frames_per_second']:,.0f} frames/s")
         parts += [f"{kind} {score:.3f}" for kind, score in self.scores.items()]
-        self.console.print("  ".join(parts), soft_wrap=True)
+        self.say("  ".join(parts))
 
     def _panel(self) -> Group:
         scores = Table.grid(padding=(0, 3))
@@ -176,8 +198,3 @@ class Display:
         total = sum(seconds.values()) or 1.0
         split = "  ".join(f"{part} {spent / total:.0%}" for part, spent in seconds.items())
         return Group(self.progress, scores, f"[dim]time: {split}[/]")
-
-
-def write_table(path: Path, rows: list[Mapping[str, Any]]) -> None:
-    """Writes a whole CSV file."""
-    pd.DataFrame(rows).to_csv(path, index=False)

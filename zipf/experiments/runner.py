@@ -3,130 +3,160 @@
 from __future__ import annotations
 
 import ctypes
-import json
-import os
 import platform
-import shlex
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import torch
-from omegaconf import OmegaConf
 
-import zipf
 from zipf.agents.exploration import build_exploration
 from zipf.agents.impala import Impala
+from zipf.agents.unroll import Unroll
 from zipf.envs import levels
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments import checkpoint
+from zipf.experiments import checkpoint, run_folder
 from zipf.experiments.collector import Agent, Collector
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
-from zipf.experiments.evaluator import KINDS, AgentPolicy, Result, derive_seed, evaluate
+from zipf.experiments.evaluator import AgentPolicy, Result, derive_seed, evaluate
 from zipf.experiments.logger import Display, Logger
 
 
-def train(config: Config) -> bool:
-    """Trains until `config.updates`; True when it got there, False when told to stop before.
+def train(config: Config) -> int:
+    """Trains until `config.updates`, or until told to stop; the run can go on later.
+
+    Returns the number of the signal that stopped it, 0 where none did.
 
     Raises:
         UserError: the run cannot begin, go on or be written; what was saved before is kept.
     """
     keep_memory()
-    device = config.torch_device
-    folder = config.folder
-    split = levels.split(config.environment.split)
-    env = levels.make_vec(split.train, config.collector.num_envs, **config.level_options)
-    agent = build_agent(config, env)
-    collector = Collector(
-        env,
-        agent,
-        unroll_length=config.collector.unroll_length,
-        seed=derive_seed(config.seed, "training"),
-        device=device,
-        exploration=build_exploration(config.exploration),
-    )
-    saved = find_checkpoint(config)
-    update, seconds = 0, Seconds()
-    if saved:
-        update = saved["update"]
-        seconds.spent = saved["seconds"]
-        agent.load_state_dict(saved["agent"])
-        collector.load_state_dict(saved["collector"])
-        torch.set_rng_state(saved["torch_rng"])
-    else:
-        torch.manual_seed(config.seed)
-        write_description(config)
-    frames_per_update = config.collector.num_envs * config.collector.unroll_length
+    run = Run(config)
+    with run.display, StopSignals(run.display) as stop:
+        if run.update == 0:
+            run.evaluate()
+            run.save()
+        while run.update < config.updates and not stop.requested:
+            unroll = run.collector.collect()
+            with run.seconds("learning"):
+                metrics = run.agent.update(unroll)
+            run.update += 1
+            if run.update % config.schedule.log_every == 0:
+                run.log(unroll, metrics)
+            if run.update % config.evaluation.every == 0 or run.update == config.updates:
+                run.evaluate()
+            if run.update % config.schedule.checkpoint_every == 0:
+                run.save()
+            run.display.advance(run.update)
+        run.save()
+    run.close()
+    return stop.requested
 
-    def save() -> None:
+
+class Run:
+    """One training run: its parts, and where it stands."""
+
+    def __init__(self, config: Config):
+        self.config = config
+        self.folder = config.folder
+        saved = run_folder.find_checkpoint(config)
+        split = levels.split(config.environment.split)
+        env = levels.make_vec(split.train, config.collector.num_envs, **config.level_options)
+        self.agent = build_agent(config, env)
+        self.collector = Collector(
+            env,
+            self.agent,
+            unroll_length=config.collector.unroll_length,
+            seed=derive_seed(config.seed, "training"),
+            device=config.torch_device,
+            exploration=build_exploration(config.exploration),
+        )
+        self.frames_per_update = config.collector.num_envs * config.collector.unroll_length
+        self.seconds = Seconds()
+        self.update = 0
+        torch.manual_seed(config.seed)
+        if saved:
+            self.load(saved)
+        else:
+            run_folder.write_description(config)
+        self.logger = Logger(self.folder, resume_at=self.update if saved else -1)
+        self._logged = self.seconds.total - self.seconds.spent["evaluation"], self.update
+        name = f"{config.experiment} {config.condition} seed {config.seed}"
+        where = f"resumes at update {self.update}" if saved else "a new run"
+        self.display = Display(name, config.updates, self.update)
+        self.display.say(f"{name}: {where}, on {config.torch_device}, in {self.folder}")
+        self.logger.text(f"{name}: {where}, on {config.torch_device}")
+
+    def save(self) -> None:
+        """Writes the checkpoint."""
         state = {
-            "options": config.what_is_learned,
-            "update": update,
-            "seconds": dict(seconds.spent),
-            "agent": agent.state_dict(),
-            "collector": collector.state_dict(),
+            "options": self.config.what_is_learned,
+            "update": self.update,
+            "seconds": dict(self.seconds.spent),
+            "agent": self.agent.state_dict(),
+            "collector": self.collector.state_dict(),
             "torch_rng": torch.get_rng_state(),
         }
-        checkpoint.save(folder / "checkpoint.pt", state)
+        checkpoint.save(self.folder / "checkpoint.pt", state)
 
-    def score() -> None:
-        with seconds("evaluation"):
-            results = evaluate_agent(config, agent, update)
-        when = {"update": update, "frames": update * frames_per_update, "seconds": seconds.total}
-        logger.evaluation(when, results)
-        display.show_scores(update, results)
-        logger.text(f"update {update}: " + "  ".join(f"{r.kind} {r.score:.3f}" for r in results))
+    def load(self, saved: dict[str, Any]) -> None:
+        """Stands where a checkpoint stood."""
+        self.update = saved["update"]
+        self.seconds.spent = saved["seconds"]
+        self.agent.load_state_dict(saved["agent"])
+        self.collector.load_state_dict(saved["collector"])
+        torch.set_rng_state(saved["torch_rng"])
 
-    logger = Logger(folder, resume_at=update if saved else -1)
-    name = f"{config.experiment} {config.condition} seed {config.seed}"
-    logger.text(f"{'resumes' if saved else 'starts'} {name} at update {update} on {device}")
-    with Display(name, config.updates, update) as display, StopSignals(display) as stop:
-        display.console.print(
-            f"{name}: {'resumes at update ' + str(update) if saved else 'a new run'} on {device}, "
-            f"in {folder}"
-        )
-        if not saved:
-            score()
-            save()
-        since = time.perf_counter(), update
-        while update < config.updates and not stop.requested:
-            unroll = collector.collect()
-            with seconds("learning"):
-                metrics = agent.update(unroll)
-            seconds.take(collector.seconds)
-            update += 1
-            display.advance(update)
-            if update % config.schedule.log_every == 0:
-                now = time.perf_counter()
-                rate = (update - since[1]) * frames_per_update / (now - since[0])
-                since = now, update
-                row = {
-                    "frames": update * frames_per_update,
-                    "seconds": seconds.total,
-                    "frames_per_second": rate,
-                    **{f"time_{part}": spent for part, spent in seconds.spent.items()},
-                    **{f"episode_{name}": float("nan") for name in ("return", "length", "success")},
-                    **collector.episode_metrics(),
-                    "exploration_bonus": float(unroll.steps["bonus"][:-1].mean()),
-                    **metrics,
-                }
-                logger.metrics(update, row)
-                display.show_metrics(update, row)
-            if update % config.evaluation.every == 0 or update == config.updates:
-                score()
-            if update % config.schedule.checkpoint_every == 0:
-                save()
-        save()
-    logger.text(f"stops at update {update}")
-    logger.close()
-    env.close()
-    return update >= config.updates
+    def log(self, unroll: Unroll, metrics: dict[str, float]) -> None:
+        """Writes a row of metrics."""
+        self.seconds.take(self.collector.seconds)
+        training = self.seconds.total - self.seconds.spent["evaluation"]
+        then, update = self._logged
+        self._logged = training, self.update
+        row = {
+            "frames": self.update * self.frames_per_update,
+            "seconds": self.seconds.total,
+            "frames_per_second": (self.update - update)
+            * self.frames_per_update
+            / (training - then),
+            **{f"time_{part}": spent for part, spent in self.seconds.spent.items()},
+            **{f"episode_{name}": float("nan") for name in ("return", "length", "success")},
+            **self.collector.episode_metrics(),
+            "exploration_bonus": float(unroll.steps["bonus"][:-1].mean()),
+            **metrics,
+        }
+        self.logger.metrics(self.update, row)
+        self.display.show_metrics(self.update, row)
+
+    def evaluate(self) -> None:
+        """Scores the agent and writes the rows; training's randomness is not touched."""
+        with self.seconds("evaluation"):
+            results = evaluate_agent(
+                self.config,
+                self.agent,
+                episodes=self.config.evaluation.episodes,
+                num_envs=self.config.evaluation.num_envs,
+                seed=derive_seed(self.config.seed, "evaluation", self.update),
+            )
+        self.seconds.take(self.collector.seconds)
+        when = {
+            "update": self.update,
+            "frames": self.update * self.frames_per_update,
+            "seconds": self.seconds.total,
+        }
+        self.logger.evaluation(when, results)
+        self.display.show_scores(self.update, results)
+        scores = "  ".join(f"{result.kind} {result.score:.3f}" for result in results)
+        self.logger.text(f"update {self.update}: {scores}")
+
+    def close(self) -> None:
+        """Lets go of files and worlds."""
+        self.logger.text(f"stops at update {self.update}")
+        self.logger.close()
+        self.collector.env.close()
 
 
 def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
@@ -150,85 +180,36 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
         raise UserError(str(error)) from None
 
 
-def evaluate_agent(config: Config, agent: Agent, update: int) -> list[Result]:
-    """Scores the agent as the schedule asks; draws depend on the run's seed and the update only."""
-    seed = derive_seed(config.seed, "evaluation", update)
+def evaluate_agent(
+    config: Config, agent: Agent, *, episodes: int, num_envs: int, seed: int
+) -> list[Result]:
+    """Scores an agent on its split's three levels; every draw comes from `seed`."""
     return evaluate(
-        AgentPolicy(agent, seed=seed, device=config.torch_device),
+        AgentPolicy(agent, seed=derive_seed(seed, "actions"), device=config.torch_device),
         levels.split(config.environment.split),
-        episodes=config.evaluation.episodes,
-        num_envs=config.evaluation.num_envs,
+        episodes=episodes,
+        num_envs=num_envs,
         seed=seed,
         **config.level_options,
     )
 
 
-def find_checkpoint(config: Config) -> dict[str, Any] | None:
-    """The state to resume from, or None for a new run, as `config.resume` allows.
+def evaluate_run(
+    folder: Path, *, episodes: int, num_envs: int, seed: int, device: str
+) -> tuple[int, list[Result]]:
+    """Scores the agent of a run's checkpoint; returns the update it stands at and its scores.
 
     Raises:
-        UserError: there is none and `must`; there is one and `never`; it is damaged or was made
-            with other options.
+        UserError: no run, no checkpoint, or one that is damaged or of another configuration.
     """
-    path = config.folder / "checkpoint.pt"
-    if not path.exists():
-        if config.resume == "must":
-            raise UserError(f"resume=must: there is no checkpoint {path}")
-        return None
-    if config.resume == "never":
-        raise UserError(
-            f"resume=never: {config.folder} holds a run already; remove it, or choose another "
-            "run_root or condition"
-        )
-    saved = checkpoint.load(path)
-    there, here = saved["options"], config.what_is_learned
-    differing = [
-        f"{name}={there.get(name)} there, {here.get(name)} here"
-        for name in sorted(there.keys() | here.keys())
-        if there.get(name) != here.get(name)
-    ]
-    if differing:
-        raise UserError(
-            f"{path}: was made with other options ({'; '.join(differing)}); choose another "
-            "run_root or condition, or the same options"
-        )
-    if saved["update"] > config.updates:
-        raise UserError(f"{path}: is at update {saved['update']}, past updates={config.updates}")
-    return saved
-
-
-def write_description(config: Config) -> None:
-    """Writes `config.yaml` and `run.json`: what is run, how and with what.
-
-    Raises:
-        UserError: the folder cannot be written.
-    """
-    split = levels.split(config.environment.split)
-    chance = {kind: levels.chance(getattr(split, kind), **config.level_options) for kind in KINDS}
-    description = {
-        "experiment": config.experiment,
-        "condition": config.condition,
-        "seed": config.seed,
-        "split": config.environment.split,
-        "command": shlex.join(["python", "-m", "zipf.train", *sys.argv[1:]]),
-        "commit": _commit(),
-        "version": zipf.__version__,
-        "torch": torch.__version__,
-        "device": _device_name(config.torch_device),
-        "precision": config.precision,
-        "window": config.schedule.window,
-        "num_updates": config.updates,
-        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "chance": chance,
-        "environment": config.level_options,
-        "paper": config.environment.split if config.is_released_benchmark else None,
-    }
-    try:
-        config.folder.mkdir(parents=True, exist_ok=True)
-        (config.folder / "config.yaml").write_text(OmegaConf.to_yaml(config.model_dump()))
-        (config.folder / "run.json").write_text(json.dumps(description, indent=2) + "\n")
-    except OSError as error:
-        raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
+    config = run_folder.read_config(folder).model_copy(update={"device": device})
+    saved = checkpoint.load(folder / "checkpoint.pt")
+    run_folder.check_options(folder / "checkpoint.pt", saved, config)
+    env = levels.make_vec(levels.split(config.environment.split).train, 1, **config.level_options)
+    agent = build_agent(config, env)
+    agent.load_state_dict(saved["agent"])
+    results = evaluate_agent(config, agent, episodes=episodes, num_envs=num_envs, seed=seed)
+    return saved["update"], results
 
 
 class Seconds:
@@ -264,7 +245,7 @@ class StopSignals:
 
     def __init__(self, display: Display):
         self.display = display
-        self.requested: int = 0
+        self.requested = 0
 
     def __enter__(self) -> StopSignals:
         self._before = {s: signal.signal(s, self._stop) for s in (signal.SIGINT, signal.SIGTERM)}
@@ -278,7 +259,9 @@ class StopSignals:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = number
-        self.display.console.print("stopping after this update; the checkpoint is being kept")
+        self.display.say(
+            "stopping after this update, to leave a checkpoint; once more stops at once"
+        )
 
 
 def keep_memory() -> None:
@@ -290,28 +273,3 @@ def keep_memory() -> None:
         libc.mallopt(mmap_threshold, 2**30)
         libc.mallopt(trim_threshold, 2**31 - 1)
         libc.mallopt(top_pad, 2**26)
-
-
-def _commit() -> str | None:
-    """The commit of the checkout that runs, marked where it was changed; None for a wheel."""
-    here = Path(zipf.__file__).parent
-    git = ["git", "-C", str(here)]
-    try:
-        tracked = subprocess.run(
-            [*git, "ls-files", "--error-unmatch", "train.py"], capture_output=True
-        )
-        if tracked.returncode:
-            return None
-        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True)
-        changes = subprocess.run(
-            [*git, "status", "--porcelain", "--", ".", "../configs"], capture_output=True, text=True
-        )
-    except OSError:
-        return None
-    return head.stdout.strip() + ("+changes" if changes.stdout.strip() else "")
-
-
-def _device_name(device: str) -> str:
-    if device.startswith("cuda"):
-        return torch.cuda.get_device_name(device)
-    return f"cpu, {torch.get_num_threads()} threads"

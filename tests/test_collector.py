@@ -1,0 +1,140 @@
+"""Unrolls: what they hold is what happened, in worlds played one by one."""
+
+from copy import deepcopy
+
+import numpy as np
+import pytest
+import torch
+
+from zipf.agents.exploration import CountBonus, CountOptions
+from zipf.agents.network import Inputs
+from zipf.envs import levels
+from zipf.experiments import config, runner
+from zipf.experiments.collector import Collector
+
+WORLDS, STEPS = 6, 9
+SMALL = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5, "max_steps": 7}
+
+
+def build(*overrides, exploration=None, seed=3):
+    options = config.load(
+        [
+            "experiment=demo",
+            f"collector.num_envs={WORLDS}",
+            f"collector.unroll_length={STEPS}",
+            "environment.max_steps=7",
+            *overrides,
+        ]
+    )
+    env = levels.make_vec("gridworld/zipf_2", WORLDS, **SMALL)
+    agent = runner.build_agent(options, env)
+    collector = Collector(env, agent, unroll_length=STEPS, seed=seed, exploration=exploration)
+    return agent, collector
+
+
+@pytest.mark.parametrize("memory", ["lstm", "mlp"])
+def test_an_unroll_is_what_single_worlds_would_have_been(memory):
+    agent, collector = build(f"memory={memory}")
+    singles = [levels.make("gridworld/zipf_2", **SMALL) for _ in range(WORLDS)]
+    first = [env.reset(seed=3 + i)[0]["image"] for i, env in enumerate(singles)]
+    action = np.full(WORLDS, -1)
+    reward = np.zeros(WORLDS)
+    is_first = np.ones(WORLDS, bool)
+    carried = agent.initial_memory(WORLDS)
+    ends = {"terminated": 0, "truncated": 0}
+    for _ in range(4):
+        unroll = collector.collect()
+        for name in carried:
+            torch.testing.assert_close(unroll.memory[name], carried[name])
+        memory_state = unroll.memory
+        for t in range(STEPS + 1):
+            row = {
+                name: np.asarray(unroll.steps[name][t])
+                for name in unroll.steps.keys()
+                if name != "observation"
+            }
+            image = np.asarray(unroll.steps["observation", "image"][t])
+            np.testing.assert_array_equal(image, np.stack(first))
+            np.testing.assert_array_equal(row["previous_action"], action)
+            np.testing.assert_array_equal(row["previous_reward"], reward)
+            np.testing.assert_array_equal(row["is_first"], is_first)
+            if t == STEPS:
+                break
+            inputs = Inputs.of(unroll.steps[t])
+            outputs = agent.network(inputs.unsqueeze(), memory_state)
+            memory_state = outputs.state
+            torch.testing.assert_close(unroll.steps["logits"][t], outputs.logits[0])
+            for i, env in enumerate(singles):
+                observation, r, terminated, truncated, _ = env.step(int(row["action"][i]))
+                assert (r, terminated, truncated) == (
+                    row["reward"][i],
+                    row["terminated"][i],
+                    row["truncated"][i],
+                )
+                expected = 0.0
+                if truncated:
+                    one = Inputs(
+                        {"image": torch.from_numpy(observation["image"])[None]},
+                        torch.tensor([row["action"][i]]),
+                        torch.tensor([r], dtype=torch.float32),
+                        torch.tensor([False]),
+                    )
+                    memory_i = {name: part[i : i + 1] for name, part in memory_state.items()}
+                    expected = agent.value(one, memory_i).item()
+                np.testing.assert_allclose(
+                    row["truncation_value"][i], expected, rtol=1e-4, atol=1e-6
+                )
+                over = terminated or truncated
+                ends["terminated"] += terminated
+                ends["truncated"] += truncated
+                first[i] = env.reset()[0]["image"] if over else observation["image"]
+                action[i] = -1 if over else row["action"][i]
+                reward[i] = 0.0 if over else r
+                is_first[i] = over
+        carried = memory_state
+    assert min(ends.values()) > 3
+
+
+def test_the_learner_recomputes_what_the_actor_did():
+    """The unrolled network gives the stepped network's logits, across episodes' ends."""
+    agent, collector = build("memory=lstm")
+    for _ in range(3):
+        unroll = collector.collect()
+        outputs = agent.network(Inputs.of(unroll.steps), unroll.memory)
+        assert unroll.steps["is_first"][1:].any()
+        torch.testing.assert_close(
+            outputs.logits[:-1], unroll.steps["logits"][:-1], rtol=1e-4, atol=1e-5
+        )
+
+
+def test_the_bonus_is_kept_apart_from_the_reward():
+    options = CountOptions(name="count", scale=0.5, table_size=2**16)
+    _, plain = build()
+    _, bonused = build(exploration=CountBonus(options))
+    for _ in range(3):
+        one, other = plain.collect().steps, bonused.collect().steps
+        assert torch.equal(one["reward"], other["reward"])
+        assert torch.equal(one["previous_reward"], other["previous_reward"])
+        assert not one["bonus"].any()
+        assert (other["bonus"][:-1] > 0).all()
+    assert plain.episode_metrics() == bonused.episode_metrics()
+
+
+@pytest.mark.parametrize("memory", ["lstm", "mlp"])
+def test_it_continues_from_its_state(memory):
+    options = CountOptions(name="count", scale=0.5, table_size=2**16)
+    _, collector = build(f"memory={memory}", exploration=CountBonus(options))
+    collector.collect()
+    state = deepcopy(collector.state_dict())
+    expected = [collector.collect().steps.clone() for _ in range(2)]
+    _, other = build(f"memory={memory}", exploration=CountBonus(options), seed=77)
+    other.collect()
+    other.load_state_dict(state)
+    for steps in expected:
+        again = other.collect().steps
+        for name in steps.keys(True, True):
+            until = None if name in _FIRST_ROWS else -1
+            assert torch.equal(steps[name][:until], again[name][:until]), name
+
+
+_FIRST_ROWS = (("observation", "image"), "previous_action", "previous_reward", "is_first")

@@ -1,0 +1,258 @@
+"""Training as a user does it: every shipped configuration, resume, signals, errors."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+
+from zipf.experiments import checkpoint, config, run_folder, runner
+from zipf.experiments.errors import UserError
+
+TINY = [
+    "experiment=demo",
+    "device=cpu",
+    "collector.num_envs=6",
+    "collector.unroll_length=5",
+    "evaluation.every=4",
+    "evaluation.episodes=8",
+    "schedule.log_every=1",
+    "schedule.checkpoint_every=5",
+    "network.size=16",
+    "memory.size=16",
+    "memory=lstm",
+    "exploration=count",
+    "environment.max_steps=9",
+]
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "zipf.train", *arguments]
+
+
+def run(*arguments: str, module: str = "zipf.train", **options) -> subprocess.CompletedProcess[str]:
+    line = [sys.executable, "-m", module, *arguments]
+    return subprocess.run(line, capture_output=True, text=True, timeout=300, **options)
+
+
+def folder_of(arguments: list[str]) -> Path:
+    return config.load(arguments).folder
+
+
+def assert_equal(one, other, where=""):
+    assert type(one) is type(other), where
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), where
+        for key in one:
+            assert_equal(one[key], other[key], f"{where}.{key}")
+    elif isinstance(one, list | tuple):
+        assert len(one) == len(other), where
+        for i, (a, b) in enumerate(zip(one, other, strict=True)):
+            assert_equal(a, b, f"{where}[{i}]")
+    elif isinstance(one, torch.Tensor):
+        assert torch.equal(one, other), where
+    else:
+        assert one == other, where
+
+
+def learned(folder: Path) -> dict:
+    """All of a checkpoint but how long it took."""
+    state = checkpoint.load(folder / "checkpoint.pt")
+    del state["seconds"]
+    return state
+
+
+def untimed(path: Path) -> pd.DataFrame:
+    table = pd.read_csv(path)
+    timed = [name for name in table.columns if name.startswith(("time_", "seconds", "frames_per"))]
+    return table.drop(columns=timed)
+
+
+@pytest.mark.parametrize("experiment", config.choices("experiment"))
+@pytest.mark.parametrize("memory", config.choices("memory"))
+def test_every_experiment_trains_two_updates(experiment, memory, tmp_path):
+    loaded = config.load(
+        [
+            f"experiment={experiment}",
+            f"memory={memory}",
+            f"run_root={tmp_path}",
+            "updates=2",
+            "collector.num_envs=3",
+            "collector.unroll_length=4",
+            "evaluation.episodes=5",
+            "schedule.log_every=1",
+            "memory.size=8",
+            "environment.max_steps=8",
+        ]
+    )
+    assert runner.train(loaded) == 0
+    metrics = pd.read_csv(loaded.folder / "metrics.csv")
+    assert list(metrics["update"]) == [1, 2]
+    assert list(metrics["frames"]) == [12, 24]
+    assert metrics["loss"].notna().all()
+    evaluations = pd.read_csv(loaded.folder / "evaluations.csv")
+    assert list(evaluations["update"]) == [0, 0, 0, 2, 2, 2]
+    assert list(evaluations["level_kind"]) == ["train", "uniform", "rare"] * 2
+    assert (evaluations["episodes"] == 5).all()
+    situations = pd.read_csv(loaded.folder / "situations.csv")
+    assert situations.groupby(["update", "level_kind"])["episodes"].sum().eq(5).all()
+    description = run_folder.read_description(loaded.folder)
+    assert description["experiment"] == experiment
+    assert description["chance"].keys() == {"train", "uniform", "rare"}
+    assert run_folder.read_config(loaded.folder) == loaded
+    assert list((loaded.folder / "tensorboard").iterdir())
+
+
+def test_twenty_updates_equal_ten_a_kill_and_ten_more(tmp_path):
+    """SIGKILL somewhere after update 10, then the same command again: the same to the last bit."""
+    whole = [*TINY, "updates=20", f"run_root={tmp_path / 'whole'}"]
+    cut = [*TINY, "updates=20", f"run_root={tmp_path / 'cut'}"]
+    assert run(*whole).returncode == 0
+
+    process = subprocess.Popen(command(*cut), stdout=subprocess.DEVNULL)
+    metrics = folder_of(cut) / "metrics.csv"
+    while process.poll() is None:
+        if metrics.exists() and len(metrics.read_text().splitlines()) > 12:
+            process.kill()
+            break
+        time.sleep(0.001)
+    assert process.wait() == -signal.SIGKILL, "finished before it could be killed"
+    interrupted = checkpoint.load(folder_of(cut) / "checkpoint.pt")["update"]
+    assert 10 <= interrupted < 20
+
+    assert run(*cut, "resume=must").returncode == 0
+    assert_equal(learned(folder_of(whole)), learned(folder_of(cut)))
+    for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
+        pd.testing.assert_frame_equal(
+            untimed(folder_of(whole) / name), untimed(folder_of(cut) / name)
+        )
+
+
+def test_evaluation_does_not_disturb_training(tmp_path):
+    often = config.load([*TINY, "updates=6", f"run_root={tmp_path / 'a'}", "evaluation.every=1"])
+    never = config.load([*TINY, "updates=6", f"run_root={tmp_path / 'b'}", "evaluation.every=99"])
+    assert runner.train(often) == 0
+    assert runner.train(never) == 0
+    assert_equal(learned(often.folder), learned(never.folder))
+
+
+def test_seeds_differ_and_repeat(tmp_path):
+    states = []
+    for root, seed in (("a", 0), ("b", 0), ("c", 1)):
+        loaded = config.load([*TINY, "updates=2", f"run_root={tmp_path / root}", f"seed={seed}"])
+        assert runner.train(loaded) == 0
+        states.append(learned(loaded.folder)["agent"]["network"])
+    assert_equal(states[0], states[1])
+    assert not torch.equal(states[0]["policy.weight"], states[2]["policy.weight"])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_a_checkpoint_that_goes_on(number, tmp_path):
+    arguments = [*TINY, "updates=100000", f"run_root={tmp_path}", "schedule.checkpoint_every=99999"]
+    process = subprocess.Popen(command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    metrics = folder_of(arguments) / "metrics.csv"
+    while not metrics.exists() or len(metrics.read_text().splitlines()) < 3:
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert errors == b""
+    update = checkpoint.load(folder_of(arguments) / "checkpoint.pt")["update"]
+    assert update >= 2
+    assert len(pd.read_csv(metrics)) == update
+    loaded = config.load([*arguments, f"updates={update + 2}", "resume=must"])
+    assert runner.train(loaded) == 0
+    assert list(pd.read_csv(metrics)["update"]) == list(range(1, update + 3))
+
+
+@pytest.fixture
+def trained(tmp_path):
+    arguments = [*TINY, "updates=2", f"run_root={tmp_path}"]
+    assert runner.train(config.load(arguments)) == 0
+    return arguments
+
+
+def test_resume_modes(trained, tmp_path):
+    with pytest.raises(UserError, match="holds a run already"):
+        runner.train(config.load([*trained, "resume=never"]))
+    assert runner.train(config.load([*trained, "resume=must"])) == 0
+    with pytest.raises(UserError, match="no checkpoint"):
+        runner.train(config.load([*trained, "resume=must", "seed=5"]))
+
+
+def test_a_checkpoint_of_another_configuration_is_refused(trained):
+    folder = folder_of(trained)
+    before = (folder / "checkpoint.pt").read_bytes()
+    with pytest.raises(UserError, match=r"agent\.discount=0\.99 there, 0\.5 here"):
+        runner.train(
+            config.load([*trained, "agent.discount=0.5", f"condition='{folder.parent.name}'"])
+        )
+    assert (folder / "checkpoint.pt").read_bytes() == before
+
+
+def test_a_damaged_checkpoint_is_an_error_and_never_a_fresh_start(trained):
+    path = folder_of(trained) / "checkpoint.pt"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    result = run(*trained)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert str(path) in result.stderr
+    assert "damaged" in result.stderr
+    assert path.read_bytes() == content
+
+
+def test_evaluate_scores_a_run(trained):
+    folder = folder_of(trained)
+    result = run(f"run={folder}", "episodes=20", module="zipf.evaluate")
+    assert result.returncode == 0, result.stderr
+    table = pd.read_csv(folder / "evaluation-2-seed0.csv")
+    assert list(table["level_kind"]) == ["train", "uniform", "rare"]
+    assert (table["episodes"] == 20).all()
+    again = run(f"run={folder}", "episodes=20", module="zipf.evaluate")
+    assert again.stdout == result.stdout
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments", "told"),
+    [
+        ("zipf.train", ["experiment=gridwrld"], "gridworld"),
+        ("zipf.train", ["-m", "experiment=demo", "seed=0,-1"], "seed=-1"),
+        ("zipf.train", ["experiment=demo", "device=cuda:99"], "device=cuda:99"),
+        ("zipf.evaluate", ["run=nowhere"], "nowhere: is no run's folder"),
+        ("zipf.evaluate", ["rn=x"], "run"),
+        ("zipf.evaluate", ["run=nowhere", "episodes=0"], "episodes=0"),
+        ("zipf.report", ["nowhere"], "nowhere"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(module, arguments, told, tmp_path):
+    result = run(*arguments, module=module, cwd=tmp_path)
+    assert result.returncode == 2
+    assert told in result.stderr
+    assert "Traceback" not in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_sweep_makes_a_run_per_job(tmp_path):
+    sweep = [argument for argument in TINY if not argument.startswith("memory=")]
+    result = run(
+        "-m",
+        *sweep,
+        "memory=mlp,lstm",
+        "seed=0,1",
+        "updates=1",
+        f"run_root={tmp_path}",
+        cwd=tmp_path,
+    )
+    assert result.returncode == 0, result.stderr
+    descriptions = [json.loads(path.read_text()) for path in tmp_path.glob("demo/*/*/run.json")]
+    assert len(descriptions) == 4
+    assert len({description["condition"] for description in descriptions}) == 2
+    assert {description["seed"] for description in descriptions} == {0, 1}
