@@ -70,6 +70,8 @@ class LSTMMemory(nn.Module):
         self.recurrent_gates = nn.Linear(options.size, 4 * options.size, bias=False)
         for parameter in self.parameters():  # as torch.nn.LSTM
             nn.init.uniform_(parameter, -(self.size**-0.5), self.size**-0.5)
+        with torch.no_grad():  # begins by remembering (Jozefowicz et al. 2015), as IMPALA's LSTM
+            self.input_gates.bias[options.size : 2 * options.size] += 1.0
 
     def initial_state(self, batch: int) -> State:
         """Zeros, float32 `[B, size]` each."""

@@ -1,0 +1,37 @@
+# `make demo` and `make test` set up everything they need.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test lint types wheel results clean
+
+demo: $(VENV)/.installed  ## train on a small gridworld for a few minutes, then print the scores
+	$(BIN)/python -m zipf.train experiment=demo
+	$(BIN)/python -m zipf.report runs/demo
+
+test: $(VENV)/.installed  ## run all tests
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+
+lint: $(VENV)/.installed  ## check style and formatting
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.installed  ## check types
+	$(BIN)/mypy
+
+wheel: $(VENV)/.installed  ## build the wheel into dist/
+	$(BIN)/python -m build --wheel
+
+results: $(VENV)/.installed  ## write RESULTS.md from the files in results/
+	$(BIN)/python -m zipf.report results --output results/report --record RESULTS.md
+
+clean:  ## remove the virtual environment and what was built; runs are kept
+	rm -rf $(VENV) dist build
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Python 3.11 or newer is needed; say which: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	touch $@

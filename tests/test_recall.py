@@ -1,0 +1,77 @@
+"""An agent with a memory recalls a cue after ten steps; one without cannot."""
+
+import numpy as np
+import pytest
+import torch
+from recall import CUES, Recall
+
+from zipf.agents.encoders import CompactOptions
+from zipf.agents.impala import Impala, ImpalaOptions
+from zipf.agents.memory import LSTMOptions, MLPOptions
+from zipf.experiments.collector import Collector
+from zipf.experiments.evaluator import AgentPolicy, play
+
+DELAY = 10
+IMPALA = ImpalaOptions(
+    name="impala",
+    learning_rate=5e-3,
+    adam_beta1=0.9,
+    adam_beta2=0.999,
+    adam_epsilon=1e-8,
+    max_gradient_norm=1.0,
+    discount=0.95,
+    baseline_cost=0.5,
+    entropy_cost=0.01,
+    clip_rho=1.0,
+    clip_pg_rho=1.0,
+    clip_c=1.0,
+    trace_lambda=1.0,
+)
+NETWORK = CompactOptions(name="compact", patch=9, channels=16, size=16, head_size=0)
+
+
+def trained(memory, updates):
+    """Episodes played after that many updates."""
+    torch.set_num_threads(1)
+    env = Recall(64, DELAY)
+    agent = Impala(
+        env.single_observation_space,
+        env.single_action_space,
+        IMPALA,
+        NETWORK,
+        memory,
+        seed=0,
+    )
+    collector = Collector(env, agent, unroll_length=2 * (DELAY + 1), seed=0)
+    for _ in range(updates):
+        agent.update(collector.collect())
+    policy = AgentPolicy(agent, seed=1, device="cpu")
+    return play(policy, Recall(100, DELAY), episodes=1000, seed=2)
+
+
+def test_an_lstm_recalls():
+    episodes = trained(LSTMOptions(name="lstm", size=32), updates=750)
+    assert episodes["success"].mean() >= 0.95
+
+
+def test_without_memory_it_is_a_guess():
+    episodes = trained(MLPOptions(name="mlp", size=32, layers=1), updates=400)
+    sigma = np.sqrt(1 / CUES * (1 - 1 / CUES) / 1000)
+    assert episodes["success"].mean() <= 1 / CUES + 4 * sigma
+    assert episodes["return"].mean() > 0.9  # it did learn to wait, worth 0.1 a step
+
+
+@pytest.mark.parametrize("world", range(3))
+def test_the_probe_itself(world):
+    """Answering the cue succeeds; answering another, or having moved while waiting, does not."""
+    env = Recall(3, DELAY)
+    for answer_right, stay in ((True, True), (False, True), (True, False)):
+        _, info = env.reset(seed=world)
+        for t in range(DELAY):
+            wait = np.full(3, CUES) if stay or t != 4 else np.zeros(3, np.int64)
+            _, _, terminated, _, _ = env.step(wait)
+            assert not terminated.any()
+        answer = info["cue"] if answer_right else (info["cue"] + 1) % CUES
+        _, _, terminated, _, info = env.step(answer)
+        assert terminated.all()
+        assert (info["final_info"]["success"] == (answer_right and stay)).all()
