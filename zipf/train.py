@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 
@@ -13,7 +14,8 @@ from omegaconf import DictConfig
 from zipf.experiments import config, runner
 from zipf.experiments.errors import UserError
 
-_failures: list[str] = []
+_command_process = os.getpid()
+_failed: list[UserError] = []
 
 
 @hydra.main(version_base="1.3", config_path=str(config.CONFIG_DIR), config_name="train")
@@ -21,12 +23,20 @@ def _job(_: DictConfig) -> None:
     try:
         stopped = runner.train(config.load(list(HydraConfig.get().overrides.task)))
     except UserError as error:
-        _failures.append(str(error))
+        _tell(error)
+        if os.getpid() != _command_process:  # a sweep's worker: the launcher must hear of it
+            raise
+        _failed.append(error)
         return
     except KeyboardInterrupt:
         stopped = signal.SIGINT
     if stopped:
         sys.exit(128 + stopped)
+
+
+def _tell(error: UserError) -> None:
+    for line in str(error).splitlines():
+        print(f"error: {line}", file=sys.stderr)
 
 
 def main() -> None:
@@ -38,11 +48,9 @@ def main() -> None:
             config.check_command_line(arguments.overrides)
         _job()
     except UserError as error:
-        _failures.append(str(error))
-    for failure in _failures:
-        for line in failure.splitlines():
-            print(f"error: {line}", file=sys.stderr)
-    if _failures:
+        _tell(error)
+        _failed.append(error)
+    if _failed:
         sys.exit(2)
 
 

@@ -26,7 +26,7 @@ class CountOptions(Options):
     """A bonus of `scale / sqrt(visits)` for the observation that an action led to."""
 
     name: Literal["count"]
-    scale: Annotated[float, Field(gt=0)]
+    scale: Annotated[float, Field(gt=0, allow_inf_nan=False)]
     table_size: Annotated[int, Field(ge=1, le=2**30)]
 
 
@@ -42,7 +42,7 @@ class CountBonus:
 
     def __init__(self, options: CountOptions):
         self.scale = options.scale
-        self.visits = np.zeros(options.table_size, np.int32)
+        self.visits = np.zeros(options.table_size, np.int64)
         self.weights: dict[str, NDArray[np.uint64]] = {}
 
     def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:

@@ -5,7 +5,7 @@ The actor samples from the policy; the learner takes one optimiser step per unro
     mean_{t,b}[ -log pi(a_t|x_t) A_t + c_b/2 (v_t - V(x_t))^2 + c_e sum_a pi log pi ]
 
 with v_t and A_t from V-trace. The losses are means over the unroll; where a source sums, divide
-its gradient clip by T x B.
+its gradient clip and Adam's epsilon by T x B.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 
 import gymnasium as gym
 import torch
-import torch.nn.functional as F
 from pydantic import Field
 from torch import Tensor
 
@@ -26,7 +25,8 @@ from zipf.agents.options import Options
 from zipf.agents.returns import vtrace
 from zipf.agents.unroll import Unroll
 
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 
@@ -40,8 +40,8 @@ class ImpalaOptions(Options):
     adam_epsilon: Positive
     max_gradient_norm: Positive
     discount: Annotated[float, Field(ge=0, le=1)]
-    baseline_cost: Annotated[float, Field(ge=0)]
-    entropy_cost: Annotated[float, Field(ge=0)]
+    baseline_cost: NotNegative
+    entropy_cost: NotNegative
     clip_rho: Positive
     clip_pg_rho: Positive
     clip_c: Positive
@@ -72,7 +72,7 @@ class Impala:
         self.options = options
         self.device = device
         self.precision = precision
-        with torch.random.fork_rng():
+        with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = ActorCritic(observation_space, action_space, network, memory)
         self.network.to(device)
@@ -94,13 +94,17 @@ class Impala:
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
         """Samples an action in each of B worlds.
 
+        The generator is the CPU's whatever the device, so that a run can move between devices.
+
         Returns actions int64 [B], the memory after this frame, and what `update` will want to know
         of the behaviour policy: `logits` float32 [B, actions].
         """
         with self._autocast():
             outputs = self.network(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
-        action = torch.multinomial(logits.softmax(-1), 1, generator=generator).squeeze(-1)
+        # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
+        noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
+        action = (logits + noise.to(logits.device)).argmax(-1)
         return action, outputs.state, {"logits": logits}
 
     @torch.no_grad()
@@ -110,7 +114,11 @@ class Impala:
             return self.network(inputs.unsqueeze(), memory).value[0]
 
     def update(self, unroll: Unroll) -> dict[str, float]:
-        """One optimiser step; returns the losses and what explains them."""
+        """One optimiser step; returns the losses and what explains them.
+
+        Raises:
+            FloatingPointError: learning has diverged; nothing was changed.
+        """
         o = self.options
         steps = unroll.steps
         with self._autocast():
@@ -143,6 +151,8 @@ class Impala:
         gradient_norm = torch.nn.utils.clip_grad_norm_(
             self.network.parameters(), o.max_gradient_norm
         )
+        if not gradient_norm.isfinite():
+            raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")
         self.optimiser.step()
         metrics = {
             "loss": loss,
@@ -172,4 +182,4 @@ class Impala:
 
 def action_log_probability(log_policy: Tensor, action: Tensor) -> Tensor:
     """log pi(a|x) of the actions taken: [T, B, actions], [T, B] -> [T, B]."""
-    return -F.nll_loss(log_policy.movedim(-1, 1), action, reduction="none")
+    return log_policy.gather(-1, action.unsqueeze(-1)).squeeze(-1)

@@ -61,7 +61,7 @@ class Collector:
         self.exploration = exploration
         self.seconds = {"environment": 0.0, "inference": 0.0}
         self._episodes: dict[str, list[float]] = defaultdict(list)
-        self._generator = torch.Generator(device).manual_seed(seed)
+        self._generator = torch.Generator().manual_seed(seed)
         self._memory = agent.initial_memory(env.num_envs)
 
         rows, worlds = unroll_length + 1, env.num_envs
@@ -90,6 +90,9 @@ class Collector:
             {name: torch.from_numpy(part) for name, part in self._observation.items()},
             batch_size=[rows, worlds],
         )
+        self._inputs_of_steps = self._steps.select(
+            "observation", "previous_action", "previous_reward", "is_first"
+        )
         env.reset(seed=seed, out=self._row(self._observation, unroll_length))
 
     def collect(self) -> Unroll:
@@ -115,6 +118,7 @@ class Collector:
             "memory": dict(self._memory),
             "generator": self._generator.get_state(),
             "inputs": {name: self._fields[name][-1].copy() for name in carried},
+            "episodes": dict(self._episodes),
             "exploration": self.exploration.state_dict() if self.exploration else {},
         }
 
@@ -124,6 +128,7 @@ class Collector:
         self.env.observations(out=self._row(self._observation, -1))
         self._memory = {k: v.to(self.device) for k, v in state["memory"].items()}
         self._generator.set_state(state["generator"])
+        self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
         for name, value in state["inputs"].items():
             self._fields[name][-1] = value
         if self.exploration:
@@ -172,7 +177,7 @@ class Collector:
         self.seconds["environment"] += stepped - acted
 
     def _inputs(self, t: int) -> Inputs:
-        return Inputs.of(self._steps[t].to(self.device, non_blocking=True))
+        return Inputs.of(self._inputs_of_steps[t].to(self.device, non_blocking=True))
 
     def _value_at_truncation(self, t: int, truncated: NDArray[np.bool_]) -> NDArray:
         def send(array: NDArray) -> Tensor:

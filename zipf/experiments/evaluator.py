@@ -7,6 +7,7 @@ worlds an agent that fails fast would look worse, or better, than it is.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -46,7 +47,7 @@ class AgentPolicy:
     def __init__(self, agent: Agent, *, seed: int, device: str):
         self.agent = agent
         self.device = device
-        self.generator = torch.Generator(device).manual_seed(seed)
+        self.generator = torch.Generator().manual_seed(seed)
 
     def start(self, num_envs: int) -> None:
         self.memory = self.agent.initial_memory(num_envs)
@@ -208,9 +209,9 @@ def score(
 
 
 def derive_seed(*parts: int | str) -> int:
-    """A seed for one purpose, from a run's seed and the purpose's name: unlike any other's."""
-    entropy = [p if isinstance(p, int) else int.from_bytes(p.encode(), "little") for p in parts]
-    return int(np.random.SeedSequence(entropy).generate_state(1)[0])
+    """A seed for one purpose, 62 bits hashed from a run's seed and the purpose's name."""
+    digest = hashlib.sha256(repr(parts).encode()).digest()
+    return int.from_bytes(digest[:8], "little") >> 2
 
 
 class _Function:
