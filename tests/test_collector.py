@@ -9,7 +9,7 @@ import torch
 from zipf.agents.exploration import CountBonus, CountOptions
 from zipf.agents.network import Inputs
 from zipf.envs import levels
-from zipf.experiments import config, runner
+from zipf.experiments import command_line, runner
 from zipf.experiments.collector import Collector
 
 WORLDS, STEPS = 6, 9
@@ -17,7 +17,7 @@ SMALL = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5, "max_steps": 7}
 
 
 def build(*overrides, exploration=None, seed=3):
-    options = config.load(
+    options = command_line.load(
         [
             "experiment=demo",
             f"collector.num_envs={WORLDS}",

@@ -2,16 +2,16 @@
 
 import pytest
 
-from zipf.experiments import config
+from zipf.experiments import command_line, config
 from zipf.experiments.errors import UserError
 
 
-@pytest.mark.parametrize("experiment", config.choices("experiment"))
-@pytest.mark.parametrize("memory", config.choices("memory"))
-@pytest.mark.parametrize("network", config.choices("network"))
-@pytest.mark.parametrize("exploration", config.choices("exploration"))
+@pytest.mark.parametrize("experiment", command_line.choices("experiment"))
+@pytest.mark.parametrize("memory", command_line.choices("memory"))
+@pytest.mark.parametrize("network", command_line.choices("network"))
+@pytest.mark.parametrize("exploration", command_line.choices("exploration"))
 def test_every_combination_composes(experiment, memory, network, exploration):
-    loaded = config.load(
+    loaded = command_line.load(
         [
             f"experiment={experiment}",
             f"memory={memory}",
@@ -27,7 +27,7 @@ def test_every_combination_composes(experiment, memory, network, exploration):
 
 def test_the_papers_values():
     """Its IMPALA table (third column) and architecture table, as printed."""
-    paper = config.load(["experiment=gridworld"])
+    paper = command_line.load(["experiment=gridworld"])
     assert paper.agent.learning_rate == 3e-4
     assert paper.agent.entropy_cost == 9.4e-5
     assert paper.agent.baseline_cost == 0.59
@@ -41,7 +41,7 @@ def test_the_papers_values():
     assert paper.evaluation.episodes == 1000
     assert paper.schedule.window == [2_000_000, 3_000_000]
     assert paper.is_released_benchmark
-    assert not config.load(["experiment=demo"]).is_released_benchmark
+    assert not command_line.load(["experiment=demo"]).is_released_benchmark
 
 
 MISTAKES = [
@@ -69,6 +69,15 @@ MISTAKES = [
     (["experiment=demo", "environment.num_rooms=[2]"], ["environment.num_rooms"]),
     (["experiment=demo", "schedule.window=[3,1]"], ["schedule.window", "begin before"]),
     (["experiment=demo", "condition=a/b"], ["condition=a/b", "folder"]),
+    (["experiment=demo", "condition=''"], ["condition=", "folder"]),
+    (["experiment=demo", "condition=1"], ["condition=1", "quote"]),
+    (["experiment=demo", f"condition={'x' * 300}"], ["too long", "condition=<name>"]),
+    (["experiment=demo", "seed=100000000000000000000"], ["seed=1", "less than"]),
+    (["experiment=demo", "agent.learning_rate=inf"], ["agent.learning_rate=inf", "finite"]),
+    (["experiment=demo", "network.patch=8"], ["network.patch=8", "63 x 63", "resnet"]),
+    (["experiment=demo", "run_root=/dev/null"], ["run_root=/dev/null", "folder"]),
+    (["experiment=demo", "~memory"], ["~memory", "cannot be deleted"]),
+    (["experiment=demo", "resume='"], ["resume='"]),
     (["experiment=demo", "+agent.momentum=1"], ["agent.momentum", "no such option"]),
 ]
 
@@ -76,7 +85,7 @@ MISTAKES = [
 @pytest.mark.parametrize(("overrides", "told"), MISTAKES, ids=[str(m[0]) for m in MISTAKES])
 def test_a_mistake_is_one_clear_line(overrides, told):
     with pytest.raises(UserError) as error:
-        config.load(overrides)
+        command_line.load(overrides)
     message = str(error.value)
     assert len(message.splitlines()) == 1
     for words in told:
@@ -85,15 +94,19 @@ def test_a_mistake_is_one_clear_line(overrides, told):
 
 def test_all_mistakes_are_told_at_once():
     with pytest.raises(UserError) as error:
-        config.load(["experiment=demo", "seed=-1", "updates=many", "agent.discount=2"])
-    assert len(str(error.value).splitlines()) == 3
+        command_line.load(
+            ["experiment=demo", "seeed=1", "memory=lstn", "seed=-1", "updates=many", "~network"]
+        )
+    assert len(str(error.value).splitlines()) == 5
 
 
 def test_a_sweep_is_checked_before_it_starts():
-    assert config.check_command_line(["experiment=demo", "seed=0,1,2", "memory=mlp,lstm"]) == 6
-    assert config.check_command_line(["experiment=demo", "seed=range(4)"]) == 4
+    assert (
+        command_line.check_command_line(["experiment=demo", "seed=0,1,2", "memory=mlp,lstm"]) == 6
+    )
+    assert command_line.check_command_line(["experiment=demo", "seed=range(4)"]) == 4
     with pytest.raises(UserError) as error:
-        config.check_command_line(["experiment=demo,gridwrld", "seed=0,-1"])
+        command_line.check_command_line(["experiment=demo,gridwrld", "seed=0,-1"])
     lines = str(error.value).splitlines()
     assert any("seed=-1" in line for line in lines)
     assert any("gridwrld" in line for line in lines)
@@ -115,14 +128,24 @@ CONDITIONS = [
 
 @pytest.mark.parametrize(("overrides", "condition"), CONDITIONS)
 def test_a_condition_is_named_after_what_differs(overrides, condition):
-    loaded = config.load([*overrides, "run_root=here"])
+    loaded = command_line.load([*overrides, "run_root=here"])
     assert loaded.condition == condition
     assert loaded.folder.parts == ("here", loaded.experiment, condition, f"seed{loaded.seed}")
 
 
 def test_the_shipped_environment_is_the_released_benchmark():
-    assert config.load(["experiment=gridworld"]).environment == config.GridworldOptions(
+    assert command_line.load(["experiment=gridworld"]).environment == config.GridworldOptions(
         split="gridworld"
     )
-    assert config.load(["experiment=gridworld_compact"]).is_released_benchmark
-    assert not config.load(["experiment=gridworld", "environment.num_maps=6"]).is_released_benchmark
+    assert command_line.load(["experiment=gridworld_compact"]).is_released_benchmark
+    assert not command_line.load(
+        ["experiment=gridworld", "environment.num_maps=6"]
+    ).is_released_benchmark
+
+
+def test_every_number_has_a_source():
+    for path in command_line.CONFIG_DIR.glob("*/*.yaml"):
+        for number, line in enumerate(path.read_text().splitlines(), 1):
+            setting = line.split("#")[0]
+            if any(c.isdigit() for c in setting):
+                assert "#" in line, f"{path.name}, line {number}: where does the value come from?"

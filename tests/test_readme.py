@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import zipf.report
-from zipf.evaluate import EvaluateOptions
-from zipf.experiments import config
+from zipf.experiments import command_line
+from zipf.experiments.config import Config, EvaluateOptions
 
 ROOT = Path(__file__).parent.parent
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
@@ -58,12 +58,12 @@ def test_train_commands_are_accepted(arguments):
     # Launchers are parts of the extra `sweep`, which the tests do not install.
     jobs = [word for word in overrides if not word.startswith("hydra")]
     if jobs:
-        assert (config.check_command_line(jobs) > 1) == ("-m" in arguments)
+        assert (command_line.check_command_line(jobs) > 1) == ("-m" in arguments)
 
 
 @pytest.mark.parametrize("arguments", commands("zipf.evaluate"), ids=" ".join)
 def test_evaluate_commands_are_accepted(arguments):
-    config.read_options(EvaluateOptions, arguments)
+    command_line.read_options(EvaluateOptions, arguments)
 
 
 @pytest.mark.parametrize("arguments", commands("zipf.report"), ids=" ".join)
@@ -116,12 +116,12 @@ def test_the_map_of_the_code_is_true():
 def test_the_options_of_the_table_exist():
     rows = re.findall(r"^\| (`[^|]+`) \|", section("Configuration").split("| File |")[0], re.M)
     named = {option for row in rows for option in re.findall(r"`([^`]+)`", row)}
-    known = set(config.Config.model_fields)
+    known = set(Config.model_fields)
     assert {option.split(".")[0] for option in named} == known
     for option in named:
         group, _, name = option.partition(".")
         if name:
-            annotation = config.Config.model_fields[group].annotation
+            annotation = Config.model_fields[group].annotation
             assert annotation is not None
             assert name in annotation.model_fields, option
 
@@ -130,7 +130,7 @@ def test_the_options_of_the_table_exist():
 def test_the_table_names_every_choice(group):
     row = re.search(rf"^\| `{group}` \|(.*)$", README, re.M)
     assert row
-    assert all(f"`{choice}`" in row[1] for choice in config.choices(group))
+    assert all(f"`{choice}`" in row[1] for choice in command_line.choices(group))
 
 
 def test_the_picture_is_small():

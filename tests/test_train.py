@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 import torch
 
-from zipf.experiments import checkpoint, config, run_folder, runner
+from zipf.experiments import checkpoint, command_line, run_folder, runner
 from zipf.experiments.errors import UserError
 
 TINY = [
@@ -41,7 +41,7 @@ def run(*arguments: str, module: str = "zipf.train", **options) -> subprocess.Co
 
 
 def folder_of(arguments: list[str]) -> Path:
-    return config.load(arguments).folder
+    return command_line.load(arguments).folder
 
 
 def assert_equal(one, other, where=""):
@@ -73,10 +73,10 @@ def untimed(path: Path) -> pd.DataFrame:
     return table.drop(columns=timed)
 
 
-@pytest.mark.parametrize("experiment", config.choices("experiment"))
-@pytest.mark.parametrize("memory", config.choices("memory"))
+@pytest.mark.parametrize("experiment", command_line.choices("experiment"))
+@pytest.mark.parametrize("memory", command_line.choices("memory"))
 def test_every_experiment_trains_two_updates(experiment, memory, tmp_path):
-    loaded = config.load(
+    loaded = command_line.load(
         [
             f"experiment={experiment}",
             f"memory={memory}",
@@ -134,8 +134,12 @@ def test_twenty_updates_equal_ten_a_kill_and_ten_more(tmp_path):
 
 
 def test_evaluation_does_not_disturb_training(tmp_path):
-    often = config.load([*TINY, "updates=6", f"run_root={tmp_path / 'a'}", "evaluation.every=1"])
-    never = config.load([*TINY, "updates=6", f"run_root={tmp_path / 'b'}", "evaluation.every=99"])
+    often = command_line.load(
+        [*TINY, "updates=6", f"run_root={tmp_path / 'a'}", "evaluation.every=1"]
+    )
+    never = command_line.load(
+        [*TINY, "updates=6", f"run_root={tmp_path / 'b'}", "evaluation.every=99"]
+    )
     assert runner.train(often) == 0
     assert runner.train(never) == 0
     assert_equal(learned(often.folder), learned(never.folder))
@@ -144,7 +148,9 @@ def test_evaluation_does_not_disturb_training(tmp_path):
 def test_seeds_differ_and_repeat(tmp_path):
     states = []
     for root, seed in (("a", 0), ("b", 0), ("c", 1)):
-        loaded = config.load([*TINY, "updates=2", f"run_root={tmp_path / root}", f"seed={seed}"])
+        loaded = command_line.load(
+            [*TINY, "updates=2", f"run_root={tmp_path / root}", f"seed={seed}"]
+        )
         assert runner.train(loaded) == 0
         states.append(learned(loaded.folder)["agent"]["network"])
     assert_equal(states[0], states[1])
@@ -166,7 +172,7 @@ def test_a_signal_leaves_a_checkpoint_that_goes_on(number, tmp_path):
     update = checkpoint.load(folder_of(arguments) / "checkpoint.pt")["update"]
     assert update >= 2
     assert len(pd.read_csv(metrics)) == update
-    loaded = config.load([*arguments, f"updates={update + 2}", "resume=must"])
+    loaded = command_line.load([*arguments, f"updates={update + 2}", "resume=must"])
     assert runner.train(loaded) == 0
     assert list(pd.read_csv(metrics)["update"]) == list(range(1, update + 3))
 
@@ -174,16 +180,16 @@ def test_a_signal_leaves_a_checkpoint_that_goes_on(number, tmp_path):
 @pytest.fixture
 def trained(tmp_path):
     arguments = [*TINY, "updates=2", f"run_root={tmp_path}"]
-    assert runner.train(config.load(arguments)) == 0
+    assert runner.train(command_line.load(arguments)) == 0
     return arguments
 
 
 def test_resume_modes(trained, tmp_path):
     with pytest.raises(UserError, match="holds a run already"):
-        runner.train(config.load([*trained, "resume=never"]))
-    assert runner.train(config.load([*trained, "resume=must"])) == 0
+        runner.train(command_line.load([*trained, "resume=never"]))
+    assert runner.train(command_line.load([*trained, "resume=must"])) == 0
     with pytest.raises(UserError, match="no checkpoint"):
-        runner.train(config.load([*trained, "resume=must", "seed=5"]))
+        runner.train(command_line.load([*trained, "resume=must", "seed=5"]))
 
 
 def test_a_checkpoint_of_another_configuration_is_refused(trained):
@@ -191,7 +197,7 @@ def test_a_checkpoint_of_another_configuration_is_refused(trained):
     before = (folder / "checkpoint.pt").read_bytes()
     with pytest.raises(UserError, match=r"agent\.discount=0\.99 there, 0\.5 here"):
         runner.train(
-            config.load([*trained, "agent.discount=0.5", f"condition='{folder.parent.name}'"])
+            command_line.load([*trained, "agent.discount=0.5", f"condition='{folder.parent.name}'"])
         )
     assert (folder / "checkpoint.pt").read_bytes() == before
 
@@ -213,7 +219,7 @@ def test_evaluate_scores_a_run(trained):
     folder = folder_of(trained)
     result = run(f"run={folder}", "episodes=20", module="zipf.evaluate")
     assert result.returncode == 0, result.stderr
-    table = pd.read_csv(folder / "evaluation-2-seed0.csv")
+    table = pd.read_csv(folder / "evaluation-2-episodes20-seed0.csv")
     assert list(table["level_kind"]) == ["train", "uniform", "rare"]
     assert (table["episodes"] == 20).all()
     again = run(f"run={folder}", "episodes=20", module="zipf.evaluate")
@@ -256,3 +262,75 @@ def test_a_sweep_makes_a_run_per_job(tmp_path):
     assert len(descriptions) == 4
     assert len({description["condition"] for description in descriptions}) == 2
     assert {description["seed"] for description in descriptions} == {0, 1}
+
+
+def test_a_run_whose_checkpoint_is_gone_is_not_written_over(trained):
+    folder = folder_of(trained)
+    (folder / "checkpoint.pt").unlink()
+    before = (folder / "metrics.csv").read_text()
+    for mode in ("auto", "never"):
+        with pytest.raises(UserError, match="up to update 2"):
+            runner.train(command_line.load([*trained, f"resume={mode}"]))
+    assert (folder / "metrics.csv").read_text() == before
+
+
+def test_a_kill_before_the_first_checkpoint_starts_again(trained):
+    folder = folder_of(trained)
+    (folder / "checkpoint.pt").unlink()
+    rows = pd.read_csv(folder / "evaluations.csv")
+    rows[rows["update"] == 0].to_csv(folder / "evaluations.csv", index=False)
+    (folder / "metrics.csv").write_text("")
+    (folder / "situations.csv").write_text("update,level_k")
+    assert runner.train(command_line.load(trained)) == 0
+    assert list(pd.read_csv(folder / "metrics.csv")["update"]) == [1, 2]
+    assert sorted(pd.read_csv(folder / "evaluations.csv")["update"]) == [0, 0, 0, 2, 2, 2]
+
+
+def test_a_resumed_run_describes_how_it_went_on(trained):
+    folder = folder_of(trained)
+    began = run_folder.read_description(folder)
+    longer = [*trained, "updates=3", "schedule.window=[1,3]"]
+    assert runner.train(command_line.load(longer)) == 0
+    now = run_folder.read_description(folder)
+    assert now["started"] == began["started"]
+    assert (now["window"], now["num_updates"]) == ([1, 3], 3)
+    assert [again["update"] for again in now["resumed"]] == [2]
+
+
+def test_two_processes_do_not_train_in_one_folder(trained):
+    with run_folder.lock(folder_of(trained)):
+        result = run(*trained)
+    assert result.returncode == 2
+    assert "another process" in result.stderr
+
+
+def test_divergence_is_an_error_and_the_checkpoint_is_kept(trained):
+    with pytest.raises(UserError, match="diverged"):
+        runner.train(command_line.load([*trained, "seed=1", "agent.learning_rate=1e30"]))
+
+
+FULL_DISK = """
+import resource, sys
+from zipf.experiments import command_line, runner
+from zipf.experiments.errors import UserError
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))
+try:
+    runner.train(command_line.load(sys.argv[2:]))
+except UserError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("size", [0, 300, 2000, 20_000])
+def test_a_full_disk_is_one_line_and_loses_nothing(size, trained):
+    """A limit on file sizes stands for the disk: writes fail in the same way, at every file."""
+    before = learned(folder_of(trained))
+    arguments = [str(size), *trained, "updates=400", "evaluation.every=1"]
+    process = [sys.executable, "-c", FULL_DISK, *arguments]
+    result = subprocess.run(process, capture_output=True, text=True, timeout=120)
+    assert "cannot be written" in result.stdout, result.stderr
+    assert result.stderr == ""
+    after = learned(folder_of(trained))
+    assert after["update"] >= before["update"]
+    assert runner.train(command_line.load([*trained, f"updates={after['update'] + 1}"])) == 0

@@ -11,21 +11,21 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from zipf.experiments import config, runner
+from zipf.experiments import command_line, runner
 from zipf.experiments.errors import UserError
 
 _command_process = os.getpid()
 _failed: list[UserError] = []
 
 
-@hydra.main(version_base="1.3", config_path=str(config.CONFIG_DIR), config_name="train")
+@hydra.main(version_base="1.3", config_path=str(command_line.CONFIG_DIR), config_name="train")
 def _job(_: DictConfig) -> None:
     try:
-        stopped = runner.train(config.load(list(HydraConfig.get().overrides.task)))
+        stopped = runner.train(command_line.load(list(HydraConfig.get().overrides.task)))
     except UserError as error:
-        _tell(error)
-        if os.getpid() != _command_process:  # a sweep's worker: the launcher must hear of it
+        if os.getpid() != _command_process:  # a sweep's worker: its launcher brings it to `main`
             raise
+        _tell(error)
         _failed.append(error)
         return
     except KeyboardInterrupt:
@@ -41,11 +41,16 @@ def _tell(error: UserError) -> None:
 
 def main() -> None:
     """The command: checks every job first, then runs one after another."""
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # else Hydra prints a worker's exception and exits with 1
     arguments = get_args_parser().parse_args()
-    asks_only = arguments.help or arguments.hydra_help or arguments.cfg or arguments.info
+    asks = ("help", "hydra_help", "cfg", "info", "shell_completion", "version")
     try:
-        if not asks_only:
-            config.check_command_line(arguments.overrides)
+        if arguments.config_name or arguments.config_path or arguments.config_dir:
+            raise UserError("--config-name, --config-path and --config-dir: use experiment=<name>")
+        if not any(getattr(arguments, name, None) for name in asks):
+            jobs = command_line.check_command_line(arguments.overrides)
+            if jobs > 1 and not arguments.multirun:
+                raise UserError(f"several values make a sweep of {jobs} jobs; say so with -m")
         _job()
     except UserError as error:
         _tell(error)

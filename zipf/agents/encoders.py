@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import gymnasium as gym
@@ -111,6 +112,26 @@ def _compute_dtype(tensor: Tensor) -> torch.dtype:
     return torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else torch.float32
 
 
+class TileEncoder(nn.Module):
+    """Cell codes in the place of pixels, each embedded alike: uint8 [N, ...] each -> [N, F].
+
+    The arithmetic of `PatchEncoder` without its first product.
+    """
+
+    def __init__(self, spaces: list[gym.Space], options: CompactOptions):
+        super().__init__()
+        self.size = options.size
+        boxes = [space for space in spaces if isinstance(space, gym.spaces.Box)]
+        codes = max(int(box.high.max()) for box in boxes) + 1
+        cells = sum(math.prod(box.shape) for box in boxes)
+        self.embed = nn.Embedding(codes, options.channels)
+        self.mix = nn.Linear(cells * options.channels, options.size)
+
+    def forward(self, parts: list[Tensor]) -> Tensor:
+        cells = torch.cat([part.flatten(1) for part in parts], -1)
+        return self.mix(self.embed(cells.int()).relu().flatten(1)).relu()
+
+
 class InstructionEncoder(nn.Module):
     """Word embeddings and an LSTM, its output at the last word: int64 [N, L] -> [N, 32].
 
@@ -132,26 +153,31 @@ class InstructionEncoder(nn.Module):
 class Encoder(nn.Module):
     """Encodes every part of a dictionary observation and concatenates ("flatten+concat").
 
+    An observation has an `image`, or `tiles` and `cue` in its place, and may have an `instruction`.
+
     Raises:
-        ValueError: the observation space has a part that no encoder reads, or lacks an image.
+        ValueError: no encoder reads such observations.
     """
 
     def __init__(self, space: gym.spaces.Dict, options: ResNetOptions | CompactOptions):
         super().__init__()
-        unknown = set(space) - {"image", "instruction"}
-        if unknown or "image" not in space.spaces:
+        names = set(space) - {"instruction"}
+        self.seen: ResNet | PatchEncoder | TileEncoder
+        if names == {"image"}:
+            shape = space["image"].shape
+            assert shape is not None
+            if isinstance(options, ResNetOptions):
+                self.seen = ResNet(shape, options)
+            else:
+                self.seen = PatchEncoder(shape, options)
+        elif names == {"tiles", "cue"} and isinstance(options, CompactOptions):
+            self.seen = TileEncoder([space["tiles"], space["cue"]], options)
+        else:
             raise ValueError(
-                f"network={options.name} reads observations with an `image` and, where there is "
-                f"language, an `instruction`; this level gives {', '.join(sorted(space))}"
+                f"network={options.name} does not read observations of {', '.join(sorted(space))}; "
+                "resnet reads an image, compact an image or tiles"
             )
-        shape = space["image"].shape
-        assert shape is not None
-        self.image = (
-            ResNet(shape, options)
-            if isinstance(options, ResNetOptions)
-            else PatchEncoder(shape, options)
-        )
-        self.size = self.image.size
+        self.size = self.seen.size
         self.instruction = None
         if "instruction" in space.spaces:
             words = space["instruction"]
@@ -161,7 +187,10 @@ class Encoder(nn.Module):
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """`{name: [N, ...]}` -> `[N, size]`."""
-        parts = [self.image(observation["image"])]
+        if "image" in observation:
+            parts = [self.seen(observation["image"])]
+        else:
+            parts = [self.seen([observation["tiles"], observation["cue"]])]
         if self.instruction is not None:
             parts.append(self.instruction(observation["instruction"]))
         return torch.cat(parts, -1)

@@ -68,6 +68,8 @@ def load(path: Path) -> dict[str, Any]:
         state = torch.load(io.BytesIO(payload), map_location="cpu", weights_only=True)
     except UnpicklingError:
         raise UserError(f"{path}: holds more than data and was not loaded") from None
+    except (RuntimeError, EOFError, KeyError, ValueError) as error:
+        raise UserError(f"{path}: is not a checkpoint of this version ({error})") from None
     return state
 
 

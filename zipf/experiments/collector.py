@@ -17,6 +17,7 @@ from zipf.agents.memory import State
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.envs.vector import ZipfVectorEnv
+from zipf.experiments.checkpoint import arrays
 
 
 class Agent(Protocol):
@@ -124,7 +125,7 @@ class Collector:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
-        self.env.set_state({k: np.asarray(v) for k, v in state["environment"].items()})
+        self.env.set_state(arrays(state["environment"]))
         self.env.observations(out=self._row(self._observation, -1))
         self._memory = {k: v.to(self.device) for k, v in state["memory"].items()}
         self._generator.set_state(state["generator"])
@@ -132,9 +133,7 @@ class Collector:
         for name, value in state["inputs"].items():
             self._fields[name][-1] = value
         if self.exploration:
-            self.exploration.load_state_dict(
-                {k: np.asarray(v) for k, v in state["exploration"].items()}
-            )
+            self.exploration.load_state_dict(arrays(state["exploration"]))
 
     def _step(self, t: int) -> None:
         start = perf_counter()

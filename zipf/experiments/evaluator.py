@@ -26,7 +26,10 @@ KINDS = ("train", "uniform", "rare")
 
 
 class Policy(Protocol):
-    """Plays a batch of worlds; may remember."""
+    """Plays a batch of worlds; may remember.
+
+    Observations are written over at the next step: keep copies.
+    """
 
     def start(self, num_envs: int) -> None:
         """Forgets everything: `num_envs` new worlds begin."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,7 +16,9 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
-from torch.utils.tensorboard.writer import SummaryWriter
+from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+from tensorboard.compat.proto.summary_pb2 import Summary
+from tensorboard.summary.writer.record_writer import RecordWriter
 
 from zipf.experiments.errors import UserError
 from zipf.experiments.evaluator import KINDS, Result
@@ -27,60 +30,88 @@ class Logger:
     Args:
         folder: the run's folder.
         resume_at: forget what was written after this update; -1 for a new run.
+
+    Raises (here and in every method):
+        UserError: the disk is full or cannot be written.
     """
 
     def __init__(self, folder: Path, resume_at: int):
         self.folder = folder
         for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
-            _forget_after(folder / name, resume_at)
-        # SummaryWriter hides the steps that the run is about to take again.
-        self.tensorboard = SummaryWriter(str(folder / "tensorboard"), purge_step=resume_at + 1)
+            with _writing(folder / name):
+                _forget_after(folder / name, resume_at)
+        events = folder / "tensorboard"
+        with _writing(events):
+            events.mkdir(exist_ok=True)
+            # Written here and now: TensorBoard's own writer does so in a thread, where a full disk
+            # goes unheard.
+            name = f"events.out.tfevents.{time.time_ns()}"
+            self._events = open(events / name, "wb")  # noqa: SIM115
+        self._records = RecordWriter(self._events)
+        self._event(file_version="brain.Event:2")
+        # Hides what was shown of the steps that a resumed run takes again.
+        self._event(step=resume_at + 1, session_log=SessionLog(status=SessionLog.START))
 
     def metrics(self, update: int, metrics: Mapping[str, float]) -> None:
         """One wide row; the columns are those of the first row ever written."""
         self._append("metrics.csv", [{"update": update, **metrics}])
-        for name, value in metrics.items():
-            self.tensorboard.add_scalar(f"train/{name}", value, update)
+        self._scalars(update, {f"train/{name}": value for name, value in metrics.items()})
 
     def evaluation(self, when: Mapping[str, float], results: list[Result]) -> None:
         """The rows of an evaluation, and of the situations in it."""
-        self._append("evaluations.csv", [{**when, **result.row()} for result in results])
+        update = int(when["update"])
         for result in results:
             situations = result.situations()
-            situations.insert(0, "update", int(when["update"]))
+            situations.insert(0, "update", update)
             self._append("situations.csv", situations.to_dict("records"))
-            self.tensorboard.add_scalar(f"score/{result.kind}", result.score, int(when["update"]))
+        self._append("evaluations.csv", [{**when, **result.row()} for result in results])
+        self._scalars(update, {f"score/{result.kind}": result.score for result in results})
 
     def text(self, line: str) -> None:
         """One line of `train.log`."""
         self._write("train.log", f"{time.strftime('%Y-%m-%d %H:%M:%S')} {line}\n")
 
     def close(self) -> None:
-        """Flushes TensorBoard."""
-        self.tensorboard.close()
+        """Closes TensorBoard's file."""
+        self._events.close()
 
     def _append(self, name: str, rows: list[Any]) -> None:
-        path = self.folder / name
-        columns = _columns(path) or list(rows[0])
+        columns = _columns(self.folder / name)
         text = io.StringIO()
-        writer = csv.DictWriter(text, columns, restval="", extrasaction="ignore")
-        if not path.exists():
+        writer = csv.DictWriter(text, columns or list(rows[0]), restval="", extrasaction="ignore")
+        if not columns:
             writer.writeheader()
         writer.writerows(rows)
         self._write(name, text.getvalue())
 
     def _write(self, name: str, text: str) -> None:
         path = self.folder / name
-        try:
-            with open(path, "a", newline="") as file:
-                file.write(text)
-        except OSError as error:
-            raise UserError(
-                f"{path}: cannot be written: {error.strerror}; the last checkpoint is kept"
-            ) from None
+        with _writing(path), open(path, "a", newline="") as file:
+            file.write(text)
+
+    def _scalars(self, update: int, values: Mapping[str, float]) -> None:
+        summary = [Summary.Value(tag=tag, simple_value=value) for tag, value in values.items()]
+        self._event(step=update, summary=Summary(value=summary))
+
+    def _event(self, **content: Any) -> None:
+        event = Event(wall_time=time.time(), **content)
+        with _writing(self.folder / "tensorboard"):
+            self._records.write(event.SerializeToString())
+            self._events.flush()
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot be written: {error.strerror}; the last checkpoint is kept"
+        ) from None
 
 
 def _columns(path: Path) -> list[str]:
+    """The columns of a table that has been begun."""
     if not path.exists():
         return []
     with open(path, newline="") as file:
@@ -91,15 +122,13 @@ def _forget_after(path: Path, update: int) -> None:
     """Drops the rows that a resumed run will write again, and a last line cut short by a crash."""
     if not path.exists():
         return
-    lines = path.read_text().splitlines(keepends=True)
-    position = lines[0].rstrip().split(",").index("update")
-    kept = [
-        line
-        for line in lines[1:]
-        if line.endswith("\n") and int(line.split(",")[position]) <= update
-    ]
+    header, *rows = path.read_text().splitlines(keepends=True) or [""]
+    if not header.endswith("\n"):
+        path.unlink()
+        return
+    kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= update]
     replacement = path.with_name(path.name + ".new")
-    replacement.write_text("".join([lines[0], *kept]))
+    replacement.write_text("".join([header, *kept]))
     replacement.replace(path)
 
 
@@ -114,10 +143,8 @@ def write_results(stem: Path, results: list[Result]) -> list[Path]:
         stem.with_name(f"{stem.name}-situations.csv"): pd.concat([r.situations() for r in results]),
     }
     for path, table in tables.items():
-        try:
+        with _writing(path):
             table.to_csv(path, index=False)
-        except OSError as error:
-            raise UserError(f"{path}: cannot be written: {error.strerror}") from None
     return list(tables)
 
 

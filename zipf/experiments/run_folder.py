@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import platform
 import shlex
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import ValidationError
 from yaml import YAMLError
 
 import zipf
@@ -36,6 +38,14 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
     if not path.exists():
         if config.resume == "must":
             raise UserError(f"resume=must: there is no checkpoint {path}")
+        for name in ("metrics.csv", "evaluations.csv"):
+            last = last_update(config.folder / name)
+            if last > 0:
+                raise UserError(
+                    f"{config.folder / name}: holds results up to update {last}, and their "
+                    "checkpoint is gone; bring it back, or remove the folder, or choose another "
+                    "run_root or condition"
+                )
         return None
     if config.resume == "never":
         raise UserError(
@@ -64,12 +74,28 @@ def check_options(path: Path, saved: dict[str, Any], config: Config) -> None:
         )
 
 
-def write_description(config: Config) -> None:
+def write_description(config: Config, resumed_at: int | None) -> None:
     """Writes `config.yaml` and `run.json`: what is run, how and with what.
+
+    A resumed run keeps the description of how it began; how it went on is added to `resumed`.
 
     Raises:
         UserError: the folder cannot be written.
     """
+    how: dict[str, Any] = {
+        "command": shlex.join(["python", "-m", "zipf.train", *sys.argv[1:]]),
+        "commit": _commit(),
+        "version": zipf.__version__,
+        "torch": torch.__version__,
+        "python": platform.python_version(),
+        "device": _device_name(config.torch_device),
+        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "resumed": [],
+    }
+    if resumed_at is not None and (config.folder / "run.json").exists():
+        began = read_description(config.folder)
+        again = {"update": resumed_at, **{k: v for k, v in how.items() if k != "resumed"}}
+        how = {k: began.get(k) for k in how} | {"resumed": [*began.get("resumed", []), again]}
     split = levels.split(config.environment.split)
     chance = {kind: levels.chance(getattr(split, kind), **config.level_options) for kind in KINDS}
     description = {
@@ -77,19 +103,13 @@ def write_description(config: Config) -> None:
         "condition": config.condition,
         "seed": config.seed,
         "split": config.environment.split,
-        "command": shlex.join(["python", "-m", "zipf.train", *sys.argv[1:]]),
-        "commit": _commit(),
-        "version": zipf.__version__,
-        "torch": torch.__version__,
-        "device": _device_name(config.torch_device),
         "precision": config.precision,
         "window": config.schedule.window,
         "num_updates": config.updates,
-        "python": platform.python_version(),
-        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "chance": chance,
         "environment": config.level_options,
         "paper": config.environment.split if config.is_released_benchmark else None,
+        **how,
     }
     try:
         config.folder.mkdir(parents=True, exist_ok=True)
@@ -97,6 +117,34 @@ def write_description(config: Config) -> None:
         (config.folder / "run.json").write_text(json.dumps(description, indent=2) + "\n")
     except OSError as error:
         raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
+
+
+def last_update(path: Path) -> int:
+    """The last update that a result file has a row of; -1 where it has none."""
+    if not path.exists():
+        return -1
+    lines = path.read_text().splitlines(keepends=True)
+    rows = [line for line in lines[1:] if line.endswith("\n")]
+    return int(rows[-1].split(",")[0]) if rows else -1
+
+
+@contextmanager
+def lock(folder: Path) -> Iterator[None]:
+    """Holds a run's folder against other processes, until this one ends, however it ends.
+
+    Raises:
+        UserError: another process is training there, or the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = open(folder / "lock", "w")  # noqa: SIM115
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise UserError(f"{folder}: another process is training there") from None
+    except OSError as error:
+        raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
+    with file:
+        yield
 
 
 def read_config(folder: Path) -> Config:
@@ -110,13 +158,15 @@ def read_config(folder: Path) -> Config:
         raise UserError(f"{folder}: is no run's folder (it has no config.yaml)")
     try:
         return Config.model_validate(OmegaConf.to_container(OmegaConf.load(path)))
-    except (ValidationError, OmegaConfBaseException, YAMLError, OSError) as error:
+    except (ValueError, OmegaConfBaseException, YAMLError, OSError) as error:
         first = str(error).splitlines()[0]
         raise UserError(f"{path}: is not a configuration of this version ({first})") from None
 
 
 def read_description(folder: Path) -> dict[str, Any]:
     """What `write_description` wrote to `run.json`."""
+    if not (folder / "run.json").is_file():
+        raise UserError(f"{folder}: is no run's folder (it has no run.json)")
     try:
         return json.loads((folder / "run.json").read_text())
     except (OSError, ValueError) as error:

@@ -6,6 +6,8 @@ import ctypes
 import platform
 import signal
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -19,7 +21,7 @@ from zipf.envs import levels
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments import checkpoint, run_folder
 from zipf.experiments.collector import Agent, Collector
-from zipf.experiments.config import Config
+from zipf.experiments.config import Config, EvaluateOptions
 from zipf.experiments.errors import UserError
 from zipf.experiments.evaluator import AgentPolicy, Result, derive_seed, evaluate
 from zipf.experiments.logger import Display, Logger
@@ -34,15 +36,19 @@ def train(config: Config) -> int:
         UserError: the run cannot begin, go on or be written; what was saved before is kept.
     """
     keep_memory()
-    run = Run(config)
+    with run_folder.lock(config.folder):
+        return _train(Run(config))
+
+
+def _train(run: Run) -> int:
+    config = run.config
     with run.display, StopSignals(run.display) as stop:
         if run.update == 0:
             run.evaluate()
             run.save()
         while run.update < config.updates and not stop.requested:
             unroll = run.collector.collect()
-            with run.seconds("learning"):
-                metrics = run.agent.update(unroll)
+            metrics = run.learn(unroll)
             run.update += 1
             if run.update % config.schedule.log_every == 0:
                 run.log(unroll, metrics)
@@ -80,18 +86,21 @@ class Run:
         torch.manual_seed(config.seed)
         if saved:
             self.load(saved)
-        else:
-            run_folder.write_description(config)
+        run_folder.write_description(config, resumed_at=self.update if saved else None)
         self.logger = Logger(self.folder, resume_at=self.update if saved else -1)
         self._logged = self.seconds.total - self.seconds.spent["evaluation"], self.update
         name = f"{config.experiment} {config.condition} seed {config.seed}"
-        where = f"resumes at update {self.update}" if saved else "a new run"
+        where = "a new run"
+        if saved:
+            done = self.update >= config.updates
+            where = f"{'is finished' if done else 'resumes'} at update {self.update}"
         self.display = Display(name, config.updates, self.update)
         self.display.say(f"{name}: {where}, on {config.torch_device}, in {self.folder}")
         self.logger.text(f"{name}: {where}, on {config.torch_device}")
 
     def save(self) -> None:
         """Writes the checkpoint."""
+        self.seconds.take(self.collector.seconds)
         state = {
             "options": self.config.what_is_learned,
             "update": self.update,
@@ -109,6 +118,21 @@ class Run:
         self.agent.load_state_dict(saved["agent"])
         self.collector.load_state_dict(saved["collector"])
         torch.set_rng_state(saved["torch_rng"])
+
+    def learn(self, unroll: Unroll) -> dict[str, float]:
+        """One update.
+
+        Raises:
+            UserError: learning has diverged.
+        """
+        try:
+            with self.seconds("learning"):
+                return self.agent.update(unroll)
+        except FloatingPointError as error:
+            raise UserError(
+                f"{self.folder}: learning diverged at update {self.update + 1} ({error}); the "
+                "checkpoint before it is kept; a smaller agent.learning_rate may help"
+            ) from None
 
     def log(self, unroll: Unroll, metrics: dict[str, float]) -> None:
         """Writes a row of metrics."""
@@ -194,21 +218,26 @@ def evaluate_agent(
     )
 
 
-def evaluate_run(
-    folder: Path, *, episodes: int, num_envs: int, seed: int, device: str
-) -> tuple[int, list[Result]]:
+def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
     """Scores the agent of a run's checkpoint; returns the update it stands at and its scores.
 
     Raises:
         UserError: no run, no checkpoint, or one that is damaged or of another configuration.
     """
-    config = run_folder.read_config(folder).model_copy(update={"device": device})
+    folder = Path(options.run)
+    config = run_folder.read_config(folder).model_copy(update={"device": options.device})
     saved = checkpoint.load(folder / "checkpoint.pt")
     run_folder.check_options(folder / "checkpoint.pt", saved, config)
     env = levels.make_vec(levels.split(config.environment.split).train, 1, **config.level_options)
     agent = build_agent(config, env)
     agent.load_state_dict(saved["agent"])
-    results = evaluate_agent(config, agent, episodes=episodes, num_envs=num_envs, seed=seed)
+    results = evaluate_agent(
+        config,
+        agent,
+        episodes=options.episodes,
+        num_envs=options.num_envs,
+        seed=options.seed,
+    )
     return saved["update"], results
 
 
@@ -229,15 +258,11 @@ class Seconds:
             self.spent[part] += spent
             measured[part] = 0.0
 
-    def __call__(self, part: str) -> Seconds:
-        self._part = part
-        return self
-
-    def __enter__(self) -> None:
-        self._start = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self.spent[self._part] += time.perf_counter() - self._start
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.spent[part] += time.perf_counter() - start
 
 
 class StopSignals:
@@ -270,6 +295,7 @@ def keep_memory() -> None:
     if platform.libc_ver()[0] == "glibc":
         trim_threshold, top_pad, mmap_threshold = -1, -2, -3
         libc = ctypes.CDLL(None)
-        libc.mallopt(mmap_threshold, 2**30)
+        if not libc.mallopt(mmap_threshold, 2**30):  # before glibc 2.35 it was bounded
+            libc.mallopt(mmap_threshold, 2**25)
         libc.mallopt(trim_threshold, 2**31 - 1)
         libc.mallopt(top_pad, 2**26)

@@ -1,0 +1,230 @@
+"""IMPALA's update against its definition, written out step by step, and its directions."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from zipf.agents.encoders import CompactOptions
+from zipf.agents.impala import Impala, ImpalaOptions
+from zipf.agents.memory import LSTMOptions
+from zipf.agents.network import Inputs
+from zipf.agents.returns import vtrace
+from zipf.agents.unroll import Unroll
+
+ACTIONS, STEPS, BATCH = 3, 6, 4
+OPTIONS = ImpalaOptions(
+    name="impala",
+    learning_rate=1e-3,
+    adam_beta1=0.9,
+    adam_beta2=0.999,
+    adam_epsilon=1e-8,
+    max_gradient_norm=1e9,
+    discount=0.9,
+    baseline_cost=0.6,
+    entropy_cost=0.05,
+    clip_rho=1.0,
+    clip_pg_rho=1.0,
+    clip_c=1.0,
+    trace_lambda=1.0,
+)
+
+
+def agent(**changes):
+    return Impala(
+        gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
+        gym.spaces.Discrete(ACTIONS),
+        OPTIONS.model_copy(update=changes),
+        CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=0),
+        LSTMOptions(name="lstm", size=16),
+        seed=0,
+    )
+
+
+def unroll(seed=0):
+    rng = np.random.default_rng(seed)
+    shape = (STEPS + 1, BATCH)
+
+    def floats(*tail):
+        return torch.tensor(rng.normal(size=(*shape, *tail)), dtype=torch.float32)
+
+    ended = torch.tensor(rng.random(shape) < 0.4)
+    cut = torch.tensor(rng.random(shape) < 0.5)
+    images = rng.integers(256, size=(*shape, 9, 9, 3))
+    steps = TensorDict(
+        {
+            "previous_action": torch.tensor(rng.integers(ACTIONS, size=shape)),
+            "previous_reward": floats(),
+            "is_first": torch.cat([torch.zeros(1, BATCH, dtype=torch.bool), ended[:-1]]),
+            "action": torch.tensor(rng.integers(ACTIONS, size=shape)),
+            "reward": floats(),
+            "bonus": floats().abs(),
+            "terminated": ended & ~cut,
+            "truncated": ended & cut,
+            "truncation_value": floats(),
+            "logits": floats(ACTIONS),
+            "observation": TensorDict(
+                {"image": torch.tensor(images, dtype=torch.uint8)}, batch_size=shape
+            ),
+        },
+        batch_size=shape,
+    )
+    memory = {part: floats(4)[0].repeat(1, 4) for part in ("hidden", "cell")}
+    return Unroll(steps, memory)
+
+
+def by_hand(impala, data):
+    """The losses of the definition, one world and one step at a time."""
+    o, steps = impala.options, data.steps
+    with torch.no_grad():
+        outputs = impala.network(Inputs.of(steps), data.memory)
+    policy_loss = baseline_loss = entropy = 0.0
+    for b in range(BATCH):
+        value = outputs.value[:, b].double()
+        log_pi = outputs.logits[:, b].double().log_softmax(-1)
+        log_mu = steps["logits"][:, b].double().log_softmax(-1)
+        following_target = value[STEPS]
+        for t in reversed(range(STEPS)):
+            a = steps["action"][t, b]
+            ratio = (log_pi[t, a] - log_mu[t, a]).exp()
+            reward = steps["reward"][t, b] + steps["bonus"][t, b]
+            next_value, next_target = value[t + 1], following_target
+            if steps["terminated"][t, b]:
+                next_value = next_target = torch.tensor(0.0)
+            if steps["truncated"][t, b]:
+                next_value = next_target = steps["truncation_value"][t, b]
+            clipped = min(ratio, torch.tensor(1.0))
+            target = (
+                value[t]
+                + clipped * (reward + o.discount * next_value - value[t])
+                + o.discount * clipped * (next_target - next_value)
+            )
+            advantage = clipped * (reward + o.discount * next_target - value[t])
+            policy_loss -= log_pi[t, a] * advantage
+            baseline_loss += 0.5 * (target - value[t]) ** 2
+            entropy -= (log_pi[t].exp() * log_pi[t]).sum()
+            following_target = target
+    n = STEPS * BATCH
+    parts = policy_loss / n, baseline_loss / n, entropy / n
+    return parts, parts[0] + o.baseline_cost * parts[1] - o.entropy_cost * parts[2]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_losses_are_the_definitions(seed):
+    impala, data = agent(), unroll(seed)
+    assert data.steps["terminated"].any()
+    assert data.steps["truncated"].any()
+    (policy_loss, baseline_loss, entropy), loss = by_hand(impala, data)
+    metrics = impala.update(data)
+    assert metrics["policy_loss"] == pytest.approx(policy_loss.item(), rel=1e-4)
+    assert metrics["baseline_loss"] == pytest.approx(baseline_loss.item(), rel=1e-4)
+    assert metrics["entropy"] == pytest.approx(entropy.item(), rel=1e-4)
+    assert metrics["loss"] == pytest.approx(loss.item(), rel=1e-4)
+
+
+def test_the_gradients_are_the_definitions():
+    """Targets and advantages are constants: finite differences of the loss with both held fixed."""
+    impala, data = agent(baseline_cost=0.0, entropy_cost=0.0), unroll()
+    before = {name: p.detach().clone() for name, p in impala.network.named_parameters()}
+    impala.update(data)
+    bias = impala.network.policy.bias.grad.clone()
+    impala.network.load_state_dict(before)
+    outputs = impala.network(Inputs.of(data.steps), data.memory)
+    log_pi = outputs.logits[:-1].log_softmax(-1)
+    (expected_loss, _, _), _ = by_hand(impala, data)
+    # d/d bias_k of -log pi(a) A is (pi_k - [a = k]) A, averaged.
+    chosen = torch.nn.functional.one_hot(data.steps["action"][:-1], ACTIONS)
+    taken = (log_pi * chosen).sum(-1)
+    s = data.steps[:-1]
+    mu = (s["logits"].log_softmax(-1) * chosen).sum(-1)
+    advantages = vtrace(
+        log_ratios=(taken - mu).detach(),
+        rewards=s["reward"] + s["bonus"],
+        values=outputs.value.detach(),
+        terminated=s["terminated"],
+        truncated=s["truncated"],
+        truncation_values=s["truncation_value"],
+        discount=OPTIONS.discount,
+    ).advantages
+    expected = ((log_pi.exp() - chosen) * advantages.unsqueeze(-1)).mean((0, 1))
+    torch.testing.assert_close(bias, expected.detach(), rtol=1e-4, atol=1e-6)
+    assert expected_loss == pytest.approx((-taken * advantages).mean().item(), rel=1e-4)
+
+
+def test_what_was_rewarded_becomes_likelier_and_the_value_follows():
+    impala, data = agent(entropy_cost=0.0, learning_rate=1e-2), unroll()
+    steps = data.steps
+    steps["reward"] = (steps["action"] == 1).float()
+    steps["bonus"].zero_()
+    steps["terminated"].fill_(True)
+    steps["truncated"].fill_(False)
+
+    def now():
+        with torch.no_grad():
+            outputs = impala.network(Inputs.of(steps), data.memory)
+        return outputs.logits[:-1].softmax(-1)[..., 1].mean(), outputs.value[:-1]
+
+    before, _ = now()
+    for _ in range(100):
+        impala.update(data)
+    after, value = now()
+    assert after > before + 0.2
+    # The data are of a policy that was rewarded a third of the time; the value is the new policy's.
+    assert (value - 1).abs().mean() < 0.2
+
+
+def test_entropy_cost_keeps_the_policy_broad():
+    entropies = []
+    for cost in (0.0, 1.0):
+        impala, data = agent(entropy_cost=cost, learning_rate=1e-2), unroll()
+        for _ in range(60):
+            metrics = impala.update(data)
+        entropies.append(metrics["entropy"])
+    assert entropies[1] > entropies[0] + 0.2
+    assert entropies[1] == pytest.approx(np.log(ACTIONS), abs=0.2)
+
+
+def test_gradients_are_clipped():
+    impala = agent(max_gradient_norm=1e-3)
+    metrics = impala.update(unroll())
+    norms = [p.grad.norm() for p in impala.network.parameters()]
+    assert metrics["gradient_norm"] > 1e-3
+    assert torch.stack(norms).norm().item() == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_divergence_changes_nothing():
+    impala, data = agent(), unroll()
+    data.steps["reward"][0, 0] = float("inf")
+    before = {name: p.detach().clone() for name, p in impala.network.named_parameters()}
+    with pytest.raises(FloatingPointError):
+        impala.update(data)
+    for name, parameter in impala.network.named_parameters():
+        assert torch.equal(parameter, before[name])
+
+
+def test_actions_follow_the_policy():
+    impala = agent()
+    n = 4000
+    inputs = Inputs(
+        {"image": torch.full((n, 9, 9, 3), 200, dtype=torch.uint8)},
+        torch.full((n,), -1),
+        torch.zeros(n),
+        torch.ones(n, dtype=torch.bool),
+    )
+    generator = torch.Generator().manual_seed(0)
+    action, _, behaviour = impala.act(inputs, impala.initial_memory(n), generator)
+    probabilities = behaviour["logits"][0].softmax(-1).numpy()
+    assert probabilities.max() - probabilities.min() > 0.01
+    frequencies = np.bincount(action.numpy(), minlength=ACTIONS) / n
+    sigma = np.sqrt(probabilities * (1 - probabilities) / n)
+    assert (abs(frequencies - probabilities) < 4 * sigma).all()
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_it_continues_from_its_state(precision):
+    one, other = agent(), agent()
+    one.precision = other.precision = precision
+    one.update(unroll(0))
+    other.load_state_dict(one.state_dict())
+    assert one.update(unroll(1)) == other.update(unroll(1))
