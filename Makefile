@@ -24,7 +24,7 @@ wheel: $(VENV)/.installed  ## build the wheel into dist/
 	$(BIN)/python -m build --wheel
 
 results: $(VENV)/.installed  ## write RESULTS.md from the files in results/
-	$(BIN)/python -m zipf.report results --output results/report --record RESULTS.md
+	$(BIN)/python -m zipf.report results --record RESULTS.md
 
 clean:  ## remove the virtual environment and what was built; runs are kept
 	rm -rf $(VENV) dist build

@@ -457,7 +457,7 @@ def test_a_missing_level_is_noted(tmp_path: Path) -> None:
 
 def test_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert refusal(capsys, str(tmp_path)) == (
-        f"zipf.report: no run found under {tmp_path.as_posix()}: a run's folder has a run.json\n"
+        f"error: no run found under {tmp_path.as_posix()}: a run's folder has a run.json\n"
     )
     assert not list(tmp_path.iterdir())
 

@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         report(chosen.folders, chosen.output, chosen.window, record=chosen.record)
     except UserError as error:
-        print(f"zipf.report: {error}", file=sys.stderr)
+        print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
 
