@@ -31,7 +31,7 @@ def test_the_patch_encoder_is_a_convolution():
     torch.manual_seed(0)
     encoder = Encoder(gym.spaces.Dict(image=image_space(18, 27)), COMPACT)
     image = images(4, 18, 27)
-    patches = encoder.seen
+    patches = encoder.image
     kernel = patches.embed.weight.view(5, 9, 9, 3).permute(0, 3, 1, 2)
     pixels = image.permute(0, 3, 1, 2) / 255
     embedded = F.conv2d(pixels, kernel, patches.embed.bias, stride=9).relu()
@@ -53,7 +53,7 @@ def test_the_resnet_sees_pixels_between_0_and_1():
     torch.manual_seed(0)
     encoder = Encoder(gym.spaces.Dict(image=image_space(8, 8)), RESNET)
     image = images(3, 8, 8)
-    expected = encoder.seen.layers(image.permute(0, 3, 1, 2).double().float() / 255)
+    expected = encoder.image.layers(image.permute(0, 3, 1, 2).double().float() / 255)
     torch.testing.assert_close(encoder({"image": image}), expected)
 
 

@@ -215,6 +215,18 @@ def test_a_damaged_checkpoint_is_an_error_and_never_a_fresh_start(trained):
     assert path.read_bytes() == content
 
 
+def test_a_checkpoint_of_another_version_is_refused(trained):
+    path = folder_of(trained) / "checkpoint.pt"
+    state = checkpoint.load(path)
+    state["agent"]["network"]["renamed"] = state["agent"]["network"].pop("policy.weight")
+    checkpoint.save(path, state)
+    with pytest.raises(UserError, match="does not fit this version"):
+        runner.train(command_line.load(trained))
+    checkpoint.save(path, {"update": 2})
+    with pytest.raises(UserError, match="does not fit this version"):
+        runner.train(command_line.load(trained))
+
+
 def test_evaluate_scores_a_run(trained):
     folder = folder_of(trained)
     result = run(f"run={folder}", "episodes=20", module="zipf.evaluate")

@@ -162,22 +162,22 @@ class Encoder(nn.Module):
     def __init__(self, space: gym.spaces.Dict, options: ResNetOptions | CompactOptions):
         super().__init__()
         names = set(space) - {"instruction"}
-        self.seen: ResNet | PatchEncoder | TileEncoder
+        self.image: ResNet | PatchEncoder | TileEncoder  # what sees, pixels or tiles
         if names == {"image"}:
             shape = space["image"].shape
             assert shape is not None
             if isinstance(options, ResNetOptions):
-                self.seen = ResNet(shape, options)
+                self.image = ResNet(shape, options)
             else:
-                self.seen = PatchEncoder(shape, options)
+                self.image = PatchEncoder(shape, options)
         elif names == {"tiles", "cue"} and isinstance(options, CompactOptions):
-            self.seen = TileEncoder([space["tiles"], space["cue"]], options)
+            self.image = TileEncoder([space["tiles"], space["cue"]], options)
         else:
             raise ValueError(
                 f"network={options.name} does not read observations of {', '.join(sorted(space))}; "
                 "resnet reads an image, compact an image or tiles"
             )
-        self.size = self.seen.size
+        self.size = self.image.size
         self.instruction = None
         if "instruction" in space.spaces:
             words = space["instruction"]
@@ -188,9 +188,9 @@ class Encoder(nn.Module):
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """`{name: [N, ...]}` -> `[N, size]`."""
         if "image" in observation:
-            parts = [self.seen(observation["image"])]
+            parts = [self.image(observation["image"])]
         else:
-            parts = [self.seen([observation["tiles"], observation["cue"]])]
+            parts = [self.image([observation["tiles"], observation["cue"]])]
         if self.instruction is not None:
             parts.append(self.instruction(observation["instruction"]))
         return torch.cat(parts, -1)

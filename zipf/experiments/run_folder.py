@@ -61,7 +61,8 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
 
 def check_options(path: Path, saved: dict[str, Any], config: Config) -> None:
     """Raises `UserError` where a checkpoint was made with other options than these."""
-    there, here = saved["options"], config.what_is_learned
+    with fits(path):
+        there, here = saved["options"], config.what_is_learned
     differing = [
         f"{name}={there.get(name)} there, {here.get(name)} here"
         for name in sorted(there.keys() | here.keys())
@@ -72,6 +73,16 @@ def check_options(path: Path, saved: dict[str, Any], config: Config) -> None:
             f"{path}: was made with other options ({'; '.join(differing)}); choose another "
             "run_root or condition, or the same options"
         )
+
+
+@contextmanager
+def fits(path: Path) -> Iterator[None]:
+    """Raises `UserError` where what a checkpoint holds does not fit the parts of this version."""
+    try:
+        yield
+    except (KeyError, RuntimeError, ValueError) as error:
+        first = str(error).splitlines()[0]
+        raise UserError(f"{path}: does not fit this version of zipf ({first})") from None
 
 
 def write_description(config: Config, resumed_at: int | None) -> None:

@@ -113,11 +113,12 @@ class Run:
 
     def load(self, saved: dict[str, Any]) -> None:
         """Stands where a checkpoint stood."""
-        self.update = saved["update"]
-        self.seconds.spent = saved["seconds"]
-        self.agent.load_state_dict(saved["agent"])
-        self.collector.load_state_dict(saved["collector"])
-        torch.set_rng_state(saved["torch_rng"])
+        with run_folder.fits(self.folder / "checkpoint.pt"):
+            self.update = saved["update"]
+            self.seconds.spent = saved["seconds"]
+            self.agent.load_state_dict(saved["agent"])
+            self.collector.load_state_dict(saved["collector"])
+            torch.set_rng_state(saved["torch_rng"])
 
     def learn(self, unroll: Unroll) -> dict[str, float]:
         """One update.
@@ -230,7 +231,8 @@ def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
     run_folder.check_options(folder / "checkpoint.pt", saved, config)
     env = levels.make_vec(levels.split(config.environment.split).train, 1, **config.level_options)
     agent = build_agent(config, env)
-    agent.load_state_dict(saved["agent"])
+    with run_folder.fits(folder / "checkpoint.pt"):
+        agent.load_state_dict(saved["agent"])
     results = evaluate_agent(
         config,
         agent,
