@@ -15,11 +15,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from rich.console import Console
 
 from zipf import report
 from zipf.experiments import paper, plots, rendering, results, tables
@@ -201,6 +205,24 @@ def test_the_papers_numbers_stand_beside(runs: Path) -> None:
     assert (rare["paper_value"], rare["paper_error"]) == (0.24, 0.04)
     assert np.isnan(row(table, "my_agent", "rare")["paper_value"])
     assert table.chance == CHANCE
+
+
+def test_a_table_without_a_published_number_is_silent_about_the_paper(tmp_path: Path) -> None:
+    write_run(tmp_path / "mine", constant(0.5), condition="mine")
+    table = only_table(tmp_path)
+    assert "| Condition | Seeds | Train (Zipfian) | Uniform | Rare |" in rendering.markdown(table)
+    assert "aper" not in rendering.markdown(table)
+    write_run(tmp_path / "theirs", constant(0.5))
+    console = Console(record=True, width=120)
+    rendering.print_table(only_table(tmp_path), console)
+    assert console.export_text().count("│   paper ") == 1
+
+
+def test_the_caption_tells_how_many_episodes_of_any_run(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5))
+    path = write_run(tmp_path, constant(0.5), seed=1) / "evaluations.csv"
+    path.write_text(path.read_text().replace(",1000,", ",7,"))
+    assert "Episodes per estimate: 7 to 1,000." in rendering.caption(only_table(tmp_path))
 
 
 def test_rows_are_in_the_papers_order(tmp_path: Path) -> None:
@@ -625,19 +647,88 @@ def test_figures_keep_their_text_inside(tmp_path: Path) -> None:
         write_run(tmp_path, constant(0.5), condition=condition, situations=(header, *cells))
     table = only_table(tmp_path)
     styles = plots.line_styles(set(table.conditions))
-    figures = [
-        plots.learning_curves(table, styles),
-        plots.success_against_rank(table, styles),
-        plots.success_by_situation(table),
-    ]
-    for figure in figures:
-        assert figure is not None
-        figure.canvas.draw()
-        inside = figure.get_tightbbox().padded(-0.01)
-        assert inside.x0 >= 0
-        assert inside.y0 >= 0
-        assert inside.x1 <= figure.get_figwidth()
-        assert inside.y1 <= figure.get_figheight()
+    with matplotlib.rc_context(plots.STYLE):
+        assert_text_is_inside(plots.learning_curves(table, styles))
+        assert_text_is_inside(plots.success_against_rank(table, styles))
+        assert_text_is_inside(plots.success_by_situation(table))
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 5])
+def test_a_heat_map_makes_room_for_its_titles(tmp_path: Path, count: int) -> None:
+    header = "update,level_kind,map,target,episodes,successes,return_sum"
+    cells = [f"300,uniform,{m},{t},10,5,5.0" for m in range(5) for t in range(4)]
+    settings = ",precision=bfloat16,collector.num_envs=2,network.size=16,memory.size=16"
+    for number in range(count):
+        condition = f"impala_mlp,number={number}{settings if number else ''}"
+        write_run(tmp_path, constant(0.5), condition=condition, situations=(header, *cells))
+    with matplotlib.rc_context(plots.STYLE):
+        figure = plots.success_by_situation(only_table(tmp_path))
+        assert_text_is_inside(figure)
+    assert figure is not None
+    panel = figure.axes[0].get_window_extent()
+    assert 0.7 < panel.width / panel.height < 1.4
+
+
+def assert_text_is_inside(figure: Figure | None) -> None:
+    assert figure is not None
+    figure.draw_without_rendering()
+    inside = figure.get_tightbbox().padded(-0.01)
+    assert inside.x0 >= 0
+    assert inside.y0 >= 0
+    assert inside.x1 <= figure.get_figwidth()
+    assert inside.y1 <= figure.get_figheight()
+    # Inside, but one above the other, is no better.
+    for axis in figure.axes:
+        title = axis.title.get_window_extent()
+        heading = figure._suptitle.get_window_extent()  # type: ignore[attr-defined]
+        assert not axis.get_title() or title.y1 <= heading.y0
+
+
+def test_few_updates_have_whole_ticks(tmp_path: Path) -> None:
+    write_run(tmp_path, {0: (0.1, 0.1, 0.1), 1: (0.2, 0.2, 0.2)}, window=[0, 1], num_updates=1)
+    table = only_table(tmp_path)
+    figure = plots.learning_curves(table, plots.line_styles(set(table.conditions)))
+    assert figure is not None
+    figure.draw_without_rendering()
+    axis = figure.axes[0].xaxis
+    ticks = [tick for tick in axis.get_ticklocs() if tick <= 1]
+    assert axis.get_major_formatter().format_ticks(ticks) == ["0", "1"]
+
+
+def test_the_run_tells_which_ranks_there_are(tmp_path: Path) -> None:
+    header = "update,level_kind,map,target,episodes,successes,return_sum"
+    rows = ("300,uniform,0,1,10,5,5.0", "300,rare,18,9,10,5,5.0")
+    sizes = {"map": 20, "target": 10}
+    write_run(tmp_path / "new", constant(0.5), situations=(header, *rows), situation=sizes)
+    write_run(tmp_path / "old", constant(0.5), situations=(header, *rows))
+
+    def drawn(folder: str) -> tuple[tuple[int, ...], list[float], list[tuple[float, float]]]:
+        table = only_table(tmp_path / folder)
+        heat_map = plots.success_by_situation(table)
+        ranks = plots.success_against_rank(table, plots.line_styles(set(table.conditions)))
+        assert heat_map is not None
+        assert ranks is not None
+        panel = heat_map.axes[0]
+        (frame,) = (patch for patch in panel.patches if isinstance(patch, Rectangle))
+        image = panel.images[0].get_array()
+        assert image is not None
+        corners = [frame.get_y(), frame.get_y() + frame.get_height(), frame.get_x()]
+        return image.shape, corners, [axis.get_xlim() for axis in ranks.axes]
+
+    assert drawn("new") == ((20, 10), [15.5, 19.5, 7.5], [(-0.5, 19.5), (-0.5, 9.5)])
+    assert drawn("old") == ((1, 2), [17.5, 18.5, 8.5], [(-0.5, 0.5), (-0.5, 1.5)])
+
+
+def test_a_rank_that_cannot_be_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    header = "update,level_kind,map,target,episodes,successes,return_sum"
+    row = "300,uniform,20,1,10,5,5.0"
+    write_run(
+        tmp_path, constant(0.5), situations=(header, row), situation={"map": 20, "target": 10}
+    )
+    message = refusal(capsys, str(tmp_path))
+    assert "situations.csv: map 20, but by run.json the ranks are 0 to 19" in message
 
 
 def test_situations_with_other_ranks(tmp_path: Path) -> None:
@@ -658,6 +749,20 @@ def test_a_figure_without_data_does_not_stay_behind(tmp_path: Path) -> None:
     assert figure.exists()
     report.report([tmp_path], window="100:200")
     assert not figure.exists()
+
+
+def test_only_the_plots_of_the_earlier_report_are_removed(tmp_path: Path) -> None:
+    write_run(tmp_path / "a", constant(0.5))
+    write_run(tmp_path / "b", constant(0.5), environment={"num_maps": 5})
+    output = tmp_path / "out"
+    report.report([tmp_path], output)
+    assert (output / "gridworld-2_learning.png").exists()
+    (output / "my_learning.png").write_text("")
+    report.report([tmp_path / "b"], output)
+    assert sorted(path.name for path in output.glob("*.png")) == [
+        "gridworld_learning.png",
+        "my_learning.png",
+    ]
 
 
 def test_a_condition_looks_the_same_in_any_company() -> None:

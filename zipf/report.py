@@ -66,6 +66,7 @@ def report(
     target = Path(output) if output is not None else Path(folders[0]) / "report"
     try:
         target.mkdir(parents=True, exist_ok=True)
+        _remove_earlier_plots(target)
         drawn = plots.draw(found, target)
         texts = {
             target / "report.md": rendering.markdown_report(found, drawn),
@@ -73,7 +74,7 @@ def report(
             target / "report.csv": rendering.csv_report(found),
         }
         if record is not None:
-            texts[Path(record)] = rendering.record(found, _command(folders, window, record))
+            texts[Path(record)] = rendering.record(found, _command(folders, output, window, record))
         for path, text in texts.items():
             path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -85,10 +86,28 @@ def report(
     return Report(tuple(found), files)
 
 
-def _command(folders: Sequence[str | Path], window: str | None, record: str | Path) -> str:
-    chosen = ["--window", window] if window is not None else []
-    paths = [Path(folder).as_posix() for folder in folders]
-    arguments = [*paths, *chosen, "--record", Path(record).as_posix()]
+def _remove_earlier_plots(folder: Path) -> None:
+    """Remove the plots that the report in `folder`, if there is one, says are its own."""
+    from zipf.experiments import rendering
+
+    earlier = folder / "report.md"
+    if earlier.is_file():
+        for name in rendering.linked_plots(earlier.read_text(encoding="utf-8", errors="replace")):
+            (folder / name).unlink(missing_ok=True)
+
+
+def _command(
+    folders: Sequence[str | Path],
+    output: str | Path | None,
+    window: str | None,
+    record: str | Path,
+) -> str:
+    arguments = [Path(folder).as_posix() for folder in folders]
+    if output is not None:
+        arguments += ["--output", Path(output).as_posix()]
+    if window is not None:
+        arguments += ["--window", window]
+    arguments += ["--record", Path(record).as_posix()]
     return shlex.join(["python", "-m", "zipf.report", *arguments])
 
 

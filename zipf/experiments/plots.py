@@ -23,7 +23,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from zipf.experiments.paper import LEVEL_KINDS, condition_name, condition_order
-from zipf.experiments.rendering import LEVEL_NAMES
+from zipf.experiments.rendering import LEVEL_NAMES, PLOT_KINDS
 from zipf.experiments.tables import ScoreTable, UpdateWindow, success_rates
 
 # Okabe and Ito (2008): told apart with any colour vision. Yellow is left out (too light for lines)
@@ -51,6 +51,8 @@ STYLE: dict[Any, Any] = {
     "figure.constrained_layout.h_pad": 0.08,
 }
 LETTER = 0.068  # inches, the width of a letter in a legend
+TITLE_LINE = 0.17  # inches, the height of a line in a panel's title
+FIGURE_TITLE_LINE = 0.19  # inches, the same in a figure's title
 
 
 class LineStyle(NamedTuple):
@@ -82,18 +84,16 @@ def draw(tables: Sequence[ScoreTable], folder: Path) -> dict[str, list[Path]]:
     files: dict[str, list[Path]] = {}
     with matplotlib.rc_context(STYLE):
         for table in tables:
-            figures = {
-                "learning": learning_curves(table, styles),
-                "ranks": success_against_rank(table, styles),
-                "situations": success_by_situation(table),
-            }
-            for name, figure in figures.items():
-                path = folder / f"{table.name}_{name}.png"
-                if figure is None:
-                    path.unlink(missing_ok=True)  # of an earlier report, no longer true
-                    continue
-                figure.savefig(path)
-                files.setdefault(table.name, []).append(path)
+            figures = (
+                learning_curves(table, styles),
+                success_against_rank(table, styles),
+                success_by_situation(table),
+            )
+            for kind, figure in zip(PLOT_KINDS, figures, strict=True):
+                if figure is not None:
+                    path = folder / f"{table.name}_{kind}.png"
+                    figure.savefig(path)
+                    files.setdefault(table.name, []).append(path)
     return files
 
 
@@ -149,7 +149,7 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figur
         axis.set_title(LEVEL_NAMES[level_kind])
         axis.set_xlabel("Updates")
         axis.xaxis.set_major_formatter(EngFormatter(sep=""))
-        axis.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+        axis.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10], integer=True))
         _shade_window(axis, table, evaluations["update"])
     _score_limits(axes[0], evaluations["score"])
     axes[0].set_ylabel("Score")
@@ -166,7 +166,9 @@ def success_against_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> 
     handles = _condition_handles(table, styles)
     if "uniform" in table.chance:
         handles.append(_chance_handle())
-    handles.append(Patch(color="0.9", label="Rare"))
+    rare = {name: _rare_ranks(table, name) for name in names}
+    if any(rare.values()):
+        handles.append(Patch(color="0.9", label="Rare"))
     handles.append(Patch(color="0.65", alpha=0.5, label="95 % Wilson interval (of episodes)"))
     figure, axes = _panels(len(names), f"{table.title}: success against frequency rank", handles)
     for axis, name in zip(axes, names, strict=True):
@@ -186,13 +188,13 @@ def success_against_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> 
             )
         if "uniform" in table.chance:
             axis.axhline(table.chance["uniform"], **CHANCE)
-        rare = _rare_ranks(table, name)
-        if rare:
-            axis.axvspan(min(rare) - 0.5, max(rare) + 0.5, color="0.9", zorder=0, linewidth=0)
+        if rare[name]:
+            ends = (min(rare[name]) - 0.5, max(rare[name]) + 0.5)
+            axis.axvspan(*ends, color="0.9", zorder=0, linewidth=0)
         axis.set_title(f"{name.capitalize()}s by frequency")
         axis.set_xlabel(f"{name.capitalize()} rank (0 = most frequent)")
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axis.set_xlim(-0.5, rates[name][name].max() + 0.5)
+        axis.set_xlim(-0.5, _rank_count(table, name, rates[name]) - 0.5)
     axes[0].set_ylim(0, 1.02)
     axes[0].set_ylabel("Success on the uniform level")
     return figure
@@ -210,23 +212,31 @@ def success_by_situation(table: ScoreTable) -> Figure | None:
     if not len(rates):
         return None
     row_name, column_name = names
-    shape = (int(rates[row_name].max()) + 1, int(rates[column_name].max()) + 1)
+    shape = tuple(_rank_count(table, name, rates) for name in names)
     conditions = [name for name in table.conditions if (rates["condition"] == name).any()]
     columns = min(4, len(conditions))
     rows = math.ceil(len(conditions) / columns)
-    figure = Figure(figsize=(1.3 + 2.7 * columns, 1.0 + 2.8 * rows), layout="constrained")
+    titles = [textwrap.fill(condition_name(condition), 27) for condition in conditions]
+    title_lines = sum(
+        max(title.count("\n") + 1 for title in titles[first : first + columns])
+        for first in range(0, len(titles), columns)
+    )
+    height = 0.7 + 2.85 * rows + TITLE_LINE * title_lines
+    figure = Figure(figsize=(1.3 + 2.7 * columns, height), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     colours = matplotlib.colormaps["cividis"]
     image, gaps = None, False
-    for axis, condition in zip(axes.flat, conditions, strict=False):
+    for axis, condition, title in zip(axes.flat, conditions, titles, strict=False):
         rate = rates[rates["condition"] == condition]
         grid = np.full(shape, np.nan)
         grid[rate[row_name].to_numpy(int), rate[column_name].to_numpy(int)] = rate["success"]
         gaps = gaps or bool(np.isnan(grid).any())
         axis.grid(False)
         axis.spines[:].set_visible(True)
-        axis.imshow(np.isnan(grid), cmap=ListedColormap(["white", "0.8"]), vmin=0, vmax=1)
-        image = axis.imshow(grid, cmap=colours, vmin=0, vmax=1)
+        # A fixed aspect would make the constrained layout misjudge the room that labels need.
+        empty = ListedColormap(["white", "0.8"])
+        axis.imshow(np.isnan(grid), cmap=empty, vmin=0, vmax=1, aspect="auto")
+        image = axis.imshow(grid, cmap=colours, vmin=0, vmax=1, aspect="auto")
         rare = [_rare_ranks(table, name) for name in names]
         if all(rare):
             (top, bottom), (left, right) = ((min(ranks), max(ranks)) for ranks in rare)
@@ -242,7 +252,7 @@ def success_by_situation(table: ScoreTable) -> Figure | None:
                     zorder=3,
                 )
             )
-        axis.set_title(textwrap.fill(condition_name(condition), 27))
+        axis.set_title(title)
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.yaxis.set_major_locator(MaxNLocator(integer=True))
     for axis in axes.flat[len(conditions) :]:
@@ -278,7 +288,10 @@ def _panels(count: int, title: str, handles: list[Any]) -> tuple[Figure, list[Ax
 
 
 def _set_title(figure: Figure, title: str) -> None:
-    figure.suptitle(textwrap.fill(title, int(figure.get_figwidth() / 0.09)), fontsize=11)
+    """Set the title, wrapped to the figure's width, and make room for the lines after its first."""
+    text = textwrap.fill(title, int(figure.get_figwidth() / 0.09))
+    figure.suptitle(text, fontsize=11)
+    figure.set_figheight(figure.get_figheight() + FIGURE_TITLE_LINE * text.count("\n"))
 
 
 def _condition_handles(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Any]:
@@ -310,6 +323,17 @@ def _situation_names(table: ScoreTable) -> list[str]:
     return list(dict.fromkeys(name for run in table.runs for name in run.situation_names))
 
 
+def _rank_count(table: ScoreTable, name: str, rates: pd.DataFrame) -> int:
+    """How many ranks there are; up to the highest visited one where runs do not tell."""
+    return table.situation_sizes.get(name, int(rates[name].max()) + 1)
+
+
 def _rare_ranks(table: ScoreTable, name: str) -> list[int]:
-    """The ranks that the rare level is made of, as far as it was visited."""
+    """The ranks that the rare level is made of: the last fifth.
+
+    Where runs do not tell how many ranks there are: those that the rare level visited.
+    """
+    size = table.situation_sizes.get(name)
+    if size is not None:
+        return list(range(size - size // 5, size))
     return sorted(success_rates(table, [name], "rare")[name].astype(int).unique())

@@ -27,6 +27,7 @@ from zipf.experiments.tables import (
 )
 
 LEVEL_NAMES: Mapping[str, str] = {"train": "Train (Zipfian)", "uniform": "Uniform", "rare": "Rare"}
+PLOT_KINDS = ("learning", "ranks", "situations")  # as in the plots' file names
 NONE = "–"
 
 
@@ -56,7 +57,7 @@ def duration_text(seconds: float) -> str:
 
 def caption(table: ScoreTable) -> str:
     """How to read the table: window, statistics, effort, chance, the paper."""
-    scores, window = table.scores, table.window
+    window = table.window
     what = window_text(window)
     if isinstance(window, UpdateWindow):
         what = f"Median over the evaluations at {what}"
@@ -67,11 +68,10 @@ def caption(table: ScoreTable) -> str:
         f"{what[0].upper()}{what[1:]} of the median seed{own}, "
         f"± median absolute deviation across seeds (unscaled)."
     ]
-    if (scores["seeds"] < PROTOCOL_SEEDS).any():
+    if (table.scores["seeds"] < PROTOCOL_SEEDS).any():
         sentences.append(f"n/{PROTOCOL_SEEDS}: fewer seeds than the protocol's {PROTOCOL_SEEDS}.")
-    episodes = [int(count) for count in scores["episodes"] if count > 0]
-    if episodes:
-        sentences.append(f"Episodes per estimate: {_range_text(episodes)}.")
+    if table.episodes:
+        sentences.append(f"Episodes per estimate: {_range_text(table.episodes)}.")
     sentences.append(
         f"Updates reached: {_range_text([run.updates for run in table.runs])}; "
         f"frames: {_range_text([run.frames for run in table.runs])}."
@@ -94,7 +94,7 @@ def print_table(table: ScoreTable, console: Console) -> None:
         grid.add_column(LEVEL_NAMES[level_kind], justify="right", no_wrap=True)
     for row in _rows(table):
         grid.add_row(escape(row.name), row.seeds, *row.ours)
-        if table.paper:
+        if any(text != NONE for text in row.paper):
             grid.add_row("[dim]  paper[/dim]", "", *(f"[dim]{text}[/dim]" for text in row.paper))
     if table.chance:
         grid.add_section()
@@ -129,6 +129,13 @@ def markdown_report(tables: Sequence[ScoreTable], plots: Mapping[str, Sequence[P
         parts.append(f"## {_markdown_escape(table.title)}\n\n{markdown(table)}")
         parts += [f"![{path.stem}]({path.name})\n" for path in plots.get(table.name, [])]
     return "\n".join(parts)
+
+
+def linked_plots(markdown_text: str) -> list[str]:
+    """The names of the plots that a `report.md` of this module shows."""
+    kinds = "|".join(PLOT_KINDS)
+    links = re.finditer(rf"^!\[([\w.-]+_(?:{kinds}))\]\(\1\.png\)$", markdown_text, re.MULTILINE)
+    return [f"{link[1]}.png" for link in links]
 
 
 def latex_report(tables: Sequence[ScoreTable]) -> str:

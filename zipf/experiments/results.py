@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 from omegaconf import OmegaConf
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, PositiveInt, ValidationError, model_validator
 
 from zipf.experiments.errors import UserError
 from zipf.experiments.paper import LEVEL_KINDS, condition_order
@@ -30,7 +30,11 @@ BOOKKEEPING = frozenset(
 
 
 class RunDescription(BaseModel):
-    """`run.json`: what a run is. `window` is in updates, both ends included."""
+    """`run.json`: what a run is.
+
+    `window` is in updates, both ends included; `situation` has the number of ranks of each of the
+    situation's columns, None in files of a version that did not write it.
+    """
 
     model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
 
@@ -49,6 +53,7 @@ class RunDescription(BaseModel):
     chance: dict[Literal["train", "uniform", "rare"], float | None] | None
     environment: dict[str, Any]
     paper: str | None
+    situation: dict[str, PositiveInt] | None = None
 
     @model_validator(mode="after")
     def _window_is_in_order(self) -> RunDescription:
@@ -161,6 +166,12 @@ def load_run(folder: Path) -> Run:
         notes,
     )
     situations = _latest(situations, ["update", "level_kind", *situation_names])
+    for name, size in (description.situation or {}).items():
+        if name in situation_names and (situations[name] >= size).any():
+            raise UserError(
+                f"{path.as_posix()}: {name} {situations[name].max()}, but by run.json the ranks "
+                f"are 0 to {size - 1}"
+            )
 
     progress = {"update": 0.0, "frames": 0.0, "seconds": 0.0}
     metrics = _read_table(folder / "metrics.csv", dict.fromkeys(progress, float), notes)

@@ -121,6 +121,7 @@ class ScoreTable:
         title: the experiment, and what sets the table apart from others of that experiment.
         window: over which the scores are taken.
         own_window: whether that is the experiment's own.
+        paper: what was published; None where it has a number for none of the conditions.
         scores: one row per (condition, level kind), in the table's order; see `score_table`.
         notes: what is missing or doubtful, one sentence each.
     """
@@ -144,6 +145,24 @@ class ScoreTable:
         """Score of uniformly random actions by level kind; empty where it is not known."""
         known = self.scores.dropna(subset=["chance"])
         return dict(zip(known["level_kind"], known["chance"], strict=True))
+
+    @property
+    def episodes(self) -> list[int]:
+        """How many episodes are behind each evaluation inside the window."""
+        return [
+            int(count)
+            for run in self.runs
+            for count in run.evaluations["episodes"][self.window.select(run.evaluations["update"])]
+        ]
+
+    @property
+    def situation_sizes(self) -> dict[str, int]:
+        """How many ranks each of the situation's columns has; empty where runs do not tell."""
+        return {
+            name: size
+            for run in self.runs
+            for name, size in (run.description.situation or {}).items()
+        }
 
 
 def seed_scores(runs: Sequence[Run], window: Window) -> pd.DataFrame:
@@ -260,7 +279,7 @@ def score_tables(runs: Sequence[Run], window: Window | None = None) -> list[Scor
                 runs=tuple(group),
                 window=used,
                 own_window=window is None,
-                paper=paper,
+                paper=paper if scores["paper_value"].notna().any() else None,
                 scores=scores,
                 notes=_notes(group, used),
             )
