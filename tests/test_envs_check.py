@@ -5,10 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from zipf.envs import make, make_vec
+from zipf.envs import SingleWorld, ZipfVectorEnv, make, make_vec, pcg64
 from zipf.envs.check import check_vector_env
+from zipf.envs.distributions import zipfian
 from zipf.envs.gridworld import GridworldVectorEnv
 
 SMALL = {"num_maps": 6, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
@@ -33,6 +35,68 @@ def test_gridworld_keeps_the_contract(level: str, observation: str) -> None:
 def test_other_sizes_keep_the_contract(options: dict[str, Any]) -> None:
     level, options = "gridworld/zipf_1", {"observation": "tiles", **options}
     check_vector_env(partial(make_vec, level, **options), partial(make, level, **options))
+
+
+class Bandit(ZipfVectorEnv):
+    """Three tries to pull the arm that is lit."""
+
+    dtype: Any = np.float32
+
+    def __init__(self, num_envs: int, **options: Any) -> None:
+        shown = spaces.Box(0, 1, (4,), self.dtype)
+        super().__init__(
+            num_envs,
+            single_observation_space=spaces.Dict({"lights": shown}),
+            single_action_space=spaces.Discrete(4),
+            situation={"arm": 4},
+            **options,
+        )
+        self.lights = np.eye(4, dtype=self.dtype)
+        self.cdf = pcg64.cumulative(zipfian(4, 1.0))
+        self.arms = np.zeros(num_envs, np.int64)
+
+    def _begin(self, mask: Any, forced: Any) -> None:
+        for i in np.flatnonzero(mask):
+            drawn = pcg64.choice(self._streams[i], self.cdf)
+            self.arms[i] = drawn if forced[0, i] < 0 else forced[0, i]
+
+    def _advance(self, actions: Any) -> Any:
+        success = actions == self.arms
+        return success.astype(np.float64), success, ~success & (self._lengths >= 3), success
+
+    def _observe(self, out: Any, mask: Any) -> None:
+        out["lights"][mask] = self.lights[self.arms[mask]]
+
+    def _situations(self) -> Any:
+        return {"arm": self.arms.copy()}
+
+    def _get_worlds(self) -> Any:
+        return {"arms": self.arms}
+
+    def _set_worlds(self, state: Any) -> None:
+        self.arms[:] = state["arms"]
+
+
+class IgnoredMask(Bandit):
+    def _observe(self, out: Any, mask: Any) -> None:
+        super()._observe(out, self._everywhere)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.uint8, np.int64, np.bool_])
+def test_any_dtype_may_be_shown(kind: Any) -> None:
+    class Shown(Bandit):
+        dtype = kind
+
+    check_vector_env(Shown, partial(SingleWorld, Shown), steps=60)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.uint8, np.bool_])
+def test_observing_more_worlds_than_asked_is_caught(kind: Any) -> None:
+    class Shown(IgnoredMask):
+        dtype = kind
+
+    with pytest.raises(AssertionError, match=r"final_out.* of worlds whose episode goes on"):
+        check_vector_env(Shown, partial(SingleWorld, Shown), steps=60)
 
 
 class SharedSeed(GridworldVectorEnv):

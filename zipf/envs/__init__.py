@@ -3,9 +3,19 @@
 import gymnasium
 
 from zipf.envs.levels import SPLITS, Split, chance, make, make_vec, split
+from zipf.envs.single import SingleWorld
 from zipf.envs.vector import ZipfVectorEnv
 
-__all__ = ["SPLITS", "Split", "ZipfVectorEnv", "chance", "make", "make_vec", "split"]
+__all__ = [
+    "SPLITS",
+    "SingleWorld",
+    "Split",
+    "ZipfVectorEnv",
+    "chance",
+    "make",
+    "make_vec",
+    "split",
+]
 
 gymnasium.register(
     id="zipf/Gridworld-v0",

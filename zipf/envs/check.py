@@ -10,11 +10,12 @@
 It knows no family: everything it asks for is in `ZipfVectorEnv`.
 """
 
+import io
 import math
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -242,6 +243,10 @@ class _Check:
         _same((_copied(out), info), expected[0], "reset(out=...)")
         for t, actions in enumerate(self.actions):
             where = f"step {t} with out and final_out"
+            # Two values in turn: what is shown may be one of them, or an array of bools.
+            for array in final_out.values():
+                array.fill(123 * (t % 2))
+            untouched = _copied(final_out)
             given = env.step(actions, out=out, final_out=final_out)
             _require(given[0] is out, f"{where}: step must return out")
             if "final_obs" in given[4]:
@@ -249,6 +254,13 @@ class _Check:
                     given[4]["final_obs"] is final_out, f"{where}: final_obs must be final_out"
                 )
             _same(_visible(given), expected[1 + t], where)
+            running = ~given[4].get("_final_obs", np.zeros(self.n, dtype=np.bool_))
+            for key, array in final_out.items():
+                _same(
+                    array[running],
+                    untouched[key][running],
+                    f"{where}: final_out[{key!r}] of worlds whose episode goes on",
+                )
         env.reset(seed=self.seed)
         for t, actions in enumerate(self.actions):
             given = env.step(actions, out=out)
@@ -325,7 +337,7 @@ class _Check:
         half = len(self.actions) // 2
         for actions in self.actions[:half]:
             env.step(actions)
-        other = pickle.loads(pickle.dumps(env))
+        other = _pickled(env)
         _same(other.observations(), env.observations(), "observations() after pickling")
         _same(self._steps(other, half), self._steps(env, half), "steps after pickling")
         _close(env, other)
@@ -464,11 +476,33 @@ def _bad_buffers(env: ZipfVectorEnv) -> Iterator[tuple[str, Observation]]:
     yield "a missing key", {k: v for k, v in good.items() if k != key}
     yield "an extra key", {**good, "no_such_key": array}
     yield "a world too few", {**good, key: array[1:]}
-    yield "another dtype", {**good, key: array.astype(np.float32)}
+    other = np.float64 if array.dtype == np.float32 else np.float32
+    yield "another dtype", {**good, key: array.astype(other)}
     yield "an array that is not contiguous", {**good, key: array.repeat(2, axis=-1)[..., ::2]}
     read_only = array.copy()
     read_only.flags.writeable = False
     yield "a read-only array", {**good, key: read_only}
+
+
+def _pickled(env: ZipfVectorEnv) -> ZipfVectorEnv:
+    """A copy by pickle, whose classes may be local to a function, where pickle does not look."""
+    classes: list[type] = []
+
+    class Pickler(pickle.Pickler):
+        def persistent_id(self, value: Any) -> int | None:
+            if not isinstance(value, type):
+                return None
+            classes.append(value)
+            return len(classes) - 1
+
+    class Unpickler(pickle.Unpickler):
+        def persistent_load(self, pid: int) -> type:
+            return classes[pid]
+
+    stream = io.BytesIO()
+    Pickler(stream).dump(env)
+    stream.seek(0)
+    return cast(ZipfVectorEnv, Unpickler(stream).load())
 
 
 def _differences(given: Any, expected: Any, path: str = "") -> Iterator[str]:

@@ -126,7 +126,13 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         """Starts an episode in the worlds of `mask`, drawing from `self._streams`.
 
-        `forced` is int64 [ranks, N] in the order of `self.situation`, -1 where to draw.
+        World `i` draws from its own stream alone: a rank by
+        `zipf.envs.pcg64.choice(self._streams[i], cdf)`, where `cdf` is
+        `zipf.envs.pcg64.cumulative(probabilities)`, and a number in [0, 1) by
+        `zipf.envs.pcg64.next_double(self._streams[i])`. Both work in numba kernels, too.
+
+        `forced` is int64 [ranks, N] in the order of `self.situation`, -1 where to draw. Draw
+        forced ranks all the same, so that the episodes that follow do not depend on it.
         """
 
     @abstractmethod
@@ -341,9 +347,10 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _read_actions(self, actions: Any) -> NDArray[np.int64]:
         actions = np.asarray(actions)
         if actions.shape != (self.num_envs,) or actions.dtype.kind not in "iu":
+            got = f"{actions.dtype} of shape {actions.shape}" if actions.shape else "a single one"
             raise ValueError(
-                f"actions must be {self.num_envs} integers, "
-                f"got {actions.dtype} of shape {actions.shape}"
+                f"actions must be integers of shape ({self.num_envs},), one for each world, "
+                f"got {got}"
             )
         actions = np.ascontiguousarray(actions, dtype=np.int64)
         # As unsigned, a negative action is a huge one.

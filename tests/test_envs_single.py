@@ -1,0 +1,103 @@
+"""One world from a batch of one is the environment that Gymnasium's users expect."""
+
+import warnings
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.utils.env_checker import check_env
+
+from zipf.envs import SingleWorld, make
+from zipf.envs.check import check_vector_env
+from zipf.envs.gridworld import GridworldEnv, GridworldVectorEnv
+
+SMALL: dict[str, Any] = {"num_maps": 3, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 9}
+
+
+def small(**options: Any) -> SingleWorld:
+    return SingleWorld(GridworldVectorEnv, level="uniform", **SMALL, **options)
+
+
+def test_it_equals_a_world_written_by_itself() -> None:
+    env, other = small(observation="tiles"), GridworldEnv("uniform", **SMALL, observation="tiles")
+    rng = np.random.default_rng(0)
+    assert env.situation == other.situation
+    for episode in range(20):
+        seed = None if episode % 2 else episode
+        given, expected = env.reset(seed=seed), other.reset(seed=seed)
+        np.testing.assert_equal(given, expected)
+        ended = False
+        while not ended:
+            action = rng.integers(8)
+            step, expected_step = env.step(action), other.step(action)
+            np.testing.assert_equal(step, expected_step)
+            kinds = {key: type(value) for key, value in expected_step[4].items()}
+            assert {key: type(value) for key, value in step[4].items()} == kinds
+            ended = step[2] or step[3]
+
+
+def test_it_serves_as_the_single_world_of_the_check() -> None:
+    check_vector_env(
+        partial(GridworldVectorEnv, level="uniform", observation="tiles", **SMALL),
+        partial(small, observation="tiles"),
+        steps=60,
+    )
+
+
+def test_gymnasium_accepts_it() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(small(), skip_render_check=True)
+
+
+def test_gymnasium_makes_it() -> None:
+    spec = gym.envs.registration.EnvSpec(
+        "Small-v0",
+        entry_point=partial(SingleWorld, GridworldVectorEnv),
+        kwargs={"level": "zipf_1", **SMALL},
+    )
+    env = gym.make(spec)
+    assert env.reset(seed=3)[1] == make("gridworld/zipf_1", **SMALL).reset(seed=3)[1]
+
+
+def test_it_draws_what_the_batch_draws() -> None:
+    env = small(render_mode="rgb_array")
+    env.reset(seed=0)
+    other = GridworldEnv("uniform", **SMALL, render_mode="rgb_array")
+    other.reset(seed=0)
+    np.testing.assert_array_equal(env.render(), other.render())
+    assert small().render() is None
+
+
+def test_what_cannot_be_done_is_refused() -> None:
+    env = small()
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+    with pytest.raises(ValueError, match="negative"):
+        env.reset(seed=-1)
+    with pytest.raises(ValueError, match=r"must be in 0 \.\. 2"):
+        env.reset(options={"map": 3})
+    env.reset()
+    with pytest.raises(ValueError, match=r"must be in 0 \.\. 7"):
+        env.step(8)
+    env.close()
+    with pytest.raises(ClosedEnvironmentError):
+        env.step(0)
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        (np.zeros((3, 1), np.int64), r"integers of shape \(3,\).* got int64 of shape \(3, 1\)"),
+        (np.zeros(3), r"integers of shape \(3,\).* got float64 of shape \(3,\)"),
+        (np.int64(5), r"integers of shape \(3,\), one for each world, got a single one"),
+    ],
+)
+def test_actions_of_another_shape_are_explained(actions: Any, message: str) -> None:
+    env = GridworldVectorEnv(3)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=message):
+        env.step(actions)

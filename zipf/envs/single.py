@@ -1,0 +1,84 @@
+"""One world as a plain Gymnasium environment, for families that are written as batches."""
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+
+from zipf.envs.vector import Observation, ZipfVectorEnv
+
+
+class SingleWorld(gym.Env[dict[str, Any], Any]):
+    """A batch of one world, without its batch axis.
+
+        env = SingleWorld(GridworldVectorEnv, level="rare")
+
+    World `i` of the batch after `reset(seed=s)` is this after `reset(seed=s + i)`, and
+    `check_vector_env` takes it for its single world. It then finds worlds that touch each other,
+    wrong masks, states and buffers, but not wrong rules, which both sides share; for those, write
+    the single world by itself.
+
+    `info` holds the ranks of the situation as integers. The step that ends an episode adds
+    `success` (bool), `return` (float) and `length` (int). Episodes are drawn from the batch's
+    own stream; `np_random` is seeded, and drawn from by nothing here.
+
+    Args:
+        make_vec: `make_vec(num_envs, autoreset_mode=..., **kwargs)` makes the batch.
+        kwargs: the batch's other options.
+    """
+
+    observation_space: spaces.Dict
+    action_space: spaces.Discrete
+
+    def __init__(self, make_vec: Callable[..., ZipfVectorEnv], **kwargs: Any) -> None:
+        self.batch = make_vec(1, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
+        self.observation_space = self.batch.single_observation_space
+        self.action_space = self.batch.single_action_space
+        self.situation = self.batch.situation
+        self.metadata = self.batch.metadata
+        self.render_mode = self.batch.render_mode
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Starts an episode; `options` may force the ranks of the situation.
+
+        Raises:
+            ValueError: for a negative seed, unknown options or ranks out of range.
+        """
+        observation, info = self.batch.reset(seed=seed, options=options)
+        super().reset(seed=seed)
+        return _row(observation), _items(info)
+
+    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Takes an action.
+
+        Raises:
+            ValueError: for an action out of range.
+            ResetNeeded: if no episode is running.
+        """
+        actions = np.array([operator.index(action)])
+        observation, reward, terminated, truncated, info = self.batch.step(actions)
+        ends = bool(terminated[0]), bool(truncated[0])
+        return _row(observation), float(reward[0]), *ends, _items(info)
+
+    def render(self) -> Any:
+        """The world's frame, as the batch draws it; None without a `render_mode`."""
+        frames = None if self.render_mode is None else self.batch.render()
+        return None if frames is None else frames[0]
+
+    def close(self) -> None:
+        self.batch.close()
+
+
+def _row(observation: Observation) -> dict[str, Any]:
+    return {key: value[0] for key, value in observation.items()}
+
+
+def _items(info: dict[str, Any]) -> dict[str, Any]:
+    """The only world's entries as Python numbers; masks (`_success`, ...) say nothing here."""
+    return {key: value[0].item() for key, value in info.items() if not key.startswith("_")}
