@@ -78,6 +78,8 @@ MISTAKES = [
     (["experiment=demo", "run_root=/dev/null"], ["run_root=/dev/null", "folder"]),
     (["experiment=demo", "~memory"], ["~memory", "cannot be deleted"]),
     (["experiment=demo", "resume='"], ["resume='"]),
+    (["experiment=demo", "agent.lr=1"], ["agent.lr", "agent.learning_rate"]),
+    (["experiment=demo", "run_root=/tmp/a=b"], ["quotes"]),
     (["experiment=demo", "+agent.momentum=1"], ["agent.momentum", "no such option"]),
 ]
 
@@ -101,10 +103,10 @@ def test_all_mistakes_are_told_at_once():
 
 
 def test_a_sweep_is_checked_before_it_starts():
-    assert (
-        command_line.check_command_line(["experiment=demo", "seed=0,1,2", "memory=mlp,lstm"]) == 6
-    )
-    assert command_line.check_command_line(["experiment=demo", "seed=range(4)"]) == 4
+    six = ["experiment=demo", "seed=0,1,2", "memory=mlp,lstm"]
+    assert len(command_line.check_command_line(six)) == 6
+    jobs = command_line.check_command_line(["experiment=demo", "seed=range(4)"])
+    assert [job.seed for job in jobs] == [0, 1, 2, 3]
     with pytest.raises(UserError) as error:
         command_line.check_command_line(["experiment=demo,gridwrld", "seed=0,-1"])
     lines = str(error.value).splitlines()

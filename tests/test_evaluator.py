@@ -115,6 +115,8 @@ def test_bad_requests():
         evaluate.score(scripted, num_envs=0)
     with pytest.raises(ValueError, match="gridworld"):
         evaluate.score(scripted, split="gridwrld")
+    with pytest.raises(ValueError, match="batched=False"):
+        evaluate.score(lambda observation: 3, episodes=5)
     with pytest.raises(TypeError, match="policy"):
         evaluate.score(SimpleNamespace(), episodes=5)
 

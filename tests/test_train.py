@@ -298,6 +298,26 @@ def test_a_kill_before_the_first_checkpoint_starts_again(trained):
     assert sorted(pd.read_csv(folder / "evaluations.csv")["update"]) == [0, 0, 0, 2, 2, 2]
 
 
+def test_a_run_stopped_at_its_start_is_not_scored_there_twice(tmp_path):
+    arguments = [*TINY, "updates=2", f"run_root={tmp_path}"]
+    run_folder.make(folder_of(arguments))
+    begun = runner.Run(command_line.load(arguments))
+    begun.evaluate()
+    begun.save()
+    begun.close()
+    assert runner.train(command_line.load(arguments)) == 0
+    rows = pd.read_csv(folder_of(arguments) / "evaluations.csv")
+    assert list(rows["update"]) == [0, 0, 0, 2, 2, 2]
+
+
+def test_a_damaged_table_is_named_with_its_line(trained):
+    path = folder_of(trained) / "metrics.csv"
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([*lines[:2], "garbage,,,\n", *lines[2:]]))
+    with pytest.raises(UserError, match=r"metrics\.csv, line 3"):
+        runner.train(command_line.load([*trained, "updates=3"]))
+
+
 def test_a_resumed_run_describes_how_it_went_on(trained):
     folder = folder_of(trained)
     began = run_folder.read_description(folder)

@@ -44,14 +44,17 @@ def main() -> None:
         update, results = runner.evaluate_run(options)
         name = f"evaluation-{update}-episodes{options.episodes}-seed{options.seed}"
         files = write_results(folder / name, results)
+    except KeyboardInterrupt:
+        sys.exit(130)
     except UserError as error:
         for line in str(error).splitlines():
             print(f"error: {line}", file=sys.stderr)
         sys.exit(2)
-    table = Table("", *(result.kind for result in results), title=f"{folder} at update {update}")
+    table = Table("", *(result.kind for result in results))
     table.add_row("score", *(f"{result.score:.3f}" for result in results))
     table.add_row("chance", *(_figure(chance[result.kind]) for result in results))
     console = Console(highlight=False)
+    console.print(f"{folder} at update {update}", soft_wrap=True)
     console.print(table)
     for file in files:
         console.print(f"written: {file}", soft_wrap=True)

@@ -11,7 +11,7 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from zipf.experiments import command_line, runner
+from zipf.experiments import command_line, run_folder, runner
 from zipf.experiments.errors import UserError
 
 _command_process = os.getpid()
@@ -43,14 +43,16 @@ def main() -> None:
     """The command: checks every job first, then runs one after another."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # else Hydra prints a worker's exception and exits with 1
     arguments = get_args_parser().parse_args()
-    asks = ("help", "hydra_help", "cfg", "info", "shell_completion", "version")
+    asks = ("help", "hydra_help", "info", "shell_completion", "version")
     try:
         if arguments.config_name or arguments.config_path or arguments.config_dir:
             raise UserError("--config-name, --config-path and --config-dir: use experiment=<name>")
         if not any(getattr(arguments, name, None) for name in asks):
             jobs = command_line.check_command_line(arguments.overrides)
-            if jobs > 1 and not arguments.multirun:
-                raise UserError(f"several values make a sweep of {jobs} jobs; say so with -m")
+            if len(jobs) > 1 and not arguments.multirun:
+                raise UserError(f"several values make a sweep of {len(jobs)} jobs; say so with -m")
+            for job in jobs if arguments.multirun else ():
+                run_folder.make(job.folder)  # else Hydra fails at it, in its own words
         _job()
     except UserError as error:
         _tell(error)

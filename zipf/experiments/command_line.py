@@ -79,23 +79,22 @@ def load(overrides: list[str]) -> Config:
     return config
 
 
-def check_command_line(overrides: list[str]) -> int:
-    """Checks every job that the overrides ask for, before any starts; returns how many there are.
+def check_command_line(overrides: list[str]) -> list[Config]:
+    """Checks every job that the overrides ask for, before any starts, and returns them.
 
     Raises:
         UserError: as `load`, for all jobs together.
     """
     problems: dict[str, None] = {}
-    count = 0
+    jobs = []
     for job in _jobs(overrides):
-        count += 1
         try:
-            load(job)
+            jobs.append(load(job))
         except UserError as error:
             problems.update(dict.fromkeys(str(error).splitlines()))
     if problems:
         raise UserError("\n".join(problems))
-    return count
+    return jobs
 
 
 def read_options(schema: type[AnyOptions], arguments: list[str]) -> AnyOptions:
@@ -130,7 +129,14 @@ def choices(group: str) -> list[str]:
 
 def nearest(name: str, accepted: list[str]) -> str:
     """The tail of an error message: what was probably meant, or what there is."""
-    close = difflib.get_close_matches(name, accepted, n=3)
+    group, dot, option = name.rpartition(".")
+    within = [other for other in accepted if other.rpartition(".")[0] == group]
+    if dot and within:  # the group is right, so it says nothing about what was meant
+        close = difflib.get_close_matches(option, [other.rpartition(".")[2] for other in within])
+        close = [f"{group}.{other}" for other in close]
+        accepted = within
+    else:
+        close = difflib.get_close_matches(name, accepted, n=3)
     if close:
         return f"did you mean {' or '.join(close)}?"
     return f"there is {', '.join(sorted(accepted))}"
@@ -148,7 +154,10 @@ def _compose(*overrides: str) -> _Composed:
         del config["hydra"]
         values = OmegaConf.to_container(config, resolve=True)
     except (HydraException, OmegaConfBaseException) as error:
-        raise UserError(" ".join(str(error).split())) from None
+        message = " ".join(str(error).split())
+        if "hydra/launcher" in message:
+            message += ' (joblib and submitit come with the extra: pip install "zipf-rl[sweep]")'
+        raise UserError(message) from None
     finally:
         GlobalHydra.instance().hydra = backup
     assert isinstance(values, dict)
@@ -162,7 +171,11 @@ def _parse(overrides: list[str]) -> list[Override]:
         try:
             parsed.append(parser.parse_override(text))
         except HydraException:
-            problems.append(f"{text}: not of the form option=value")
+            name, equals, value = text.partition("=")
+            if equals:
+                problems.append(f"{text}: needs quotes within quotes: '{name}=\"{value}\"'")
+            else:
+                problems.append(f"{text}: not of the form option=value")
     if problems:
         raise UserError("\n".join(problems))
     return parsed

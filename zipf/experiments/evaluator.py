@@ -228,7 +228,14 @@ class _Function:
         self, observation: Mapping[str, NDArray], reward: NDArray, is_first: NDArray
     ) -> NDArray:
         if self.batched:
-            return np.asarray(self.function(observation))
+            actions = np.asarray(self.function(observation))
+            if actions.shape != is_first.shape:
+                raise ValueError(
+                    f"the policy returned actions of shape {actions.shape} for {len(is_first)} "
+                    f"observations; should be {is_first.shape}, or say batched=False for a policy "
+                    "that takes one observation"
+                )
+            return actions
         return np.asarray([self.function({name: part[0] for name, part in observation.items()})])
 
 

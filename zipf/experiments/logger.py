@@ -16,6 +16,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.record_writer import RecordWriter
@@ -126,7 +127,15 @@ def _forget_after(path: Path, update: int) -> None:
     if not header.endswith("\n"):
         path.unlink()
         return
-    kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= update]
+    kept = []
+    for number, row in enumerate(rows, 2):
+        first = row.split(",")[0]
+        if not row.endswith("\n"):
+            continue
+        if not first.isdigit():
+            raise UserError(f"{path}, line {number}: should begin with an update, not {first!r}")
+        if int(first) <= update:
+            kept.append(row)
     replacement = path.with_name(path.name + ".new")
     replacement.write_text("".join([header, *kept]))
     replacement.replace(path)
@@ -159,15 +168,14 @@ class Display:
         self.scores: dict[str, float] = {}
         self.metrics: dict[str, float] = {}
         self.progress = Progress(
-            TextColumn("[bold]{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("updates"),
             TimeRemainingColumn(),
         )
-        self.task = self.progress.add_task(name, total=updates, completed=update)
+        self.task = self.progress.add_task("", total=updates, completed=update)
         self._live = Live(console=self.console, get_renderable=self._panel, refresh_per_second=4)
-        self._printed = 0.0
+        self._printed = time.monotonic()
 
     def __enter__(self) -> Display:
         if self.live:
@@ -215,13 +223,13 @@ class Display:
     def _panel(self) -> Group:
         scores = Table.grid(padding=(0, 3))
         m = self.metrics
-        scores.add_row(
-            *(f"{kind} [bold]{self.scores[kind]:.3f}[/]" for kind in KINDS if kind in self.scores),
-            f"{int(m.get('frames', 0)):,} frames",
-            f"{m.get('frames_per_second', 0):,.0f} frames/s",
-        )
+        cells = [f"{k} [bold]{self.scores[k]:.3f}[/]" for k in KINDS if k in self.scores]
+        if m:
+            cells += [f"{int(m['frames']):,} frames", f"{m['frames_per_second']:,.0f} frames/s"]
+        scores.add_row(*cells or ["[dim]evaluating before the first update[/]"])
         parts = ("environment", "inference", "learning", "evaluation")
         seconds = {part: m.get(f"time_{part}", 0.0) for part in parts}
         total = sum(seconds.values()) or 1.0
         split = "  ".join(f"{part} {spent / total:.0%}" for part, spent in seconds.items())
-        return Group(self.progress, scores, f"[dim]time: {split}[/]")
+        name = Text(self.name, style="bold", no_wrap=True, overflow="ellipsis")
+        return Group(name, self.progress, scores, f"[dim]time: {split}[/]" if m else "")

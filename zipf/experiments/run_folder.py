@@ -118,12 +118,12 @@ def write_description(config: Config, resumed_at: int | None) -> None:
         "window": config.schedule.window,
         "num_updates": config.updates,
         "chance": chance,
+        "situation": levels.make_vec(split.train, 1, **config.level_options).situation,
         "environment": config.level_options,
         "paper": config.environment.split if config.is_released_benchmark else None,
         **how,
     }
     try:
-        config.folder.mkdir(parents=True, exist_ok=True)
         (config.folder / "config.yaml").write_text(OmegaConf.to_yaml(config.model_dump()))
         (config.folder / "run.json").write_text(json.dumps(description, indent=2) + "\n")
     except OSError as error:
@@ -139,6 +139,14 @@ def last_update(path: Path) -> int:
     return int(rows[-1].split(",")[0]) if rows else -1
 
 
+def make(folder: Path) -> None:
+    """Makes a run's folder. Raises `UserError` where it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
+
+
 @contextmanager
 def lock(folder: Path) -> Iterator[None]:
     """Holds a run's folder against other processes, until this one ends, however it ends.
@@ -146,8 +154,8 @@ def lock(folder: Path) -> Iterator[None]:
     Raises:
         UserError: another process is training there, or the folder cannot be written.
     """
+    make(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         file = open(folder / "lock", "w")  # noqa: SIM115
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -206,4 +214,5 @@ def _commit() -> str | None:
 def _device_name(device: str) -> str:
     if device.startswith("cuda"):
         return torch.cuda.get_device_name(device)
-    return f"cpu ({platform.machine()}), {torch.get_num_threads()} threads"
+    threads = torch.get_num_threads()
+    return f"cpu ({platform.machine()}), {threads} thread{'s' if threads > 1 else ''}"

@@ -37,13 +37,19 @@ def train(config: Config) -> int:
     """
     keep_memory()
     with run_folder.lock(config.folder):
-        return _train(Run(config))
+        try:
+            return _train(Run(config))
+        except MemoryError as error:
+            raise UserError(
+                f"not enough memory ({error}); collector.num_envs and collector.unroll_length say "
+                "how much is held"
+            ) from None
 
 
 def _train(run: Run) -> int:
     config = run.config
     with run.display, StopSignals(run.display) as stop:
-        if run.update == 0:
+        if run.is_new:
             run.evaluate()
             run.save()
         while run.update < config.updates and not stop.requested:
@@ -83,6 +89,7 @@ class Run:
         self.frames_per_update = config.collector.num_envs * config.collector.unroll_length
         self.seconds = Seconds()
         self.update = 0
+        self.is_new = saved is None
         torch.manual_seed(config.seed)
         if saved:
             self.load(saved)
@@ -178,7 +185,13 @@ class Run:
         self.logger.text(f"update {self.update}: {scores}")
 
     def close(self) -> None:
-        """Lets go of files and worlds."""
+        """Says how to go on, and lets go of files and worlds."""
+        if self.update < self.config.updates:
+            self.display.say(
+                f"stopped at update {self.update}; the same command goes on from there"
+            )
+        else:
+            self.display.say(f"finished; python -m zipf.report {self.folder.parent.parent}")
         self.logger.text(f"stops at update {self.update}")
         self.logger.close()
         self.collector.env.close()
