@@ -659,8 +659,13 @@ def test_a_heat_map_makes_room_for_its_titles(tmp_path: Path, count: int) -> Non
     cells = [f"300,uniform,{m},{t},10,5,5.0" for m in range(5) for t in range(4)]
     settings = ",precision=bfloat16,collector.num_envs=2,network.size=16,memory.size=16"
     for number in range(count):
-        condition = f"impala_mlp,number={number}{settings if number else ''}"
-        write_run(tmp_path, constant(0.5), condition=condition, situations=(header, *cells))
+        write_run(
+            tmp_path,
+            constant(0.5),
+            experiment="demo (an experiment whose title has several lines)",
+            condition=f"impala_mlp,number={number}{settings if number else ''}",
+            situations=(header, *cells),
+        )
     with matplotlib.rc_context(plots.STYLE):
         figure = plots.success_by_situation(only_table(tmp_path))
         assert_text_is_inside(figure)
