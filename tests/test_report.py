@@ -656,8 +656,8 @@ def test_figures_keep_their_text_inside(tmp_path: Path) -> None:
 @pytest.mark.parametrize("count", [1, 2, 4, 5])
 def test_a_heat_map_makes_room_for_its_titles(tmp_path: Path, count: int) -> None:
     header = "update,level_kind,map,target,episodes,successes,return_sum"
-    cells = [f"300,uniform,{m},{t},10,5,5.0" for m in range(5) for t in range(4)]
-    settings = ",precision=bfloat16,collector.num_envs=2,network.size=16,memory.size=16"
+    cells = [f"300,uniform,{m},{t},10,5,5.0" for m in range(5) for t in range(5)]
+    settings = ",precision=bfloat16,collector.num_envs=2"
     for number in range(count):
         write_run(
             tmp_path,
