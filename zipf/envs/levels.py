@@ -21,12 +21,16 @@ from zipf.envs.vector import ZipfVectorEnv
 
 @dataclass(frozen=True)
 class Split:
-    """A benchmark: the level to train on and the two that test, by full name."""
+    """A benchmark: the level to train on and the two that test.
+
+    Each is a full level name, or for worlds of your own what makes a batch of them, called as
+    `make(num_envs, **options)`.
+    """
 
     name: str
-    train: str
-    uniform: str
-    rare: str
+    train: str | Callable[..., ZipfVectorEnv]
+    uniform: str | Callable[..., ZipfVectorEnv]
+    rare: str | Callable[..., ZipfVectorEnv]
 
 
 SPLITS = {
@@ -68,18 +72,23 @@ def make(level: str, **kwargs: Any) -> gym.Env:
 
 
 def make_vec(
-    level: str,
+    level: str | Callable[..., ZipfVectorEnv],
     num_envs: int,
     *,
     autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     **kwargs: Any,
 ) -> ZipfVectorEnv:
-    """`num_envs` worlds of a level that step together; otherwise as `make`."""
+    """`num_envs` worlds of a level that step together; otherwise as `make`.
+
+    The level may also be what a `Split` may hold in a name's place.
+    """
+    if callable(level):
+        return level(num_envs, autoreset_mode=autoreset_mode, **kwargs)
     family, name = _resolve(level)
     return family.vector(num_envs, level=name, autoreset_mode=autoreset_mode, **kwargs)
 
 
-def chance(level: str, **kwargs: Any) -> float | None:
+def chance(level: str | Callable[..., ZipfVectorEnv], **kwargs: Any) -> float | None:
     """The score of uniformly random actions on a level, where it is known exactly.
 
     Args:
@@ -90,6 +99,8 @@ def chance(level: str, **kwargs: Any) -> float | None:
     Returns:
         The mean return of an episode, or None where no exact figure exists.
     """
+    if callable(level):
+        return None
     family, name = _resolve(level)
     if family.chance is None:
         return None
@@ -102,7 +113,7 @@ def _resolve(level: str) -> tuple[_Family, str]:
     """The family of a full level name, and the level's name within it."""
     prefix, _, name = level.partition("/")
     if prefix not in _FAMILIES or not name:
-        known = [one for s in SPLITS.values() for one in (s.train, s.uniform, s.rare)]
+        known = [str(one) for s in SPLITS.values() for one in (s.train, s.uniform, s.rare)]
         raise ValueError(_unknown("level", level, known))
     family = _FAMILIES[prefix]
     family.check(name)

@@ -165,7 +165,7 @@ def evaluate(
         level = getattr(split, kind)
         env = levels.make_vec(level, min(num_envs, episodes), **level_options)
         worlds = derive_seed(seed, "evaluation", index)
-        results.append(Result(kind, level, play(policy, env, episodes=episodes, seed=worlds)))
+        results.append(Result(kind, str(level), play(policy, env, episodes=episodes, seed=worlds)))
         env.close()
     return results
 
@@ -188,7 +188,7 @@ def score(
             an agent with `predict(observation, state, episode_start)` returning actions and state,
             as Stable-Baselines3's;
             a `Policy` of this module.
-        split: the benchmark, for instance "gridworld".
+        split: the benchmark, for instance "gridworld", or a `zipf.envs.Split` of your own.
         episodes: scored per level (the paper: 1000).
         num_envs: worlds played at a time; `batched=False` plays one.
         seed: of the worlds.
