@@ -283,11 +283,15 @@ def _cannot_be_built(key: str, config: Config) -> str | None:
             split = levels.split(config.environment.split)
             for level in (split.train, split.uniform, split.rare):
                 env = levels.make_vec(level, 1, **config.level_options)
+        except ValueError as error:
+            _buildable[key] = f"environment: {error}"
+            return _buildable[key]
+        try:
             with torch.device("meta"):
                 spaces = env.single_observation_space, env.single_action_space
                 ActorCritic(*spaces, config.network, config.memory)
         except ValueError as error:
-            _buildable[key] = f"environment: {error}"
+            _buildable[key] = str(error)
     return _buildable[key]
 
 
