@@ -85,7 +85,7 @@ def fits(path: Path) -> Iterator[None]:
         raise UserError(f"{path}: does not fit this version of zipf ({first})") from None
 
 
-def write_description(config: Config, resumed_at: int | None) -> None:
+def write_description(config: Config, situation: dict[str, int], resumed_at: int | None) -> None:
     """Writes `config.yaml` and `run.json`: what is run, how and with what.
 
     A resumed run keeps the description of how it began; how it went on is added to `resumed`.
@@ -118,7 +118,7 @@ def write_description(config: Config, resumed_at: int | None) -> None:
         "window": config.schedule.window,
         "num_updates": config.updates,
         "chance": chance,
-        "situation": levels.make_vec(split.train, 1, **config.level_options).situation,
+        "situation": situation,
         "environment": config.level_options,
         "paper": config.environment.split if config.is_released_benchmark else None,
         **how,

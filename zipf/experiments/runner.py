@@ -93,9 +93,10 @@ class Run:
         torch.manual_seed(config.seed)
         if saved:
             self.load(saved)
-        run_folder.write_description(config, resumed_at=self.update if saved else None)
+        resumed_at = self.update if saved else None
+        run_folder.write_description(config, env.situation, resumed_at)
         self.logger = Logger(self.folder, resume_at=self.update if saved else -1)
-        self._logged = self.seconds.total - self.seconds.spent["evaluation"], self.update
+        self._logged = self.seconds.training, self.update
         name = f"{config.experiment} {config.condition} seed {config.seed}"
         where = "a new run"
         if saved:
@@ -145,7 +146,7 @@ class Run:
     def log(self, unroll: Unroll, metrics: dict[str, float]) -> None:
         """Writes a row of metrics."""
         self.seconds.take(self.collector.seconds)
-        training = self.seconds.total - self.seconds.spent["evaluation"]
+        training = self.seconds.training
         then, update = self._logged
         self._logged = training, self.update
         row = {
@@ -266,6 +267,10 @@ class Seconds:
     @property
     def total(self) -> float:
         return sum(self.spent.values())
+
+    @property
+    def training(self) -> float:
+        return self.total - self.spent["evaluation"]
 
     def take(self, measured: dict[str, float]) -> None:
         """Moves what a collector measured over here."""
