@@ -1,0 +1,1 @@
+"""The objects of the playroom as meshes, made of primitives by code."""
