@@ -99,6 +99,58 @@ def test_observing_more_worlds_than_asked_is_caught(kind: Any) -> None:
         check_vector_env(Shown, partial(SingleWorld, Shown), steps=60)
 
 
+class Speaking(Bandit):
+    """Says which arm is lit, as text and as a number."""
+
+    words = np.array(["first", "second arm", "third", "the last one"])
+
+    def _describe(self) -> Any:
+        return {"instruction": self.words[self.arms], "half": self.arms // 2}
+
+
+class Mumbling(Speaking):
+    def __init__(self, num_envs: int, **options: Any) -> None:
+        super().__init__(num_envs, **options)
+        self.kept = np.zeros(num_envs, np.int64)
+
+    def _describe(self) -> Any:
+        self.kept[:] = self.arms
+        return {"again": self.kept}
+
+
+class Babbling(Speaking):
+    def _describe(self) -> Any:
+        return {"instruction": self.words[(self.arms + (self.num_envs == 1)) % 4]}
+
+
+class Stammering(Speaking):
+    def _describe(self) -> Any:
+        return {"instruction": self.words}
+
+
+class Boasting(Speaking):
+    def _describe(self) -> Any:
+        return {"success": self.arms >= 0}
+
+
+def test_what_a_family_tells_about_an_episode_is_checked() -> None:
+    check_vector_env(Speaking, partial(SingleWorld, Speaking), steps=60)
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        (Babbling, r"\['instruction'\]"),
+        (Mumbling, r"final_info.*\['again'\]"),
+        (Stammering, r"info\['instruction'\] must be an array \[N\], got shape \(4,\)"),
+        (Boasting, r"info\['success'\] of a reset: the name has another meaning"),
+    ],
+)
+def test_telling_wrong_things_about_an_episode_is_caught(broken: Any, message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        check_vector_env(broken, partial(SingleWorld, broken), steps=60)
+
+
 class SharedSeed(GridworldVectorEnv):
     def _read_seeds(self, seed: Any) -> list[int | None]:
         return [seed if isinstance(seed, int) else None] * self.num_envs

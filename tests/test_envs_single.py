@@ -39,6 +39,24 @@ def test_it_equals_a_world_written_by_itself() -> None:
             ended = step[2] or step[3]
 
 
+class Named(GridworldVectorEnv):
+    def _describe(self) -> dict[str, Any]:
+        ranks = self._situations()
+        return {"name": np.array([f"object {rank}" for rank in ranks["target"]])}
+
+
+def test_it_tells_what_the_batch_tells_about_an_episode() -> None:
+    env = SingleWorld(Named, level="uniform", **SMALL)
+    info = env.reset(seed=0, options={"target": 3})[1]
+    assert type(info["name"]) is str
+    assert info["name"] == "object 3"
+    ended = False
+    while not ended:
+        _, _, terminated, truncated, info = env.step(0)
+        assert info["name"] == "object 3"
+        ended = terminated or truncated
+
+
 def test_it_serves_as_the_single_world_of_the_check() -> None:
     check_vector_env(
         partial(GridworldVectorEnv, level="uniform", observation="tiles", **SMALL),

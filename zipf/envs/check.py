@@ -94,6 +94,11 @@ class _Check:
 
         observation, info = env.reset(seed=self.seed)
         self._contained(env, observation, info, "reset")
+        for name in info.keys() - env.situation.keys():
+            taken = name.startswith("_") or name in ("final_info", "final_obs", *_OUTCOME)
+            _require(not taken, f"info[{name!r}] of a reset: the name has another meaning")
+            shape = np.shape(info[name])
+            _require(shape == (self.n,), f"info[{name!r}] must be an array [N], got shape {shape}")
         for t, actions in enumerate(self.actions):
             observation, reward, terminated, truncated, info = env.step(actions)
             where = f"step {t}"
@@ -136,14 +141,14 @@ class _Check:
         observation, info = env.reset(seed=self.seed)
         starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
         _same((observation, info), _stack(starts), f"reset(seed={self.seed})")
-        _same(set(info), set(env.situation), "keys of reset's info")
+        told = set(info)
         for t, actions in enumerate(self.actions):
             where = f"step {t} (SAME_STEP)"
             given = env.step(actions)
             results = [single.step(a) for single, a in zip(singles, actions, strict=True)]
             done = np.array([result[2] or result[3] for result in results])
             _same(given[1:4], _stack([r[1:4] for r in results]), f"{where}: reward and ends")
-            keys = set(env.situation)
+            keys = set(told)
             if done.any():
                 keys |= {"final_info", "_final_info", "final_obs", "_final_obs"}
             _same(set(given[4]), keys, f"{where}: keys of info")
@@ -159,7 +164,7 @@ class _Check:
             if done.any():
                 _same(given[4]["_final_info"], done, f"{where}: _final_info")
                 _same(given[4]["_final_obs"], done, f"{where}: _final_obs")
-            now = {name: given[4][name] for name in env.situation}
+            now = {name: given[4][name] for name in told}
             _same((given[0], now), _stack(running), f"{where}: after autoreset")
         _require(ended > self.n, f"only {ended} episodes ended: check with more steps")
         _close(env, *singles)
@@ -172,17 +177,18 @@ class _Check:
         observation, info = env.reset(seed=self.seed)
         starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
         _same((observation, info), _stack(starts), f"reset(seed={self.seed}) (DISABLED)")
+        told = set(info)
         refused = False
         for t, actions in enumerate(self.actions):
             where = f"step {t} (DISABLED)"
             given = env.step(actions)
             results = [single.step(a) for single, a in zip(singles, actions, strict=True)]
             done = np.array([result[2] or result[3] for result in results])
-            current = [(r[0], {name: r[4][name] for name in env.situation}) for r in results]
-            now = {name: given[4][name] for name in env.situation}
-            _same((given[0], now), _stack(current), f"{where}: observation and ranks")
+            current = [(r[0], {name: r[4][name] for name in told}) for r in results]
+            now = {name: given[4][name] for name in told}
+            _same((given[0], now), _stack(current), f"{where}: observation and info")
             _same(given[1:4], _stack([r[1:4] for r in results]), f"{where}: reward and ends")
-            keys = set(env.situation)
+            keys = set(told)
             if done.any():
                 keys |= {*_OUTCOME, *(f"_{name}" for name in _OUTCOME)}
             _same(set(given[4]), keys, f"{where}: keys of info")

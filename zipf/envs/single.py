@@ -22,7 +22,8 @@ class SingleWorld(gym.Env[dict[str, Any], Any]):
     wrong masks, states and buffers, but not wrong rules, which both sides share; for those, write
     the single world by itself.
 
-    `info` holds the ranks of the situation as integers. The step that ends an episode adds
+    `info` holds the ranks of the situation as integers, and what else the batch tells about an
+    episode as plain Python values (text as str). The step that ends an episode adds
     `success` (bool), `return` (float) and `length` (int). Episodes are drawn from the batch's
     own stream; `np_random` is seeded, and drawn from by nothing here.
 
@@ -80,5 +81,5 @@ def _row(observation: Observation) -> dict[str, Any]:
 
 
 def _items(info: dict[str, Any]) -> dict[str, Any]:
-    """The only world's entries as Python numbers; masks (`_success`, ...) say nothing here."""
+    """The only world's entries as Python values; masks (`_success`, ...) say nothing here."""
     return {key: value[0].item() for key, value in info.items() if not key.startswith("_")}

@@ -25,7 +25,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     A `gymnasium.vector.VectorEnv` in `AutoresetMode.SAME_STEP` (default) or `DISABLED`, with:
 
     - **Situations.** An episode is drawn at one or more frequency ranks (0 = most frequent), named
-      and sized in `situation`. `info` holds the ranks of the episodes now running, int64 [N] each.
+      and sized in `situation`. `info` holds the ranks of the episodes now running, int64 [N] each,
+      and what else the family tells about them (`_describe`), for instance instructions as text.
     - **Own random streams.** World `i` after `reset(seed=s)` draws from
       `numpy.random.default_rng(s + i)` and equals a single environment seeded `s + i`.
     - **Writing in place.** `reset(out=...)` and `step(actions, out=..., final_out=...)` write
@@ -34,10 +35,11 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     - **Complete state.** After `set_state(get_state())` stepping continues bit for bit.
 
     `info` of a step in `SAME_STEP` mode, when episodes ended: `final_info`, a dict of arrays [N]
-    with the ended episodes' ranks (int64), `success` (bool), `return` (float64) and `length`
-    (int64), and `final_obs`, a dict of arrays [N, ...] of their last observations. Both are valid
-    only where the masks `_final_info` and `_final_obs` (bool [N]) are set. `final_obs` is written
-    to `final_out`; with `out` and no `final_out` it is left out, which saves drawing it.
+    with the ended episodes' ranks (int64) and descriptions, `success` (bool), `return` (float64)
+    and `length` (int64), and `final_obs`, a dict of arrays [N, ...] of their last observations.
+    Both are valid only where the masks `_final_info` and `_final_obs` (bool [N]) are set.
+    `final_obs` is written to `final_out`; with `out` and no `final_out` it is left out, which saves
+    drawing it.
 
     `info` of a step in `DISABLED` mode, when episodes ended: `success`, `return` and `length`,
     valid where the masks `_success`, `_return` and `_length` are set. A world whose episode has
@@ -152,6 +154,13 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _situations(self) -> dict[str, NDArray[np.int64]]:
         """The ranks of the episodes now running, as fresh arrays int64 [N]."""
 
+    def _describe(self) -> dict[str, NDArray[Any]]:
+        """What else `info` tells about the episodes now running, as fresh arrays [N] of any dtype.
+
+        The names are those of no rank of the situation and do not begin with an underscore.
+        """
+        return {}
+
     @abstractmethod
     def _get_worlds(self) -> dict[str, NDArray[Any]]:
         """The family's own state, as a flat dict of numeric arrays that may alias it."""
@@ -182,7 +191,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             out: where to write the observations, else as the constructor's `copy` says.
 
         Returns:
-            Observations of all worlds and `info` with the ranks of all episodes now running.
+            Observations of all worlds and `info` about all episodes now running.
 
         Raises:
             ValueError: for seeds, options or `out` of the wrong length, type or range.
@@ -202,7 +211,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self._running[mask] = True
         self._all_running = bool(self._running.all())
         self._observe(observation, self._everywhere)
-        return observation, dict(self._situations())
+        return observation, self._running_info()
 
     def step(
         self,
@@ -239,7 +248,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         if same_step and (final_out is not None or out is None):
             final = self._writable(final_out, "final_out")
 
-        before = self._situations()
+        before = self._running_info()
         self._lengths += 1
         reward, terminated, truncated, success = self._advance(actions)
         self._returns += reward
@@ -260,7 +269,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 self._begin(done, self._unforced)
                 self._lengths[done] = 0
                 self._returns[done] = 0.0
-                info.update(self._situations())
+                info.update(self._running_info())
             else:
                 info.update(outcome)
                 info.update({f"_{key}": done.copy() for key in outcome})
@@ -318,6 +327,9 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         state = {**self.__dict__, "_buffers": {}}
         state.pop("observation_space", None)
         return state
+
+    def _running_info(self) -> Info:
+        return {**self._situations(), **self._describe()}
 
     # Checks of what came from outside.
 
