@@ -10,13 +10,21 @@ from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 
 from zipf.envs import distributions
 from zipf.envs.gridworld.chance import random_policy_success
+from zipf.envs.gridworld.expert import Expert as GridworldExpert
+from zipf.envs.gridworld.keys import KEYS as GRIDWORLD_KEYS
 from zipf.envs.gridworld.single import GridworldEnv
 from zipf.envs.gridworld.vector import GridworldVectorEnv
+from zipf.envs.keys import Keys
 from zipf.envs.vector import ZipfVectorEnv
+
+Expert = Callable[[], NDArray[np.int64]]
+"""A scripted player of a batch of worlds, from their state: called, it gives actions [N]."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +53,18 @@ class _Family:
     chance: Callable[..., float] | None
     check: Callable[[str], object]
     """Raises ValueError for a name, without the family, that is no level."""
+    keys: Keys | None = None
+    expert: Callable[[Any], Expert] | None = None
 
 
 _FAMILIES = {
     "gridworld": _Family(
-        GridworldEnv, GridworldVectorEnv, random_policy_success, distributions.by_name
+        GridworldEnv,
+        GridworldVectorEnv,
+        random_policy_success,
+        distributions.by_name,
+        GRIDWORLD_KEYS,
+        GridworldExpert,
     ),
 }
 
@@ -107,6 +122,25 @@ def chance(level: str | Callable[..., ZipfVectorEnv], **kwargs: Any) -> float | 
     shown = {"observation", "render_mode", "copy", "autoreset_mode"}
     options = {key: value for key, value in kwargs.items() if key not in shown}
     return family.chance(name, **options)
+
+
+def keys(level: str) -> Keys | None:
+    """What a keyboard's keys do on a level; None in a family that has none.
+
+    Raises:
+        ValueError: for an unknown level.
+    """
+    return _resolve(level)[0].keys
+
+
+def expert(level: str, env: ZipfVectorEnv) -> Expert | None:
+    """A scripted player of worlds that `make_vec` made of a level; None in a family without.
+
+    Raises:
+        ValueError: for an unknown level.
+    """
+    make_expert = _resolve(level)[0].expert
+    return None if make_expert is None else make_expert(env)
 
 
 def _resolve(level: str) -> tuple[_Family, str]:

@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -239,22 +240,41 @@ def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
     Raises:
         UserError: no run, no checkpoint, or one that is damaged or of another configuration.
     """
-    folder = Path(options.run)
-    config = run_folder.read_config(folder).model_copy(update={"device": options.device})
-    saved = checkpoint.load(folder / "checkpoint.pt")
-    run_folder.check_options(folder / "checkpoint.pt", saved, config)
-    env = levels.make_vec(levels.split(config.environment.split).train, 1, **config.level_options)
-    agent = build_agent(config, env)
-    with run_folder.fits(folder / "checkpoint.pt"):
-        agent.load_state_dict(saved["agent"])
+    trained = load_agent(Path(options.run), options.device)
     results = evaluate_agent(
-        config,
-        agent,
+        trained.config,
+        trained.agent,
         episodes=options.episodes,
         num_envs=options.num_envs,
         seed=options.seed,
     )
-    return saved["update"], results
+    return trained.update, results
+
+
+@dataclass(frozen=True)
+class Trained:
+    """An agent as a run's checkpoint has it."""
+
+    config: Config
+    agent: Agent
+    update: int
+
+
+def load_agent(folder: Path, device: str) -> Trained:
+    """The agent of a run's checkpoint.
+
+    Raises:
+        UserError: no run, no checkpoint, or one that is damaged or of another configuration.
+    """
+    config = run_folder.read_config(folder).model_copy(update={"device": device})
+    saved = checkpoint.load(folder / "checkpoint.pt")
+    run_folder.check_options(folder / "checkpoint.pt", saved, config)
+    env = levels.make_vec(levels.split(config.environment.split).train, 1, **config.level_options)
+    agent = build_agent(config, env)
+    env.close()
+    with run_folder.fits(folder / "checkpoint.pt"):
+        agent.load_state_dict(saved["agent"])
+    return Trained(config, agent, saved["update"])
 
 
 class Seconds:
