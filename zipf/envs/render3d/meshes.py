@@ -1,0 +1,50 @@
+"""The meshes that are drawn: toys and furniture, made by `python scripts/build_meshes.py`."""
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class MeshAtlas:
+    """Meshes one after another in shared arrays; mesh i owns a half-open range of each.
+
+    A mesh is in metres, z up, facing +x, its origin at the centre of its footprint and its lowest
+    point at z = 0; it is made of closed surfaces, which may run into one another.
+    """
+
+    names: tuple[str, ...]
+    """Of each mesh."""
+    vertices: np.ndarray
+    """float32 [V, 3], metres."""
+    triangles: np.ndarray
+    """int32 [T, 3]: indices into `vertices`, counter-clockwise seen from outside."""
+    parts: np.ndarray
+    """uint8 [T]: 0 the instance's main and 1 its accent colour; the fixed 2 dark, 3 light, 4 wood
+    and 5 green."""
+    first_vertex: np.ndarray
+    """int32 [meshes + 1]: mesh i owns the vertices first_vertex[i] : first_vertex[i + 1]."""
+    first_triangle: np.ndarray
+    """int32 [meshes + 1]: likewise for `triangles` and `parts`."""
+    extent: np.ndarray
+    """float32 [meshes, 3]: size of the bounding box along x, y and z, metres."""
+
+    def index(self, name: str) -> int:
+        """The number of the mesh of that name; KeyError where there is none."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise KeyError(f"no mesh {name!r}; there are {', '.join(self.names)}") from None
+
+
+@cache
+def load_meshes() -> MeshAtlas:
+    """The package's meshes: 50 toys by rank, then the bed and the tray. Arrays are read-only."""
+    with np.load(Path(__file__).with_name("meshes.npz"), allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    names = tuple(str(name) for name in arrays.pop("names"))
+    for array in arrays.values():
+        array.flags.writeable = False
+    return MeshAtlas(names, **arrays)
