@@ -3,11 +3,13 @@
 import gymnasium
 
 from zipf.envs.levels import SPLITS, Split, chance, make, make_vec, split
+from zipf.envs.mixture import MixtureVectorEnv
 from zipf.envs.single import SingleWorld
 from zipf.envs.vector import ZipfVectorEnv
 
 __all__ = [
     "SPLITS",
+    "MixtureVectorEnv",
     "SingleWorld",
     "Split",
     "ZipfVectorEnv",

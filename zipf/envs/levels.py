@@ -5,8 +5,9 @@ A level is `<family>/<distribution>`, for instance `gridworld/zipf_2`, `gridworl
 """
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -21,24 +22,33 @@ from zipf.envs.gridworld.keys import KEYS as GRIDWORLD_KEYS
 from zipf.envs.gridworld.single import GridworldEnv
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.envs.keys import Keys
+from zipf.envs.mixture import MixtureVectorEnv
 from zipf.envs.vector import ZipfVectorEnv
 
 Expert = Callable[[], NDArray[np.int64]]
 """A scripted player of a batch of worlds, from their state: called, it gives actions [N]."""
 
 
+Level = str | Callable[..., ZipfVectorEnv]
+"""A full level name, or for worlds of your own what makes a batch of them, called as
+`make(num_envs, **options)`."""
+
+KINDS = ("train", "uniform", "rare")
+
+
 @dataclass(frozen=True)
 class Split:
-    """A benchmark: the level to train on and the two that test.
-
-    Each is a full level name, or for worlds of your own what makes a batch of them, called as
-    `make(num_envs, **options)`.
-    """
+    """A benchmark: the level to train on, or several at once, and the two that test."""
 
     name: str
-    train: str | Callable[..., ZipfVectorEnv]
-    uniform: str | Callable[..., ZipfVectorEnv]
-    rare: str | Callable[..., ZipfVectorEnv]
+    train: Level | tuple[Level, ...]
+    uniform: Level
+    rare: Level
+
+    def levels(self, kind: str) -> tuple[Level, ...]:
+        """The levels of a kind: "train", "uniform" or "rare"."""
+        levels = getattr(self, kind)
+        return levels if isinstance(levels, tuple) else (levels,)
 
 
 SPLITS = {
@@ -87,7 +97,7 @@ def make(level: str, **kwargs: Any) -> gym.Env:
 
 
 def make_vec(
-    level: str | Callable[..., ZipfVectorEnv],
+    level: Level | Sequence[Level],
     num_envs: int,
     *,
     autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
@@ -95,15 +105,21 @@ def make_vec(
 ) -> ZipfVectorEnv:
     """`num_envs` worlds of a level that step together; otherwise as `make`.
 
-    The level may also be what a `Split` may hold in a name's place.
+    The level may also be what a `Split` may hold in a name's place. Several levels share the
+    worlds: see `MixtureVectorEnv`.
     """
+    if isinstance(level, Sequence) and not isinstance(level, str):
+        makers = {str(one): partial(make_vec, one) for one in level}
+        if len(makers) < len(level):
+            raise ValueError(f"a mixture has every level once, got {', '.join(map(str, level))}")
+        return MixtureVectorEnv(makers, num_envs, autoreset_mode=autoreset_mode, **kwargs)
     if callable(level):
         return level(num_envs, autoreset_mode=autoreset_mode, **kwargs)
     family, name = _resolve(level)
     return family.vector(num_envs, level=name, autoreset_mode=autoreset_mode, **kwargs)
 
 
-def chance(level: str | Callable[..., ZipfVectorEnv], **kwargs: Any) -> float | None:
+def chance(level: Level, **kwargs: Any) -> float | None:
     """The score of uniformly random actions on a level, where it is known exactly.
 
     Args:
@@ -147,7 +163,7 @@ def _resolve(level: str) -> tuple[_Family, str]:
     """The family of a full level name, and the level's name within it."""
     prefix, _, name = level.partition("/")
     if prefix not in _FAMILIES or not name:
-        known = [str(one) for s in SPLITS.values() for one in (s.train, s.uniform, s.rare)]
+        known = [str(one) for s in SPLITS.values() for kind in KINDS for one in s.levels(kind)]
         raise ValueError(_unknown("level", level, known))
     family = _FAMILIES[prefix]
     family.check(name)
