@@ -1,7 +1,4 @@
-"""Frames for people: the whole map, and a window on the screen that shows it."""
-
-import os
-from typing import Any
+"""Frames for people: the whole map."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +10,6 @@ _SCALE = 3  # screen pixels per sprite pixel
 _CELL = _SCALE * looks.CELL
 _LINE = 2  # thickness of outlines in screen pixels
 
-_NO_DISPLAY = 'render_mode="human" needs a display, and none was found; use render_mode="rgb_array"'
 _BACKGROUND = (24, 26, 32)
 _SEEN = (235, 235, 235)
 _TARGET = (255, 190, 60)
@@ -77,46 +73,3 @@ def _outline(
         np.maximum(left - columns, columns - (left + size - 1)),
     )
     canvas[(outside > 0) & (outside <= _LINE)] = colour
-
-
-class Window:
-    """A window on the screen that shows frames at a steady rate.
-
-    Raises:
-        ImportError: if pygame is not installed.
-        RuntimeError: if there is no display to open a window on.
-    """
-
-    def __init__(self, title: str, fps: int) -> None:
-        try:
-            import pygame
-        except ImportError as error:
-            raise ImportError(
-                'render_mode="human" needs pygame: pip install "zipf-rl[human]"'
-            ) from error
-        self._pygame: Any = pygame
-        self._fps = fps
-        self._screen: Any = None
-        try:
-            pygame.display.init()
-        except pygame.error as error:
-            raise RuntimeError(_NO_DISPLAY) from error
-        # SDL's last resort is a window nobody sees; only those who ask for that get it.
-        if pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in os.environ:
-            pygame.display.quit()
-            raise RuntimeError(_NO_DISPLAY)
-        pygame.display.set_caption(title)
-        self._clock = pygame.time.Clock()
-
-    def show(self, frame: NDArray[np.uint8]) -> None:
-        """Shows a frame, uint8 [height, width, 3], and waits for its turn."""
-        height, width, _ = frame.shape
-        if self._screen is None:
-            self._screen = self._pygame.display.set_mode((width, height))
-        self._pygame.event.pump()
-        self._pygame.surfarray.blit_array(self._screen, frame.swapaxes(0, 1))
-        self._pygame.display.flip()
-        self._clock.tick(self._fps)
-
-    def close(self) -> None:
-        self._pygame.display.quit()

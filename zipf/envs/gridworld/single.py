@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from zipf.envs.gridworld import looks
 from zipf.envs.gridworld.level import OBSERVATIONS, Level
 from zipf.envs.gridworld.maps import MOVES
-from zipf.envs.gridworld.render import Window, frame
+from zipf.envs.gridworld.render import frame
+from zipf.envs.window import Window
 
 _ONE = np.ones(1, dtype=np.bool_)
 

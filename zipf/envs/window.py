@@ -1,0 +1,65 @@
+"""Windows on the screen; they need pygame and a display."""
+
+import os
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def open_display(instead: str) -> Any:
+    """pygame, with its display opened.
+
+    Args:
+        instead: what to do without a display, for the error message.
+
+    Raises:
+        ImportError: if pygame is not installed.
+        RuntimeError: if there is no display to open a window on.
+    """
+    try:
+        import pygame
+    except ImportError as error:
+        raise ImportError('a window needs pygame: pip install "zipf-rl[human]"') from error
+    missing = RuntimeError(f"a window needs a display, and none was found; {instead}")
+    displays = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in displays):
+        raise missing  # without these SDL would try the bare console, or a window nobody sees
+    try:
+        pygame.display.init()
+    except pygame.error as error:
+        raise missing from error
+    if pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in os.environ:
+        pygame.display.quit()
+        raise missing
+    return pygame
+
+
+class Window:
+    """A window on the screen that shows frames at a steady rate.
+
+    Raises:
+        ImportError: if pygame is not installed.
+        RuntimeError: if there is no display to open a window on.
+    """
+
+    def __init__(self, title: str, fps: int) -> None:
+        self._pygame = open_display('use render_mode="rgb_array"')
+        self._fps = fps
+        self._screen: Any = None
+        self._pygame.display.set_caption(title)
+        self._clock = self._pygame.time.Clock()
+
+    def show(self, frame: NDArray[np.uint8]) -> None:
+        """Shows a frame, uint8 [height, width, 3], and waits for its turn."""
+        height, width, _ = frame.shape
+        if self._screen is None:
+            self._screen = self._pygame.display.set_mode((width, height))
+        self._pygame.event.pump()
+        self._pygame.surfarray.blit_array(self._screen, frame.swapaxes(0, 1))
+        self._pygame.display.flip()
+        self._clock.tick(self._fps)
+
+    def close(self) -> None:
+        self._pygame.display.quit()
