@@ -1,0 +1,17 @@
+"""A software renderer of small first-person views, for whole batches of worlds at once."""
+
+from zipf.envs.render3d import textures
+from zipf.envs.render3d.meshes import MeshAtlas, load_meshes
+from zipf.envs.render3d.renderer import Renderer
+from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED, Scenes
+
+__all__ = [
+    "FACES_DOWN",
+    "SEE_THROUGH",
+    "TWO_SIDED",
+    "MeshAtlas",
+    "Renderer",
+    "Scenes",
+    "load_meshes",
+    "textures",
+]

@@ -1,0 +1,412 @@
+"""The renderer's inner loops, compiled.
+
+A camera never rolls, which makes all of this simple. The ray of the pixel at column x, row y is
+`forward + a(x) right + b(y) up`, its length t being the depth along the view. With `h` the heading,
+`right` its right hand (both horizontal) and p the pitch, its horizontal part is c(y) h + a(x) right
+where c(y) = cos p - b sin p, and its rise, sin p + b cos p, is the same along a row. Hence
+
+- on a flat the depth is the same along a row, and positions are affine in x;
+- on a wall 1/t, and positions times 1/t, are affine in x and y; and so are the conditions of being
+  inside its rectangle. Each bounds x from one side in every row: a wall is a span of x per row,
+  found without projecting, clipping or sorting its corners. The near plane is one more condition.
+
+Depth is kept as 1/t, 0 being nothing yet. Colours in the making are uint32, 0x00BBGGRR.
+
+Compiled code is cached beside this file and renewed only when this file changes: after a change to
+what it imports (the constants of `scene.py`), touch it.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
+
+BLOCK = 16
+"""Pixels that span loops take at a time; lines of the buffers have this many to spare."""
+
+LEVEL_STRIDE = 128
+"""Texels in a line of a texture with its smaller versions beside it; see `pack_textures`."""
+
+NEAR = 0.02
+FAR = 4000.0
+GROW = 0.0005
+"""Walls and flats are this many metres larger than they are on every side, so that no background
+shows where two of them meet."""
+
+SUN = (0.36, 0.48, 0.8)
+SURFACE_DARK, SURFACE_SUN = 0.62, 0.38
+MESH_DARK, MESH_SUN = 0.34, 0.66
+FADE = 14.0
+"""Metres at which distance halves the light."""
+
+_SUN_X, _SUN_Y, _SUN_Z = (s / math.sqrt(sum(s * s for s in SUN)) for s in SUN)
+_FADE2 = 1.0 / FADE**2
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _light(x, y, z, dark, sun):
+    """The light on a surface with the unit normal x, y, z: wrapped around, to shade all sides."""
+    return dark + sun * (0.5 + 0.5 * (x * _SUN_X + y * _SUN_Y + z * _SUN_Z))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _bound(low, high, a, step, b):
+    """Narrows each row's span to where a + step * y + b * x >= 0."""
+    if b == 0.0:
+        b = 1e-30
+    start = np.float32(-a / b)
+    step = np.float32(-step / b)
+    if b > 0.0:
+        for y in range(len(low)):
+            low[y] = max(low[y], start + step * np.float32(y))
+    else:
+        for y in range(len(high)):
+            high[y] = min(high[y], start + step * np.float32(y))
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _draw_wall(wall, texture, flags, repeat, tint, view, low, high, width, texels, color, depth):
+    """Draws one wall.
+
+    `view` holds x, y, z of the eye; heading x, y; c(0), its step per row; rise(0), its step per
+    row; a(0) and its step per column.
+    """
+    eye_x, eye_y, eye_z, hx, hy, c0, dc, rise0, drise, a0, da = view
+    x0, y0, x1, y1 = wall[0], wall[1], wall[2], wall[3]
+    bottom, top = np.float64(wall[4]), np.float64(wall[5])
+    ex, ey = np.float64(x0) - x1, np.float64(y0) - y1
+    length = math.sqrt(ex * ex + ey * ey)
+    tall = top - bottom
+    if length == 0.0 or tall <= 0.0:
+        return
+    ex /= length
+    ey /= length
+    nx, ny = ey, -ex
+    distance = nx * (x0 - eye_x) + ny * (y0 - eye_y)
+    if distance > 0.0 and not flags & TWO_SIDED:
+        return
+    if abs(distance) < 1e-6:
+        return
+
+    # 1/t = z + dz_row * y + dz * x, and likewise u/t along the wall and v/t down from its top.
+    n_h, n_r = nx * hx + ny * hy, nx * hy - ny * hx
+    e_h, e_r = ex * hx + ey * hy, ex * hy - ey * hx
+    z = (n_h * c0 + n_r * a0) / distance
+    dz_row = n_h * dc / distance
+    dz = n_r * da / distance
+    along = (eye_x - x1) * ex + (eye_y - y1) * ey
+    u = along * z + e_h * c0 + e_r * a0
+    du_row = along * dz_row + e_h * dc
+    du = along * dz + e_r * da
+    down = top - eye_z
+    v = down * z - rise0
+    dv_row = down * dz_row - drise
+    dv = down * dz
+
+    low[:] = 0.0
+    high[:] = width - 1
+    _bound(low, high, z - 1.0 / FAR, dz_row, dz)
+    _bound(low, high, 1.0 / NEAR - z, -dz_row, -dz)
+    _bound(low, high, u + GROW * z, du_row + GROW * dz_row, du + GROW * dz)
+    far = length + GROW
+    _bound(low, high, far * z - u, far * dz_row - du_row, far * dz - du)
+    _bound(low, high, v + GROW * z, dv_row + GROW * dz_row, dv + GROW * dz)
+    far = tall + GROW
+    _bound(low, high, far * z - v, far * dz_row - dv_row, far * dz - dv)
+
+    per_u = 64.0 / repeat[0] if repeat[0] > 0.0 else 64.0 / (length + 2 * GROW)
+    per_v = 64.0 / repeat[1] if repeat[1] > 0.0 else 64.0 / (tall + 2 * GROW)
+    shift_u = 0.0 if repeat[0] > 0.0 else GROW
+    shift_v = 0.0 if repeat[1] > 0.0 else GROW
+    u, du_row, du = (
+        per_u * (u + shift_u * z),
+        per_u * (du_row + shift_u * dz_row),
+        per_u * (du + shift_u * dz),
+    )
+    v, dv_row, dv = (
+        per_v * (v + shift_v * z),
+        per_v * (dv_row + shift_v * dz_row),
+        per_v * (dv + shift_v * dz),
+    )
+    if distance > 0.0:
+        nx, ny = -nx, -ny
+    light = _light(nx, ny, 0.0, SURFACE_DARK, SURFACE_SUN)
+    red, green, blue = light * tint[0] / 255, light * tint[1] / 255, light * tint[2] / 255
+    # A pixel covers area * t**3 texels.
+    area = per_u * per_v * da * da / abs(distance)
+    holes = flags & SEE_THROUGH != 0
+    for y in range(len(low)):
+        first = math.ceil(low[y])
+        last = math.floor(high[y])
+        for x in range(first, last + 1):
+            inverse = z + dz_row * y + dz * x
+            if inverse <= depth[y, x]:
+                continue
+            t = 1.0 / inverse
+            level = _level(area * t * t * t)
+            iu = int(math.floor((u + du_row * y + du * x) * t)) & 63
+            iv = int(math.floor((v + dv_row * y + dv * x) * t)) & 63
+            texel = texels[texture, _texel(iu, iv, level)]
+            if holes and texel < 0x80000000:
+                continue
+            fade = 1.0 / (1.0 + t * t * _FADE2)
+            depth[y, x] = inverse
+            color[y, x] = _shade(texel, fade * red, fade * green, fade * blue)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _level(area):
+    level = 0
+    while area >= 4.0 and level < 6:
+        area *= 0.25
+        level += 1
+    return level
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _texel(u, v, level):
+    return (v >> level) * LEVEL_STRIDE + LEVEL_STRIDE - (LEVEL_STRIDE >> level) + (u >> level)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _shade(texel, red, green, blue):
+    r = np.uint32(np.float32(texel & 255) * red)
+    g = np.uint32(np.float32((texel >> 8) & 255) * green)
+    b = np.uint32(np.float32((texel >> 16) & 255) * blue)
+    return np.uint32(r | (g << 8) | (b << 16))
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _draw_flat(
+    flat, texture, flags, first, rows, columns, repeat, tint, tiles, view, width, texels, color,
+    depth,
+):  # fmt: skip
+    eye_x, eye_y, eye_z, hx, hy, c0, dc, rise0, drise, a0, da = view
+    up = flat[4] - eye_z
+    if up == 0.0:
+        return
+    if up > 0.0 and not flags & (TWO_SIDED | FACES_DOWN):
+        return
+    if up < 0.0 and flags & FACES_DOWN and not flags & TWO_SIDED:
+        return
+    west, south, east, north = (
+        np.float64(flat[0]),
+        np.float64(flat[1]),
+        np.float64(flat[2]),
+        np.float64(flat[3]),
+    )
+    if east <= west or north <= south:
+        return
+    light = _light(0.0, 0.0, 1.0 if up < 0.0 else -1.0, SURFACE_DARK, SURFACE_SUN)
+    per_column = columns / (east - west)
+    per_row = rows / (north - south)
+    per_u = 64.0 / repeat if repeat > 0.0 else 64.0 * max(columns, 1) / (east - west)
+    per_v = 64.0 / repeat if repeat > 0.0 else 64.0 * max(rows, 1) / (north - south)
+    area = per_u * per_v * da * da / abs(up)
+    holes = flags & SEE_THROUGH != 0
+    for y in range(len(depth)):
+        inverse = (rise0 + drise * y) / up
+        if not 1.0 / FAR < inverse < 1.0 / NEAR:
+            continue
+        t = 1.0 / inverse
+        c = (c0 + dc * y) * t
+        px, dx = eye_x + hx * c + hy * a0 * t, hy * da * t
+        py, dy = eye_y + hy * c - hx * a0 * t, -hx * da * t
+        low, high = _inside(0.0, width - 1.0, px - (west - GROW), dx)
+        low, high = _inside(low, high, (east + GROW) - px, -dx)
+        low, high = _inside(low, high, py - (south - GROW), dy)
+        low, high = _inside(low, high, (north + GROW) - py, -dy)
+        if low > high:
+            continue
+        level = _level(area * t * t * t)
+        fade = light / (1.0 + t * t * _FADE2) / 255.0
+        red, green, blue = fade * tint[0], fade * tint[1], fade * tint[2]
+        for x in range(math.ceil(low), math.floor(high) + 1):
+            if inverse <= depth[y, x]:
+                continue
+            wx, wy = px + dx * x - west, py + dy * x - south
+            tile = texture
+            if rows > 0:
+                column = min(max(int(wx * per_column), 0), columns - 1)
+                row = min(max(int(wy * per_row), 0), rows - 1)
+                tile = tiles[first + row * columns + column]
+                if tile < 0:
+                    continue
+            iu = int(math.floor(wx * per_u)) & 63
+            iv = int(math.floor(wy * per_v)) & 63
+            texel = texels[tile, _texel(iu, iv, level)]
+            if holes and texel < 0x80000000:
+                continue
+            depth[y, x] = inverse
+            color[y, x] = _shade(texel, red, green, blue)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _inside(low, high, a, b):
+    """Narrows a span to where a + b * x >= 0."""
+    if b > 0.0:
+        return max(low, -a / b), high
+    if b < 0.0:
+        return low, min(high, -a / b)
+    return low, (high if a >= 0.0 else -1.0)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, width, color, depth):
+    """Fills a triangle given in pixels and 1/t, seen from its front."""
+    left, right = min(ax, bx, cx), max(ax, bx, cx)
+    top, bottom = min(ay, by, cy), max(ay, by, cy)
+    if right < 0.0 or left > width - 1.0 or bottom < 0.0 or top > len(depth) - 1.0:
+        return
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    if area >= 0.0:
+        return
+    dz = ((bz - az) * (cy - ay) - (cz - az) * (by - ay)) / area
+    dz_row = ((cz - az) * (bx - ax) - (bz - az) * (cx - ax)) / area
+    grow = 1e-4
+    for y in range(max(math.ceil(top), 0), min(math.floor(bottom), len(depth) - 1) + 1):
+        for x in range(max(math.ceil(left), 0), min(math.floor(right), width - 1) + 1):
+            inverse = az + dz * (x - ax) + dz_row * (y - ay)
+            if (
+                (bx - ax) * (y - ay) - (by - ay) * (x - ax) <= grow
+                and (cx - bx) * (y - by) - (cy - by) * (x - bx) <= grow
+                and (ax - cx) * (y - cy) - (ay - cy) * (x - cx) <= grow
+                and inverse > depth[y, x]
+            ):
+                depth[y, x] = inverse
+                color[y, x] = paint
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _draw_mesh(
+    vertices, triangles, normals, parts, position, rotation, scale, colors, eye, frame, focal,
+    middle_x, middle_y, seen, width, color, depth,
+):  # fmt: skip
+    """Draws one mesh. `frame` [3, 3] holds right, up and forward; `seen` [3, V] is scratch."""
+    ox, oy, oz = position[0] - eye[0], position[1] - eye[1], position[2] - eye[2]
+    m = np.empty((3, 4), np.float32)
+    for i in range(3):
+        for j in range(3):
+            m[i, j] = scale * (
+                frame[i, 0] * rotation[0, j]
+                + frame[i, 1] * rotation[1, j]
+                + frame[i, 2] * rotation[2, j]
+            )
+        m[i, 3] = frame[i, 0] * ox + frame[i, 1] * oy + frame[i, 2] * oz
+    for k in range(vertices.shape[1]):
+        vx, vy, vz = vertices[0, k], vertices[1, k], vertices[2, k]
+        for i in range(3):
+            seen[i, k] = m[i, 0] * vx + m[i, 1] * vy + m[i, 2] * vz + m[i, 3]
+    # In the mesh's own frame: the eye, and the sun.
+    view_x = -(rotation[0, 0] * ox + rotation[1, 0] * oy + rotation[2, 0] * oz) / scale
+    view_y = -(rotation[0, 1] * ox + rotation[1, 1] * oy + rotation[2, 1] * oz) / scale
+    view_z = -(rotation[0, 2] * ox + rotation[1, 2] * oy + rotation[2, 2] * oz) / scale
+    sun_x = rotation[0, 0] * _SUN_X + rotation[1, 0] * _SUN_Y + rotation[2, 0] * _SUN_Z
+    sun_y = rotation[0, 1] * _SUN_X + rotation[1, 1] * _SUN_Y + rotation[2, 1] * _SUN_Z
+    sun_z = rotation[0, 2] * _SUN_X + rotation[1, 2] * _SUN_Y + rotation[2, 2] * _SUN_Z
+    fade = 1.0 / (1.0 + max(m[2, 3], 0.0) ** 2 * _FADE2)
+    px, py, pz = np.empty(4), np.empty(4), np.empty(4)
+    for k in range(len(triangles)):
+        nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
+        if nx * view_x + ny * view_y + nz * view_z <= normals[3, k]:
+            continue
+        light = fade * (MESH_DARK + MESH_SUN * (0.5 + 0.5 * (nx * sun_x + ny * sun_y + nz * sun_z)))
+        part = parts[k]
+        paint = np.uint32(0)
+        for i in range(3):
+            paint |= np.uint32(colors[part, i] * light) << np.uint32(8 * i)
+        # The triangle, cut where it is nearer than the near plane: up to four corners.
+        corners = 0
+        for i in range(3):
+            v, w = triangles[k, i], triangles[k, (i + 1) % 3]
+            depth_v, depth_w = seen[2, v], seen[2, w]
+            if depth_v >= NEAR:
+                px[corners] = middle_x + focal * seen[0, v] / depth_v
+                py[corners] = middle_y - focal * seen[1, v] / depth_v
+                pz[corners] = 1.0 / depth_v
+                corners += 1
+            if (depth_v >= NEAR) != (depth_w >= NEAR):
+                f = (NEAR - depth_v) / (depth_w - depth_v)
+                px[corners] = middle_x + focal * (seen[0, v] + f * (seen[0, w] - seen[0, v])) / NEAR
+                py[corners] = middle_y - focal * (seen[1, v] + f * (seen[1, w] - seen[1, v])) / NEAR
+                pz[corners] = 1.0 / NEAR
+                corners += 1
+        for i in range(2, corners):
+            _draw_triangle(
+                px[0], py[0], pz[0], px[i - 1], py[i - 1], pz[i - 1], px[i], py[i], pz[i],
+                paint, width, color, depth,
+            )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def draw(
+    start, stop, mask, camera, walls, wall_looks, wall_repeat, wall_tint, wall_face, wall_count,
+    flats, flat_looks, flat_tiles, flat_repeat, flat_tint, flat_count, tiles, mesh, position,
+    rotation, scale, colors, sky, solid, grid, vertices, triangles, normals, parts, first_vertex,
+    first_triangle, fixed_colors, texels, focal, color, depth, low, high, seen, out,
+):  # fmt: skip
+    """Draws the worlds start .. stop - 1 that are in `mask` to `out`, uint8 [N, H, W, 3]."""
+    height, width = out.shape[1], out.shape[2]
+    middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
+    frame = np.empty((3, 3))
+    palette = np.empty((len(fixed_colors) + 2, 3), np.uint8)
+    palette[2:] = fixed_colors
+    for i in range(start, stop):
+        if not mask[i]:
+            continue
+        yaw, pitch = np.float64(camera[i, 3]), np.float64(camera[i, 4])
+        hx, hy = math.cos(yaw), math.sin(yaw)
+        cos, sin = math.cos(pitch), math.sin(pitch)
+        frame[0] = hy, -hx, 0.0
+        frame[1] = -sin * hx, -sin * hy, cos
+        frame[2] = cos * hx, cos * hy, sin
+        b = middle_y / focal
+        view = (
+            np.float64(camera[i, 0]), np.float64(camera[i, 1]), np.float64(camera[i, 2]), hx, hy,
+            cos - b * sin, sin / focal, sin + b * cos, -cos / focal,
+            -middle_x / focal, 1.0 / focal,
+        )  # fmt: skip
+        for y in range(height):
+            angle = pitch + math.atan((middle_y - y) / focal)
+            share = min(max(angle / (math.pi / 2), 0.0), 1.0)
+            paint = np.uint32(0)
+            for k in range(3):
+                shade = sky[i, 0, k] * (1.0 - share) + sky[i, 1, k] * share
+                paint |= np.uint32(shade) << np.uint32(8 * k)
+            color[y] = paint
+        depth[:] = 0.0
+        for k in range(wall_count[i]):
+            texture = wall_looks[i, k, 0]
+            if texture >= 0:
+                _draw_wall(
+                    walls[i, k], texture, wall_looks[i, k, 1], wall_repeat[i, k], wall_tint[i, k],
+                    view, low, high, width, texels, color, depth,
+                )  # fmt: skip
+        for k in range(mesh.shape[1]):
+            which = mesh[i, k]
+            if which < 0:
+                continue
+            palette[:2] = colors[i, k]
+            v0, v1 = first_vertex[which], first_vertex[which + 1]
+            t0, t1 = first_triangle[which], first_triangle[which + 1]
+            _draw_mesh(
+                vertices[:, v0:v1], triangles[t0:t1], normals[:, t0:t1], parts[t0:t1],
+                position[i, k], rotation[i, k], scale[i, k], palette, camera[i], frame, focal,
+                middle_x, middle_y, seen, width, color, depth,
+            )  # fmt: skip
+        for k in range(flat_count[i]):
+            texture, rows = flat_looks[i, k, 0], flat_tiles[i, k, 1]
+            if texture >= 0 or rows > 0:
+                _draw_flat(
+                    flats[i, k], texture, flat_looks[i, k, 1], flat_tiles[i, k, 0], rows,
+                    flat_tiles[i, k, 2], flat_repeat[i, k], flat_tint[i, k], tiles[i], view,
+                    width, texels, color, depth,
+                )  # fmt: skip
+        for y in range(height):
+            for x in range(width):
+                paint = color[y, x]
+                out[i, y, x, 0] = paint & 255
+                out[i, y, x, 1] = (paint >> 8) & 255
+                out[i, y, x, 2] = (paint >> 16) & 255

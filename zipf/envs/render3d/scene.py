@@ -1,0 +1,160 @@
+"""What is to be seen in a batch of worlds, as arrays that environments write in place.
+
+Metres; x east, y north, z up. Yaw 0 looks along +x and grows counter-clockwise, positive pitch
+looks up; both are in radians.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+TWO_SIDED = 1
+"""Seen from both sides."""
+SEE_THROUGH = 2
+"""Texels with an alpha below 128 are holes."""
+FACES_DOWN = 4
+"""A flat that is seen from below: a ceiling."""
+SCREEN = -2
+"""The texture of a wall that shows its world's own picture, `Scenes.screen`."""
+
+
+class Scenes:
+    """The scenes of N worlds, each with room for so many things; arrays are C-contiguous.
+
+    A wall is an upright rectangle above the line from (x0, y0) to (x1, y1). It is seen from the
+    left of somebody walking from the first point to the second, so the walls of a room are listed
+    counter-clockwise. Seen so its texture is upright and not mirrored, starting at the top left.
+    A flat is a horizontal rectangle, seen from above or, with FACES_DOWN, from below. Its texture
+    starts at (x0, y0), columns running along x and rows along y.
+
+    Arrays of the worlds (what is not mentioned here starts as zeros):
+
+    - `camera` float32 [N, 5]: x, y, z, yaw, pitch
+    - `walls` float32 [N, W, 6]: x0, y0, x1, y1, z0 (bottom), z1 (top)
+    - `wall_looks` int32 [N, W, 2]: texture (negative: not drawn; or SCREEN), flags
+    - `wall_repeat` float32 [N, W, 2]: metres per repeat of the texture along and up the wall;
+      0: the texture is stretched once over the wall
+    - `wall_tint` uint8 [N, W, 3]: the texture is multiplied by tint / 255 (starts as 255)
+    - `wall_face` int32 [N, W]: the face of a cell of `solid` that the wall lies on, or -1 (the
+      start). Face (row * columns + column) * 4 + side of a solid cell; sides 0 east, 1 north,
+      2 west, 3 south. Walls on a face are drawn only where the grid lets them be seen.
+    - `wall_count` int32 [N]: the first so many are looked at
+    - `flats` float32 [N, F, 5]: x0, y0, x1, y1, z
+    - `flat_looks` int32 [N, F, 2]: texture (negative: not drawn), flags
+    - `flat_tiles` int32 [N, F, 3]: first, rows, columns. Where rows is positive, the flat is a
+      patchwork of rows * columns equal tiles and its texture is ignored: `tiles[first + row *
+      columns + column]` is the texture of a tile, rows growing with y and columns with x
+    - `flat_repeat` float32 [N, F]: metres per repeat; 0: once over the flat, or over each tile
+    - `flat_tint` uint8 [N, F, 3]
+    - `flat_count` int32 [N]
+    - `tiles` int16 [N, tile_cells]: textures of tiles (negative: a hole)
+    - `mesh` int32 [N, M]: index into the atlas (-1, the start: nothing)
+    - `position` float32 [N, M, 3]; `rotation` float32 [N, M, 3, 3] (starts as the identity);
+      `scale` float32 [N, M] (starts as 1): world = rotation @ (scale * vertex) + position
+    - `colors` uint8 [N, M, 2, 3]: main and accent colour
+    - `sky` uint8 [N, 2, 3]: colours at the horizon and overhead
+    - `solid` bool [N, rows, columns]: cells that nobody sees through, whatever the height. What
+      lies outside the grid counts as solid. A camera in a solid cell sees every wall.
+    - `grid` float32 [N, 3]: x, y of the grid's south-west corner and the size of a cell; a size
+      of 0, the start, means that there is no grid
+    """
+
+    def __init__(
+        self,
+        num_worlds: int,
+        *,
+        walls: int = 0,
+        flats: int = 0,
+        instances: int = 0,
+        tile_cells: int = 0,
+        grid: tuple[int, int] = (0, 0),
+    ) -> None:
+        n = num_worlds
+        self.num_worlds = n
+        self.camera = np.zeros((n, 5), np.float32)
+        self.walls = np.zeros((n, walls, 6), np.float32)
+        self.wall_looks = np.full((n, walls, 2), (-1, 0), np.int32)
+        self.wall_repeat = np.zeros((n, walls, 2), np.float32)
+        self.wall_tint = np.full((n, walls, 3), 255, np.uint8)
+        self.wall_face = np.full((n, walls), -1, np.int32)
+        self.wall_count = np.zeros(n, np.int32)
+        self.flats = np.zeros((n, flats, 5), np.float32)
+        self.flat_looks = np.full((n, flats, 2), (-1, 0), np.int32)
+        self.flat_tiles = np.zeros((n, flats, 3), np.int32)
+        self.flat_repeat = np.zeros((n, flats), np.float32)
+        self.flat_tint = np.full((n, flats, 3), 255, np.uint8)
+        self.flat_count = np.zeros(n, np.int32)
+        self.tiles = np.full((n, tile_cells), -1, np.int16)
+        self.mesh = np.full((n, instances), -1, np.int32)
+        self.position = np.zeros((n, instances, 3), np.float32)
+        self.rotation = np.tile(np.eye(3, dtype=np.float32), (n, instances, 1, 1))
+        self.scale = np.ones((n, instances), np.float32)
+        self.colors = np.full((n, instances, 2, 3), 200, np.uint8)
+        self.sky = np.full((n, 2, 3), [(190, 215, 235), (95, 150, 215)], np.uint8)
+        self.solid = np.zeros((n, *grid), np.bool_)
+        self.grid = np.zeros((n, 3), np.float32)
+
+    def add_wall(
+        self,
+        world: int,
+        ends: ArrayLike,
+        heights: tuple[float, float],
+        texture: int,
+        *,
+        flags: int = 0,
+        repeat: tuple[float, float] = (0.0, 0.0),
+        tint: ArrayLike = 255,
+        face: int = -1,
+    ) -> int:
+        """Adds a wall along `ends` (x0, y0, x1, y1) and returns its index.
+
+        Raises ValueError when the world has no room for it.
+        """
+        index = _take(self.wall_count, world, self.walls.shape[1], "walls")
+        self.walls[world, index, :4] = ends
+        self.walls[world, index, 4:] = heights
+        self.wall_looks[world, index] = texture, flags
+        self.wall_repeat[world, index] = repeat
+        self.wall_tint[world, index] = tint
+        self.wall_face[world, index] = face
+        return index
+
+    def add_flat(
+        self,
+        world: int,
+        rectangle: ArrayLike,
+        height: float,
+        texture: int,
+        *,
+        flags: int = 0,
+        repeat: float = 0.0,
+        tint: ArrayLike = 255,
+        tiles: NDArray[np.integer] | None = None,
+        first_tile: int = 0,
+    ) -> int:
+        """Adds a flat over `rectangle` (x0, y0, x1, y1) and returns its index.
+
+        `tiles` [rows, columns] makes it a patchwork, written to `tiles[world]` from `first_tile`.
+        Raises ValueError when the world has no room for it.
+        """
+        index = _take(self.flat_count, world, self.flats.shape[1], "flats")
+        self.flats[world, index, :4] = rectangle
+        self.flats[world, index, 4] = height
+        self.flat_looks[world, index] = texture, flags
+        self.flat_repeat[world, index] = repeat
+        self.flat_tint[world, index] = tint
+        self.flat_tiles[world, index] = 0
+        if tiles is not None:
+            end = first_tile + tiles.size
+            if end > self.tiles.shape[1]:
+                raise ValueError(f"{end} tiles in a world with room for {self.tiles.shape[1]}")
+            self.tiles[world, first_tile:end] = tiles.reshape(-1)
+            self.flat_tiles[world, index] = first_tile, *tiles.shape
+        return index
+
+
+def _take(counts: NDArray[np.int32], world: int, room: int, what: str) -> int:
+    index = int(counts[world])
+    if index >= room:
+        raise ValueError(f"world {world} has room for {room} {what}")
+    counts[world] += 1
+    return index
