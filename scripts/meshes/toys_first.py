@@ -14,11 +14,13 @@ from .shapes import (
     MAIN,
     WOOD,
     Mesh,
+    Point,
     Solid,
     arc,
     assemble,
     block,
     box,
+    circle,
     cylinder,
     ellipsoid,
     lathe,
@@ -34,41 +36,44 @@ def both_sides(*solids: Solid) -> list[Solid]:
     return [*solids, *(solid.mirror("y") for solid in solids)]
 
 
-def wheel(radius: float, width: float, x: float, y: float, *, sides: int = 8) -> Solid:
-    """A tyre standing on z = 0, its middle at (x, y)."""
-    tyre = cylinder(radius, width, DARK, sides=sides).turn("x", 90)
-    return tyre.move(x, y + width / 2, radius)
+def wheels(radius: float, width: float, x: float) -> Solid:
+    """A pair of tyres on z = 0 in one piece, through the toy from side to side."""
+    return cylinder(radius, width, DARK, sides=8).turn("x", 90).move(x, width / 2, radius)
 
 
 def duck() -> Mesh:
-    body = loft(
-        [
-            [(-24, 0, 21)],
-            *(
-                [(x, r * np.cos(t), z + 0.8 * r * np.sin(t)) for t in np.radians(range(0, 360, 45))]
-                for x, r, z in ((-17, 5, 17), (-8, 11, 12), (5, 12.5, 10.5), (14, 8, 11))
-            ),
-            [(18, 0, 13)],
-        ]
-    )
+    def rump(x: float, width: float, low: float, high: float) -> list[Point]:
+        outline = ((0, 0.5), (0.35, 0.9), (0.5, 0.7), (0.45, 0.25), (0.2, 0))
+        half = [(x, y * width, low + z * (high - low)) for y, z in outline]
+        return half + [(x, -y, z) for _, y, z in half[:0:-1]]
+
     return assemble(
         [
-            body,
-            ellipsoid((8, 7.5, 8), at=(11, 0, 25)),
-            block((9, 10), (8, 7), 3.5, ACCENT, at=(19, 0, 21)),
+            loft(
+                [
+                    [(-21, 0, 25)],
+                    rump(-17, 9, 14, 22),
+                    rump(-9, 21, 3, 17),
+                    rump(4, 25, 0, 18),
+                    rump(13, 17, 2, 20),
+                    [(18, 0, 10)],
+                ]
+            ),
+            ellipsoid((9, 8.5, 9), at=(8, 0, 26), sides=9, rings=3),
+            block((8, 12), (7, 9), 3, ACCENT, at=(18, 0, 22)),
             *both_sides(
-                ellipsoid((9, 2.5, 5.5), ACCENT, at=(-5, 11, 14), sides=6, rings=2),
-                box(2.6, 1.6, 2.6, DARK, at=(14.5, 6.3, 28)),
+                ellipsoid((9, 3, 6), ACCENT, at=(-4, 11, 11), sides=6, rings=2),
+                box(3, 2, 3.4, DARK, at=(12, 6.8, 29)),
             ),
         ]
     )
 
 
 def ball() -> Mesh:
-    round_ball = ellipsoid((1, 1, 1), sides=12, rings=7)
-    middle = round_ball.vertices[round_ball.triangles].mean(axis=1)
-    sector = np.floor(np.degrees(np.arctan2(middle[:, 1], middle[:, 0])) / 60).astype(int)
-    return assemble([replace(round_ball, parts=np.where(sector % 2, ACCENT, MAIN))])
+    whole = ellipsoid((1, 1, 1), sides=12, rings=7)
+    middle = whole.vertices[whole.triangles].mean(axis=1)
+    sector = (np.degrees(np.arctan2(middle[:, 1], middle[:, 0])) - 15) // 60
+    return assemble([replace(whole, parts=np.where(sector % 2, ACCENT, MAIN))])
 
 
 def book() -> Mesh:
@@ -88,10 +93,10 @@ def book() -> Mesh:
 
 
 def cup() -> Mesh:
-    bowl_shape = [(0, 4), (6, 4), (9, 7), (12, 18), (11, 18), (8, 8), (0, 7)]
-    saucer = [(0, 0), (8, 0), (19, 4), (19, 5.2), (8, 2), (0, 2)]
+    bowl_shape = [(0, 3), (5, 3), (9, 8), (13, 20), (11.6, 20), (8, 9), (0, 7)]
+    saucer = [(0, 0), (8, 0), (17, 3), (17, 4.4), (8, 2), (0, 2)]
     handle = tube(
-        [(10, 0, 16), (15, 0, 17.5), (17.5, 0, 14), (15, 0, 10), (9, 0, 8)], 1.2, ACCENT, sides=4
+        [(10, 0, 16), (17, 0, 19), (21, 0, 15), (17, 0, 10), (9, 0, 8)], 1.5, ACCENT, sides=4
     )
     return assemble(
         [
@@ -103,58 +108,56 @@ def cup() -> Mesh:
 
 
 def car() -> Mesh:
-    side = [
-        (-20, 4), (20, 4), (20, 10), (18, 12), (10, 13), (-19, 13), (-20, 11),
-    ]  # fmt: skip
+    side = [(-20, 4), (20, 4), (20, 10), (18, 12.5), (10, 13.5), (-19, 13.5), (-20, 11)]
     return assemble(
         [
-            slab(side, 18, MAIN, plane="xz"),
-            block((22, 17), (13, 14), 8.5, LIGHT, at=(-4, 0, 13), shift=(-1, 0)),
-            block((14, 15), (13, 14.5), 1.6, MAIN, at=(-5, 0, 21)),
-            block((3, 17.4), (2.5, 14.6), 8.4, MAIN, at=(-6, 0, 13)),
-            box(2, 19, 2.5, ACCENT, at=(20, 0, 6)),
-            box(2, 19, 2.5, ACCENT, at=(-20, 0, 6)),
+            slab(side, 19, MAIN, plane="xz"),
+            block((25, 18), (14, 15), 8, LIGHT, at=(-4, 0, 13.5), shift=(-1, 0)),
+            block((15, 16), (13, 14), 1.8, MAIN, at=(-5, 0, 21.5)),
+            block((3, 18.6), (2.5, 15.8), 8, MAIN, at=(-5, 0, 13.5)),
+            box(2.4, 20, 2.5, ACCENT, at=(20, 0, 6)),
+            box(2.4, 20, 2.5, ACCENT, at=(-20, 0, 6)),
+            wheels(5.4, 21, -11.5),
+            wheels(5.4, 21, 12),
             *both_sides(
-                wheel(5, 4, -12, 8.5),
-                wheel(5, 4, 12, 8.5),
-                box(1.5, 3.5, 2.5, LIGHT, at=(20, 6, 9.5)),
+                box(1.5, 4, 3, LIGHT, at=(20, 6.5, 10)),
+                box(1.5, 3, 2, ACCENT, at=(-20, 7, 10.5)),
             ),
         ]
     )
 
 
 def train() -> Mesh:
-    boiler = cylinder(6, 22, MAIN, sides=10).turn("y", 90).move(-6, 0, 13)
-    front = cylinder(6.4, 3, DARK, sides=10).turn("y", 90).move(14, 0, 13)
-    catcher = loft([[(17, -7, 1), (17, 7, 1), (17, 7, 7), (17, -7, 7)], [(24, 0, 1)]], ACCENT)
     return assemble(
         [
-            box(38, 12, 3, ACCENT, at=(-2, 0, 7)),
-            boiler,
-            front,
-            catcher,
-            cylinder(2.2, 9, DARK, at=(11, 0, 18), sides=6, top=4.2),
-            cylinder(2.8, 4, ACCENT, at=(2, 0, 18), sides=6, top=2),
-            box(12, 14, 18, MAIN, at=(-13, 0, 16)),
-            box(15, 17, 2, ACCENT, at=(-13, 0, 26)),
-            box(6, 14.6, 6, LIGHT, at=(-13, 0, 20)),
-            *both_sides(wheel(5.5, 2.5, -14, 7), wheel(4, 2.5, 0, 7), wheel(4, 2.5, 9.5, 7)),
+            box(38, 13, 3, ACCENT, at=(-2, 0, 7)),
+            cylinder(6.6, 24, MAIN, sides=10).turn("y", 90).move(-8, 0, 14),
+            cylinder(7.2, 3, DARK, sides=10).turn("y", 90).move(14, 0, 14),
+            loft([[(17, -8, 1), (17, 8, 1), (17, 8, 8), (17, -8, 8)], [(24, 0, 1)]], ACCENT),
+            cylinder(2.4, 10, DARK, at=(10, 0, 19), sides=7, top=5),
+            cylinder(3, 4, ACCENT, at=(1, 0, 19.5), sides=6, top=2),
+            box(12, 15, 18, MAIN, at=(-14, 0, 16)),
+            box(16, 18, 2.4, ACCENT, at=(-14, 0, 26)),
+            box(7, 15.8, 6, LIGHT, at=(-14, 0, 20.5)),
+            wheels(5.5, 18, -14),
+            wheels(4, 18, -1),
+            wheels(4, 18, 9),
         ]
     )
 
 
 def boat() -> Mesh:
-    def deck(length: float, width: float, z: float) -> list[tuple[float, float, float]]:
+    def deck(length: float, width: float, z: float) -> list[Point]:
         outline = [(-0.5, -0.35), (-0.1, -0.5), (0.25, -0.35), (0.55, 0), (0.25, 0.35), (-0.1, 0.5)]
         return [(x * length, y * width, z) for x, y in [*outline, (-0.5, 0.35)]]
 
-    hull = [deck(20, 6, 0), deck(30, 14, 9), deck(27, 11.5, 9), deck(25, 9.5, 6)]
+    hull = [deck(22, 9, 0), deck(32, 18, 10), deck(29, 15, 10), deck(27, 13, 7)]
     return assemble(
         [
             loft(hull, [MAIN, WOOD, WOOD]),
-            rod((1, 0, 4), (1, 0, 40), 0.9, WOOD, sides=5),
-            slab([(0, 12), (0, 39), (-15, 12)], 1.2, LIGHT, plane="xz"),
-            slab([(2.5, 12), (14, 12), (2.5, 34)], 1.2, ACCENT, plane="xz"),
+            rod((1, 0, 4), (1, 0, 41), 1.2, WOOD, sides=5),
+            slab([(0, 13), (0, 39), (-16, 13)], 2, LIGHT, plane="xz"),
+            slab([(3, 13), (15, 13), (3, 34)], 2, ACCENT, plane="xz"),
             rod((1, 0, 11), (-15, 0, 11), 0.8, WOOD, sides=4),
         ]
     )
@@ -163,115 +166,112 @@ def boat() -> Mesh:
 def robot() -> Mesh:
     return assemble(
         [
-            box(9, 14, 13, MAIN, at=(0, 0, 16.5)),
-            box(1, 9, 6, ACCENT, at=(4.8, 0, 17)),
-            box(4, 4, 3, DARK, at=(0, 0, 24)),
-            box(9, 11, 9, MAIN, at=(0, 0, 29.5)),
-            box(1, 7, 1.6, DARK, at=(4.8, 0, 27)),
-            rod((0, 0, 34), (0, 0, 38), 0.7, DARK, sides=4),
-            ellipsoid((1.8, 1.8, 1.8), ACCENT, at=(0, 0, 38.5), sides=5, rings=2),
+            box(11, 16, 14, MAIN, at=(0, 0, 17)),
+            box(1, 10, 6, ACCENT, at=(5.8, 0, 17.5)),
+            box(5, 6, 3, DARK, at=(0, 0, 25)),
+            box(11, 14, 10, MAIN, at=(0, 0, 30.5)),
+            box(1, 9, 1.8, DARK, at=(5.6, 0, 27.8)),
+            rod((0, 0, 35), (0, 0, 39), 1, DARK, sides=4),
+            ellipsoid((2.4, 2.4, 2.4), ACCENT, at=(0, 0, 39.6), sides=5, rings=2),
             *both_sides(
-                box(1.4, 2.8, 2.8, LIGHT, at=(4.8, 2.8, 31)),
-                box(3, 1.6, 3, ACCENT, at=(0, 6.2, 29.5)),
-                box(4, 4, 4, DARK, at=(0, 9, 20.5)),
-                box(14, 3.6, 3.6, ACCENT, at=(5, 9.2, 20)),
-                box(3, 6, 6, DARK, at=(12, 9.2, 20)),
-                box(5, 4, 8, DARK, at=(0, 4, 7)),
-                box(10, 6, 4, ACCENT, at=(1.5, 4, 2)),
+                box(1.4, 3.6, 3.6, LIGHT, at=(5.6, 3.4, 32)),
+                box(4, 2, 4, ACCENT, at=(0, 7.6, 30.5)),
+                box(5, 4, 5, DARK, at=(0, 9.6, 21)),
+                box(4.6, 4.6, 13, MAIN, at=(0, 12, 16.5)),
+                box(6, 6, 4, ACCENT, at=(1, 12, 9)),
+                box(5, 5, 9, MAIN, at=(0, 4.4, 7)),
+                box(11, 7, 4, ACCENT, at=(2, 4.6, 2)),
             ),
         ]
     )
 
 
 def teddy() -> Mesh:
-    def limb(radii: tuple[float, float, float], at: tuple[float, float, float]) -> Solid:
-        return ellipsoid(radii, MAIN, at=at, sides=6, rings=2)
+    def limb(x: float, y: float, z: float) -> Solid:
+        return ellipsoid((x, y, z), sides=5, rings=2)
+
+    def bead(radius: float, x: float, y: float, z: float) -> Solid:
+        return ellipsoid((radius, radius, radius), DARK, at=(x, y, z), sides=4, rings=1)
 
     return assemble(
         [
-            ellipsoid((8.5, 9, 10), MAIN, at=(0, 0, 10), sides=8),
-            ellipsoid((3, 6, 6.5), ACCENT, at=(6, 0, 10), sides=6, rings=2),
-            ellipsoid((8, 9, 8), MAIN, at=(0.5, 0, 25), sides=8),
-            ellipsoid((4, 3.6, 3), ACCENT, at=(8, 0, 23), sides=6, rings=2),
-            box(2, 2.4, 1.8, DARK, at=(11.5, 0, 24)),
+            ellipsoid((8.5, 9.5, 10), at=(0, 0, 10), sides=7),
+            ellipsoid((4, 6, 6.5), ACCENT, at=(5.5, 0, 10), sides=5, rings=2),
+            ellipsoid((8.5, 10, 8.5), at=(0.5, 0, 25), sides=7),
+            ellipsoid((5, 4.5, 3.6), ACCENT, at=(7.5, 0, 22.5), sides=4, rings=2),
+            bead(1.8, 12, 0, 24),
             *both_sides(
-                limb((2, 4, 4), (0, 8, 32)),
-                limb((4, 6.5, 3.4), (3, 10, 15)).turn("x", 8),
-                limb((8, 4, 4), (10, 8, 4)).turn("z", 15),
-                box(1.6, 1.8, 2.2, DARK, at=(7.2, 3.6, 27.5)),
+                cylinder(4.6, 3, MAIN, sides=5).turn("y", 90).move(-1.5, 8.5, 32),
+                limb(7, 4, 3.6).turn("y", 25).turn("z", 35).move(5, 10, 14),
+                limb(9, 4.4, 4.4).turn("z", 22).move(10, 8.5, 4),
+                bead(1.7, 8.2, 3.8, 27.5),
             ),
         ]
     )
 
 
 def rocket() -> Mesh:
-    body = [(0, 5), (3, 5), (5.5, 12), (6, 20), (5, 28), (3, 34), (0, 40)]
-    fin = slab([(4, 16), (13, 6), (13, 0), (10, 0), (4, 7)], 1.6, ACCENT, plane="xz")
+    body = [(0, 5), (4, 5), (6.6, 12), (7, 19), (6, 27), (3.6, 34), (0, 40)]
+    fin = slab([(4, 20), (15, 8), (15, 0), (12, 0), (4, 8)], 2.4, ACCENT, plane="xz")
     return assemble(
         [
             lathe(body, [MAIN] * 4 + [ACCENT] * 2, sides=9),
-            cylinder(4, 3, DARK, at=(0, 0, 2.5), sides=9, top=2.6),
-            *(fin.turn("z", angle) for angle in (60, 180, 300)),
-            cylinder(2.6, 3, LIGHT, sides=8).turn("y", 90).move(4, 0, 23),
+            cylinder(5, 4, DARK, at=(0, 0, 2), sides=9, top=3),
+            *(fin.turn("z", angle) for angle in (45, 135, 225, 315)),
+            *(
+                cylinder(3.4, 3, LIGHT, sides=8).turn("y", side * 90).move(side * 4.6, 0, 22)
+                for side in (-1, 1)
+            ),
         ]
     )
 
 
 def bus() -> Mesh:
-    windows = [box(5, 14.6, 5, LIGHT, at=(x, 0, 16)) for x in (-15, -8.5, -2, 4.5, 11)]
+    windows = [box(5.4, 15.8, 6, LIGHT, at=(x, 0, 17)) for x in (-15, -8, -1, 6, 13)]
     return assemble(
         [
-            box(40, 14, 17, MAIN, at=(0, 0, 11.5)),
-            box(38, 12, 2, ACCENT, at=(0, 0, 21)),
+            box(40, 15, 20, MAIN, at=(0, 0, 13)),
+            block((38, 13), (36, 11), 2, ACCENT, at=(0, 0, 23)),
             *windows,
-            box(40.6, 14.4, 2, ACCENT, at=(0, 0, 10)),
-            box(1.4, 11, 6.5, LIGHT, at=(19.8, 0, 15.5)),
-            box(1.4, 10, 5, LIGHT, at=(-19.8, 0, 16)),
-            *both_sides(
-                wheel(3.6, 3, -12, 6.2),
-                wheel(3.6, 3, 12, 6.2),
-                box(1.4, 2.4, 2, LIGHT, at=(20, 5, 6)),
-            ),
+            box(40.8, 15.6, 2.6, ACCENT, at=(0, 0, 10)),
+            box(1.6, 12, 7.5, LIGHT, at=(19.8, 0, 17)),
+            box(1.6, 11, 5, LIGHT, at=(-19.8, 0, 17.5)),
+            wheels(4, 16.4, -12),
+            wheels(4, 16.4, 12),
+            *both_sides(box(1.6, 3, 2.4, LIGHT, at=(20, 5, 6))),
         ]
     )
 
 
 def plane() -> Mesh:
-    def section(x: float, r: float, z: float) -> list[tuple[float, float, float]]:
-        return [(x, r * np.cos(t), z + r * np.sin(t)) for t in np.radians(np.arange(22.5, 360, 45))]
+    def section(x: float, radius: float, z: float) -> np.ndarray:
+        return circle(radius, 8, start=22.5)[:, [2, 0, 1]] + (x, 0, z)
 
-    fuselage = loft(
-        [
-            [(20, 0, 9)],
-            section(17, 2.4, 9.3),
-            section(10, 4, 10),
-            section(-6, 4, 10),
-            section(-18, 1.4, 12),
-        ]
-    )
-    wing = [(7, 2), (0, 20), (-5, 20), (-4, 2)]
-    tail = [(-13, 1), (-17, 8), (-20, 8), (-18.5, 1)]
+    fuselage = [
+        [(20, 0, 9)], section(17, 3, 9.4), section(9, 4.8, 10), section(-5, 4.8, 10.5),
+        section(-19, 1.6, 13),
+    ]  # fmt: skip
     return assemble(
         [
-            fuselage,
-            slab([(-11, 12), (-18, 22), (-21, 22), (-18, 11)], 1.4, ACCENT, plane="xz"),
-            block((6, 5), (3, 3.5), 3, LIGHT, at=(10, 0, 12.5)),
+            loft(fuselage),
+            slab([(-10, 12), (-18, 24), (-22, 24), (-19, 11)], 2, ACCENT, plane="xz"),
+            block((7, 6), (4, 4), 3, LIGHT, at=(10, 0, 13)),
             *both_sides(
-                slab(wing, 1.4, ACCENT, at=(0, 0, 8.5)),
-                slab(tail, 1.2, ACCENT, at=(0, 0, 12.5)),
-                cylinder(1.9, 7, DARK, sides=6).turn("y", 90).move(-1, 9, 6),
-                rod((2, 2, 8), (2, 4, 1.5), 0.8, DARK, sides=4),
-                wheel(2, 1.4, 2, 4, sides=6),
+                slab([(8, 2), (1, 20), (-5, 20), (-5, 2)], 2, ACCENT, at=(0, 0, 9)),
+                slab([(-12, 1), (-17, 9), (-21, 9), (-20, 1)], 1.8, ACCENT, at=(0, 0, 13.5)),
+                cylinder(2.2, 8, DARK, sides=6).turn("y", 90).move(-1, 10, 6.5),
             ),
-            rod((14, 0, 8), (14, 0, 1.5), 0.8, DARK, sides=4),
-            wheel(2, 1.4, 14, 0, sides=6),
+            box(1.6, 4, 6, DARK, at=(1, 0, 4)),
+            wheels(2, 8, 1),
+            box(1.6, 1.6, 6, DARK, at=(14, 0, 4)),
+            wheels(2, 2.5, 14),
         ]
     )
 
 
 def mug() -> Mesh:
-    wall = [(0, 0), (11, 0), (11, 30), (9.2, 30), (9.2, 3), (0, 3)]
-    handle = tube(arc(9, -80, 80, 6, plane="yz", at=(0, 11, 15)), 2, ACCENT, sides=5)
+    wall = [(0, 0), (12, 0), (12, 30), (10, 30), (10, 3), (0, 3)]
+    handle = tube(arc(9.5, -80, 80, 6, plane="yz", at=(0, 11.5, 15)), 2.4, ACCENT, sides=5)
     return assemble(
         [
             lathe(wall, [MAIN, MAIN, MAIN, DARK, DARK], sides=14),
@@ -281,31 +281,28 @@ def mug() -> Mesh:
 
 
 def spoon() -> Mesh:
-    def section(z: float, width: float, back: float) -> list[tuple[float, float, float]]:
-        return [
-            (-back, 0, z),
-            (-back * 0.6, width * 0.6, z),
-            (0.8, width, z),
-            (-back + 1.8, 0.4 * width, z),
-            (-back + 1.8, -0.4 * width, z),
-            (0.8, -width, z),
-            (-back * 0.6, -width * 0.6, z),
-        ]
+    def across(z: float, width: float, depth: float) -> list[Point]:
+        half = [(0.8 - depth, 0.3 * width, z), (1.2, 0.8 * width, z), (1.2, width, z)]
+        half += [(-0.5 * depth - 0.6, 0.7 * width, z), (-depth - 1, 0.25 * width, z)]
+        return half + [(x, -y, z) for x, y, z in half[::-1]]
 
-    bowl_part = loft(
-        [
-            section(21, 1.6, 1),
-            section(24.5, 6, 3),
-            section(30, 8, 5),
-            section(36, 6.3, 4),
-            section(40, 1.6, 1),
-        ]
-    )
+    scoop = [(21, 2, 0.6), (24, 7, 3.6), (29.5, 9, 6.4), (36, 7.4, 5), (40, 2.6, 0.6)]
+    handle = [
+        (0, 3.6, 4.4, 0), (1, 4.6, 5.6, 0), (6, 3, 4.4, 0), (14, 1.7, 3.2, -1.6), (22, 2.2, 3, 0.3),
+    ]  # fmt: skip
     return assemble(
         [
-            bowl_part,
-            tube([(0, 0, 22), (-1, 0, 16), (0, 0, 6)], [1.6, 1.6, 2], MAIN, sides=6),
-            tube([(0, 0, 7), (0.4, 0, 3), (0, 0, 0)], [2.4, 3.2, 2], ACCENT, sides=8),
+            loft([across(*section) for section in scoop]),
+            loft(
+                [
+                    [
+                        (x + sx * depth / 2, sy * width, z)
+                        for sx, sy in ((-1, -0.6), (0, -1), (1, -0.6), (1, 0.6), (0, 1), (-1, 0.6))
+                    ]
+                    for z, width, depth, x in handle
+                ],
+                ACCENT,
+            ),
         ]
     )
 
@@ -324,14 +321,12 @@ def plate() -> Mesh:
 
 
 def bottle() -> Mesh:
-    profile = [
-        (0, 0), (6, 0), (6.5, 1.5), (6.5, 20), (5.5, 24), (2.4, 28), (2.2, 35), (0, 35),
-    ]  # fmt: skip
+    profile = [(0, 0), (8, 0), (8.6, 1.5), (8.6, 19), (7, 23), (3, 27), (2.8, 35), (0, 35)]
     return assemble(
         [
             lathe(profile, sides=11),
-            cylinder(6.7, 9, LIGHT, at=(0, 0, 7), sides=11),
-            cylinder(2.9, 6, ACCENT, at=(0, 0, 34), sides=8),
+            cylinder(8.8, 9, LIGHT, at=(0, 0, 6), sides=11),
+            cylinder(3.8, 6, ACCENT, at=(0, 0, 34), sides=8),
         ]
     )
 
@@ -339,21 +334,21 @@ def bottle() -> Mesh:
 def chair() -> Mesh:
     return assemble(
         [
-            box(18, 18, 2.4, ACCENT, at=(0, 0, 17)),
-            box(1.6, 18, 4, MAIN, at=(-8.6, 0, 37)),
-            box(1.6, 18, 4, MAIN, at=(-8.4, 0, 28)),
+            box(22, 22, 3, ACCENT, at=(0, 0, 17)),
+            box(2, 22, 4.4, MAIN, at=(-10, 0, 37.8)),
+            *(box(1.6, 1.8, 18, MAIN, at=(-10, y, 27)) for y in (-4.5, 0, 4.5)),
             *both_sides(
-                box(2.4, 2.4, 40, MAIN, at=(-8, 8, 20)),
-                box(2.4, 2.4, 16, MAIN, at=(8, 8, 8)),
-                box(14, 1.4, 1.8, MAIN, at=(0, 8, 7)),
+                box(3, 3, 40, MAIN, at=(-9.5, 9.5, 20)),
+                box(3, 3, 16, MAIN, at=(9.5, 9.5, 8)),
+                box(17, 1.6, 2, MAIN, at=(0, 9.5, 7)),
             ),
         ]
     )
 
 
 def lamp() -> Mesh:
-    shade = [(13, 20), (7, 40), (6.2, 40), (12.2, 20)]
-    foot = [(0, 0), (8, 0), (8, 1.8), (3, 3.5), (1.3, 7), (1.3, 34), (0, 34)]
+    shade = [(14, 21), (7, 40), (6, 40), (13, 21)]
+    foot = [(0, 0), (8, 0), (8, 2), (3.4, 4), (1.8, 8), (1.8, 34), (0, 34)]
     return assemble(
         [
             lathe(shade, [MAIN, MAIN, LIGHT, LIGHT], sides=11, closed=True),
@@ -389,18 +384,17 @@ def drum() -> Mesh:
 
 
 def guitar() -> Mesh:
-    half = [(0, 0), (5, 0.4), (7.6, 3.5), (7.4, 7), (5, 10.5), (6, 14), (5, 17), (0, 18)]
-    outline = [(y, z) for y, z in half] + [(-y, z) for y, z in half[-2:0:-1]]
+    half = [(0, 0), (6.5, 0.4), (10, 4), (9.6, 8.5), (6, 12), (7.6, 16), (6, 19.5), (0, 20.5)]
+    outline = [*half, *((-y, z) for y, z in half[-2:0:-1])]
+    head = [(-2, 34), (2, 34), (3.6, 40), (-3.6, 40)]
     return assemble(
         [
-            slab(outline, 5, MAIN, plane="yz"),
-            box(1.6, 2.6, 20, WOOD, at=(2.4, 0, 25)),
-            slab(
-                [(-1.5, 34), (1.5, 34), (2.8, 40), (-2.8, 40)], 2, ACCENT, plane="yz", at=(2, 0, 0)
-            ),
-            cylinder(2.5, 0.8, DARK, sides=8).turn("y", 90).move(2, 0, 11.5),
-            box(1.2, 6, 1.2, DARK, at=(2.8, 0, 4.5)),
-            *both_sides(*(box(1, 1.6, 1, LIGHT, at=(2, 3, z)) for z in (36, 38.4))),
+            slab(outline, 7, MAIN, plane="yz"),
+            box(2.6, 3.4, 18, WOOD, at=(3, 0, 26)),
+            slab(head, 3, ACCENT, plane="yz", at=(2.6, 0, 0)),
+            cylinder(3.2, 1, DARK, sides=8).turn("y", 90).move(3, 0, 13),
+            box(1.6, 8, 1.8, DARK, at=(3.6, 0, 5)),
+            *both_sides(*(box(1.4, 2.2, 1.4, LIGHT, at=(2.6, 4, z)) for z in (35.6, 38.4))),
         ]
     )
 
@@ -426,19 +420,17 @@ def piano() -> Mesh:
 
 
 def clock() -> Mesh:
-    def bell(y: float) -> Solid:
-        return ellipsoid((5, 5, 4), ACCENT, sides=8, rings=3).turn("x", -28).move(0, y, 34)
-
+    face = [cylinder(14.5, 14, MAIN, sides=14).move(0, 0, -7)]
+    face += [cylinder(12, 1, LIGHT, sides=12).move(0, 0, 6.6)]
+    bell = ellipsoid((6, 6, 4.6), ACCENT, sides=7, rings=2).turn("x", -32).move(0, 9, 33.5)
     return assemble(
         [
-            cylinder(14, 9, MAIN, sides=16).turn("y", 90).move(-4.5, 0, 17),
-            cylinder(12, 1, LIGHT, sides=16).turn("y", 90).move(4, 0, 17),
-            box(1, 1.8, 9, DARK, at=(5.2, 0, 21)),
-            box(1, 7, 1.8, DARK, at=(5.2, -3, 17)),
-            bell(8.5),
-            bell(-8.5).mirror("y").mirror("y"),
-            rod((0, 0, 30), (0, 0, 39), 0.8, DARK, sides=4),
-            *both_sides(rod((0, 8, 6), (0, 13, 0), 1.6, DARK, sides=5)),
+            *(solid.turn("y", 90).move(0, 0, 17) for solid in face),
+            box(1, 2, 9, DARK, at=(7.8, 0, 20.5)),
+            box(1, 7, 2, DARK, at=(7.8, -3, 17)),
+            box(2, 5, 2, DARK, at=(0, 0, 38)),
+            rod((0, 0, 30), (0, 0, 38), 1, DARK, sides=4),
+            *both_sides(bell, rod((0, 8, 6), (0, 13, 0), 2.2, DARK, sides=5)),
         ]
     )
 
