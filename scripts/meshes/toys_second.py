@@ -71,64 +71,61 @@ def _spread(count: int, pitch: float, shift: float = 0.0) -> list[float]:
 
 
 def helicopter() -> Mesh:
-    blade = box(40, 5, 1.6, ACCENT, at=(5, 0, 27))
-    tail = [(-26.0, 17.0), (-20.0, 17.0), (-23.0, 28.0), (-28.0, 28.0)]
+    tail = [(-21.0, 17.0), (-15.0, 17.0), (-18.5, 29.0), (-24.0, 29.0)]
+    blade = box(36, 5.5, 2, ACCENT, at=(0, 0, 27.5))
     solids = [
-        ellipsoid((12, 8, 9), at=(5, 0, 15), sides=8, rings=3),
-        ellipsoid((8, 6.5, 6), LIGHT, at=(10.5, 0, 16.5), sides=8, rings=3),
-        rod((-2, 0, 17), (-25, 0, 18.5), 3.6, end_radius=1.8, sides=6),
-        slab(tail, 2, ACCENT, plane="xz"),
-        rod((5, 0, 22), (5, 0, 28.5), 1.6, DARK, sides=4),
-        blade.move(-5).turn("z", 45).move(5),
-        blade.move(-5).turn("z", -45).move(5),
+        ellipsoid((12, 8.5, 9), at=(5, 0, 15.5), sides=8, rings=3),
+        ellipsoid((8.5, 7, 6), LIGHT, at=(10.5, 0, 17), sides=8, rings=3),
+        rod((-2, 0, 17), (-20, 0, 19), 4, end_radius=2.2, sides=6),
+        slab(tail, 2.4, ACCENT, plane="xz"),
+        rod((4, 0, 22), (4, 0, 30), 1.8, DARK, sides=4),
+        blade.turn("z", 45).move(4),
+        blade.turn("z", -45).move(4),
     ]
-    for y in (-7.5, 7.5):
-        solids.append(box(24, 2, 2, DARK, at=(4, y, 1)))
-        solids += [rod((x, y, 1), (x, y * 0.5, 9), 1.0, DARK, sides=3) for x in (-2, 10)]
+    for y in (-8, 8):
+        solids.append(box(26, 2.4, 2.4, DARK, at=(4, y, 1.2)))
+        solids += [rod((x, y, 1), (x, y * 0.5, 10), 1.2, DARK, sides=3) for x in (-2, 10)]
     return assemble(solids)
 
 
 def carriage() -> Mesh:
-    bowl = arc(15, 180, 360, 8)[:, [0, 2]]
-    hood = np.concatenate([[(0.0, 0.0)], arc(17, 80, 180, 6)[:, [0, 2]]])
-
-    def bulge(polygon: np.ndarray, widths: tuple[float, ...], insets: tuple[float, ...], part: int):
-        rings = [
-            np.column_stack([polygon[:, 0] * f, np.full(len(polygon), y), polygon[:, 1] * f])
-            for y, f in zip(widths, insets, strict=True)
-        ]
-        return loft(rings, part, at=(0, 0, 23))
-
+    bowl = arc(15, 180, 360, 7)[:, [0, 2]]
+    hood = np.concatenate([[(0.0, 0.0)], arc(17, 75, 180, 5)[:, [0, 2]]])
+    # A tapered hull: two narrow sides about the wide middle.
+    hull = [
+        np.column_stack([bowl[:, 0] * f, np.full(7, y), bowl[:, 1] * f])
+        for y, f in ((-11, 0.8), (-9, 1), (9, 1), (11, 0.8))
+    ]
     solids = [
-        bulge(bowl, (-11, -9, 9, 11), (0.8, 1, 1, 0.8), MAIN),
-        bulge(hood, (-12, -10, 10, 12), (0.8, 1, 1, 0.8), ACCENT),
-        box(15, 17, 3, LIGHT, at=(6, 0, 23)),
+        loft(hull, at=(0, 0, 24)),
+        slab([(x, z) for x, z in hood], 23, ACCENT, plane="xz", at=(0, 0, 24)),
+        box(14, 16, 3, LIGHT, at=(6.5, 0, 24)),
     ]
     for y in (-7.5, 7.5):
-        solids.append(rod((13, y, 20), (24, y, 33), 1.1, DARK, sides=3))
-    solids.append(rod((24, -9, 33), (24, 9, 33), 1.4, DARK, sides=4))
-    for x in (-10, 10):
-        for y in (-12, 12):
-            wheel = cylinder(8, 3, DARK, sides=8).move(z=-1.5).turn("x", 90)
-            solids.append(wheel.move(x, y, 8))
-        solids.append(cylinder(4, 28.6, LIGHT, sides=5).move(z=-14.3).turn("x", 90).move(x, 0, 8))
+        solids.append(rod((13, y, 21), (24, y, 34), 1.3, DARK, sides=3))
+    solids.append(rod((24, -9, 34), (24, 9, 34), 1.6, DARK, sides=3))
+    for side in (-1, 1):
+        wheel = cylinder(9, 3.4, DARK, sides=7)
+        spokes = loft([_star(8, 2.2, 4, 3.0), [(0, 0, 5.0)]], LIGHT)
+        for x in (-10.5, 10.5):
+            solids += [s.turn("x", -90 * side).move(x, 11 * side, 9) for s in (wheel, spokes)]
     return assemble(solids)
 
 
 def racket() -> Mesh:
-    loop = circle(1.0, 14)[:, [2, 0, 1]] * (0, 11.5, 13.5) + (0, 0, 26)
+    loop = circle(1.0, 14)[:, [2, 0, 1]] * (0, 12.5, 13.5) + (0, 0, 26)
     solids = [
-        tube(loop, 2.4, sides=4, closed=True),
-        rod((0, -7, 16), (0, 0, 7), 1.8, sides=4),
-        rod((0, 7, 16), (0, 0, 7), 1.8, sides=4),
-        rod((0, 0, -10), (0, 0, 9), 2.6, ACCENT, sides=6),
-        cylinder(3.4, 3, DARK, at=(0, 0, -12), sides=6),
+        tube(loop, 3.2, sides=4, closed=True),
+        rod((0, -8, 15), (0, 0, 4), 2.2, sides=4),
+        rod((0, 8, 15), (0, 0, 4), 2.2, sides=4),
+        rod((0, 0, -9), (0, 0, 8), 3, ACCENT, sides=6),
+        cylinder(3.8, 3, DARK, at=(0, 0, -11), sides=6),
     ]
-    for offset in (-5.5, 0, 5.5):
-        reach = float(np.sqrt(1 - (offset / 12.5) ** 2))
-        y, z = 11.5 * reach, 13.5 * reach
-        solids.append(rod((0, offset, 26 - z), (0, offset, 26 + z), 0.8, LIGHT, sides=3))
-        solids.append(rod((0, -y, 26 + offset), (0, y, 26 + offset), 0.8, LIGHT, sides=3))
+    for offset in (-6, 0, 6):
+        reach = float(np.sqrt(1 - (offset / 13) ** 2))
+        y, z = 12.5 * reach, 13.5 * reach
+        solids.append(rod((0, offset, 26 - z), (0, offset, 26 + z), 1.1, LIGHT, sides=3))
+        solids.append(rod((0, -y, 26 + offset), (0, y, 26 + offset), 1.1, LIGHT, sides=3))
     return assemble(solids)
 
 
@@ -155,47 +152,47 @@ def pillow() -> Mesh:
 
 
 def candle() -> Mesh:
-    solids = [
-        lathe([(9, 0), (13, 3), (12, 4), (8, 1.6), (0, 1.6)], ACCENT, sides=10),
-        torus(4.0, 1.3, ACCENT, around=8, sides=4).turn("x", 90).move(0, 0, 0),
-        cylinder(5.5, 22, at=(0, 0, 1), sides=8),
-        rod((0, 0, 22), (0, 0, 26), 0.8, DARK, sides=4),
-        lathe([(0, 25), (3.2, 29), (2.2, 33), (0, 39)], LIGHT, sides=6),
-    ]
-    solids[1] = solids[1].move(0, 0, 4).move(14.5)
-    return assemble(solids)
+    return assemble(
+        [
+            lathe([(9, 0), (13, 3), (12, 4), (8, 1.6), (0, 1.6)], ACCENT, sides=10),
+            torus(4.2, 1.5, ACCENT, around=8, sides=4).turn("x", 90).move(15.5, 0, 5.5),
+            cylinder(6, 21, at=(0, 0, 1), sides=8),
+            rod((0, 0, 21), (0, 0, 26), 1.0, DARK, sides=4),
+            lathe([(0, 24), (4.2, 28.5), (3.2, 32), (0, 40)], LIGHT, sides=6),
+        ]
+    )
 
 
 def teapot() -> Mesh:
     body = [(6, 0), (11, 4), (13, 10), (11, 17), (6, 20)]
-    spout = [(9.0, 0.0, 7.0), (15.0, 0.0, 10.0), (18.0, 0.0, 17.0), (22.0, 0.0, 21.0)]
-    handle = arc(7, 110, 250, 7, at=(-13, 0, 11))
+    spout = [(8.0, 0.0, 6.0), (15.0, 0.0, 10.0), (18.0, 0.0, 17.0), (22.5, 0.0, 22.0)]
+    handle = arc(7, 70, 290, 8, at=(-13.5, 0, 11.5))
     return assemble(
         [
             lathe(body, sides=10),
             lathe([(7, 19), (6.5, 21), (0, 23)], ACCENT, sides=10),
-            ellipsoid((2.6, 2.6, 2.6), ACCENT, at=(0, 0, 24.5), sides=6, rings=2),
-            tube(spout, [4.2, 3.0, 2.2, 2.2], sides=6),
-            tube(handle, 1.7, ACCENT, sides=5),
+            ellipsoid((3, 3, 3), ACCENT, at=(0, 0, 25), sides=5, rings=2),
+            tube(spout, [5, 3.6, 2.6, 2.6], sides=5),
+            tube(handle, 1.9, ACCENT, sides=4),
         ]
     )
 
 
 def banana() -> Mesh:
-    path = arc(15, -80, 80, 9, plane="xy")
-    path = np.concatenate([path, path[-1:] + (-4.5, 2.5, 0)])
-    radii = [1.6, 2.6, 4.6, 5.8, 6.2, 5.8, 4.6, 2.6, 1.7, 2.0]
-    return assemble([tube(path, radii, [DARK, *[MAIN] * 6, DARK, DARK], sides=6)])
+    path = arc(17, -75, 75, 10, plane="xy")
+    path = np.concatenate([path[:1] + (-2.5, -0.4, 0), path, path[-1:] + (-5, 1.4, 0)])
+    radii = [1.6, 2.4, 4.2, 5.4, 5.9, 6.0, 5.9, 5.6, 5.0, 4.0, 2.2, 2.0]
+    return assemble([tube(path, radii, [DARK, *[MAIN] * 9, DARK], sides=6)])
 
 
 def apple() -> Mesh:
-    flesh = [(0, 3), (4, 0), (8, 2), (14, 11), (16, 20), (13, 27), (7, 29), (0, 24)]
-    leaf = [(0.0, 0.0), (5.0, -3.0), (12.0, 0.0), (5.0, 3.0)]
+    flesh = [(0, 3), (5, 0), (10, 2.5), (15.5, 11), (18, 19), (16, 26), (9, 29), (0, 24)]
+    leaf = [(0.0, 0.0), (6.0, -4.0), (14.0, 0.0), (6.0, 4.0)]
     return assemble(
         [
             lathe(flesh, sides=10),
-            rod((0, 0, 24), (-2, 0, 36), 1.4, WOOD, sides=5, end_radius=1.8),
-            slab(leaf, 1.6, GREEN).turn("y", -20).move(-1, 0, 32),
+            rod((0, 0, 24), (-2, 0, 35), 1.7, WOOD, sides=5, end_radius=2.0),
+            slab(leaf, 2, GREEN).turn("y", -25).move(-1, 0, 31),
         ]
     )
 
@@ -210,43 +207,43 @@ def carrot() -> Mesh:
 
 
 def mushroom() -> Mesh:
-    cap = [(4, 17), (17, 15), (19, 19), (16, 27), (9, 33), (0, 35)]
+    cap = [(5, 18), (17, 17), (19, 21), (15.5, 28), (8.5, 33), (0, 34.5)]
     solids = [
-        lathe([(8, 0), (6, 3), (5, 10), (5.5, 18)], LIGHT, sides=8),
-        lathe(cap, sides=12),
+        lathe([(9, 0), (7.5, 3), (6, 10), (6.5, 19)], LIGHT, sides=8),
+        lathe(cap, sides=10),
     ]
-    for angle, z, r, tilt in ((30, 25, 16.5, 55), (150, 25, 16.5, 55), (270, 25, 16.5, 55)):
-        spot = cylinder(4, 2, LIGHT, sides=6, top=3)
-        solids.append(spot.turn("y", tilt).move(r - 0.6, 0, z - 0.6).turn("z", angle))
-    for angle in (90, 210, 330):
-        spot = cylinder(3, 2, LIGHT, sides=6, top=2)
-        solids.append(spot.turn("y", 30).move(9, 0, 31.5).turn("z", angle))
+    for angle, radius, height, tilt in [
+        *((a, 17.0, 24.5, 62) for a in (0, 120, 240)),
+        *((a, 11.0, 30.5, 36) for a in (60, 180, 300)),
+    ]:
+        spot = cylinder(4.6, 1.6, LIGHT, sides=5, top=3.8).move(z=-0.6)
+        solids.append(spot.turn("y", tilt).move(radius, 0, height).turn("z", angle))
     return assemble(solids)
 
 
 def toothbrush() -> Mesh:
-    shaft = [(0, 0, 0), (0, 0, 12), (0, 0, 20), (0, 0, 24), (0, 0, 40)]
+    shaft = [(1.5, 0, 0), (0.5, 0, 9), (0, 0, 18), (-0.5, 0, 24), (0, 0, 27)]
     solids = [
-        tube(np.array(shaft, dtype=float), [3.4, 3.8, 2.2, 2.8, 3.4], sides=6),
-        box(4, 7, 17, at=(0, 0, 31.5)),
-        lathe([(4.0, 4), (4.4, 6), (4.4, 12), (4.0, 14)], ACCENT, sides=6),
+        tube(np.array(shaft, dtype=float), [3.0, 3.6, 3.0, 1.9, 2.2], sides=6),
+        box(3.6, 6.4, 18, at=(0, 0, 35)),
+        box(7.4, 7.4, 7, ACCENT, at=(0.7, 0, 9)),
     ]
-    for z in (25.5, 31.5, 37.5):
-        solids.append(block((4.4, 6), (5.2, 7), 8, LIGHT).turn("y", 90).move(1.8, 0, z))
+    for z in (28.2, 32.7, 37.2, 41.7):
+        solids.append(block((2.8, 5), (3.6, 6), 9, LIGHT).turn("y", 90).move(1.2, 0, z))
     return assemble(solids)
 
 
 def toothpaste() -> Mesh:
     body = [
-        _oval(7.5, 7.5, 7, 10),
-        _oval(7.0, 9.0, 16, 10),
-        _oval(6.0, 10.5, 22, 10),
-        _oval(2.6, 13.0, 36, 10),
-        _oval(2.0, 13.4, 40, 10),
+        _oval(8, 8, 7, 10),
+        _oval(7.4, 9.6, 15, 10),
+        _oval(6.4, 11.2, 22, 10),
+        _oval(3.0, 14.0, 35, 10),
+        _oval(2.4, 14.6, 40, 10),
     ]
     return assemble(
         [
-            cylinder(5.5, 6.5, LIGHT, sides=8, top=5),
+            cylinder(6, 6.5, LIGHT, sides=8, top=5.4),
             cylinder(3.5, 3, DARK, at=(0, 0, 5), sides=6),
             loft(body, [MAIN, ACCENT, MAIN, LIGHT]),
         ]
@@ -254,9 +251,9 @@ def toothpaste() -> Mesh:
 
 
 def comb() -> Mesh:
-    spine = [(-20.0, 14.0), (20.0, 14.0), (20.0, 21.0), (12.0, 24.5), (-12.0, 24.5), (-20.0, 21.0)]
+    spine = [(-20.5, 17.0), (20.5, 17.0), (20.5, 22.0), (13.0, 26.0), (-13.0, 26.0), (-20.5, 22.0)]
     solids = [slab(spine, 6, plane="yz")]
-    solids += [block((3.6, 2.4), (6, 3.6), 15, at=(0, y, 0)) for y in _spread(6, 7.3)]
+    solids += [block((3.4, 2.2), (5, 3.4), 18, at=(0, y, 0)) for y in _spread(7, 6.26)]
     return assemble(solids)
 
 
@@ -275,119 +272,109 @@ def hairdryer() -> Mesh:
 
 
 def fork() -> Mesh:
-    head = [(-3, 18), (3, 18), (10, 23), (10, 28), (-10, 28), (-10, 23)]
+    head = [(-3, 17), (3, 17), (12, 22), (12, 27), (-12, 27), (-12, 22)]
     solids = [
-        slab(head, 5, plane="yz"),
-        rod((0, 0, 4), (0, 0, 20), 2.6, sides=6),
-        ellipsoid((3, 4.5, 7), at=(0, 0, 6), sides=8, rings=3),
+        slab(head, 6, plane="yz"),
+        rod((0, 0, 4), (0, 0, 20), 2.8, sides=6),
+        ellipsoid((3.4, 5, 7), at=(0, 0, 7), sides=8, rings=3),
     ]
-    solids += [block((5, 4), (4, 2.6), 16, at=(0, y, 26)) for y in (-8, 0, 8)]
+    solids += [block((6, 4.4), (4.6, 3), 15, at=(0, y, 26)) for y in (-9.6, 0, 9.6)]
     return assemble(solids)
 
 
 def hammer() -> Mesh:
-    claw = [(-4, 27), (-4, 38), (-9, 38), (-19, 31), (-20, 28), (-10, 30)]
-    solids = [
-        lathe([(3.6, 0), (3.2, 4), (2.6, 20), (3.0, 38)], WOOD, sides=8),
-        box(9, 9, 11, at=(0, 0, 32.5)),
-        cylinder(4.5, 6, sides=10).turn("x", -90).move(0, 3, 32.5),
-        lathe([(5, 0), (7.5, 2), (7.5, 7), (6.5, 8)], ACCENT, sides=10)
-        .turn("x", -90)
-        .move(0, 8, 32.5),
-    ]
-    solids += [slab(claw, 3.4, plane="yz", at=(x, 0, 0)) for x in (-2.8, 2.8)]
-    return assemble(solids)
+    claw = [(-4, 28), (-4, 38), (-9, 38), (-20, 31), (-21, 27), (-11, 30)]
+    neck = cylinder(4.5, 6, sides=10).turn("x", -90).move(0, 4, 33)
+    face = lathe([(4.8, 0), (6.6, 2), (6.6, 8), (5.6, 9)], ACCENT, sides=10)
+    return assemble(
+        [
+            lathe([(4, 0), (3.6, 5), (2.8, 20), (3.2, 36)], WOOD, sides=8),
+            box(9.5, 9.5, 11, at=(0, 0, 32.5)),
+            neck,
+            face.turn("x", -90).move(0, 8, 33),
+            *(slab(claw, 3.4, plane="yz", at=(x, 0, 0)) for x in (-3, 3)),
+        ]
+    )
 
 
 def screwdriver() -> Mesh:
-    grip = [_star(r, 0.75 * r, 6, z) for r, z in ((6, 0), (8, 2.5), (8, 15), (4.5, 17))]
-    tip = [
-        _oval(2.4, 2.4, 33, 8),
-        _oval(1.8, 5.0, 37, 8),
-        _oval(1.0, 5.0, 41, 8),
-    ]
+    grip = [_star(r, 0.74 * r, 6, z) for r, z in ((4.5, 0), (8, 2.5), (8, 16), (4.8, 19))]
+    tip = [_oval(2.9, 2.9, 32, 8), _oval(2.2, 6.2, 37, 8), _oval(1.4, 6.2, 42, 8)]
     return assemble(
         [
             loft(grip, [MAIN, MAIN, ACCENT]),
-            cylinder(2.4, 18, LIGHT, at=(0, 0, 16), sides=6),
+            cylinder(2.9, 17, LIGHT, at=(0, 0, 17), sides=6),
             loft(tip, LIGHT),
         ]
     )
 
 
 def key() -> Mesh:
-    ring = torus(8, 3, around=12, sides=5).turn("y", 90)
     return assemble(
         [
-            ring.move(0, 0, 30),
-            cylinder(2.8, 22, at=(0, 0, 0), sides=8),
-            cylinder(4, 3, ACCENT, at=(0, 0, 17), sides=8),
-            box(5, 10, 4.5, at=(0, 6, 3)),
-            box(5, 8, 4.5, at=(0, 5, 11)),
+            torus(8.4, 3.3, around=12, sides=5).turn("y", 90).move(0, 0, 29),
+            cylinder(3.2, 22, sides=8),
+            cylinder(4.6, 3.4, ACCENT, at=(0, 0, 16), sides=8),
+            box(6, 11, 4.6, at=(0, 6.5, 2.3)),
+            box(6, 8, 4.6, at=(0, 5, 10.4)),
         ]
     )
 
 
 def scissors() -> Mesh:
-    solids = []
+    outline = [(-3.4, -2), (2.6, -2), (3.4, 10), (0.6, 26), (-1.6, 26), (-3.4, 12)]
+    solids = [cylinder(2.8, 9, DARK, sides=6).move(z=-4.5).turn("y", 90)]
     for side in (-1, 1):
-        blade = slab(
-            [(-2.4, -2), (2.4, -2), (2.6, 10), (0, 26), (-1.6, 12)], 2.8, LIGHT, plane="yz"
-        )
-        arm = rod((0, 0, 2), (0, 0, -8), 1.8, sides=4)
-        ring = torus(4.6, 1.7, around=10, sides=4).turn("y", 90).move(0, -1.5, -12.5)
+        blade = slab(outline, 3.6, LIGHT, plane="yz")
+        arm = rod((0, 0, 2), (0, 0, -8), 2.4, sides=4)
+        ring = torus(5.2, 2.1, around=10, sides=4).turn("y", 90).move(0, -2.2, -12)
         for solid in (blade, arm, ring):
-            if side < 0:
-                solid = solid.mirror("y")
-            solids.append(solid.turn("x", side * 24).move(side * 1.4))
-    solids.append(cylinder(2.4, 7, DARK, sides=6).move(z=-3.5).turn("y", 90))
+            upright = solid.mirror("y") if side < 0 else solid
+            solids.append(upright.turn("x", side * 25).move(side * 1.8))
     return assemble(solids)
 
 
 def umbrella() -> Mesh:
-    rim = circle(20, 16, 22)
-    rim[1::2] = rim[1::2] * (0.88, 0.88, 1) + (0, 0, 2.5)
-    inner = rim * (0.92, 0.92, 1)
-    canopy = loft(
-        [np.array([[0, 0, 35.0]]), circle(10, 16, 32), rim, inner, np.array([[0, 0, 32.0]])]
-    )
-    hook = np.concatenate(
-        [[(0.0, 0.0, 33.0), (0.0, 0.0, 12.0)], arc(4.5, 180, 360, 7, plane="yz", at=(0, 4.5, 4.5))]
-    )
-    hook[:2, 1] = 0
+    rim = circle(19, 16, 22)
+    rim[1::2] = rim[1::2] * (0.86, 0.86, 1) + (0, 0, 3)
+    canopy = [[(0, 0, 36)], circle(9.5, 16, 33), rim, rim * (0.92, 0.92, 1), [(0, 0, 33)]]
+    bend = arc(5, 180, 350, 6, plane="yz", at=(0, 5, 5))
+    hook = np.concatenate([[(0.0, 0.0, 34.0)], bend])
     return assemble(
         [
-            _panels(canopy.turn("z", 0), 8, (MAIN, ACCENT)),
-            tube(hook, 1.4, DARK, sides=4),
-            cone(1.4, 6, DARK, at=(0, 0, 34.5), sides=4),
+            _panels(loft(canopy), 8, (MAIN, ACCENT)),
+            tube(hook, 1.8, DARK, sides=4),
+            cone(1.8, 6, DARK, at=(0, 0, 35), sides=4),
         ]
     )
 
 
 def basket() -> Mesh:
-    outside = [(11, 0), (13, 5), (14.5, 10), (16, 15)]
-    hold = lathe([*outside, (14, 15), (10, 3), (0, 3)], sides=12)
-    middle = hold.vertices[hold.triangles].mean(axis=1)
-    hold = _panels(hold, 12, (MAIN, ACCENT))
-    odd = (middle[:, 2] > 5) & (middle[:, 2] < 10)
-    hold = replace(hold, parts=np.where(odd, 1 - hold.parts, hold.parts))
-    inside = np.hypot(middle[:, 0], middle[:, 1]) < 0.93 * (11 + middle[:, 2] / 3)
-    hold = replace(hold, parts=np.where(inside & (middle[:, 2] > 1), DARK, hold.parts))
-    handle = arc(15, 0, 180, 9, plane="yz", at=(0, 0, 14)) * (1, 1, 1.15)
-    return assemble([hold, tube(handle, 2, WOOD, sides=5), torus(15.5, 1.6, WOOD, at=(0, 0, 15))])
+    # One colour for each stretch of the profile: the inside is dark, as if deep.
+    profile = [(11, 0), (13, 5), (14.5, 10), (16, 15), (14, 15), (10, 3), (0, 3)]
+    hold = lathe(profile, [MAIN] * 3 + [DARK] * 3, sides=10).turn("z", 18)
+    height = hold.vertices[hold.triangles][:, :, 2].mean(axis=1)
+    woven = _panels(hold, 10, (MAIN, ACCENT))
+    checked = np.where((height > 5) & (height < 10), 1 - woven.parts, woven.parts)
+    hold = replace(hold, parts=np.where(hold.parts == DARK, DARK, checked))
+    handle = arc(15, 0, 180, 8, plane="yz", at=(0, 0, 14)) * (1, 1, 1.15)
+    rim = torus(15.5, 1.8, WOOD, at=(0, 0, 15), around=10, sides=4)
+    return assemble([hold, tube(handle, 2.2, WOOD, sides=4), rim])
 
 
 def cactus() -> Mesh:
-    trunk = [_star(r, 0.75 * r, 6, z) for r, z in ((5.5, 8), (6, 20), (5.5, 36), (3, 40))]
-    left = np.array([(0, -3, 20), (0, -12, 20), (0, -13.5, 22), (0, -13.5, 32), (0, -13.5, 34)])
-    right = np.array([(0, 3, 15), (0, 11, 15), (0, 12.5, 17), (0, 12.5, 25), (0, 12.5, 27)])
-    radii = [3, 3.2, 3.4, 3.2, 1.5]
+    trunk = [_star(r, 0.74 * r, 6, z) for r, z in ((5.5, 10), (6.4, 20), (6, 35), (3, 39))]
+    left = np.array([(0, -3, 21), (0, -12, 21), (0, -13.5, 23), (0, -13.5, 33), (0, -13.5, 35)])
+    right = np.array([(0, 3, 17), (0, 11, 17), (0, 12.5, 19), (0, 12.5, 27), (0, 12.5, 29)])
+    radii = [3.2, 3.4, 3.8, 3.4, 1.5]
+    pot = [(8, 0), (10, 9), (12, 9), (12, 12.5), (0, 12.5)]
     return assemble(
         [
-            lathe([(7, 0), (9, 9), (10.5, 9), (10.5, 12), (8, 12), (0, 11)], sides=8),
+            lathe(pot, [MAIN, ACCENT, ACCENT, WOOD], sides=8),
             loft(trunk, GREEN),
-            tube(left.astype(float), radii, GREEN, sides=6),
-            tube(right.astype(float), radii, GREEN, sides=6),
+            tube(left.astype(float), radii, GREEN, sides=5),
+            tube(right.astype(float), radii, GREEN, sides=5),
+            cone(3, 4, ACCENT, sides=5, at=(0, 0, 38)),
         ]
     )
 
@@ -402,11 +389,11 @@ def dice() -> Mesh:
         6: [(-1, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (1, 1)],
     }
     # Each pair of opposite faces has seven pips.
-    turns = {1: ("y", 0), 6: ("y", 180), 2: ("y", 90), 5: ("y", -90), 3: ("x", 90), 4: ("x", -90)}
+    turns = {5: ("y", 0), 2: ("y", 180), 6: ("y", 90), 1: ("y", -90), 3: ("x", 90), 4: ("x", -90)}
     solids = [_chamfered_cube(20, 4)]
     for face, (axis, degrees) in turns.items():
         for x, y in pips[face]:
-            pip = cone(3.9, 1.0, DARK, sides=5).move(9.5 * x, 9.5 * y, 19.9)
+            pip = cone(4.6, 1.0, DARK, sides=5).move(9.8 * x, 9.8 * y, 19.9)
             solids.append(pip.turn(axis, degrees))
     return assemble(solids)
 
@@ -428,11 +415,11 @@ def _chamfered_cube(half: float, cut: float) -> Solid:
 
 def pyramid() -> Mesh:
     solids = []
-    for level in range(6):
-        low, high = 40 - 6.4 * level, 38 - 6.4 * level
-        solids.append(block((low, low), (high, high), 5, MAIN, at=(0, 0, 5 * level)))
-    solids.append(cone(2.5, 4, ACCENT, at=(0, 0, 30), sides=4))
-    solids.append(box(8, 8, 10, DARK, at=(16.5, 0, 5)))
+    for level in range(7):
+        low = 40 - 5.4 * level
+        solids.append(block((low, low), (low - 3.6, low - 3.6), 4.2, at=(0, 0, 4.2 * level)))
+    solids.append(loft([circle(2.1, 4, 29.4, start=45), [(0, 0, 33)]], ACCENT))
+    solids.append(block((5, 9), (5, 6), 9, DARK, at=(16.2, 0, 0), shift=(-4, 0)))
     return assemble(solids)
 
 
