@@ -16,6 +16,7 @@ from .shapes import (
     MAIN,
     WOOD,
     Mesh,
+    Point,
     Solid,
     arc,
     assemble,
@@ -106,7 +107,7 @@ def carriage() -> Mesh:
     solids.append(rod((24, -9, 34), (24, 9, 34), 1.6, DARK, sides=3))
     for side in (-1, 1):
         wheel = cylinder(9, 3.4, DARK, sides=7)
-        spokes = loft([_star(8, 2.2, 4, 3.0), [(0, 0, 5.0)]], LIGHT)
+        spokes = loft([_star(8, 3.2, 4, 3.0), [(0, 0, 5.0)]], LIGHT)
         for x in (-10.5, 10.5):
             solids += [s.turn("x", -90 * side).move(x, 11 * side, 9) for s in (wheel, spokes)]
     return assemble(solids)
@@ -186,23 +187,24 @@ def banana() -> Mesh:
 
 
 def apple() -> Mesh:
-    flesh = [(0, 3), (5, 0), (10, 2.5), (15.5, 11), (18, 19), (16, 26), (9, 29), (0, 24)]
+    flesh = [(0, 3), (6, 0), (13, 4), (17.5, 11), (19, 19), (16.5, 26), (9.5, 29), (0, 24)]
     leaf = [(0.0, 0.0), (6.0, -4.0), (14.0, 0.0), (6.0, 4.0)]
     return assemble(
         [
             lathe(flesh, sides=10),
-            rod((0, 0, 24), (-2, 0, 35), 1.7, WOOD, sides=5, end_radius=2.0),
+            rod((0, 0, 24), (-2, 0, 36), 1.8, WOOD, sides=5, end_radius=2.2),
             slab(leaf, 2, GREEN).turn("y", -25).move(-1, 0, 31),
         ]
     )
 
 
 def carrot() -> Mesh:
-    root = [(1.5, 0), (4, 6), (3.4, 7), (6.5, 14), (5.8, 15), (9, 24), (7, 28), (0, 29)]
+    root = [(2, 0), (5.4, 7), (4.8, 8), (8.4, 15), (7.6, 16), (11, 24), (9, 28), (0, 29)]
     solids = [lathe(root, sides=10)]
+    outline = [(0.0, -1.8), (9.0, -4.0), (15.0, 0.0), (9.0, 4.0), (0.0, 1.8)]
     for angle in (0, 72, 144, 216, 288):
-        leaf = slab([(0, -1.5), (9, -3.5), (15, 0), (9, 3.5), (0, 1.5)], 2.4, GREEN)
-        solids.append(leaf.turn("y", -55).turn("z", angle).move(z=27))
+        leaf = slab(outline, 2.6, GREEN).turn("y", -52)
+        solids.append(leaf.turn("z", angle).move(z=27))
     return assemble(solids)
 
 
@@ -226,7 +228,7 @@ def toothbrush() -> Mesh:
     solids = [
         tube(np.array(shaft, dtype=float), [3.0, 3.6, 3.0, 1.9, 2.2], sides=6),
         box(3.6, 6.4, 18, at=(0, 0, 35)),
-        box(7.4, 7.4, 7, ACCENT, at=(0.7, 0, 9)),
+        lathe([(3.4, 4), (4.6, 5.5), (4.6, 13), (3.4, 14.5)], ACCENT, sides=6).move(0.6),
     ]
     for z in (28.2, 32.7, 37.2, 41.7):
         solids.append(block((2.8, 5), (3.6, 6), 9, LIGHT).turn("y", 90).move(1.2, 0, z))
@@ -272,13 +274,12 @@ def hairdryer() -> Mesh:
 
 
 def fork() -> Mesh:
-    head = [(-3, 17), (3, 17), (12, 22), (12, 27), (-12, 27), (-12, 22)]
+    head = [(-3, 20), (3, 20), (12, 24), (12, 29), (-12, 29), (-12, 24)]
     solids = [
         slab(head, 6, plane="yz"),
-        rod((0, 0, 4), (0, 0, 20), 2.8, sides=6),
-        ellipsoid((3.4, 5, 7), at=(0, 0, 7), sides=8, rings=3),
+        lathe([(3, 0), (4.6, 2), (4, 10), (2.8, 16), (2.8, 22)], sides=8),
     ]
-    solids += [block((6, 4.4), (4.6, 3), 15, at=(0, y, 26)) for y in (-9.6, 0, 9.6)]
+    solids += [block((6, 4.4), (4.6, 3), 15, at=(0, y, 28)) for y in (-9.6, 0, 9.6)]
     return assemble(solids)
 
 
@@ -298,12 +299,12 @@ def hammer() -> Mesh:
 
 
 def screwdriver() -> Mesh:
-    grip = [_star(r, 0.74 * r, 6, z) for r, z in ((4.5, 0), (8, 2.5), (8, 16), (4.8, 19))]
-    tip = [_oval(2.9, 2.9, 32, 8), _oval(2.2, 6.2, 37, 8), _oval(1.4, 6.2, 42, 8)]
+    grip = [_star(r, 0.74 * r, 6, z) for r, z in ((5, 0), (8.6, 2.5), (8.6, 16), (5.2, 19))]
+    tip = [_oval(3.4, 3.4, 31, 8), _oval(2.4, 6.8, 36, 8), _oval(1.6, 6.8, 41, 8)]
     return assemble(
         [
             loft(grip, [MAIN, MAIN, ACCENT]),
-            cylinder(2.9, 17, LIGHT, at=(0, 0, 17), sides=6),
+            cylinder(3.4, 16, LIGHT, at=(0, 0, 17), sides=6),
             loft(tip, LIGHT),
         ]
     )
@@ -322,22 +323,23 @@ def key() -> Mesh:
 
 
 def scissors() -> Mesh:
-    outline = [(-3.4, -2), (2.6, -2), (3.4, 10), (0.6, 26), (-1.6, 26), (-3.4, 12)]
+    outline = [(-3.4, -2), (2.6, -2), (3.6, 10), (0.6, 25), (-1.6, 25), (-3.4, 12)]
     solids = [cylinder(2.8, 9, DARK, sides=6).move(z=-4.5).turn("y", 90)]
     for side in (-1, 1):
         blade = slab(outline, 3.6, LIGHT, plane="yz")
-        arm = rod((0, 0, 2), (0, 0, -8), 2.4, sides=4)
-        ring = torus(5.2, 2.1, around=10, sides=4).turn("y", 90).move(0, -2.2, -12)
+        arm = rod((0, 0, 2), (0, 1, -8), 2.4, sides=4)
+        ring = torus(5.2, 2.1, around=10, sides=4).turn("y", 90).move(0, 3.4, -12.5)
         for solid in (blade, arm, ring):
             upright = solid.mirror("y") if side < 0 else solid
-            solids.append(upright.turn("x", side * 25).move(side * 1.8))
+            solids.append(upright.turn("x", side * 22).move(side * 1.8))
     return assemble(solids)
 
 
 def umbrella() -> Mesh:
     rim = circle(19, 16, 22)
     rim[1::2] = rim[1::2] * (0.86, 0.86, 1) + (0, 0, 3)
-    canopy = [[(0, 0, 36)], circle(9.5, 16, 33), rim, rim * (0.92, 0.92, 1), [(0, 0, 33)]]
+    peak, hollow = np.array([(0, 0, 36)]), np.array([(0, 0, 33)])
+    canopy = [peak, circle(9.5, 16, 33), rim, rim * (0.92, 0.92, 1), hollow]
     bend = arc(5, 180, 350, 6, plane="yz", at=(0, 5, 5))
     hook = np.concatenate([[(0.0, 0.0, 34.0)], bend])
     return assemble(
@@ -350,16 +352,15 @@ def umbrella() -> Mesh:
 
 
 def basket() -> Mesh:
-    # One colour for each stretch of the profile: the inside is dark, as if deep.
-    profile = [(11, 0), (13, 5), (14.5, 10), (16, 15), (14, 15), (10, 3), (0, 3)]
-    hold = lathe(profile, [MAIN] * 3 + [DARK] * 3, sides=10).turn("z", 18)
+    profile = [(11, 0), (13.2, 6), (15, 12), (16.5, 18), (14.5, 18), (10, 4), (0, 4)]
+    hold = lathe(profile, [MAIN] * 5 + [DARK], sides=10).turn("z", 18)
     height = hold.vertices[hold.triangles][:, :, 2].mean(axis=1)
     woven = _panels(hold, 10, (MAIN, ACCENT))
-    checked = np.where((height > 5) & (height < 10), 1 - woven.parts, woven.parts)
+    checked = np.where((height > 6) & (height < 12), 1 - woven.parts, woven.parts)
     hold = replace(hold, parts=np.where(hold.parts == DARK, DARK, checked))
-    handle = arc(15, 0, 180, 8, plane="yz", at=(0, 0, 14)) * (1, 1, 1.15)
-    rim = torus(15.5, 1.8, WOOD, at=(0, 0, 15), around=10, sides=4)
-    return assemble([hold, tube(handle, 2.2, WOOD, sides=4), rim])
+    handle = arc(15.5, 0, 180, 8, plane="yz", at=(0, 0, 16)) * (1, 1, 1.15)
+    rim = torus(16, 1.8, WOOD, at=(0, 0, 18), around=10, sides=4)
+    return assemble([hold, tube(handle, 2.4, WOOD, sides=4), rim])
 
 
 def cactus() -> Mesh:
@@ -418,8 +419,9 @@ def pyramid() -> Mesh:
     for level in range(7):
         low = 40 - 5.4 * level
         solids.append(block((low, low), (low - 3.6, low - 3.6), 4.2, at=(0, 0, 4.2 * level)))
-    solids.append(loft([circle(2.1, 4, 29.4, start=45), [(0, 0, 33)]], ACCENT))
-    solids.append(block((5, 9), (5, 6), 9, DARK, at=(16.2, 0, 0), shift=(-4, 0)))
+    peak: list[Point] = [(0, 0, 33)]
+    solids.append(loft([circle(2.1, 4, 29.4, start=45), peak], ACCENT))
+    solids.append(block((6, 10), (6, 7), 9, DARK, at=(18.2, 0, 0), shift=(-5.8, 0)))
     return assemble(solids)
 
 
