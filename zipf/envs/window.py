@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def open_display(instead: str) -> Any:
+def open_display(instead: str = "") -> Any:
     """pygame, with its display opened.
 
     Args:
-        instead: what to do without a display, for the error message.
+        instead: what to do without a display, to end the error message with.
 
     Raises:
         ImportError: if pygame is not installed.
@@ -22,7 +22,7 @@ def open_display(instead: str) -> Any:
         import pygame
     except ImportError as error:
         raise ImportError('a window needs pygame: pip install "zipf-rl[human]"') from error
-    missing = RuntimeError(f"a window needs a display, and none was found; {instead}")
+    missing = RuntimeError(f"a window needs a display, and none was found{instead}")
     displays = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
     if sys.platform == "linux" and not any(os.environ.get(name) for name in displays):
         raise missing  # without these SDL would try the bare console, or a window nobody sees
@@ -45,7 +45,7 @@ class Window:
     """
 
     def __init__(self, title: str, fps: int) -> None:
-        self._pygame = open_display('use render_mode="rgb_array"')
+        self._pygame = open_display('; use render_mode="rgb_array"')
         self._fps = fps
         self._screen: Any = None
         self._pygame.display.set_caption(title)

@@ -1,0 +1,326 @@
+"""Screens that show a picture with text below it and hear the keyboard: a window, a terminal."""
+
+from __future__ import annotations
+
+import codecs
+import os
+import re
+import select
+import sys
+import termios
+import textwrap
+import time
+import tty
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from zipf.envs.keys import LEAVE
+from zipf.envs.window import open_display
+from zipf.experiments.errors import UserError
+
+
+@dataclass(frozen=True)
+class Text:
+    """What stands below the picture.
+
+    Attributes:
+        lines: the most important first; always as many, so that nothing jumps.
+        keys: what the keys do, a few words each.
+    """
+
+    lines: tuple[str, ...]
+    keys: tuple[str, ...]
+
+    def wrapped(self, columns: int) -> tuple[list[str], list[str]]:
+        """Lines and keys, in at most so many columns."""
+        lines = [part for line in self.lines for part in textwrap.wrap(line, columns) or [""]]
+        # What belongs to one key stays on one line.
+        words = "   ".join(key.replace(" ", "\N{NO-BREAK SPACE}") for key in self.keys)
+        keys = textwrap.wrap(words, columns, break_on_hyphens=False)
+        return lines, [line.replace("\N{NO-BREAK SPACE}", " ") for line in keys]
+
+
+class Screen(Protocol):
+    """Open while its context is; leaves everything as it was."""
+
+    in_characters: bool
+    """Whether a picture is drawn in so few points that small ones show best."""
+
+    def __enter__(self) -> Screen: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def show(self, picture: NDArray[np.uint8], text: Text) -> None:
+        """Shows a picture, uint8 [height, width, 3], and the text."""
+
+    def key(self, timeout: float | None) -> str | None:
+        """The next key, by its name in `zipf.envs.keys`; `LEAVE` when the screen is closed.
+
+        Waits for so many seconds, without end where that is None; None if no key came.
+        """
+
+
+def open_screen(kind: str) -> Screen:
+    """A screen of this kind: "window", "terminal" or "auto", a window where there can be one.
+
+    Raises:
+        UserError: there is no such screen here; says why.
+    """
+    if kind == "terminal":
+        return Terminal()
+    try:
+        return Window()
+    except (ImportError, RuntimeError) as error:
+        if kind == "window":
+            raise UserError(f"screen=window: {error}; use screen=terminal") from None
+        if _is_terminal():
+            return Terminal()
+        raise UserError(
+            f"no screen: {error}, and standard input and output are no terminal; "
+            "policy=<who plays> record=FILE.gif records without a screen"
+        ) from None
+
+
+def _is_terminal() -> bool:
+    return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout))
+
+
+class Terminal:
+    """The terminal: two pixels a character, upper and lower half, in 24-bit colour.
+
+    Ctrl-C interrupts as usual. Ctrl-Z does nothing.
+
+    Raises:
+        UserError: standard input or output is no terminal.
+    """
+
+    in_characters = True
+
+    def __init__(self) -> None:
+        if not _is_terminal():
+            raise UserError(
+                "screen=terminal: standard input and output should be a terminal, and are not; "
+                "policy=<who plays> record=FILE.gif records without a screen"
+            )
+        self._input, self._output = sys.stdin.fileno(), sys.stdout.fileno()
+        self._decoder = codecs.getincrementaldecoder("utf-8")("ignore")
+        self._keys: deque[str] = deque()
+        self._size = os.terminal_size((0, 0))
+        self._shown: tuple[NDArray[np.uint8], Text] | None = None
+
+    def __enter__(self) -> Terminal:
+        self._before = termios.tcgetattr(self._input)
+        tty.setcbreak(self._input)
+        attributes = termios.tcgetattr(self._input)
+        attributes[6][termios.VSUSP] = b"\0"  # a stopped program would leave the terminal as it is
+        termios.tcsetattr(self._input, termios.TCSADRAIN, attributes)
+        self._write("\x1b[?1049h\x1b[?25l")  # the alternate screen, no cursor
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self._write("\x1b[0m\x1b[?25h\x1b[?1049l")
+            termios.tcsetattr(self._input, termios.TCSAFLUSH, self._before)
+        except (OSError, termios.error):
+            pass  # the terminal is gone
+
+    def show(self, picture: NDArray[np.uint8], text: Text) -> None:
+        self._shown = picture, text
+        self._draw()
+
+    def key(self, timeout: float | None) -> str | None:
+        ends = time.monotonic() + (float("inf") if timeout is None else timeout)
+        while not self._keys:
+            left = ends - time.monotonic()
+            ready, _, _ = select.select([self._input], [], [], max(min(left, 0.2), 0))
+            if ready:
+                self._keys.extend(self._read())
+            elif left <= 0:
+                return None
+            elif self._shown and os.get_terminal_size(self._output) != self._size:
+                self._draw()
+        return self._keys.popleft()
+
+    def _read(self) -> Iterator[str]:
+        typed = ""
+        while True:
+            try:
+                some = os.read(self._input, 1024)
+            except OSError:
+                some = b""
+            if not some:
+                yield LEAVE
+                return
+            typed += self._decoder.decode(some)
+            # What a key sends may come in pieces; a lone Escape is only known by waiting.
+            if not _UNFINISHED.search(typed) or not select.select([self._input], [], [], 0.05)[0]:
+                break
+        yield from key_names(typed)
+
+    def _draw(self) -> None:
+        assert self._shown
+        picture, text = self._shown
+        self._size = os.get_terminal_size(self._output)
+        columns, rows = self._size.columns or 80, self._size.lines or 24  # some say nothing: 0, 0
+        lines, keys = text.wrapped(columns)
+        below = [f"\x1b[1m{line}\x1b[0m" for line in lines] + [f"\x1b[2m{k}\x1b[0m" for k in keys]
+        below = below[: max(rows - _FEWEST_ROWS, 0)]
+        drawn = half_blocks(fit(picture, columns, 2 * (rows - len(below))))
+        page = "\r\n".join(f"{line}\x1b[K" for line in drawn + below)
+        self._write(f"\x1b[?2026h\x1b[H{page}\x1b[J\x1b[?2026l")  # all at once, where it is known
+
+    def _write(self, text: str) -> None:
+        left = memoryview(text.encode())
+        while left:
+            left = left[os.write(self._output, left) :]
+
+
+_FEWEST_ROWS = 4  # of a picture, however small the terminal
+_UNFINISHED = re.compile(r"\x1b(\[[0-9;]*|O)?$")
+_KEY = re.compile(r"\x1b\[([0-9;]*)([A-Za-z~])|\x1bO(.)|(.)", re.DOTALL)
+_FINALS = {
+    **{"A": "up", "B": "down", "C": "right", "D": "left", "H": "home", "F": "end"},
+    **{chr(ord("p") + digit): str(digit) for digit in range(10)},  # the numeric pad
+    "M": "enter",
+}
+_NUMBERS = {
+    **{"1": "home", "7": "home", "4": "end", "8": "end", "5": "pageup", "6": "pagedown"},
+}
+_CONTROLS = {
+    **{" ": "space", "\t": "tab", "\r": "enter", "\n": "enter"},
+    **{"\x7f": "backspace", "\b": "backspace"},
+}
+
+
+def key_names(typed: str) -> Iterator[str]:
+    """The names of the keys that a terminal sent."""
+    for number, final, pad, character in _KEY.findall(typed):
+        if final == "~":
+            name = _NUMBERS.get(number.split(";")[0])
+        elif final or pad:
+            name = _FINALS.get(final or pad)
+        elif character in _CONTROLS:
+            name = _CONTROLS[character]
+        else:
+            name = character.lower() if character.isprintable() else None
+        if name:
+            yield name
+
+
+def fit(picture: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    """The picture as large as it fits, in proportion; enlarged by whole numbers only."""
+    factor = min(width / picture.shape[1], height / picture.shape[0])
+    if factor >= 1:
+        return enlarge(picture, int(factor))
+    size = (max(round(picture.shape[i] * factor), 1) for i in (1, 0))
+    return np.asarray(Image.fromarray(picture).resize(tuple(size), Image.Resampling.BOX))
+
+
+def enlarge(picture: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    """Each pixel as a square of `factor` x `factor`."""
+    return picture.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+def half_blocks(picture: NDArray[np.uint8]) -> list[str]:
+    """The picture in characters, a line for every two rows of pixels."""
+    if len(picture) % 2:
+        picture = np.concatenate([picture, np.zeros_like(picture[:1])])
+    lines = []
+    for upper, lower in zip(picture[::2].tolist(), picture[1::2].tolist(), strict=True):
+        line, last_upper, last_lower = [], None, None
+        for above, below in zip(upper, lower, strict=True):
+            if above != last_upper:
+                line.append("\x1b[38;2;{};{};{}m".format(*above))
+                last_upper = above
+            if below != last_lower:
+                line.append("\x1b[48;2;{};{};{}m".format(*below))
+                last_lower = below
+            line.append("▀")
+        lines.append("".join([*line, "\x1b[0m"]))
+    return lines
+
+
+class Window:
+    """A window, by pygame.
+
+    Raises:
+        ImportError: if pygame is not installed.
+        RuntimeError: if there is no display.
+    """
+
+    in_characters = False
+
+    def __init__(self) -> None:
+        # It greets on standard output otherwise.
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+        self._pygame: Any = open_display()
+        self._size = (0, 0)
+        self._names = {
+            getattr(self._pygame, f"K_{constant}"): name for constant, name in _CONSTANTS.items()
+        }
+
+    def __enter__(self) -> Window:
+        self._pygame.font.init()
+        self._pygame.display.set_caption("zipf")
+        self._pygame.key.set_repeat(300, 70)  # milliseconds
+        self._font = self._pygame.font.Font(None, _FONT_SIZE)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pygame.display.quit()
+        self._pygame.font.quit()
+
+    def show(self, picture: NDArray[np.uint8], text: Text) -> None:
+        height, width, _ = picture.shape
+        wide = max(width, _NARROWEST)
+        columns = (wide - 2 * _MARGIN) // self._font.size("n")[0]
+        lines, keys = text.wrapped(columns)
+        colours = [_BRIGHT] * len(lines) + [_DIM] * len(keys)
+        step = self._font.get_linesize()
+        size = (wide, height + step * len(colours) + 2 * _MARGIN)
+        if size != self._size:
+            self._size = size
+            self._surface = self._pygame.display.set_mode(size)
+        self._surface.fill(_BACKGROUND)
+        surface = self._pygame.surfarray.make_surface(picture.swapaxes(0, 1))
+        self._surface.blit(surface, ((wide - width) // 2, 0))
+        for i, (line, colour) in enumerate(zip(lines + keys, colours, strict=True)):
+            drawn = self._font.render(line, True, colour)
+            self._surface.blit(drawn, (_MARGIN, height + _MARGIN + i * step))
+        self._pygame.display.flip()
+
+    def key(self, timeout: float | None) -> str | None:
+        ends = time.monotonic() + (float("inf") if timeout is None else timeout)
+        while (left := ends - time.monotonic()) > 0:
+            # In small pieces, so that Ctrl-C in the terminal that the window comes from is heard.
+            event = self._pygame.event.wait(max(int(1000 * min(left, 0.1)), 1))
+            if event.type == self._pygame.QUIT:
+                return LEAVE
+            if event.type == self._pygame.VIDEOEXPOSE:
+                self._pygame.display.flip()
+            if event.type == self._pygame.KEYDOWN:
+                name = self._names.get(event.key)
+                if name is None and event.unicode.isprintable():
+                    name = event.unicode.lower()
+                if name:
+                    return name
+        return None
+
+
+_FONT_SIZE = 20
+_MARGIN = 10  # pixels
+_NARROWEST = 480  # pixels, of a window
+_BACKGROUND, _BRIGHT, _DIM = (24, 26, 32), (235, 235, 235), (150, 155, 165)
+_CONSTANTS = {
+    **{"UP": "up", "DOWN": "down", "LEFT": "left", "RIGHT": "right"},
+    **{"HOME": "home", "END": "end", "PAGEUP": "pageup", "PAGEDOWN": "pagedown"},
+    **{"SPACE": "space", "TAB": "tab", "BACKSPACE": "backspace"},
+    **{"RETURN": "enter", "KP_ENTER": "enter"},
+    **{f"KP{digit}": str(digit) for digit in range(10)},
+}
