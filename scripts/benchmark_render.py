@@ -1,0 +1,254 @@
+"""How fast views are drawn, on one core, beside ViZDoom where that is installed.
+
+    python scripts/benchmark_render.py
+
+Views are 96 x 72 from random places, turned anywhere and pitched up to 25 degrees either way. Times
+are CPU seconds of this process (and, for ViZDoom, of the engine it starts). All rows are measured
+in turn, several times over, and each row's median is shown.
+"""
+
+import argparse
+import os
+import resource
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
+
+WORLDS = 256
+CELLS = 21
+GOALS = {"maze": 40_000, "room + 5 objects": 15_000}
+PITCH = np.radians(25.0)
+
+
+@dataclass
+class Row:
+    """One thing to measure: `run(calls)` makes that many calls of `frames` frames each."""
+
+    name: str
+    frames: int
+    run: Callable[[int], None]
+    clock: Callable[[], float] = time.process_time
+    speeds: list[float] = field(default_factory=list)
+
+    def measure(self, seconds: float) -> None:
+        calls = 1
+        while True:
+            start = self.clock()
+            self.run(calls)
+            spent = self.clock() - start
+            if spent >= seconds:
+                self.speeds.append(calls * self.frames / spent)
+                return
+            calls = max(calls * 2, int(1.2 * calls * seconds / max(spent, 1e-6)))
+
+    @property
+    def median(self) -> float:
+        return statistics.median(self.speeds)
+
+
+def carve(rng: np.random.Generator) -> np.ndarray:
+    """A maze of corridors with four rooms of 5 x 5 cells: bool [CELLS, CELLS], True is solid."""
+    solid = np.ones((CELLS, CELLS), np.bool_)
+    for row, column in rng.permutation([(1, 1), (1, 13), (11, 5), (13, 15)]):
+        solid[row : row + 5, column : column + 5] = False
+    solid[1, 1] = False
+    for start in np.argwhere(solid[1::2, 1::2]) * 2 + 1:
+        path = [tuple(start)]
+        solid[path[-1]] = False
+        while path:
+            row, column = path[-1]
+            ways = [
+                (r, c)
+                for r, c in ((row + 2, column), (row - 2, column), (row, column + 2))
+                + ((row, column - 2),)
+                if 0 < r < CELLS and 0 < c < CELLS and solid[r, c]
+            ]
+            if not ways:
+                path.pop()
+                continue
+            r, c = ways[rng.integers(len(ways))]
+            solid[(row + r) // 2, (column + c) // 2] = solid[r, c] = False
+            path.append((r, c))
+    for row, column in rng.integers(1, CELLS - 1, (40, 2)):
+        if (row + column) % 2:
+            solid[row, column] = False
+    return solid
+
+
+def maze(*, pitched: bool, ceiling: bool, seed: int = 0) -> Scenes:
+    """Mazes of 21 x 21 cells of 1 m, every cell of the floor with its own texture."""
+    rng = np.random.default_rng(seed)
+    scenes = Scenes(
+        WORLDS, walls=640, flats=2, tile_cells=CELLS * CELLS, grid=(CELLS, CELLS)
+    )  # fmt: skip
+    walls = [textures.index(name) for name in ("brick", "wallpaper", "stripes_green", "plaster")]
+    floors = [textures.index(name) for name in ("planks", "tiles", "carpet", "hexagons")]
+    sides = (
+        (0, 1, (1, 1, 1, 0)),
+        (1, 0, (0, 1, 1, 1)),
+        (0, -1, (0, 0, 0, 1)),
+        (-1, 0, (1, 0, 0, 0)),
+    )
+    for world in range(WORLDS):
+        solid = carve(rng)
+        scenes.solid[world] = solid
+        scenes.grid[world] = 0, 0, 1
+        for row, column in np.argwhere(solid):
+            for side, (down, right, (x0, y0, x1, y1)) in enumerate(sides):
+                r, c = row + down, column + right
+                if 0 <= r < CELLS and 0 <= c < CELLS and not solid[r, c]:
+                    ends = (column + x0, row + y0, column + x1, row + y1)
+                    face = (row * CELLS + column) * 4 + side
+                    scenes.add_wall(world, ends, (0, 1), int(rng.choice(walls)), face=face)
+        tiles = rng.choice(floors, (CELLS, CELLS))
+        scenes.add_flat(world, (0, 0, CELLS, CELLS), 0, 0, tiles=tiles)
+        if ceiling:
+            scenes.add_flat(
+                world, (0, 0, CELLS, CELLS), 1, textures.index("ceiling"),
+                repeat=1, flags=FACES_DOWN,
+            )  # fmt: skip
+        free = np.argwhere(~solid)
+        y, x = free[rng.integers(len(free))] + rng.uniform(0.2, 0.8, 2)
+        pitch = rng.uniform(-PITCH, PITCH) if pitched else 0.0
+        scenes.camera[world] = x, y, 0.5, rng.uniform(-np.pi, np.pi), pitch
+    return scenes
+
+
+def room(*, objects: int, pitched: bool, seed: int = 0) -> Scenes:
+    """Rooms of 4 x 3 m, with objects 1 to 2.5 m before the eyes."""
+    rng = np.random.default_rng(seed)
+    meshes = len(load_meshes().names)
+    scenes = Scenes(WORLDS, walls=4, flats=2, instances=objects)
+    corners = ((0, 0), (4, 0), (4, 3), (0, 3))
+    for world in range(WORLDS):
+        for k, name in enumerate(("wallpaper", "plaster_blue", "stripes", "brick")):
+            ends = corners[k] + corners[(k + 1) % 4]
+            scenes.add_wall(world, ends, (0, 2.4), textures.index(name), repeat=(1, 1))
+        rectangle = (0, 0, 4, 3)
+        scenes.add_flat(world, rectangle, 0, textures.index("planks"), repeat=1)
+        scenes.add_flat(world, rectangle, 2.4, textures.index("ceiling"), flags=FACES_DOWN)
+        yaw = rng.uniform(-np.pi, np.pi)
+        pitch = rng.uniform(-PITCH, PITCH) if pitched else 0.0
+        x, y = rng.uniform(0.5, 3.5), rng.uniform(0.5, 2.5)
+        scenes.camera[world] = x, y, 1.1, yaw, pitch
+        for k in range(objects):
+            angle, far = yaw + rng.uniform(-0.7, 0.7), rng.uniform(1.0, 2.5)
+            scenes.mesh[world, k] = rng.integers(meshes)
+            scenes.position[world, k] = (
+                x + far * np.cos(angle),
+                y + far * np.sin(angle),
+                1.1 + far * np.tan(pitch + rng.uniform(-0.5, 0.3)) - 0.2,
+            )
+            turn = rng.uniform(-np.pi, np.pi)
+            cos, sin = np.cos(turn), np.sin(turn)
+            scenes.rotation[world, k, :2, :2] = (cos, -sin), (sin, cos)
+        scenes.colors[world] = rng.integers(40, 256, (objects, 2, 3))
+    if objects:
+        # The room's walls must not hide what is measured.
+        scenes.walls[:, :, :4] += (scenes.walls[:, :, :4] > 0) * 4 - 2
+        scenes.flats[:, :, :4] += (scenes.flats[:, :, :4] > 0) * 4 - 2
+    return scenes
+
+
+def row(name: str, scenes: Scenes, size: tuple[int, int] = (96, 72)) -> Row:
+    width, height = size
+    renderer = Renderer(load_meshes(), textures.stack(), width=width, height=height)
+    out = np.zeros((WORLDS, height, width, 3), np.uint8)
+
+    def run(calls: int) -> None:
+        for _ in range(calls):
+            renderer.render(scenes, out)
+
+    return Row(name, WORLDS, run)
+
+
+def with_children() -> float:
+    """CPU seconds of this process and of the processes it started, ended or not."""
+    spent = time.process_time()
+    ticks = os.sysconf("SC_CLK_TCK")
+    own = str(os.getpid())
+    for entry in os.listdir("/proc"):
+        if entry.isdigit():
+            try:
+                with open(f"/proc/{entry}/stat") as file:
+                    fields = file.read().rsplit(")", 1)[1].split()
+            except OSError:
+                continue
+            if fields[1] == own:
+                spent += (int(fields[11]) + int(fields[12])) / ticks
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return spent + children.ru_utime + children.ru_stime
+
+
+def doom(vizdoom: Any, scenario: str) -> Row:
+    game = vizdoom.DoomGame()
+    game.load_config(os.path.join(vizdoom.scenarios_path, f"{scenario}.cfg"))
+    game.set_screen_resolution(vizdoom.ScreenResolution.RES_160X120)
+    game.set_screen_format(vizdoom.ScreenFormat.RGB24)
+    game.set_window_visible(False)
+    game.init()
+    buttons = game.get_available_buttons_size()
+    actions = np.random.default_rng(0).integers(2, size=(256, buttons)).tolist()
+
+    def run(calls: int) -> None:
+        for call in range(calls):
+            if game.is_episode_finished():
+                game.new_episode()
+            game.make_action(actions[call % 256], 1)
+            game.get_state()
+
+    return Row(f"ViZDoom {scenario} 160 x 120", 1, run, with_children)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--seconds", type=float, default=0.5, help="of each row in each round")
+    args = parser.parse_args()
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    maze_sky = maze(pitched=True, ceiling=False)
+    rows = [
+        row("maze", maze_sky),
+        row("maze, pitch 0", maze(pitched=False, ceiling=False)),
+        row("maze with ceiling", maze(pitched=True, ceiling=True)),
+        row("room", room(objects=0, pitched=True)),
+        row("room, pitch 0", room(objects=0, pitched=False)),
+        row("room + 5 objects", room(objects=5, pitched=True)),
+        row("room + 5 objects, pitch 0", room(objects=5, pitched=False)),
+        row("maze 160 x 120", maze_sky, (160, 120)),
+    ]
+    try:
+        import vizdoom
+    except ImportError:
+        print("ViZDoom is not installed, so there is no row for it (pip install vizdoom)")
+    else:
+        rows += [doom(vizdoom, name) for name in ("my_way_home", "basic")]
+    for each in rows:
+        each.run(1)
+    for _ in range(args.rounds):
+        for each in rows:
+            each.measure(args.seconds)
+    speed = {each.name: each.median for each in rows}
+    engines = [name for name in speed if name.startswith("ViZDoom")]
+    table = Table("view", "frames/s", "lowest", "highest", "goal", *(f"/ {e}" for e in engines))
+    for each in rows:
+        ratios = (f"{each.median / speed[e]:.2f}" if "160" in each.name else "" for e in engines)
+        table.add_row(
+            each.name, f"{each.median:,.0f}", f"{min(each.speeds):,.0f}",
+            f"{max(each.speeds):,.0f}",
+            f"{GOALS[each.name]:,}" if each.name in GOALS else "", *ratios,
+        )  # fmt: skip
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
