@@ -73,7 +73,8 @@ def ball() -> Mesh:
     whole = ellipsoid((1, 1, 1), sides=12, rings=7)
     middle = whole.vertices[whole.triangles].mean(axis=1)
     sector = (np.degrees(np.arctan2(middle[:, 1], middle[:, 0])) - 15) // 60
-    return assemble([replace(whole, parts=np.where(sector % 2, ACCENT, MAIN))])
+    stripes = np.array([MAIN, LIGHT, ACCENT, LIGHT, MAIN, LIGHT])
+    return assemble([replace(whole, parts=stripes[sector.astype(int) % 6])])
 
 
 def book() -> Mesh:
@@ -89,7 +90,7 @@ def book() -> Mesh:
         *(box(1, 13, 1.6, DARK, at=(4.2, 12, z)).turn("z", 4) for z in (9, 14, 19, 24)),
     ]
     opened = [solid.turn("z", -28) for solid in leaf]
-    return assemble([*both_sides(*opened), cylinder(2.2, 34, ACCENT, sides=6)])
+    return assemble([*both_sides(*opened), cylinder(2.2, 34.6, ACCENT, sides=6)])
 
 
 def cup() -> Mesh:
@@ -114,7 +115,7 @@ def car() -> Mesh:
             slab(side, 19, MAIN, plane="xz"),
             block((25, 18), (14, 15), 8, LIGHT, at=(-4, 0, 13.5), shift=(-1, 0)),
             block((15, 16), (13, 14), 1.8, MAIN, at=(-5, 0, 21.5)),
-            block((3, 18.6), (2.5, 15.8), 8, MAIN, at=(-5, 0, 13.5)),
+            block((3, 18.6), (2.5, 15.8), 8.6, MAIN, at=(-5, 0, 13.5)),
             box(2.4, 20, 2.5, ACCENT, at=(20, 0, 6)),
             box(2.4, 20, 2.5, ACCENT, at=(-20, 0, 6)),
             wheels(5.4, 21, -11.5),
@@ -130,7 +131,7 @@ def car() -> Mesh:
 def train() -> Mesh:
     return assemble(
         [
-            box(38, 13, 3, ACCENT, at=(-2, 0, 7)),
+            box(39, 13, 3, ACCENT, at=(-2, 0, 7)),
             cylinder(6.6, 24, MAIN, sides=10).turn("y", 90).move(-8, 0, 14),
             cylinder(7.2, 3, DARK, sides=10).turn("y", 90).move(14, 0, 14),
             loft([[(17, -8, 1), (17, 8, 1), (17, 8, 8), (17, -8, 8)], [(24, 0, 1)]], ACCENT),
@@ -286,7 +287,7 @@ def spoon() -> Mesh:
         half += [(-0.5 * depth - 0.6, 0.7 * width, z), (-depth - 1, 0.25 * width, z)]
         return half + [(x, -y, z) for x, y, z in half[::-1]]
 
-    scoop = [(21, 2, 0.6), (24, 7, 3.6), (29.5, 9, 6.4), (36, 7.4, 5), (40, 2.6, 0.6)]
+    scoop = [(20.5, 2, 0.6), (23.5, 8, 3.6), (29.5, 10.2, 6.6), (36, 8.4, 5), (40, 3, 0.6)]
     handle = [
         (0, 3.6, 4.4, 0), (1, 4.6, 5.6, 0), (6, 3, 4.4, 0), (14, 1.7, 3.2, -1.6), (22, 2.2, 3, 0.3),
     ]  # fmt: skip
@@ -334,7 +335,7 @@ def bottle() -> Mesh:
 def chair() -> Mesh:
     return assemble(
         [
-            box(22, 22, 3, ACCENT, at=(0, 0, 17)),
+            box(23, 23, 3, ACCENT, at=(0, 0, 17)),
             box(2, 22, 4.4, MAIN, at=(-10, 0, 37.8)),
             *(box(1.6, 1.8, 18, MAIN, at=(-10, y, 27)) for y in (-4.5, 0, 4.5)),
             *both_sides(
@@ -347,13 +348,12 @@ def chair() -> Mesh:
 
 
 def lamp() -> Mesh:
-    shade = [(14, 21), (7, 40), (6, 40), (13, 21)]
-    foot = [(0, 0), (8, 0), (8, 2), (3.4, 4), (1.8, 8), (1.8, 34), (0, 34)]
+    shade = [(14.5, 20), (14, 23), (7, 40), (6, 40), (13.5, 20)]
+    foot = [(0, 0), (8, 0), (8, 2), (3, 4), (6, 8), (6, 11), (2.4, 16), (2.4, 34), (0, 34)]
     return assemble(
         [
-            lathe(shade, [MAIN, MAIN, LIGHT, LIGHT], sides=11, closed=True),
-            lathe(foot, DARK, sides=7),
-            ellipsoid((3.4, 3.4, 3.4), LIGHT, at=(0, 0, 31), sides=6, rings=2),
+            lathe(shade, [ACCENT, LIGHT, LIGHT, LIGHT, ACCENT], sides=10, closed=True),
+            lathe(foot, MAIN, sides=8),
         ]
     )
 
@@ -373,7 +373,7 @@ def drum() -> Mesh:
         [
             cylinder(13, 20, MAIN, sides=12),
             cylinder(14.4, 3, ACCENT, sides=12),
-            cylinder(14.4, 3, ACCENT, at=(0, 0, 17), sides=12),
+            cylinder(14.4, 3, ACCENT, at=(0, 0, 17.2), sides=12),
             cylinder(13, 0.8, LIGHT, at=(0, 0, 20), sides=12),
             *(
                 rod((-12, 3 * s, 21.5), (18, -11 * s, 24), 1, WOOD, sides=5).move(2, 0, 0)

@@ -1,0 +1,214 @@
+"""The objects of the playroom: their conventions, that none is like another, and their file."""
+
+import importlib
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zipf.envs.render3d import MeshAtlas, load_meshes
+
+ROOT = Path(__file__).parent.parent
+FILE = ROOT / "zipf" / "envs" / "render3d" / "meshes.npz"
+TOYS = [
+    "duck", "ball", "book", "cup", "car",
+    "train", "boat", "robot", "teddy", "rocket",
+    "bus", "plane", "mug", "spoon", "bowl",
+    "plate", "bottle", "chair", "lamp", "hat",
+    "drum", "guitar", "piano", "clock", "phone",
+    "keyboard", "helicopter", "carriage", "racket", "pillow",
+    "candle", "teapot", "banana", "apple", "carrot",
+    "mushroom", "toothbrush", "toothpaste", "comb", "hairdryer",
+    "fork", "hammer", "screwdriver", "key", "scissors",
+    "umbrella", "basket", "cactus", "dice", "pyramid",
+]  # fmt: skip
+NAMES = [*TOYS, "bed", "tray"]
+ATLAS = load_meshes()
+
+
+def mesh(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, triangles (indices into just these vertices) and parts of one mesh."""
+    i = ATLAS.index(name)
+    vertices = slice(ATLAS.first_vertex[i], ATLAS.first_vertex[i + 1])
+    triangles = slice(ATLAS.first_triangle[i], ATLAS.first_triangle[i + 1])
+    return (
+        ATLAS.vertices[vertices].astype(np.float64),
+        ATLAS.triangles[triangles] - ATLAS.first_vertex[i],
+        ATLAS.parts[triangles],
+    )
+
+
+def solids(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """For each triangle the number of the connected surface that it belongs to."""
+    label = np.arange(len(vertices))
+    while True:
+        lowest = label[triangles].min(axis=1)
+        spread = label.copy()
+        np.minimum.at(spread, triangles.ravel(), lowest.repeat(3))
+        if np.array_equal(spread, label):
+            return label[triangles[:, 0]]
+        label = spread
+
+
+def inside(points: np.ndarray, corners: np.ndarray, margin: float = 0.0) -> np.ndarray:
+    """Which points [P, 2] lie in which triangles [T, 3, 2]: bool [T, P]."""
+    a, b, c = corners.transpose(1, 0, 2)[:, :, None]
+
+    def side(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return (v[..., 0] - u[..., 0]) * (points[:, 1] - u[..., 1]) - (v[..., 1] - u[..., 1]) * (
+            points[:, 0] - u[..., 0]
+        )
+
+    sides = np.stack([side(a, b), side(b, c), side(c, a)])
+    return (sides > margin).all(axis=0) | (sides < -margin).all(axis=0)
+
+
+def test_the_atlas_has_every_object_by_rank_and_the_furniture():
+    assert list(ATLAS.names) == NAMES
+    assert [ATLAS.index(name) for name in ("duck", "pyramid", "tray")] == [0, 49, 51]
+    with pytest.raises(KeyError, match="no mesh 'unicorn'; there are duck, ball"):
+        ATLAS.index("unicorn")
+
+
+def test_the_atlas_is_loaded_once_and_its_arrays_are_as_documented():
+    assert load_meshes() is ATLAS
+    v, t, n = len(ATLAS.vertices), len(ATLAS.triangles), len(NAMES)
+    for field, dtype, shape in (
+        ("vertices", np.float32, (v, 3)),
+        ("triangles", np.int32, (t, 3)),
+        ("parts", np.uint8, (t,)),
+        ("first_vertex", np.int32, (n + 1,)),
+        ("first_triangle", np.int32, (n + 1,)),
+        ("extent", np.float32, (n, 3)),
+    ):
+        array = getattr(ATLAS, field)
+        assert (array.dtype, array.shape) == (dtype, shape), field
+        assert not array.flags.writeable, field
+    assert (ATLAS.first_vertex[0], ATLAS.first_vertex[-1]) == (0, v)
+    assert (ATLAS.first_triangle[0], ATLAS.first_triangle[-1]) == (0, t)
+    assert ATLAS.parts.max() <= 5
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_mesh_stands_on_its_origin_at_its_size(name):
+    vertices, triangles, _ = mesh(name)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    assert low[2] == 0
+    np.testing.assert_allclose((low + high)[:2], 0, atol=2e-5)
+    np.testing.assert_allclose(ATLAS.extent[ATLAS.index(name)], high - low, atol=1e-6)
+    assert sorted(set(triangles.ravel())) == list(range(len(vertices)))
+    assert 60 <= len(triangles) <= 260
+    if name in TOYS:
+        assert (high - low).max() == pytest.approx(0.40, abs=2e-5)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_mesh_is_made_of_closed_surfaces_that_face_outwards(name):
+    vertices, triangles, _ = mesh(name)
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    there = {tuple(edge) for edge in edges.tolist()}
+    assert len(there) == len(edges)
+    assert there == {(b, a) for a, b in there}
+
+    corners = vertices[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert np.linalg.norm(normals, axis=1).min() > 1e-8
+    surface = solids(vertices, triangles)
+    for label in np.unique(surface):
+        own = corners[surface == label] - corners[surface == label].mean(axis=(0, 1))
+        volume = np.einsum("ti,ti->", own[:, 0], np.cross(own[:, 1], own[:, 2])) / 6
+        assert volume > 1e-8
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_two_colours_lie_in_one_plane(name):
+    """They would be drawn in stripes of both."""
+    vertices, triangles, parts = mesh(name)
+    corners = vertices[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    offset = np.einsum("ti,ti->t", normals, corners[:, 0])
+    # [i, j]: how far triangle j goes from the plane of triangle i.
+    far = np.abs(np.einsum("ik,jck->ijc", normals, corners) - offset[:, None, None]).max(axis=2)
+    together = (far < 3e-5) & (normals @ normals.T > 0.999) & (parts[:, None] != parts)
+    together &= normals[:, 2:] > -0.99  # nobody sees what an object stands on
+    weights = np.array([(a, b, 6 - a - b) for a in range(1, 5) for b in range(1, 6 - a)]) / 6
+    for i, j in zip(*np.nonzero(together), strict=True):
+        axes = np.delete(np.arange(3), np.abs(normals[i]).argmax())
+        shared = inside((weights @ corners[j])[:, axes], corners[i][None, :, axes], 1e-8)
+        assert not shared.any(), (corners[i], corners[j])
+
+
+def heights(name: str, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+    """Where a thing dropped at each (x, y) comes to rest: [len(xs) * len(ys)]."""
+    vertices, triangles, _ = mesh(name)
+    corners = vertices[triangles]
+    points = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
+    found = np.full(len(points), -np.inf)
+    for triangle, hit in zip(corners, inside(points, corners[:, :, :2]), strict=True):
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangle
+        if hit.any():
+            slope = np.linalg.solve([(bx - ax, by - ay), (cx - ax, cy - ay)], [bz - az, cz - az])
+            found[hit] = np.maximum(found[hit], az + (points[hit] - (ax, ay)) @ slope)
+    return found
+
+
+def test_toys_lie_flat_on_the_bed_and_in_the_tray():
+    bed = heights("bed", np.linspace(-0.301, 0.631, 23), np.linspace(-0.403, 0.401, 17))
+    np.testing.assert_allclose(bed, 0.35, atol=1e-6)
+    tray = heights("tray", np.linspace(-0.241, 0.243, 23), np.linspace(-0.161, 0.163, 17))
+    np.testing.assert_allclose(tray, 0.03, atol=1e-6)
+    np.testing.assert_allclose(ATLAS.extent[[50, 51], :2], [(1.4, 0.9), (0.6, 0.45)], atol=1e-5)
+    assert ATLAS.extent[51, 2] == pytest.approx(0.06)
+    vertices, _, _ = mesh("bed")
+    top = vertices[vertices[:, 2] == vertices[:, 2].max()]
+    assert (top[:, 0] < -0.55).all()  # the headboard
+
+
+def silhouettes(name: str, yaws: np.ndarray) -> np.ndarray:
+    """bool [yaws, 32, 32]: what of a toy covers the background from 30 degrees above."""
+    vertices, triangles, _ = mesh(name)
+    axis = (np.arange(32) + 0.5) / 32 * 0.5 - 0.25
+    pixels = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    views = []
+    for yaw in yaws:
+        c, s = np.cos(yaw), np.sin(yaw)
+        right = vertices[:, 0] * c - vertices[:, 1] * s
+        away = vertices[:, 0] * s + vertices[:, 1] * c
+        up = vertices[:, 2] * np.cos(np.pi / 6) + away * np.sin(np.pi / 6)
+        flat = np.stack([right, up], axis=1)
+        flat -= (flat.min(axis=0) + flat.max(axis=0)) / 2
+        views.append(inside(pixels, flat[triangles]).any(axis=0).reshape(32, 32))
+    return np.array(views)
+
+
+def test_no_two_toys_are_alike():
+    """Seen from most sides, a toy's outline is not that of another from any side.
+
+    The difference of two outlines is the share of what either covers that not both cover. A toy
+    is told from another by the median over its own sides of the least difference over the other's.
+    """
+    yaws = np.radians(np.arange(0, 360, 30) + 10)
+    views = {name: silhouettes(name, yaws) for name in TOYS}
+    for one, other in combinations(TOYS, 2):
+        a, b = views[one][:, None], views[other][None]
+        difference = 1 - (a & b).sum(axis=(2, 3)) / (a | b).sum(axis=(2, 3))
+        told = max(np.median(difference.min(axis=1)), np.median(difference.min(axis=0)))
+        assert told > 0.1, (one, other, told)
+
+
+def test_the_file_is_what_the_command_builds(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "scripts")
+    command = importlib.import_module("build_meshes")
+    built = command.pack(command.build())
+    names = tuple(built.pop("names").tolist())
+    fresh = MeshAtlas(names, **built)
+    assert fresh.names == ATLAS.names
+    for field in ("triangles", "parts", "first_vertex", "first_triangle"):
+        np.testing.assert_array_equal(getattr(fresh, field), getattr(ATLAS, field), err_msg=field)
+    for field in ("vertices", "extent"):
+        np.testing.assert_allclose(
+            getattr(fresh, field), getattr(ATLAS, field), atol=2e-5, err_msg=field
+        )
+    assert FILE.stat().st_size < 5e6
