@@ -116,7 +116,7 @@ def carriage() -> Mesh:
 def racket() -> Mesh:
     loop = circle(1.0, 14)[:, [2, 0, 1]] * (0, 12.5, 13.5) + (0, 0, 26)
     solids = [
-        tube(loop, 3.2, sides=4, closed=True),
+        tube(loop, 3.5, sides=4, closed=True),
         rod((0, -8, 15), (0, 0, 4), 2.2, sides=4),
         rod((0, 8, 15), (0, 0, 4), 2.2, sides=4),
         rod((0, 0, -9), (0, 0, 8), 3, ACCENT, sides=6),
@@ -136,7 +136,7 @@ def pillow() -> Mesh:
     # The sides curve inwards between the corners, as a cushion's do.
     x = 15 * u * (1 - 0.16 * (1 - v**2) * np.abs(u))
     y = 20 * v * (1 - 0.16 * (1 - u**2) * np.abs(v))
-    height = 8 * ((1 - u**2) * (1 - v**2)) ** 0.4
+    height = 9.5 * ((1 - u**2) * (1 - v**2)) ** 0.4
     index = np.arange(49).reshape(7, 7)
     a, b, c, d = (index[i : i + 6, j : j + 6] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
     # Diagonals run towards the corners: no triangle has its three points on the border.
@@ -165,16 +165,16 @@ def candle() -> Mesh:
 
 
 def teapot() -> Mesh:
-    body = [(6, 0), (11, 4), (13, 10), (11, 17), (6, 20)]
-    spout = [(8.0, 0.0, 6.0), (15.0, 0.0, 10.0), (18.0, 0.0, 17.0), (22.5, 0.0, 22.0)]
-    handle = arc(7, 70, 290, 8, at=(-13.5, 0, 11.5))
+    body = [(8, 0), (13, 4), (15, 11), (13, 19), (8, 23)]
+    spout = [(10.0, 0.0, 7.0), (17.0, 0.0, 11.0), (19.0, 0.0, 18.0), (22.0, 0.0, 24.0)]
+    handle = arc(8, 80, 280, 8, at=(-14, 0, 12.5))
     return assemble(
         [
             lathe(body, sides=10),
-            lathe([(7, 19), (6.5, 21), (0, 23)], ACCENT, sides=10),
-            ellipsoid((3, 3, 3), ACCENT, at=(0, 0, 25), sides=5, rings=2),
-            tube(spout, [5, 3.6, 2.6, 2.6], sides=5),
-            tube(handle, 1.9, ACCENT, sides=4),
+            lathe([(9, 22), (8, 25), (0, 27.5)], ACCENT, sides=10),
+            ellipsoid((3.6, 3.6, 3.6), ACCENT, at=(0, 0, 30), sides=5, rings=2),
+            tube(spout, [6, 5, 3.6, 3.6], sides=5),
+            tube(handle, 2.5, ACCENT, sides=4),
         ]
     )
 
@@ -226,12 +226,12 @@ def mushroom() -> Mesh:
 def toothbrush() -> Mesh:
     shaft = [(1.5, 0, 0), (0.5, 0, 9), (0, 0, 18), (-0.5, 0, 24), (0, 0, 27)]
     solids = [
-        tube(np.array(shaft, dtype=float), [3.0, 3.6, 3.0, 1.9, 2.2], sides=6),
-        box(3.6, 6.4, 18, at=(0, 0, 35)),
-        lathe([(3.4, 4), (4.6, 5.5), (4.6, 13), (3.4, 14.5)], ACCENT, sides=6).move(0.6),
+        tube(np.array(shaft, dtype=float), [3.6, 4.2, 3.4, 2.2, 2.6], sides=6),
+        box(4.2, 8, 18, at=(0, 0, 35)),
+        lathe([(4, 4), (5.4, 5.5), (5.4, 13), (4, 14.5)], ACCENT, sides=6).move(0.6),
     ]
     for z in (28.2, 32.7, 37.2, 41.7):
-        solids.append(block((2.8, 5), (3.6, 6), 9, LIGHT).turn("y", 90).move(1.2, 0, z))
+        solids.append(block((3, 6), (3.7, 8), 11, LIGHT).turn("y", 90).move(1.2, 0, z))
     return assemble(solids)
 
 
@@ -299,12 +299,12 @@ def hammer() -> Mesh:
 
 
 def screwdriver() -> Mesh:
-    grip = [_star(r, 0.74 * r, 6, z) for r, z in ((5, 0), (8.6, 2.5), (8.6, 16), (5.2, 19))]
-    tip = [_oval(3.4, 3.4, 31, 8), _oval(2.4, 6.8, 36, 8), _oval(1.6, 6.8, 41, 8)]
+    grip = [_star(r, 0.74 * r, 6, z) for r, z in ((5.6, 0), (9.4, 2.5), (8.8, 17), (5.4, 20))]
+    tip = [_oval(2.9, 2.9, 32, 8), _oval(2.6, 7.4, 36, 8), _oval(1.8, 7.4, 42, 8)]
     return assemble(
         [
             loft(grip, [MAIN, MAIN, ACCENT]),
-            cylinder(3.4, 16, LIGHT, at=(0, 0, 17), sides=6),
+            cylinder(2.9, 16, LIGHT, at=(0, 0, 18), sides=6),
             loft(tip, LIGHT),
         ]
     )
@@ -313,11 +313,11 @@ def screwdriver() -> Mesh:
 def key() -> Mesh:
     return assemble(
         [
-            torus(8.4, 3.3, around=12, sides=5).turn("y", 90).move(0, 0, 29),
-            cylinder(3.2, 22, sides=8),
-            cylinder(4.6, 3.4, ACCENT, at=(0, 0, 16), sides=8),
-            box(6, 11, 4.6, at=(0, 6.5, 2.3)),
-            box(6, 8, 4.6, at=(0, 5, 10.4)),
+            torus(9.6, 4.8, around=12, sides=4).turn("y", 90).move(0, 0, 29),
+            cylinder(3.6, 20, sides=8),
+            cylinder(5.2, 3.6, ACCENT, at=(0, 0, 14), sides=8),
+            box(6.6, 13, 4.8, at=(0, 7.5, 2.4)),
+            box(6.6, 9, 4.2, at=(0, 5.5, 10)),
         ]
     )
 
@@ -345,7 +345,7 @@ def umbrella() -> Mesh:
     return assemble(
         [
             _panels(loft(canopy), 8, (MAIN, ACCENT)),
-            tube(hook, 1.8, DARK, sides=4),
+            tube(hook, 2.2, DARK, sides=4),
             cone(1.8, 6, DARK, at=(0, 0, 35), sides=4),
         ]
     )
