@@ -24,3 +24,9 @@ gymnasium.register(
     entry_point="zipf.envs.gridworld.single:GridworldEnv",
     vector_entry_point="zipf.envs.gridworld.vector:GridworldVectorEnv",
 )
+
+gymnasium.register(
+    id="zipf/Playroom-v0",
+    entry_point="zipf.envs.playroom.single:PlayroomEnv",
+    vector_entry_point="zipf.envs.playroom.vector:PlayroomVectorEnv",
+)

@@ -1,7 +1,7 @@
 """Every level by name, and which levels train and which test a benchmark.
 
-A level is `<family>/<distribution>`, for instance `gridworld/zipf_2`, `gridworld/uniform` or
-`gridworld/rare`.
+A level is its family's name and its own, for instance `gridworld/zipf_2` or
+`playroom/lift/lift_shape_uniform`.
 """
 
 import difflib
@@ -23,6 +23,11 @@ from zipf.envs.gridworld.single import GridworldEnv
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.envs.keys import Keys
 from zipf.envs.mixture import MixtureVectorEnv
+from zipf.envs.playroom import levels as playroom_levels
+from zipf.envs.playroom.expert import Expert as PlayroomExpert
+from zipf.envs.playroom.keys import KEYS as PLAYROOM_KEYS
+from zipf.envs.playroom.single import PlayroomEnv
+from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.vector import ZipfVectorEnv
 
 Expert = Callable[[], NDArray[np.int64]]
@@ -53,6 +58,28 @@ class Split:
 
 SPLITS = {
     "gridworld": Split("gridworld", "gridworld/zipf_2", "gridworld/uniform", "gridworld/rare"),
+    "playroom_lift": Split(
+        "playroom_lift",
+        "playroom/lift/lift_shape_zipf3",
+        "playroom/lift/lift_shape_uniform",
+        "playroom/lift/lift_shape_uniform_rare",
+    ),
+    "playroom_put": Split(
+        "playroom_put",
+        (
+            "playroom/put/lift_shape_zipf2",
+            "playroom/put/put_near_bed_tray_frequent",
+            "playroom/put/put_on_bed_tray_frequent",
+        ),
+        "playroom/put/put_on_bed_tray_all",
+        "playroom/put/put_on_bed_tray_rare",
+    ),
+    "playroom_find": Split(
+        "playroom_find",
+        "playroom/supervised/find_shape_zipf3",
+        "playroom/supervised/find_shape_uniform",
+        "playroom/supervised/find_shape_uniform_rare",
+    ),
 }
 
 
@@ -75,6 +102,14 @@ _FAMILIES = {
         distributions.by_name,
         GRIDWORLD_KEYS,
         GridworldExpert,
+    ),
+    "playroom": _Family(
+        PlayroomEnv,
+        PlayroomVectorEnv,
+        None,
+        playroom_levels.by_name,
+        PLAYROOM_KEYS,
+        PlayroomExpert,
     ),
 }
 

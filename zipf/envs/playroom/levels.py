@@ -1,0 +1,137 @@
+"""The playroom's eighteen levels, its objects and its instructions."""
+
+import difflib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.envs import distributions
+from zipf.envs.language import Vocabulary
+
+OBJECTS = (
+    *("duck", "ball", "book", "cup", "car", "train", "boat", "robot", "teddy", "rocket"),
+    *("bus", "plane", "mug", "spoon", "bowl", "plate", "bottle", "chair", "lamp", "hat"),
+    *("drum", "guitar", "piano", "clock", "phone", "keyboard", "helicopter", "carriage"),
+    *("racket", "pillow", "candle", "teapot", "banana", "apple", "carrot", "mushroom"),
+    *("toothbrush", "toothpaste", "comb", "hairdryer", "fork", "hammer", "screwdriver", "key"),
+    *("scissors", "umbrella", "basket", "cactus", "dice", "pyramid"),
+)
+"""The 50 objects by frequency rank. Ours: the release's list is not published."""
+
+ALTERNATE = (
+    *("keyboard", "piano", "dice", "screwdriver", "helicopter", "bowl", "drum", "fork", "racket"),
+    *("spoon", "banana", "robot", "comb", "book", "train", "hat", "bottle", "mug", "chair"),
+    *("cactus", "clock", "carriage", "mushroom", "key", "boat", "cup", "pyramid", "rocket"),
+    *("candle", "umbrella", "phone", "scissors", "toothbrush", "toothpaste", "car", "pillow"),
+    *("hammer", "basket", "teapot", "plate", "apple", "teddy", "hairdryer", "ball", "duck"),
+    *("carrot", "bus", "lamp", "plane", "guitar"),
+)
+"""A second order, shuffled so that nothing frequent or rare stays what it was: it tells what hangs
+on rarity from what hangs on shape."""
+
+ORDERS = {"default": OBJECTS, "alternate": ALTERNATE}
+
+SUPPORTS = ("bed", "tray")
+LIFT, NEAR, ON = 0, 1, 3
+"""A task is LIFT, or NEAR or ON plus the index of a support."""
+TASKS = ("lift", "near bed", "near tray", "on bed", "on tray")
+
+VOCABULARY = Vocabulary(
+    ("a", "find", "lift", "near", "on", "put", *SUPPORTS, *sorted(OBJECTS)), length=6
+)
+
+
+@dataclass(frozen=True)
+class Level:
+    """What a level draws an episode from.
+
+    Attributes:
+        name: without its family.
+        probabilities: of the ranks of objects, float64 [50].
+        others: objects beside the target.
+        tasks: those drawn from, each as likely as the others; empty in `supervised/` levels,
+            where the task is to approach.
+        furnished: whether there are a bed and a tray.
+    """
+
+    name: str
+    probabilities: NDArray[np.float64]
+    others: int
+    tasks: tuple[int, ...]
+    furnished: bool
+
+    @property
+    def finding(self) -> bool:
+        """Two objects, drawn with replacement, left and right of the agent's view."""
+        return not self.tasks
+
+    @property
+    def situation(self) -> dict[str, int]:
+        """Names and sizes of the ranks an episode is drawn at."""
+        others = ["other"] if self.others == 1 else [f"other_{i + 1}" for i in range(self.others)]
+        situation = dict.fromkeys(["target", *others], len(OBJECTS))
+        if self.furnished:
+            situation["task"] = len(TASKS)
+        return situation
+
+
+def _levels() -> dict[str, Level]:
+    n = len(OBJECTS)
+    frequent = np.zeros(n)
+    frequent[: n // 5] = 1 / (n // 5)
+    drawn = {
+        **{f"zipf{exponent}": distributions.zipfian(n, exponent) for exponent in (1, 2, 3, 4)},
+        "uniform": distributions.uniform(n),
+        "uniform_rare": distributions.rare(n),
+        "all": distributions.uniform(n),
+        "rare": distributions.rare(n),
+        "frequent": frequent,
+    }
+    near = tuple(NEAR + i for i in range(len(SUPPORTS)))
+    on = tuple(ON + i for i in range(len(SUPPORTS)))
+    kinds: dict[str, tuple[list[str], int, tuple[int, ...], bool]] = {
+        "lift/lift_shape": (
+            ["zipf2", "zipf3", "zipf4", "uniform", "uniform_rare"],
+            2,
+            (LIFT,),
+            False,
+        ),
+        "put/lift_shape": (["zipf2", "uniform", "uniform_rare"], 2, (LIFT,), True),
+        # Ours: how many are many is not published.
+        "put/lift_shape_many": (["zipf1", "zipf4"], 5, (LIFT,), True),
+        "put/put_near_bed_tray": (["frequent"], 2, near, True),
+        "put/put_on_bed_tray": (["frequent", "all", "rare"], 2, on, True),
+        "supervised/find_shape": (["zipf2", "zipf3", "uniform", "uniform_rare"], 1, (), False),
+    }
+    return {
+        f"{kind}_{name}": Level(f"{kind}_{name}", drawn[name], others, tasks, furnished)
+        for kind, (names, others, tasks, furnished) in kinds.items()
+        for name in names
+    }
+
+
+LEVELS = _levels()
+
+
+def by_name(name: str) -> Level:
+    """The level of this name, with or without `playroom/` before it.
+
+    Raises:
+        ValueError: there is none; names the nearest.
+    """
+    name = name.removeprefix("playroom/")
+    if name not in LEVELS:
+        nearest = difflib.get_close_matches(name, LEVELS, n=2, cutoff=0.4)
+        hint = f" (did you mean {' or '.join(map(repr, nearest))}?)" if nearest else ""
+        raise ValueError(f"unknown level {name!r}{hint}: expected one of {', '.join(LEVELS)}")
+    return LEVELS[name]
+
+
+def instruction(level: Level, target: str, task: int) -> str:
+    """What the agent is told, for instance "put a duck on a bed"."""
+    if level.finding:
+        return f"find a {target}"
+    if task == LIFT:
+        return f"lift a {target}"
+    return f"put a {target} {TASKS[task].split()[0]} a {TASKS[task].split()[1]}"

@@ -1,0 +1,121 @@
+"""One room's floor plane, simulated by pymunk: walls, furniture, the agent and loose objects."""
+
+import math
+from collections.abc import Sequence
+
+import pymunk
+from numpy.typing import NDArray
+
+from zipf.envs.playroom import kernels
+
+_WALL, _AGENT, _GROUND, _FURNITURE, _RAISED, _CARRIED, _SUPPORTED = (1 << k for k in range(7))
+_WALL_DEPTH = 1.0  # so thick that nothing can pass in one frame
+
+
+def _filter(category: int, *against: int) -> pymunk.ShapeFilter:
+    return pymunk.ShapeFilter(categories=category, mask=sum(against))
+
+
+# By the layers of `kernels`. What is held low pushes what stands on the floor, but not the agent
+# who holds it; what is high meets only walls; what lies on a support meets its like.
+_LAYERS = {
+    kernels.GROUND_LAYER: _filter(_GROUND, _WALL, _AGENT, _GROUND, _FURNITURE, _CARRIED),
+    kernels.RAISED_LAYER: _filter(_RAISED, _WALL),
+    kernels.CARRIED_LAYER: _filter(_CARRIED, _WALL, _GROUND, _FURNITURE),
+    kernels.SUPPORTED_LAYER: _filter(_SUPPORTED, _WALL, _SUPPORTED),
+}
+_ITERATIONS = 8  # ours: little enough overlap when several objects are pushed into a corner
+_DENSITY = 2.0  # kilograms an object
+_ELONGATED = 1.3  # from this ratio of sides on a footprint is a box, else a disc
+
+
+class Room:
+    """The bodies of one episode.
+
+    A new room is built for every episode, and steps alike whatever was simulated before it.
+
+    Args:
+        agent: x and y of the agent.
+        objects: (x, y, angle, length, width) of each object.
+        furniture: (x, y, angle, half length, half width) of each piece.
+    """
+
+    def __init__(
+        self,
+        agent: Sequence[float],
+        objects: Sequence[Sequence[float]],
+        furniture: Sequence[Sequence[float]],
+    ) -> None:
+        self.space = pymunk.Space()
+        self.space.iterations = _ITERATIONS
+        self.space.damping = math.exp(-kernels.DAMPING)
+        still = self.space.static_body
+        half = kernels.ROOM / 2 + _WALL_DEPTH
+        corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
+        for one, two in zip(corners, corners[1:] + corners[:1], strict=True):
+            wall = pymunk.Segment(still, one, two, _WALL_DEPTH)
+            wall.filter = _filter(_WALL, _AGENT, _GROUND, _RAISED, _CARRIED, _SUPPORTED)
+            self.space.add(wall)
+        for x, y, angle, length, width in furniture:
+            placed = pymunk.Transform.translation(x, y).rotated(angle)
+            points = [(length, width), (-length, width), (-length, -width), (length, -width)]
+            piece = pymunk.Poly(still, points, placed)
+            piece.filter = _filter(_FURNITURE, _AGENT, _GROUND, _CARRIED)
+            self.space.add(piece)
+        self.agent = pymunk.Body(kernels.AGENT_MASS, math.inf)
+        self.agent.position = agent[0], agent[1]
+        disc = pymunk.Circle(self.agent, kernels.AGENT_RADIUS)
+        disc.filter = _filter(_AGENT, _WALL, _GROUND, _FURNITURE)
+        self.space.add(self.agent, disc)
+        self.objects: list[pymunk.Body] = []
+        self.shapes: list[pymunk.Shape] = []
+        for x, y, angle, length, width in objects:
+            body = pymunk.Body(_DENSITY, pymunk.moment_for_box(_DENSITY, (length, width)))
+            body.position = x, y
+            body.angle = angle
+            shape: pymunk.Shape
+            if max(length, width) > _ELONGATED * min(length, width):
+                shape = pymunk.Poly.create_box(body, (length, width))
+            else:
+                shape = pymunk.Circle(body, (length + width) / 4)
+            shape.friction = 0.5
+            shape.filter = _LAYERS[kernels.GROUND_LAYER]
+            self.space.add(body, shape)
+            self.objects.append(body)
+            self.shapes.append(shape)
+        self.bodies = [self.agent, *self.objects]
+        self.layers = [kernels.GROUND_LAYER] * len(self.objects)
+
+    def set_layers(self, layers: Sequence[int]) -> None:
+        """Says what each object collides with."""
+        for j, layer in enumerate(layers):
+            if layer != self.layers[j]:
+                self.shapes[j].filter = _LAYERS[layer]
+        self.layers = list(layers)
+
+    def turn(self, item: int, angle: float) -> None:
+        """Turns an object."""
+        self.objects[item].angle = angle
+        self.space.reindex_shapes_for_body(self.objects[item])
+
+    def step(self, force: Sequence[float]) -> None:
+        """One action's frames under a force (x, y) on the agent, newtons."""
+        agent, step = self.agent, self.space.step
+        x, y = force
+        for _ in range(kernels.FRAMES):
+            agent.force = x, y  # every frame uses it up
+            step(kernels.FRAME)
+
+    def poses(self) -> list[float]:
+        """x, y and angle of the agent and of each object, one after another."""
+        values: list[float] = []
+        for body in self.bodies:
+            x, y = body.position
+            values += (x, y, body.angle)
+        return values
+
+
+def furniture_of(poses: NDArray) -> list[list[float]]:
+    """(x, y, angle, half length, half width) of bed and tray from their poses, float64 [2, 3]."""
+    sizes = kernels.FURNITURE_SIZE.tolist()
+    return [[*pose, *size[:2]] for pose, size in zip(poses.tolist(), sizes, strict=True)]

@@ -1,0 +1,300 @@
+"""Zipf's Playroom, many worlds at once."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from zipf.envs.playroom import kernels, levels
+from zipf.envs.playroom.actions import ACTIONS
+from zipf.envs.playroom.room import Room, furniture_of
+from zipf.envs.playroom.view import PALETTE, View, extents_of
+from zipf.envs.vector import Observation, ZipfVectorEnv
+
+
+class PlayroomVectorEnv(ZipfVectorEnv):
+    """`N` worlds of Zipf's Playroom; see `PlayroomEnv` for the tasks and the arguments.
+
+    Every episode takes the same number of draws from its world's random stream: one for each
+    object, one each to choose the target and the task, and two that seed a stream of the
+    episode's own for poses and colours.
+
+    A world's state is how its episode began and the actions since: `set_state` plays them again,
+    which takes up to a few hundredths of a second for each world.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 7.5}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        level: str = "lift/lift_shape_zipf3",
+        *,
+        image_size: Sequence[int] = (72, 96),
+        object_order: str = "default",
+        max_steps: int = 900,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        copy: bool = True,
+        render_mode: str | None = None,
+    ) -> None:
+        self.level = levels.by_name(level)
+        if len(image_size) != 2 or min(image_size) < 1:
+            raise ValueError(
+                f"image_size must be (height, width), both at least 1, got {tuple(image_size)}"
+            )
+        if object_order not in levels.ORDERS:
+            raise ValueError(
+                f"object_order must be {' or '.join(map(repr, levels.ORDERS))}, "
+                f"got {object_order!r}"
+            )
+        if max_steps < 1:
+            raise ValueError(f"max_steps must be at least 1, got {max_steps}")
+        self.objects = levels.ORDERS[object_order]
+        self.max_steps = max_steps
+        height, width = image_size
+        super().__init__(
+            num_envs,
+            single_observation_space=spaces.Dict(
+                {
+                    "image": spaces.Box(0, 255, (height, width, 3), dtype=np.uint8),
+                    "instruction": levels.VOCABULARY.space(),
+                }
+            ),
+            single_action_space=spaces.Discrete(len(ACTIONS)),
+            situation=self.level.situation,
+            autoreset_mode=autoreset_mode,
+            copy=copy,
+            render_mode=render_mode,
+        )
+        n, count = num_envs, self.level.others + 1
+        # How the episode began, and what was done since.
+        self._began = np.zeros((n, 4), np.uint64)
+        self._forced = np.full((len(self.situation), n), -1, np.int64)
+        self._actions = np.zeros((n, max_steps), np.uint8)
+        # What follows from it.
+        self.ranks = np.zeros((n, count), np.int64)
+        self.task = np.zeros(n, np.int64)
+        self.extents = extents_of(self.objects)
+        self.agents = np.zeros((n, 6))
+        self.hands = np.full(n, -1, np.int64)
+        self.items = np.zeros((n, count, 5))
+        self.orientation = np.zeros((n, count, 3, 3))
+        self.furniture = np.zeros((n, 2, 3))
+        self.status = np.zeros((n, count), np.int64)
+        self.still = np.zeros((n, count), np.int64)
+        self.lifted = np.zeros((n, count), np.bool_)
+        self.colors = np.zeros((n, count + 2, 2, 3), np.uint8)
+        self._scenery = np.zeros((n, 4), np.uint64)
+        self.rooms: list[Room | None] = [None] * n
+        self._instructions = np.zeros((n, levels.VOCABULARY.length), np.int64)
+        self._texts = np.full(n, "", "<U40")
+        self._side = np.zeros(n, np.int64)
+        self._view = View(self.objects, n, count, self.level.furnished, width, height)
+        # Between the parts of a step.
+        self._layers = np.zeros((n, count), np.int64)
+        self._forces = np.zeros((n, 2))
+        self._drives = np.zeros((n, 2))
+        self._turned = np.full(n, -1, np.int64)
+
+    @property
+    def lengths(self) -> NDArray[np.int64]:
+        """Steps of the episodes now running, int64 [N]."""
+        return self._lengths
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One frame of each world, uint8 [288, 384, 3], with `render_mode="rgb_array"`."""
+        if self.render_mode is None:
+            return None
+        return self._view.frames(self, self._texts.tolist())
+
+    def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
+        self._began[mask] = self._streams[mask]
+        self._forced[:, mask] = forced[:, mask]
+        self._start(mask, self._streams)
+
+    def _start(self, mask: NDArray[np.bool_], streams: NDArray[np.uint64]) -> None:
+        level = self.level
+        kernels.draw_situations(
+            mask,
+            self._forced,
+            level.probabilities,
+            level.finding,
+            np.array(level.tasks, np.int64),
+            streams,
+            self.ranks,
+            self.task,
+            self._scenery,
+        )
+        fits = kernels.lay_out(
+            mask,
+            level.finding,
+            level.furnished,
+            self.ranks,
+            self.extents,
+            self._scenery,
+            self.agents,
+            self.items,
+            self.furniture,
+            self.colors,
+            PALETTE,
+        )
+        if not fits:
+            raise RuntimeError("no room for every object: this should not happen")
+        kernels.begin(
+            mask,
+            self.agents,
+            self.hands,
+            self.items,
+            self.orientation,
+            self.status,
+            self.still,
+            self.lifted,
+        )
+        for i in np.flatnonzero(mask).tolist():
+            sizes = self.extents[self.ranks[i], :2].tolist()
+            poses = self.items[i, :, :3].tolist()
+            self.rooms[i] = Room(
+                self.agents[i, :2].tolist(),
+                [[*pose, *size] for pose, size in zip(poses, sizes, strict=True)],
+                furniture_of(self.furniture[i]) if level.furnished else [],
+            )
+            target = self.objects[self.ranks[i, 0]]
+            text = levels.instruction(level, target, int(self.task[i]))
+            self._texts[i] = text
+            self._instructions[i] = levels.VOCABULARY.encode(text)
+        yaw = self.agents[:, kernels.YAW]
+        dx, dy = (self.items[:, 0, :2] - self.agents[:, :2]).T
+        self._side[mask] = (np.cos(yaw) * dy < np.sin(yaw) * dx)[mask]
+        self._view.begin(mask, self)
+
+    def _advance(
+        self, actions: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        self._actions[np.arange(self.num_envs), self._lengths - 1] = actions
+        reward, terminated, success = self._play(self._everywhere, actions)
+        truncated = ~terminated & (self._lengths >= self.max_steps)
+        return reward, terminated, truncated, success
+
+    def _play(
+        self, mask: NDArray[np.bool_], actions: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+        """One step of the worlds of `mask`: the hand, the physics, the judgement."""
+        level = self.level
+        before = self.items[:, :, :2].copy()
+        kernels.control(
+            mask,
+            actions,
+            level.furnished,
+            self.ranks,
+            self.extents,
+            self.furniture,
+            self.agents,
+            self.hands,
+            self.items,
+            self.orientation,
+            self.status,
+            self._layers,
+            self._forces,
+            self._drives,
+            self._turned,
+        )
+        self._simulate(mask)
+        reward = np.zeros(self.num_envs)
+        terminated = np.zeros(self.num_envs, np.bool_)
+        success = np.zeros(self.num_envs, np.bool_)
+        kernels.settle(
+            mask,
+            level.finding,
+            level.furnished,
+            self.task,
+            self.ranks,
+            self.extents,
+            self.furniture,
+            before,
+            self.agents,
+            self.hands,
+            self.items,
+            self.orientation,
+            self.status,
+            self.still,
+            self.lifted,
+            reward,
+            terminated,
+            success,
+        )
+        return reward, terminated, success
+
+    def _simulate(self, mask: NDArray[np.bool_]) -> None:
+        layers, forces, drives = (
+            self._layers.tolist(),
+            self._forces.tolist(),
+            self._drives.tolist(),
+        )
+        hands, turned = self.hands.tolist(), self._turned.tolist()
+        rows = range(self.num_envs) if mask.all() else np.flatnonzero(mask).tolist()
+        flat: list[float] = []
+        for i in rows:
+            room = self.rooms[i]
+            assert room is not None
+            if layers[i] != room.layers:
+                room.set_layers(layers[i])
+            if turned[i] >= 0:
+                room.turn(turned[i], float(self.items[i, turned[i], kernels.ANGLE]))
+            if hands[i] >= 0:
+                held = room.objects[hands[i]]
+                held.velocity = drives[i][0], drives[i][1]
+                held.angular_velocity = 0.0
+            room.step(forces[i])
+            flat += room.poses()
+        poses = np.array(flat).reshape(len(rows), -1, 3)
+        self.agents[rows, :2] = poses[:, 0, :2]
+        self.items[rows, :, :3] = poses[:, 1:]
+
+    def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
+        self._view.draw(self, out["image"], mask)
+        out["instruction"][mask] = self._instructions[mask]
+
+    def _situations(self) -> dict[str, NDArray[np.int64]]:
+        columns = [*self.ranks.T, self.task]
+        return {name: column.copy() for name, column in zip(self.situation, columns, strict=False)}
+
+    def _describe(self) -> dict[str, NDArray[Any]]:
+        told: dict[str, NDArray[Any]] = {"instruction": self._texts.copy()}
+        if self.level.finding:
+            told["side"] = self._side.copy()
+        return told
+
+    def _get_worlds(self) -> dict[str, NDArray[Any]]:
+        return {"began": self._began, "forced": self._forced, "actions": self._actions}
+
+    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+        # Kernels index with these and check no bounds.
+        sizes = np.array(list(self.situation.values()))[:, None]
+        if (
+            (state["forced"] < -1).any()
+            or (state["forced"] >= sizes).any()
+            or (state["actions"] >= len(ACTIONS)).any()
+            or (state["lengths"] < 0).any()
+            or (state["lengths"] > self.max_steps).any()
+        ):
+            raise ValueError("the state is of another level, or damaged: ranks or actions too high")
+        self._began[:] = state["began"]
+        self._forced[:] = state["forced"]
+        self._actions[:] = state["actions"]
+        self._replay(state["seeded"], state["lengths"])
+
+    def _replay(self, begun: NDArray[np.bool_], lengths: NDArray[np.int64]) -> None:
+        """Plays again what the worlds of `begun` did."""
+        self._start(begun, self._began.copy())
+        for t in range(int(lengths.max(where=begun, initial=0))):
+            self._play(begun & (lengths > t), self._actions[:, t].astype(np.int64))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**super().__getstate__(), "rooms": [None] * self.num_envs}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._replay(self._seeded, self._lengths)
