@@ -21,10 +21,8 @@ import math
 import numpy as np
 from numba import njit
 
+from zipf.envs.render3d.blocks import LANES, flat_block, pack_block, patchwork_block, wall_block
 from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
-
-BLOCK = 16
-"""Pixels that span loops take at a time; lines of the buffers have this many to spare."""
 
 LEVEL_STRIDE = 128
 """Texels in a line of a texture with its smaller versions beside it; see `pack_textures`."""
@@ -42,6 +40,7 @@ FADE = 14.0
 """Metres at which distance halves the light."""
 
 _SUN_X, _SUN_Y, _SUN_Z = (s / math.sqrt(sum(s * s for s in SUN)) for s in SUN)
+_SOLID = -(1 << 31)  # makes every texel opaque
 _FADE2 = 1.0 / FADE**2
 
 
@@ -136,24 +135,21 @@ def _draw_wall(wall, texture, flags, repeat, tint, view, low, high, width, texel
     red, green, blue = light * tint[0] / 255, light * tint[1] / 255, light * tint[2] / 255
     # A pixel covers area * t**3 texels.
     area = per_u * per_v * da * da / abs(distance)
-    holes = flags & SEE_THROUGH != 0
+    solid = 0 if flags & SEE_THROUGH else _SOLID
+    texture_at = texels[texture].ctypes.data
+    z32, dz32, du32, dv32 = np.float32(z), np.float32(dz), np.float32(du), np.float32(dv)
     for y in range(len(low)):
-        first = math.ceil(low[y])
-        last = math.floor(high[y])
-        for x in range(first, last + 1):
-            inverse = z + dz_row * y + dz * x
-            if inverse <= depth[y, x]:
-                continue
-            t = 1.0 / inverse
-            level = _level(area * t * t * t)
-            iu = int(math.floor((u + du_row * y + du * x) * t)) & 63
-            iv = int(math.floor((v + dv_row * y + dv * x) * t)) & 63
-            texel = texels[texture, _texel(iu, iv, level)]
-            if holes and texel < 0x80000000:
-                continue
-            fade = 1.0 / (1.0 + t * t * _FADE2)
-            depth[y, x] = inverse
-            color[y, x] = _shade(texel, fade * red, fade * green, fade * blue)
+        first, last = math.ceil(low[y]), math.floor(high[y])
+        if first > last:
+            continue
+        z_row = np.float32(z + dz_row * y)
+        u_row, v_row = np.float32(u + du_row * y), np.float32(v + dv_row * y)
+        line, depths = color[y].ctypes.data, depth[y].ctypes.data
+        for x in range(first & -LANES, last + 1, LANES):
+            wall_block(
+                line + 4 * x, depths + 4 * x, texture_at, x, first, last, z_row, dz32, u_row, du32,
+                v_row, dv32, area, _FADE2, red, green, blue, solid,
+            )  # fmt: skip
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -163,19 +159,6 @@ def _level(area):
         area *= 0.25
         level += 1
     return level
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _texel(u, v, level):
-    return (v >> level) * LEVEL_STRIDE + LEVEL_STRIDE - (LEVEL_STRIDE >> level) + (u >> level)
-
-
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def _shade(texel, red, green, blue):
-    r = np.uint32(np.float32(texel & 255) * red)
-    g = np.uint32(np.float32((texel >> 8) & 255) * green)
-    b = np.uint32(np.float32((texel >> 16) & 255) * blue)
-    return np.uint32(r | (g << 8) | (b << 16))
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
@@ -205,7 +188,7 @@ def _draw_flat(
     per_u = 64.0 / repeat if repeat > 0.0 else 64.0 * max(columns, 1) / (east - west)
     per_v = 64.0 / repeat if repeat > 0.0 else 64.0 * max(rows, 1) / (north - south)
     area = per_u * per_v * da * da / abs(up)
-    holes = flags & SEE_THROUGH != 0
+    solid = 0 if flags & SEE_THROUGH else _SOLID
     for y in range(len(depth)):
         inverse = (rise0 + drise * y) / up
         if not 1.0 / FAR < inverse < 1.0 / NEAR:
@@ -223,24 +206,24 @@ def _draw_flat(
         level = _level(area * t * t * t)
         fade = light / (1.0 + t * t * _FADE2) / 255.0
         red, green, blue = fade * tint[0], fade * tint[1], fade * tint[2]
-        for x in range(math.ceil(low), math.floor(high) + 1):
-            if inverse <= depth[y, x]:
-                continue
-            wx, wy = px + dx * x - west, py + dy * x - south
-            tile = texture
+        first_x, last_x = math.ceil(low), math.floor(high)
+        px -= west
+        py -= south
+        line, depths = color[y].ctypes.data, depth[y].ctypes.data
+        for x in range(first_x & -LANES, last_x + 1, LANES):
             if rows > 0:
-                column = min(max(int(wx * per_column), 0), columns - 1)
-                row = min(max(int(wy * per_row), 0), rows - 1)
-                tile = tiles[first + row * columns + column]
-                if tile < 0:
-                    continue
-            iu = int(math.floor(wx * per_u)) & 63
-            iv = int(math.floor(wy * per_v)) & 63
-            texel = texels[tile, _texel(iu, iv, level)]
-            if holes and texel < 0x80000000:
-                continue
-            depth[y, x] = inverse
-            color[y, x] = _shade(texel, red, green, blue)
+                patchwork_block(
+                    line + 4 * x, depths + 4 * x, texels.ctypes.data, x, first_x, last_x, inverse,
+                    px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green, blue, solid,
+                    tiles[first:].ctypes.data, px * per_column, dx * per_column, columns,
+                    py * per_row, dy * per_row, rows,
+                )  # fmt: skip
+            else:
+                flat_block(
+                    line + 4 * x, depths + 4 * x, texels[texture].ctypes.data, x, first_x, last_x,
+                    inverse, px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green,
+                    blue, solid,
+                )  # fmt: skip
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -405,7 +388,11 @@ def draw(
                     width, texels, color, depth,
                 )  # fmt: skip
         for y in range(height):
-            for x in range(width):
+            line, image = color[y].ctypes.data, out[i, y].ctypes.data
+            whole = width & -LANES
+            for x in range(0, whole, LANES):
+                pack_block(line + 4 * x, image + 3 * x)
+            for x in range(whole, width):
                 paint = color[y, x]
                 out[i, y, x, 0] = paint & 255
                 out[i, y, x, 1] = (paint >> 8) & 255

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.render3d import kernels
+from zipf.envs.render3d.blocks import LANES
 from zipf.envs.render3d.meshes import MeshAtlas
 from zipf.envs.render3d.scene import Scenes
 from zipf.envs.render3d.textures import SIZE
@@ -101,7 +102,7 @@ class Renderer:
             job.result()
 
     def _allocate(self) -> tuple[NDArray[Any], ...]:
-        stride = -(-self.width // kernels.BLOCK) * kernels.BLOCK + kernels.BLOCK
+        stride = -(-self.width // LANES) * LANES + LANES
         vertices = self._meshes[0].shape[1]
         return (
             np.zeros((self.height, stride), np.uint32),
