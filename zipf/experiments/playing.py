@@ -177,8 +177,9 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
 
 
 def _check_spaces(level: str, env: ZipfVectorEnv, trained: runner.Trained) -> None:
-    train = levels.split(trained.config.environment.split).train
-    learned = levels.make_vec(train, 1, **trained.config.level_options)
+    # Its spaces are the training levels', which may be several.
+    known = levels.split(trained.config.environment.split).uniform
+    learned = levels.make_vec(known, 1, **trained.config.level_options)
     for space in ("single_observation_space", "single_action_space"):
         if getattr(env, space) != getattr(learned, space):
             raise UserError(f"level={level}: shows or takes something else than the run's levels")
@@ -347,7 +348,7 @@ class _Episode:
                     return
                 self._step(action)
         finally:
-            told = self.outcome or f"left after {self.steps} steps"
+            told = self.outcome or f"left after {_steps(self.steps)}"
             self.session.say(f"{self.name}: {self._situation()}: {told}")
         self._rest()
 
@@ -361,7 +362,7 @@ class _Episode:
         if terminated[0] or truncated[0]:
             success, total, length = (self.info[name][0].item() for name in _OUTCOME)
             ending = "success" if success else "out of time" if truncated[0] else "failure"
-            self.outcome = f"{ending}, return {total:g}, {length} steps"
+            self.outcome = f"{ending}, return {total:g}, {_steps(length)}"
         self.shows.step(self.env, self.observation, self._text())
 
     def _keyboard(self) -> int | None:
@@ -427,11 +428,15 @@ class _Episode:
                 state = "on" if self.session.toggled >> i & 1 else "off"
                 progress += f"   {toggle.label} {state}"
             for binding in keys.bindings:
-                help.append(f"{_shown(binding.keys)} {binding.label}")
-            help += [f"{_shown((toggle.key,))} {toggle.label}" for toggle in keys.toggles]
-        help += [f"{NEXT} next episode", f"{LEAVE} leave"]
+                help.append(f"{_shown(binding.keys)}: {binding.label}")
+            help += [f"{_shown((toggle.key,))}: {toggle.label}" for toggle in keys.toggles]
+        help += [f"{NEXT}: next episode", f"{LEAVE}: leave"]
         situation = f"{self.world.level}   ranks: {self._situation()}"
         return Text((*lines, situation, progress, self.outcome), tuple(help))
+
+
+def _steps(number: int) -> str:
+    return f"{number} step{'' if number == 1 else 's'}"
 
 
 _ARROWS = {"up": "↑", "down": "↓", "left": "←", "right": "→"}

@@ -14,8 +14,10 @@ import tty
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
+import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -269,7 +271,7 @@ class Window:
         self._pygame.font.init()
         self._pygame.display.set_caption("zipf")
         self._pygame.key.set_repeat(300, 70)  # milliseconds
-        self._font = self._pygame.font.Font(None, _FONT_SIZE)
+        self._font = self._pygame.font.Font(_FONT, _FONT_SIZE)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -313,7 +315,9 @@ class Window:
         return None
 
 
-_FONT_SIZE = 20
+# The default font of pygame lacks arrows.
+_FONT = Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
+_FONT_SIZE = 14
 _MARGIN = 10  # pixels
 _NARROWEST = 480  # pixels, of a window
 _BACKGROUND, _BRIGHT, _DIM = (24, 26, 32), (235, 235, 235), (150, 155, 165)
