@@ -120,6 +120,31 @@ def test_the_bonus_is_kept_apart_from_the_reward():
     assert plain.episode_metrics() == bonused.episode_metrics()
 
 
+def test_episodes_are_told_apart_by_level():
+    """Against the ends of episodes that the unrolls show."""
+    names = ["gridworld/zipf_2", "gridworld/rare"]
+    agent, _ = build()
+    env = levels.make_vec(names, WORLDS, **SMALL)
+    collector = Collector(env, agent, unroll_length=STEPS, seed=3)
+    assert collector.metric_names == [
+        f"episode_{name}{level}"
+        for level in ("", *(f"/{level}" for level in names))
+        for name in ("return", "length", "success")
+    ]
+    assert collector.episode_metrics() == {}
+    ends = {level: [] for level in names}
+    for _ in range(3):
+        steps = collector.collect().steps
+        for world, index in enumerate(env.levels_of_worlds):
+            over = steps["terminated"][:-1, world] | steps["truncated"][:-1, world]
+            ends[names[index]] += steps["reward"][:-1, world][over].tolist()
+    metrics = collector.episode_metrics()
+    assert set(metrics) == set(collector.metric_names)
+    for level in names:
+        assert metrics[f"episode_success/{level}"] == pytest.approx(np.mean(ends[level]))
+    assert metrics["episode_return"] == pytest.approx(np.mean([*ends[names[0]], *ends[names[1]]]))
+
+
 @pytest.mark.parametrize("memory", ["lstm", "mlp"])
 def test_it_continues_from_its_state(memory):
     options = CountOptions(name="count", scale=0.5, table_size=2**16)

@@ -58,7 +58,7 @@ def test_the_first_episodes_to_start_are_the_ones_scored(num_envs):
 
 def test_short_episodes_are_not_over_counted():
     """Random play on the small world scores what is known exactly, whatever the batch."""
-    chance = levels.chance("gridworld/uniform", **SMALL)
+    chance = levels.chance("gridworld/uniform", **SMALL).score
     for num_envs in (7, 1000):
         env = levels.make_vec("gridworld/uniform", num_envs, **SMALL)
         policy = evaluator._as_policy(random_policy(0), batched=True)
@@ -106,6 +106,48 @@ def test_score_of_an_agent_for_one_environment():
     single = evaluate.score(policy, episodes=30, seed=4, batched=False, **SMALL)
     batch = evaluate.score(scripted, episodes=30, num_envs=1, seed=4, **SMALL)
     assert single == batch
+
+
+TWO = levels.Split(
+    "two", ("gridworld/zipf_2", "gridworld/zipf_1"), "gridworld/uniform", "gridworld/rare"
+)
+
+
+def test_every_train_level_is_scored_apart():
+    policy = evaluator._as_policy(scripted, batched=True)
+    one = evaluator.evaluate(policy, levels.split("gridworld"), episodes=50, seed=3, **SMALL)
+    two = evaluator.evaluate(policy, TWO, episodes=50, seed=3, **SMALL)
+    assert [(result.kind, result.level) for result in two] == [
+        ("train", "gridworld/zipf_2"),
+        ("train", "gridworld/zipf_1"),
+        ("uniform", "gridworld/uniform"),
+        ("rare", "gridworld/rare"),
+    ]
+    # What is scored as before is scored on the same episodes.
+    for before, now in zip(one, [two[0], *two[2:]], strict=True):
+        pd.testing.assert_frame_equal(before.episodes, now.episodes)
+    assert not two[0].episodes["map"].equals(two[1].episodes["map"])
+    means = evaluator.scores(two)
+    assert list(means) == ["train", "uniform", "rare"]
+    assert means["train"] == pytest.approx((two[0].score + two[1].score) / 2)
+    assert means["rare"] == two[3].score
+    assert evaluate.score(scripted, TWO, episodes=50, seed=3, **SMALL) == means
+
+
+def test_situations_of_the_train_levels_are_taken_together():
+    policy = evaluator._as_policy(scripted, batched=True)
+    results = evaluator.evaluate(policy, TWO, episodes=50, seed=3, **SMALL)
+    table = evaluator.situations(results).set_index(["level_kind", "map", "target"])
+    assert table.index.is_unique
+    assert list(table.columns) == ["episodes", "successes", "return_sum"]
+    played = pd.concat([result.episodes for result in results[:2]])
+    for (rank, target), episodes in played.groupby(["map", "target"]):
+        row = table.loc[("train", rank, target)]
+        assert row["episodes"] == len(episodes)
+        assert row["successes"] == episodes["success"].sum()
+        assert row["return_sum"] == episodes["return"].sum()
+    alone = evaluator.situations(results[2:3])
+    pd.testing.assert_frame_equal(alone, results[2].situations())
 
 
 def test_bad_requests():

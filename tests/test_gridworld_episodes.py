@@ -276,7 +276,10 @@ def test_the_law_test_can_fail() -> None:
 def test_chance_is_known(level: str, success: float, timeout: float, length: float) -> None:
     p = distributions.by_name(level)(20)
     exact = random_policy(build_maps())
-    assert round(chance(f"gridworld/{level}") or 0, 4) == success
+    known = chance(f"gridworld/{level}")
+    assert known is not None
+    assert round(known.score, 4) == success
+    assert known.episodes is None
     assert round(p @ exact.success @ p, 4) == success
     assert round(p @ exact.timeout, 3) == timeout
     assert round(p @ exact.length, 1) == length
@@ -319,7 +322,8 @@ def test_chance_of_other_sizes() -> None:
     expected = chance("gridworld/uniform", **options)
     assert expected == chance("gridworld/uniform", **options, observation="tiles", copy=False)
     exact = random_policy(build_maps(5, (2, 2), (3, 3), 5))
-    assert expected == pytest.approx(exact.success.mean())
+    assert expected is not None
+    assert expected.score == pytest.approx(exact.success.mean())
     one_step = random_policy(build_maps(), 1)
     assert one_step.length.tolist() == [1.0] * 20
     assert set((one_step.success * 8).ravel().tolist()) == {0.0, 1.0}

@@ -11,6 +11,8 @@ import pandas as pd
 import pytest
 import torch
 
+from zipf import evaluate
+from zipf.envs import levels
 from zipf.experiments import checkpoint, command_line, run_folder, runner
 from zipf.experiments.errors import UserError
 
@@ -95,17 +97,69 @@ def test_every_experiment_trains_two_updates(experiment, memory, tmp_path):
     assert list(metrics["update"]) == [1, 2]
     assert list(metrics["frames"]) == [12, 24]
     assert metrics["loss"].notna().all()
+    split = levels.split(loaded.environment.split)
+    scored = [(kind, level) for kind in levels.KINDS for level in split.levels(kind)]
     evaluations = pd.read_csv(loaded.folder / "evaluations.csv")
-    assert list(evaluations["update"]) == [0, 0, 0, 2, 2, 2]
-    assert list(evaluations["level_kind"]) == ["train", "uniform", "rare"] * 2
+    assert list(evaluations["update"]) == [0] * len(scored) + [2] * len(scored)
+    assert list(zip(evaluations["level_kind"], evaluations["level"], strict=True)) == scored * 2
     assert (evaluations["episodes"] == 5).all()
     situations = pd.read_csv(loaded.folder / "situations.csv")
-    assert situations.groupby(["update", "level_kind"])["episodes"].sum().eq(5).all()
+    played = situations.groupby(["update", "level_kind"])["episodes"].sum()
+    for (_, kind), episodes in played.items():
+        assert episodes == 5 * len(split.levels(kind))
     description = run_folder.read_description(loaded.folder)
+    assert [(one["level_kind"], one["level"]) for one in description["levels"]] == scored
     assert description["experiment"] == experiment
     assert description["chance"].keys() == {"train", "uniform", "rare"}
     assert run_folder.read_config(loaded.folder) == loaded
     assert list((loaded.folder / "tensorboard").iterdir())
+
+
+def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
+    train = ("gridworld/zipf_2", "gridworld/zipf_1")
+    split = levels.Split("gridworld", train, "gridworld/uniform", "gridworld/rare")
+    monkeypatch.setitem(levels.SPLITS, "gridworld", split)
+    arguments = [*TINY, "updates=6", f"run_root={tmp_path}"]
+    assert runner.train(command_line.load(arguments)) == 0
+    assert runner.train(command_line.load([*arguments, "updates=8", "resume=must"])) == 0
+    folder = folder_of(arguments)
+
+    metrics = pd.read_csv(folder / "metrics.csv")
+    for name in ("episode_return", "episode_length", "episode_success"):
+        assert {f"{name}/{level}" for level in train} < set(metrics.columns)
+        each = metrics[[f"{name}/{level}" for level in train]].dropna()
+        assert len(each)
+        mean = metrics.loc[each.index, name]
+        assert (each.min(axis=1) <= mean + 1e-9).all()
+        assert (mean <= each.max(axis=1) + 1e-9).all()
+    evaluations = pd.read_csv(folder / "evaluations.csv")
+    levels_of_train = evaluations[evaluations["level_kind"] == "train"]["level"]
+    assert list(levels_of_train) == [*train] * 4  # at updates 0, 4, 6 and 8
+
+    described = run_folder.read_description(folder)
+    assert [one["level"] for one in described["levels"]] == [*train, split.uniform, split.rare]
+    each = [one["chance"] for one in described["levels"]]
+    assert described["chance"] == {
+        "train": pytest.approx((each[0] + each[1]) / 2),
+        "uniform": each[2],
+        "rare": each[3],
+    }
+    monkeypatch.setattr(sys, "argv", ["zipf.evaluate", f"run={folder}", "episodes=5"])
+    evaluate.main()
+    shown = capsys.readouterr().out
+    assert all(f"│ {level} " in shown for level in (*train, split.rare))
+
+
+def test_a_world_for_each_train_level(monkeypatch):
+    train = ("gridworld/zipf_2", "gridworld/zipf_1", "gridworld/zipf_3")
+    split = levels.Split("gridworld", train, "gridworld/uniform", "gridworld/rare")
+    monkeypatch.setitem(levels.SPLITS, "gridworld", split)
+    with pytest.raises(UserError) as error:
+        command_line.load([*TINY, "collector.num_envs=2"])
+    assert str(error.value) == (
+        "collector.num_envs=2: should be at least 3, a world for each level that gridworld trains "
+        "on"
+    )
 
 
 def test_twenty_updates_equal_ten_a_kill_and_ten_more(tmp_path):

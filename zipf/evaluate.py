@@ -12,7 +12,7 @@ from zipf.experiments import run_folder, runner
 from zipf.experiments.command_line import read_options
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
-from zipf.experiments.evaluator import score
+from zipf.experiments.evaluator import score, scores
 from zipf.experiments.logger import write_results
 
 __all__ = ["main", "score"]
@@ -40,7 +40,7 @@ def main() -> None:
     try:
         options = read_options(EvaluateOptions, arguments)
         folder = Path(options.run)
-        chance = run_folder.read_description(folder)["chance"]
+        description = run_folder.read_description(folder)
         update, results = runner.evaluate_run(options)
         name = f"evaluation-{update}-episodes{options.episodes}-seed{options.seed}"
         files = write_results(folder / name, results)
@@ -50,12 +50,19 @@ def main() -> None:
         for line in str(error).splitlines():
             print(f"error: {line}", file=sys.stderr)
         sys.exit(2)
-    table = Table("", *(result.kind for result in results))
-    table.add_row("score", *(f"{result.score:.3f}" for result in results))
-    table.add_row("chance", *(_figure(chance[result.kind]) for result in results))
+    by_kind = scores(results)
+    table = Table("", *by_kind)
+    table.add_row("score", *(f"{value:.3f}" for value in by_kind.values()))
+    table.add_row("chance", *(_figure(description["chance"][kind]) for kind in by_kind))
     console = Console(highlight=False)
     console.print(f"{folder} at update {update}", soft_wrap=True)
     console.print(table)
+    if len(results) > len(by_kind):
+        chance = {level["level"]: level["chance"] for level in description["levels"]}
+        each = Table("level", "score", "chance")
+        for result in results:
+            each.add_row(result.level, f"{result.score:.3f}", _figure(chance[result.level]))
+        console.print(each)
     for file in files:
         console.print(f"written: {file}", soft_wrap=True)
 

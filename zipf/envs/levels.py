@@ -16,6 +16,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs import distributions
+from zipf.envs.chance import Chance
 from zipf.envs.gridworld.chance import random_policy_success
 from zipf.envs.gridworld.expert import Expert as GridworldExpert
 from zipf.envs.gridworld.keys import KEYS as GRIDWORLD_KEYS
@@ -87,18 +88,22 @@ SPLITS = {
 class _Family:
     single: Callable[..., gym.Env]
     vector: Callable[..., ZipfVectorEnv]
-    chance: Callable[..., float] | None
+    chance: Callable[..., Chance | None] | None
     check: Callable[[str], object]
     """Raises ValueError for a name, without the family, that is no level."""
     keys: Keys | None = None
     expert: Callable[[Any], Expert] | None = None
 
 
+def _gridworld_chance(level: str, **options: Any) -> Chance:
+    return Chance(random_policy_success(level, **options))
+
+
 _FAMILIES = {
     "gridworld": _Family(
         GridworldEnv,
         GridworldVectorEnv,
-        random_policy_success,
+        _gridworld_chance,
         distributions.by_name,
         GRIDWORLD_KEYS,
         GridworldExpert,
@@ -154,8 +159,8 @@ def make_vec(
     return family.vector(num_envs, level=name, autoreset_mode=autoreset_mode, **kwargs)
 
 
-def chance(level: Level, **kwargs: Any) -> float | None:
-    """The score of uniformly random actions on a level, where it is known exactly.
+def chance(level: Level, **kwargs: Any) -> Chance | None:
+    """The score of uniformly random actions on a level, exact or measured.
 
     Args:
         level: a full level name.
@@ -163,14 +168,14 @@ def chance(level: Level, **kwargs: Any) -> float | None:
             shown are ignored.
 
     Returns:
-        The mean return of an episode, or None where no exact figure exists.
+        What is known, or None where nothing is known of a level with these options.
     """
     if callable(level):
         return None
     family, name = _resolve(level)
     if family.chance is None:
         return None
-    shown = {"observation", "render_mode", "copy", "autoreset_mode"}
+    shown = {"observation", "image_size", "render_mode", "copy", "autoreset_mode"}
     options = {key: value for key, value in kwargs.items() if key not in shown}
     return family.chance(name, **options)
 

@@ -16,8 +16,11 @@ from zipf.agents.exploration import CountBonus
 from zipf.agents.memory import State
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
+from zipf.envs.mixture import MixtureVectorEnv
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.checkpoint import arrays
+
+_OUTCOMES = ("return", "length", "success")
 
 
 class Agent(Protocol):
@@ -38,6 +41,10 @@ class Collector:
 
     The environment writes its observations straight into the unroll, which is reused: an agent
     that keeps frames copies them.
+
+    Attributes:
+        metric_names: the metrics of episodes, each followed by `/<level>` for each of the levels
+            that the worlds are shared among, where there are several.
 
     Args:
         env: a batch in SAME_STEP autoreset mode; reset here, with `seed`.
@@ -61,6 +68,10 @@ class Collector:
         self.device = device
         self.exploration = exploration
         self.seconds = {"environment": 0.0, "inference": 0.0}
+        self._groups = _groups(env)
+        self.metric_names = [
+            f"episode_{name}{group}" for group in self._groups for name in _OUTCOMES
+        ]
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
         self._memory = agent.initial_memory(env.num_envs)
@@ -107,7 +118,7 @@ class Collector:
 
     def episode_metrics(self) -> dict[str, float]:
         """Means over the episodes that ended since the last call; empty where none did."""
-        metrics = {f"episode_{name}": float(np.mean(v)) for name, v in self._episodes.items()}
+        metrics = {f"episode_{name}": float(np.mean(v)) for name, v in self._episodes.items() if v}
         self._episodes.clear()
         return metrics
 
@@ -165,8 +176,10 @@ class Collector:
             if ended.any():
                 fields["bonus"][t] += self.exploration(self._final, ended)
         if ended.any():
-            for name in ("return", "length", "success"):
-                self._episodes[name].extend(info["final_info"][name][ended].tolist())
+            for group, worlds in self._groups.items():
+                for name in _OUTCOMES:
+                    values = info["final_info"][name][ended & worlds]
+                    self._episodes[f"{name}{group}"].extend(values.tolist())
         stepped = perf_counter()
 
         fields["truncation_value"][t] = 0.0
@@ -195,3 +208,12 @@ class Collector:
     @staticmethod
     def _row(parts: dict[str, NDArray], t: int) -> dict[str, NDArray]:
         return {name: part[t] for name, part in parts.items()}
+
+
+def _groups(env: ZipfVectorEnv) -> dict[str, NDArray[np.bool_]]:
+    """The worlds that episodes are averaged over, bool [N]: all, and those of each level apart."""
+    groups = {"": np.ones(env.num_envs, np.bool_)}
+    if isinstance(env, MixtureVectorEnv):
+        for i, level in enumerate(env.level_names):
+            groups[f"/{level}"] = env.levels_of_worlds == i
+    return groups

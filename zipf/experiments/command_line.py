@@ -246,6 +246,10 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
         name = ".".join(path)
         if problem["type"] == "missing" or problem["input"] == "???":
             yield f"{name}: is not set"
+        elif problem["type"] == "union_tag_invalid":
+            tag = problem["ctx"]
+            option = tag["discriminator"].strip("'")
+            yield f"{name}.{option}={tag['tag']}: should be one of {tag['expected_tags']}"
         elif problem["type"] == "extra_forbidden":
             yield f"{name}: no such option here"
         else:
@@ -259,6 +263,13 @@ def _impossible(config: Config) -> Iterator[str]:
     start, end = config.schedule.window
     if start > end:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"
+    split = levels.split(config.environment.split)
+    train = split.levels("train")
+    if config.collector.num_envs < len(train):
+        yield (
+            f"collector.num_envs={config.collector.num_envs}: should be at least {len(train)}, a "
+            f"world for each level that {split.name} trains on"
+        )
     try:
         find_device(config.device)
     except UserError as error:
@@ -281,7 +292,7 @@ def _cannot_be_built(key: str, config: Config) -> str | None:
         _buildable[key] = None
         try:
             split = levels.split(config.environment.split)
-            for level in (split.train, split.uniform, split.rare):
+            for level in (level for kind in levels.KINDS for level in split.levels(kind)):
                 env = levels.make_vec(level, 1, **config.level_options)
         except ValueError as error:
             _buildable[key] = f"environment: {error}"

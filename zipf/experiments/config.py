@@ -36,6 +36,18 @@ class GridworldOptions(Options):
     observation: Literal["image", "tiles"] = "image"
 
 
+class PlayroomOptions(Options):
+    """A playroom split and constructor options; the defaults are the benchmark."""
+
+    split: Literal["playroom_lift", "playroom_put", "playroom_find"]
+    image_size: Pair = Field(default=[72, 96])
+    object_order: Literal["default", "alternate"] = "default"
+    max_steps: PositiveInt = 900
+
+
+EnvironmentOptions = Annotated[GridworldOptions | PlayroomOptions, Field(discriminator="split")]
+
+
 class NoAuxiliaryOptions(Options):
     """No auxiliary loss."""
 
@@ -50,7 +62,7 @@ class CollectorOptions(Options):
 
 
 class EvaluationOptions(Options):
-    """Evaluation on the split's three levels, every so many updates."""
+    """Evaluation on the split's levels, every so many updates."""
 
     every: PositiveInt
     episodes: PositiveInt
@@ -87,7 +99,7 @@ class Config(Options):
     network: NetworkOptions
     auxiliary: NoAuxiliaryOptions
     exploration: ExplorationOptions
-    environment: GridworldOptions
+    environment: EnvironmentOptions
     collector: CollectorOptions
     evaluation: EvaluationOptions
     schedule: ScheduleOptions
@@ -107,7 +119,8 @@ class Config(Options):
     @property
     def is_released_benchmark(self) -> bool:
         """Whether the levels are the released ones, so that the paper's numbers compare."""
-        return self.environment == GridworldOptions(split=self.environment.split)
+        released = type(self.environment).model_validate({"split": self.environment.split})
+        return self.environment == released
 
     @property
     def torch_device(self) -> str:

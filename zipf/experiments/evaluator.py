@@ -1,4 +1,4 @@
-"""The evaluator: scores any policy on the three levels of a split.
+"""The evaluator: scores any policy on the levels of a split.
 
 Episodes are counted as they *start*: the first n to start are played to their end and scored,
 whatever their length. Counting the first n to *end* would over-count short ones, and in these
@@ -8,7 +8,7 @@ worlds an agent that fails fast would look worse, or better, than it is.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -21,8 +21,6 @@ from zipf.agents.network import Inputs
 from zipf.envs import levels
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.collector import Agent
-
-KINDS = ("train", "uniform", "rare")
 
 
 class Policy(Protocol):
@@ -97,7 +95,7 @@ class Result:
         }
 
     def situations(self) -> pd.DataFrame:
-        """The rows of `situations.csv`: every situation met, with what came of it."""
+        """Every situation met, with what came of it."""
         ranks = [c for c in self.episodes.columns if c not in ("success", "return", "length")]
         table = self.episodes.groupby(ranks, as_index=False).agg(
             **{
@@ -151,9 +149,9 @@ def evaluate(
     seed: int = 0,
     **level_options: Any,
 ) -> list[Result]:
-    """Scores a policy on the split's train, uniform and rare levels, in this order.
+    """Scores a policy on every level of a split: those to train on, the uniform and the rare one.
 
-    Worlds are seeded from `seed` and the kind of level; nothing else's randomness is touched.
+    Worlds are seeded from `seed` and the level's place; nothing else's randomness is touched.
 
     Raises:
         ValueError: no episodes, no worlds, or options that no level can have.
@@ -161,13 +159,29 @@ def evaluate(
     if episodes < 1:
         raise ValueError(f"episodes={episodes}: should be at least 1")
     results = []
-    for index, kind in enumerate(KINDS):
-        level = getattr(split, kind)
-        env = levels.make_vec(level, min(num_envs, episodes), **level_options)
-        worlds = derive_seed(seed, "evaluation", index)
-        results.append(Result(kind, str(level), play(policy, env, episodes=episodes, seed=worlds)))
-        env.close()
+    for index, kind in enumerate(levels.KINDS):
+        for place, level in enumerate(split.levels(kind)):
+            env = levels.make_vec(level, min(num_envs, episodes), **level_options)
+            worlds = derive_seed(seed, "evaluation", index + place * len(levels.KINDS))
+            played = play(policy, env, episodes=episodes, seed=worlds)
+            results.append(Result(kind, str(level), played))
+            env.close()
     return results
+
+
+def scores(results: Sequence[Result]) -> dict[str, float]:
+    """The score on each kind of level: the mean over its levels."""
+    by_kind: dict[str, list[float]] = {}
+    for result in results:
+        by_kind.setdefault(result.kind, []).append(result.score)
+    return {kind: float(np.mean(of_kind)) for kind, of_kind in by_kind.items()}
+
+
+def situations(results: Sequence[Result]) -> pd.DataFrame:
+    """The rows of `situations.csv`: every situation met, levels of a kind taken together."""
+    table = pd.concat([result.situations() for result in results])
+    ranks = [c for c in table.columns if c not in ("episodes", "successes", "return_sum")]
+    return table.groupby(ranks, as_index=False, sort=False).sum()
 
 
 def score(
@@ -181,6 +195,8 @@ def score(
     **level_options: Any,
 ) -> dict[str, float]:
     """Scores any policy as the paper does: {"train": ..., "uniform": ..., "rare": ...}.
+
+    Where a split has several levels to train on, the train score is the mean over them.
 
     Args:
         policy: one of
@@ -208,7 +224,7 @@ def score(
         seed=seed,
         **level_options,
     )
-    return {result.kind: result.score for result in results}
+    return scores(results)
 
 
 def derive_seed(*parts: int | str) -> int:

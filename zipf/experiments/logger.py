@@ -21,8 +21,9 @@ from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.record_writer import RecordWriter
 
+from zipf.envs.levels import KINDS
 from zipf.experiments.errors import UserError
-from zipf.experiments.evaluator import KINDS, Result
+from zipf.experiments.evaluator import Result, scores, situations
 
 
 class Logger:
@@ -61,12 +62,14 @@ class Logger:
     def evaluation(self, when: Mapping[str, float], results: list[Result]) -> None:
         """The rows of an evaluation, and of the situations in it."""
         update = int(when["update"])
-        for result in results:
-            situations = result.situations()
-            situations.insert(0, "update", update)
-            self._append("situations.csv", situations.to_dict("records"))
+        met = situations(results)
+        met.insert(0, "update", update)
+        self._append("situations.csv", met.to_dict("records"))
         self._append("evaluations.csv", [{**when, **result.row()} for result in results])
-        self._scalars(update, {f"score/{result.kind}": result.score for result in results})
+        of_levels = {f"score/{result.kind}/{result.level}": result.score for result in results}
+        of_kinds = {f"score/{kind}": score for kind, score in scores(results).items()}
+        several = len(of_levels) > len(of_kinds)
+        self._scalars(update, {**of_kinds, **(of_levels if several else {})})
 
     def text(self, line: str) -> None:
         """One line of `train.log`."""
@@ -149,7 +152,7 @@ def write_results(stem: Path, results: list[Result]) -> list[Path]:
     """
     tables = {
         stem.with_name(f"{stem.name}.csv"): pd.DataFrame([r.row() for r in results]),
-        stem.with_name(f"{stem.name}-situations.csv"): pd.concat([r.situations() for r in results]),
+        stem.with_name(f"{stem.name}-situations.csv"): situations(results),
     }
     for path, table in tables.items():
         with _writing(path):
@@ -207,7 +210,7 @@ class Display:
 
     def show_scores(self, update: int, results: list[Result]) -> None:
         """The latest scores."""
-        self.scores = {result.kind: result.score for result in results}
+        self.scores = scores(results)
         if not self.live:
             self._print(update)
 

@@ -39,6 +39,15 @@ CONDITION_NAMES: Mapping[str, str] = {
 }
 
 
+TABLE_OF_SPLIT: Mapping[str, str] = {
+    "gridworld": "gridworld",
+    "playroom_lift": "playroom_lifting",
+    "playroom_put": "playroom_putting",
+    "playroom_find": "playroom_finding",
+}
+"""Which of the paper's experiments, by our key, a split repeats."""
+
+
 @dataclass(frozen=True)
 class PaperScore:
     """A published score. `error` is None where the paper prints none."""

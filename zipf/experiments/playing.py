@@ -24,7 +24,7 @@ from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments import runner
 from zipf.experiments.config import PositiveInt, Seed
 from zipf.experiments.errors import UserError
-from zipf.experiments.evaluator import KINDS, AgentPolicy, Policy, derive_seed
+from zipf.experiments.evaluator import AgentPolicy, Policy, derive_seed
 from zipf.experiments.recording import Recording
 from zipf.experiments.screens import Screen, Text, enlarge, open_screen
 
@@ -111,7 +111,7 @@ def _who_plays(options: PlayOptions) -> str:
             )
     if policy == "agent" and not options.run:
         problems.append("policy=agent: needs the agent of a run; add run=<a run's folder>")
-    if options.level in KINDS and not options.run:
+    if options.level in levels.KINDS and not options.run:
         problems.append(
             f"level={options.level}: is one of a run's levels; add run=<a run's folder>, or give "
             "a level's full name"
@@ -154,11 +154,10 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
 
 
 def _levels(options: PlayOptions, trained: runner.Trained | None) -> list[str]:
-    if trained is None or options.level not in (None, *KINDS):
+    if trained is None or options.level not in (None, *levels.KINDS):
         return [str(options.level)]
     split = levels.split(trained.config.environment.split)
-    level = getattr(split, options.level or "train")
-    return list(level) if isinstance(level, tuple) else [level]
+    return [str(level) for level in split.levels(options.level or "train")]
 
 
 def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
@@ -177,9 +176,14 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
 
 
 def _check_spaces(level: str, env: ZipfVectorEnv, trained: runner.Trained) -> None:
+<<<<<<< Updated upstream
     # Its spaces are the training levels', which may be several.
     known = levels.split(trained.config.environment.split).uniform
     learned = levels.make_vec(known, 1, **trained.config.level_options)
+=======
+    train = levels.split(trained.config.environment.split).levels("train")[0]
+    learned = levels.make_vec(train, 1, **trained.config.level_options)
+>>>>>>> Stashed changes
     for space in ("single_observation_space", "single_action_space"):
         if getattr(env, space) != getattr(learned, space):
             raise UserError(f"level={level}: shows or takes something else than the run's levels")

@@ -24,7 +24,7 @@ from zipf.envs import levels
 from zipf.experiments import checkpoint
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
-from zipf.experiments.evaluator import KINDS
+from zipf.experiments.paper import TABLE_OF_SPLIT
 
 
 def find_checkpoint(config: Config) -> dict[str, Any] | None:
@@ -107,20 +107,23 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         began = read_description(config.folder)
         again = {"update": resumed_at, **{k: v for k, v in how.items() if k != "resumed"}}
         how = {k: began.get(k) for k in how} | {"resumed": [*began.get("resumed", []), again]}
-    split = levels.split(config.environment.split)
-    chance = {kind: levels.chance(getattr(split, kind), **config.level_options) for kind in KINDS}
+    split, described = config.environment.split, _describe_levels(config)
     description = {
         "experiment": config.experiment,
         "condition": config.condition,
         "seed": config.seed,
-        "split": config.environment.split,
+        "split": split,
         "precision": config.precision,
         "window": config.schedule.window,
         "num_updates": config.updates,
-        "chance": chance,
+        "chance": {
+            kind: _mean([level["chance"] for level in described if level["level_kind"] == kind])
+            for kind in levels.KINDS
+        },
+        "levels": described,
         "situation": situation,
         "environment": config.level_options,
-        "paper": config.environment.split if config.is_released_benchmark else None,
+        "paper": TABLE_OF_SPLIT[split] if config.is_released_benchmark else None,
         **how,
     }
     try:
@@ -128,6 +131,30 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         (config.folder / "run.json").write_text(json.dumps(description, indent=2) + "\n")
     except OSError as error:
         raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
+
+
+def _describe_levels(config: Config) -> list[dict[str, Any]]:
+    """The levels of a run, each with its chance, and over how many episodes that was measured."""
+    split = levels.split(config.environment.split)
+    described = []
+    for kind in levels.KINDS:
+        for level in split.levels(kind):
+            chance = levels.chance(level, **config.level_options)
+            described.append(
+                {
+                    "level_kind": kind,
+                    "level": str(level),
+                    "chance": chance and chance.score,
+                    "chance_episodes": chance and chance.episodes,
+                }
+            )
+    return described
+
+
+def _mean(scores: list[float | None]) -> float | None:
+    """Their mean; None where one is not known."""
+    known = [score for score in scores if score is not None]
+    return sum(known) / len(known) if len(known) == len(scores) else None
 
 
 def last_update(path: Path) -> int:

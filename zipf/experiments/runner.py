@@ -24,7 +24,7 @@ from zipf.experiments import checkpoint, run_folder
 from zipf.experiments.collector import Agent, Collector
 from zipf.experiments.config import Config, EvaluateOptions
 from zipf.experiments.errors import UserError
-from zipf.experiments.evaluator import AgentPolicy, Result, derive_seed, evaluate
+from zipf.experiments.evaluator import AgentPolicy, Result, derive_seed, evaluate, scores
 from zipf.experiments.logger import Display, Logger
 
 
@@ -157,7 +157,7 @@ class Run:
             * self.frames_per_update
             / (training - then),
             **{f"time_{part}": spent for part, spent in self.seconds.spent.items()},
-            **{f"episode_{name}": float("nan") for name in ("return", "length", "success")},
+            **dict.fromkeys(self.collector.metric_names, float("nan")),
             **self.collector.episode_metrics(),
             "exploration_bonus": float(unroll.steps["bonus"][:-1].mean()),
             **metrics,
@@ -183,8 +183,8 @@ class Run:
         }
         self.logger.evaluation(when, results)
         self.display.show_scores(self.update, results)
-        scores = "  ".join(f"{result.kind} {result.score:.3f}" for result in results)
-        self.logger.text(f"update {self.update}: {scores}")
+        shown = "  ".join(f"{kind} {score:.3f}" for kind, score in scores(results).items())
+        self.logger.text(f"update {self.update}: {shown}")
 
     def close(self) -> None:
         """Says how to go on, and lets go of files and worlds."""
@@ -223,7 +223,7 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
 def evaluate_agent(
     config: Config, agent: Agent, *, episodes: int, num_envs: int, seed: int
 ) -> list[Result]:
-    """Scores an agent on its split's three levels; every draw comes from `seed`."""
+    """Scores an agent on its split's levels; every draw comes from `seed`."""
     return evaluate(
         AgentPolicy(agent, seed=derive_seed(seed, "actions"), device=config.torch_device),
         levels.split(config.environment.split),
@@ -269,8 +269,12 @@ def load_agent(folder: Path, device: str) -> Trained:
     config = run_folder.read_config(folder).model_copy(update={"device": device})
     saved = checkpoint.load(folder / "checkpoint.pt")
     run_folder.check_options(folder / "checkpoint.pt", saved, config)
+<<<<<<< Updated upstream
     # Its spaces are the training levels', which may be several.
     level = levels.split(config.environment.split).uniform
+=======
+    level = levels.split(config.environment.split).levels("train")[0]
+>>>>>>> Stashed changes
     env = levels.make_vec(level, 1, **config.level_options)
     agent = build_agent(config, env)
     env.close()
