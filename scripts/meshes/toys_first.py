@@ -167,21 +167,21 @@ def boat() -> Mesh:
 def robot() -> Mesh:
     return assemble(
         [
-            box(11, 16, 14, MAIN, at=(0, 0, 17)),
-            box(1, 10, 6, ACCENT, at=(5.8, 0, 17.5)),
-            box(5, 6, 3, DARK, at=(0, 0, 25)),
-            box(11, 14, 10, MAIN, at=(0, 0, 30.5)),
-            box(1, 9, 1.8, DARK, at=(5.6, 0, 27.8)),
+            box(11, 15, 13, MAIN, at=(0, 0, 18.5)),
+            box(1, 9, 6, ACCENT, at=(5.8, 0, 19)),
+            box(4, 5, 4, DARK, at=(0, 0, 26)),
+            box(10, 13, 8.5, MAIN, at=(0, 0, 31)),
+            box(1.2, 11, 4.6, DARK, at=(5, 0, 31.5)),
             rod((0, 0, 35), (0, 0, 39), 1, DARK, sides=4),
             ellipsoid((2.4, 2.4, 2.4), ACCENT, at=(0, 0, 39.6), sides=5, rings=2),
             *both_sides(
-                box(1.4, 3.6, 3.6, LIGHT, at=(5.6, 3.4, 32)),
-                box(4, 2, 4, ACCENT, at=(0, 7.6, 30.5)),
-                box(5, 4, 5, DARK, at=(0, 9.6, 21)),
-                box(4.6, 4.6, 13, MAIN, at=(0, 12, 16.5)),
-                box(6, 6, 4, ACCENT, at=(1, 12, 9)),
-                box(5, 5, 9, MAIN, at=(0, 4.4, 7)),
-                box(11, 7, 4, ACCENT, at=(2, 4.6, 2)),
+                box(1.4, 3, 2.8, LIGHT, at=(5.4, 2.9, 31.5)),
+                box(4, 2, 4, ACCENT, at=(0, 7, 31)),
+                rod((0, 7, 23), (0, 12, 20), 2, DARK, sides=4),
+                block((5.4, 5.4), (4, 4), 12, MAIN, at=(0, 14.5, 9.5), shift=(0, -3)),
+                box(7, 6.4, 4.4, ACCENT, at=(1, 14.8, 8)),
+                box(5, 4.4, 10, MAIN, at=(0, 5.4, 8)),
+                box(11, 7, 4, ACCENT, at=(2, 6, 2)),
             ),
         ]
     )
@@ -198,14 +198,14 @@ def teddy() -> Mesh:
         [
             ellipsoid((8.5, 9.5, 10), at=(0, 0, 10), sides=7),
             ellipsoid((4, 6, 6.5), ACCENT, at=(5.5, 0, 10), sides=5, rings=2),
-            ellipsoid((8.5, 10, 8.5), at=(0.5, 0, 25), sides=7),
-            ellipsoid((5, 4.5, 3.6), ACCENT, at=(7.5, 0, 22.5), sides=4, rings=2),
+            ellipsoid((9, 11, 9), at=(0.5, 0, 25), sides=7),
+            ellipsoid((5, 5, 4), LIGHT, at=(7.5, 0, 22.5), sides=4, rings=2),
             bead(1.8, 12, 0, 24),
             *both_sides(
-                cylinder(4.6, 3, MAIN, sides=5).turn("y", 90).move(-1.5, 8.5, 32),
+                cylinder(5, 3.4, MAIN, sides=5).turn("y", 90).move(-1.5, 9.5, 32.5),
                 limb(7, 4, 3.6).turn("y", 25).turn("z", 35).move(5, 10, 14),
                 limb(9, 4.4, 4.4).turn("z", 22).move(10, 8.5, 4),
-                bead(1.7, 8.2, 3.8, 27.5),
+                bead(1.9, 8.4, 4.2, 27.6),
             ),
         ]
     )
@@ -348,8 +348,8 @@ def chair() -> Mesh:
 
 
 def lamp() -> Mesh:
-    shade = [(14.5, 20), (14, 23), (7, 40), (6, 40), (13.5, 20)]
-    foot = [(0, 0), (8, 0), (8, 2), (3, 4), (6, 8), (6, 11), (2.4, 16), (2.4, 34), (0, 34)]
+    shade = [(16, 21), (15.2, 23.5), (6, 40), (5, 40), (15, 21)]
+    foot = [(0, 0), (9.5, 0), (9.5, 2), (4, 3.5), (2.2, 6), (4.2, 10), (2, 14), (2, 34), (0, 34)]
     return assemble(
         [
             lathe(shade, [ACCENT, LIGHT, LIGHT, LIGHT, ACCENT], sides=10, closed=True),
@@ -384,16 +384,16 @@ def drum() -> Mesh:
 
 
 def guitar() -> Mesh:
-    half = [(0, 0), (6.5, 0.4), (10, 4), (9.6, 8.5), (6, 12), (7.6, 16), (6, 19.5), (0, 20.5)]
+    half = [(0, 0), (8, 0.5), (12, 4.5), (11.5, 9), (7, 12.5), (9, 16.5), (7, 20.5), (0, 21.5)]
     outline = [*half, *((-y, z) for y, z in half[-2:0:-1])]
     head = [(-2, 34), (2, 34), (3.6, 40), (-3.6, 40)]
     return assemble(
         [
-            slab(outline, 7, MAIN, plane="yz"),
-            box(2.6, 3.4, 18, WOOD, at=(3, 0, 26)),
+            slab(outline, 8, MAIN, plane="yz"),
+            box(3, 4, 18, WOOD, at=(3.4, 0, 26)),
             slab(head, 3, ACCENT, plane="yz", at=(2.6, 0, 0)),
-            cylinder(3.2, 1, DARK, sides=8).turn("y", 90).move(3, 0, 13),
-            box(1.6, 8, 1.8, DARK, at=(3.6, 0, 5)),
+            cylinder(3.6, 1, DARK, sides=8).turn("y", 90).move(3.6, 0, 13),
+            box(1.6, 9, 2, DARK, at=(4.1, 0, 5)),
             *both_sides(*(box(1.4, 2.2, 1.4, LIGHT, at=(2.6, 4, z)) for z in (35.6, 38.4))),
         ]
     )
@@ -420,14 +420,17 @@ def piano() -> Mesh:
 
 
 def clock() -> Mesh:
-    face = [cylinder(14.5, 14, MAIN, sides=14).move(0, 0, -7)]
-    face += [cylinder(12, 1, LIGHT, sides=12).move(0, 0, 6.6)]
-    bell = ellipsoid((6, 6, 4.6), ACCENT, sides=7, rings=2).turn("x", -32).move(0, 9, 33.5)
+    face = [
+        cylinder(14.5, 14, MAIN, at=(0, 0, -7), sides=12),
+        cylinder(13, 0.8, DARK, at=(0, 0, 6.6), sides=12),
+        cylinder(11, 0.8, LIGHT, at=(0, 0, 7), sides=12),
+    ]
+    bell = ellipsoid((6, 6, 4.6), ACCENT, sides=6, rings=2).turn("x", -32).move(0, 9, 33.5)
     return assemble(
         [
             *(solid.turn("y", 90).move(0, 0, 17) for solid in face),
-            box(1, 2, 9, DARK, at=(7.8, 0, 20.5)),
-            box(1, 7, 2, DARK, at=(7.8, -3, 17)),
+            box(1.2, 2.2, 9, DARK, at=(8, 0, 20.4)),
+            box(1.4, 7, 2.2, DARK, at=(8, -3, 17)),
             box(2, 5, 2, DARK, at=(0, 0, 38)),
             rod((0, 0, 30), (0, 0, 38), 1, DARK, sides=4),
             *both_sides(bell, rod((0, 8, 6), (0, 13, 0), 2.2, DARK, sides=5)),
