@@ -176,14 +176,9 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
 
 
 def _check_spaces(level: str, env: ZipfVectorEnv, trained: runner.Trained) -> None:
-<<<<<<< Updated upstream
     # Its spaces are the training levels', which may be several.
     known = levels.split(trained.config.environment.split).uniform
     learned = levels.make_vec(known, 1, **trained.config.level_options)
-=======
-    train = levels.split(trained.config.environment.split).levels("train")[0]
-    learned = levels.make_vec(train, 1, **trained.config.level_options)
->>>>>>> Stashed changes
     for space in ("single_observation_space", "single_action_space"):
         if getattr(env, space) != getattr(learned, space):
             raise UserError(f"level={level}: shows or takes something else than the run's levels")

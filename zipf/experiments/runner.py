@@ -269,12 +269,8 @@ def load_agent(folder: Path, device: str) -> Trained:
     config = run_folder.read_config(folder).model_copy(update={"device": device})
     saved = checkpoint.load(folder / "checkpoint.pt")
     run_folder.check_options(folder / "checkpoint.pt", saved, config)
-<<<<<<< Updated upstream
     # Its spaces are the training levels', which may be several.
     level = levels.split(config.environment.split).uniform
-=======
-    level = levels.split(config.environment.split).levels("train")[0]
->>>>>>> Stashed changes
     env = levels.make_vec(level, 1, **config.level_options)
     agent = build_agent(config, env)
     env.close()
