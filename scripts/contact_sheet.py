@@ -9,6 +9,7 @@ must be told by these few pixels. All toys have the same two greys, as their col
 
 import argparse
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ ROOM_VIEWS = ((1.5, -30), (1.5, 70), (2.5, -30))
 """Distance in metres along the floor, and the degrees by which the object is turned."""
 
 
-def rooms(views: list[tuple[int, float, float, float, float]]) -> Scenes:
+def rooms(views: Sequence[tuple[int, float, float, float, float]]) -> Scenes:
     """A room for each (mesh, degrees it is turned, distance, eye height, height looked at)."""
     scenes = Scenes(len(views), walls=4, flats=1, instances=1)
     half = ROOM / 2

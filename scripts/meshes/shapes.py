@@ -302,16 +302,6 @@ def rod(
     )
 
 
-def capsule(start: Point, end: Point, radius: float, part: int = MAIN, *, sides: int = 6) -> Solid:
-    """A rod with rounded ends, which reach a radius beyond the two points."""
-    a, b = np.array(start), np.array(end)
-    u = radius * (b - a) / np.linalg.norm(b - a)
-    path = [a - u, a - 0.6 * u, a + 0.2 * u, b - 0.2 * u, b + 0.6 * u, b + u]
-    return tube(
-        np.array(path), [0, 0.8 * radius, radius, radius, 0.8 * radius, 0], part, sides=sides
-    )
-
-
 def torus(
     radius: float,
     thickness: float,

@@ -249,7 +249,7 @@ def plane() -> Mesh:
         return circle(radius, 8, start=22.5)[:, [2, 0, 1]] + (x, 0, z)
 
     fuselage = [
-        [(20, 0, 9)], section(17, 3, 9.4), section(9, 4.8, 10), section(-5, 4.8, 10.5),
+        np.array([(20, 0, 9)]), section(17, 3, 9.4), section(9, 4.8, 10), section(-5, 4.8, 10.5),
         section(-19, 1.6, 13),
     ]  # fmt: skip
     return assemble(
