@@ -6,11 +6,14 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from zipf.agents.encoders import CompactOptions, Encoder, ResNetOptions
+from zipf.agents.encoders import CompactOptions, Encoder, ResNetOptions, ShallowOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs
 
 COMPACT = CompactOptions(name="compact", patch=9, channels=5, size=7, head_size=0)
+SHALLOW = ShallowOptions(
+    name="shallow", channels=[16, 32], kernels=[8, 4], strides=[4, 2], size=256, head_size=0
+)
 RESNET = ResNetOptions(name="resnet", channels=[16, 32, 32], blocks=2, head_size=8)
 
 
@@ -47,6 +50,22 @@ def test_the_papers_network_flattens_to_the_known_size(shape, size):
     assert encoder({"image": images(2, *shape)}).shape == (2, size)
     convolutions = [layer for layer in encoder.modules() if isinstance(layer, torch.nn.Conv2d)]
     assert [layer.out_channels for layer in convolutions] == [16] * 5 + [32] * 10
+
+
+def test_the_shallow_network_is_the_one_of_the_impala_paper():
+    """On 72 x 96: 17 x 23 x 16, then 7 x 10 x 32, then 256."""
+    torch.manual_seed(0)
+    encoder = Encoder(gym.spaces.Dict(image=image_space(72, 96)), SHALLOW)
+    image = images(3, 72, 96)
+    shapes = [tuple(p.shape) for p in encoder.parameters()]
+    assert shapes == [(16, 3, 8, 8), (16,), (32, 16, 4, 4), (32,), (256, 2240), (256,)]
+    first, first_bias, second, second_bias, dense, dense_bias = encoder.parameters()
+    hidden = F.conv2d(image.permute(0, 3, 1, 2) / 255, first, first_bias, stride=4).relu()
+    hidden = F.conv2d(hidden, second, second_bias, stride=2).relu()
+    expected = F.linear(hidden.flatten(1), dense, dense_bias).relu()
+    torch.testing.assert_close(encoder({"image": image}), expected)
+    with pytest.raises(ValueError, match="leaves nothing of an image of 9 x 9"):
+        Encoder(gym.spaces.Dict(image=image_space(9, 9)), SHALLOW)
 
 
 def test_the_resnet_sees_pixels_between_0_and_1():

@@ -35,7 +35,20 @@ class CompactOptions(Options):
     head_size: Annotated[int, Field(ge=0)]
 
 
-NetworkOptions = Annotated[ResNetOptions | CompactOptions, Field(discriminator="name")]
+class ShallowOptions(Options):
+    """The shallow network of Espeholt et al. 2018: strided convolutions, then a dense layer."""
+
+    name: Literal["shallow"]
+    channels: Annotated[list[Size], Field(min_length=1)]
+    kernels: Annotated[list[Size], Field(min_length=1)]
+    strides: Annotated[list[Size], Field(min_length=1)]
+    size: Size
+    head_size: Annotated[int, Field(ge=0)]
+
+
+NetworkOptions = Annotated[
+    ResNetOptions | ShallowOptions | CompactOptions, Field(discriminator="name")
+]
 
 
 class ResidualBlock(nn.Module):
@@ -71,6 +84,32 @@ class ResNet(nn.Module):
         self.layers = nn.Sequential(*layers, nn.ReLU(), nn.Flatten())
         self.layers.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.size = height * width * channels
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.layers(image.permute(0, 3, 1, 2) / 255.0)
+
+
+class ShallowNet(nn.Module):
+    """Strided convolutions without padding, then a dense layer: uint8 [N, H, W, 3] -> [N, F]."""
+
+    def __init__(self, shape: tuple[int, ...], options: ShallowOptions):
+        super().__init__()
+        height, width, channels = shape
+        convolutions = zip(options.channels, options.kernels, options.strides, strict=True)
+        layers: list[nn.Module] = []
+        for outputs, kernel, stride in convolutions:
+            layers += [nn.Conv2d(channels, outputs, kernel, stride), nn.ReLU()]
+            height, width = (height - kernel) // stride + 1, (width - kernel) // stride + 1
+            channels = outputs
+            if min(height, width) < 1:
+                raise ValueError(
+                    f"network=shallow leaves nothing of an image of {shape[0]} x {shape[1]} "
+                    "pixels; choose smaller network.kernels or network.strides"
+                )
+        self.size = options.size
+        dense = nn.Linear(height * width * channels, options.size)
+        self.layers = nn.Sequential(*layers, nn.Flatten(), dense, nn.ReLU())
+        self.layers.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, image: Tensor) -> Tensor:
         return self.layers(image.permute(0, 3, 1, 2) / 255.0)
@@ -159,15 +198,17 @@ class Encoder(nn.Module):
         ValueError: no encoder reads such observations.
     """
 
-    def __init__(self, space: gym.spaces.Dict, options: ResNetOptions | CompactOptions):
+    def __init__(self, space: gym.spaces.Dict, options: NetworkOptions):
         super().__init__()
         names = set(space) - {"instruction"}
-        self.image: ResNet | PatchEncoder | TileEncoder  # what sees, pixels or tiles
+        self.image: ResNet | ShallowNet | PatchEncoder | TileEncoder  # what sees, pixels or tiles
         if names == {"image"}:
             shape = space["image"].shape
             assert shape is not None
             if isinstance(options, ResNetOptions):
                 self.image = ResNet(shape, options)
+            elif isinstance(options, ShallowOptions):
+                self.image = ShallowNet(shape, options)
             else:
                 self.image = PatchEncoder(shape, options)
         elif names == {"tiles", "cue"} and isinstance(options, CompactOptions):
@@ -175,7 +216,7 @@ class Encoder(nn.Module):
         else:
             raise ValueError(
                 f"network={options.name} does not read observations of {', '.join(sorted(space))}; "
-                "resnet reads an image, compact an image or tiles"
+                "resnet and shallow read an image, compact an image or tiles"
             )
         self.size = self.image.size
         self.instruction = None

@@ -18,7 +18,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from zipf.agents.encoders import CompactOptions, ResNetOptions
+from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions, State
 from zipf.agents.network import ActorCritic, Inputs
 from zipf.agents.options import Options
@@ -62,7 +62,7 @@ class Impala:
         observation_space: gym.spaces.Dict,
         action_space: gym.spaces.Discrete,
         options: ImpalaOptions,
-        network: ResNetOptions | CompactOptions,
+        network: NetworkOptions,
         memory: MLPOptions | LSTMOptions,
         *,
         seed: int,

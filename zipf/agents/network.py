@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
-from zipf.agents.encoders import CompactOptions, Encoder, ResNetOptions
+from zipf.agents.encoders import Encoder, NetworkOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions, State, build_memory
 
 
@@ -62,7 +62,7 @@ class ActorCritic(nn.Module):
         self,
         observation_space: gym.spaces.Dict,
         action_space: gym.spaces.Discrete,
-        network: ResNetOptions | CompactOptions,
+        network: NetworkOptions,
         memory: MLPOptions | LSTMOptions,
     ):
         super().__init__()
