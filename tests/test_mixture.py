@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from zipf.envs import MixtureVectorEnv, Split, make, make_vec
+from zipf.envs import MixtureVectorEnv, Split, make, make_vec, split
 from zipf.envs.check import check_vector_env
 from zipf.envs.gridworld import GridworldVectorEnv
 
@@ -123,6 +123,24 @@ def test_a_pickled_one_draws_from_its_own_streams() -> None:
     for _ in range(30):
         actions = rng.integers(8, size=7)
         np.testing.assert_equal(other.step(actions)[:4], env.step(actions)[:4])
+
+
+def test_a_family_whose_state_is_what_was_done_is_mixed() -> None:
+    """The playroom plays its episodes again, for which it needs to know how long they are."""
+    env = make_vec(split("playroom_put").train, 4, image_size=(12, 16), max_steps=15)
+    info = env.reset(seed=0)[1]
+    assert [text.split()[0] for text in info["instruction"]] == ["lift", "lift", "put", "put"]
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        env.step(rng.integers(46, size=4))
+    pickled = pickle.loads(pickle.dumps(env))
+    set_ = make_vec(split("playroom_put").train, 4, image_size=(12, 16), max_steps=15)
+    set_.set_state(env.get_state())
+    for _ in range(20):
+        actions = rng.integers(46, size=4)
+        expected = env.step(actions)
+        for other in (pickled, set_):
+            np.testing.assert_equal(other.step(actions)[:4], expected[:4])
 
 
 def test_it_draws_and_closes_every_level() -> None:

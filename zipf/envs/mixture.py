@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
+_COMMON = ("streams", "seeded", "running", "lengths", "returns")
+"""What every batch keeps for each of its worlds; a state's keys, underscored its attributes."""
+
 
 class MixtureVectorEnv(ZipfVectorEnv):
     """`N` worlds shared evenly, in contiguous blocks, among several levels.
@@ -84,10 +87,10 @@ class MixtureVectorEnv(ZipfVectorEnv):
         self._share()
 
     def _share(self) -> None:
-        """Lets the levels' batches work on this one's random streams and lengths."""
+        """Lets the levels' batches work on this one's random streams, lengths and so on."""
         for batch, block in zip(self.batches, self._blocks, strict=True):
-            batch._streams = self._streams[block]
-            batch._lengths = self._lengths[block]
+            for name in _COMMON:
+                setattr(batch, f"_{name}", getattr(self, f"_{name}")[block])
 
     def render(self) -> tuple[Any, ...] | None:
         """The worlds' frames, as their levels draw them; None without a `render_mode`."""
@@ -135,7 +138,7 @@ class MixtureVectorEnv(ZipfVectorEnv):
         }
 
     def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
-        before = {key: value.copy() for key, value in self._get_worlds().items()}
+        before = self.get_state()
         try:
             self._set_batches(state)
         except ValueError:
@@ -143,8 +146,10 @@ class MixtureVectorEnv(ZipfVectorEnv):
             raise
 
     def _set_batches(self, state: Mapping[str, NDArray[Any]]) -> None:
-        for name, batch in zip(self.level_names, self.batches, strict=True):
-            batch._set_worlds({key: state[f"{name}:{key}"] for key in batch._get_worlds()})
+        for name, batch, block in zip(self.level_names, self.batches, self._blocks, strict=True):
+            common = {key: state[key][block] for key in _COMMON}
+            own = {key: state[f"{name}:{key}"] for key in batch._get_worlds()}
+            batch._set_worlds({**common, **own})
 
 
 def _joined(parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:

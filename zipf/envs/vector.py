@@ -167,7 +167,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     @abstractmethod
     def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Takes the family's own state from what `_get_worlds` gave.
+        """Takes the family's own state from a whole one, where its part has `_get_worlds`' keys.
 
         Raises ValueError, with nothing taken, if a kernel could not work on it.
         """
