@@ -187,7 +187,7 @@ def _written(kinds: Sequence[Any], write: Callable[..., None]) -> Any:
 def wall_block(
     typingctx, color, depth, texels, x, first, last, z, dz, u, du, v, dv, area, fade, red, green,
     blue, solid,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Pixels x .. x + 15 of a wall's span first .. last (columns).
 
     1/t is z + dz * x, texel coordinates over t likewise; a pixel covers area * t**3 texels; light
@@ -195,7 +195,7 @@ def wall_block(
     """
 
     def write(builder, color, depth, texels, x, first, last, z, dz, u, du, v, dv, area, fade, red,
-              green, blue, solid):  # type: ignore[no-untyped-def]  # fmt: skip
+              green, blue, solid):  # fmt: skip
         code = _Code(builder)
         splat = code.splat
         column = code.columns(x)
@@ -226,7 +226,7 @@ def wall_block(
 
 def _flat(patchwork: bool) -> Callable[..., Any]:
     def write(builder, color, depth, texels, x, first, last, z, u, du, v, dv, level, red, green,
-              blue, solid, tiles, c, dc, columns, r, dr, rows):  # type: ignore[no-untyped-def]  # fmt: skip
+              blue, solid, tiles, c, dc, columns, r, dr, rows):  # fmt: skip
         code = _Code(builder)
         splat = code.splat
         column = code.columns(x)
@@ -260,7 +260,7 @@ _FLAT = [_ADDRESS] * 3 + [_I] * 3 + [_F] * 5 + [_I] + [_F] * 3 + [_I]
 def flat_block(
     typingctx, color, depth, texels, x, first, last, z, u, du, v, dv, level, red, green, blue,
     solid,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Pixels x .. x + 15 of a flat's span first .. last: 1/t, the light and the size of texels are
     the same along the line, texel coordinates are affine."""
     write = _flat(patchwork=False)
@@ -271,7 +271,7 @@ def flat_block(
 def patchwork_block(
     typingctx, color, depth, texels, x, first, last, z, u, du, v, dv, level, red, green, blue,
     solid, tiles, c, dc, columns, r, dr, rows,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Like `flat_block`; the texture is found in `tiles` [rows, columns] at affine coordinates."""
     return _written(_FLAT + [_ADDRESS, _F, _F, _I, _F, _F, _I], _flat(patchwork=True))
 
@@ -282,10 +282,10 @@ TRIANGLE_LANES = 8
 @intrinsic
 def triangle_block(
     typingctx, color, depth, x, paint, z, dz, a, da, b, db, c, dc
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Pixels x .. x + 7 of a triangle: those where a, b and c are positive."""
 
-    def write(builder, color, depth, x, paint, z, dz, a, da, b, db, c, dc):  # type: ignore[no-untyped-def]
+    def write(builder, color, depth, x, paint, z, dz, a, da, b, db, c, dc):
         code = _Code(builder, TRIANGLE_LANES)
         splat = code.splat
         place = code.columns(x).floats_()
@@ -301,10 +301,10 @@ def triangle_block(
 
 
 @intrinsic
-def pack_block(typingctx, color, out):  # type: ignore[no-untyped-def]
+def pack_block(typingctx, color, out):
     """Writes 16 colours 0x00BBGGRR as 48 bytes."""
 
-    def write(builder, color, out):  # type: ignore[no-untyped-def]
+    def write(builder, color, out):
         pointer = builder.inttoptr(color, ir.VectorType(_BYTE, 4 * LANES).as_pointer())
         colours = builder.load(pointer, align=4)
         order = [4 * pixel + channel for pixel in range(LANES) for channel in range(3)]

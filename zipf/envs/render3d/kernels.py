@@ -51,6 +51,90 @@ def _light(x, y, z, dark, sun):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def _inside(low, high, a, b):
+    """Narrows a span to where a + b * x >= 0."""
+    if b > 0.0:
+        return max(low, -a / b), high
+    if b < 0.0:
+        return low, min(high, -a / b)
+    return low, (high if a >= 0.0 else low - 1.0)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _look_around(solid, x, y, left_x, left_y, right_x, right_y, seen, spans):
+    """Marks in `seen` the faces of solid cells that are seen from a place between two directions.
+
+    The place is given in cells, the directions turn by less than a half from right to left. Returns
+    False, with nothing marked, where the place is in a solid cell or outside the grid. `spans`
+    [4, .] is scratch.
+
+    The view is swept away from the place in each of four directions by columns of cells. What is
+    left of it are spans of slopes; in a column each is cut where its rays begin to pass other cells
+    than the one before, and the parts that no solid cell stops go on.
+    """
+    rows, columns = solid.shape
+    own_row, own_column = math.floor(y), math.floor(x)
+    if not (0 <= own_row < rows and 0 <= own_column < columns) or solid[own_row, own_column]:
+        return False
+    seen[:] = False
+    for ahead in range(4):
+        px, py = (1, 0, -1, 0)[ahead], (0, 1, 0, -1)[ahead]
+        sx, sy = -py, px  # to the left of it: slopes grow this way
+        past = x - own_column if px > 0 else own_column + 1 - x
+        aside = y - own_row if px > 0 else own_row + 1 - y
+        if px == 0:
+            past = y - own_row if py > 0 else own_row + 1 - y
+            aside = own_column + 1 - x if py > 0 else x - own_column
+        low, high = _inside(-1.0, 1.0, right_x * py - right_y * px, right_x * sy - right_y * sx)
+        low, high = _inside(low, high, px * left_y - py * left_x, sx * left_y - sy * left_x)
+        count = 0
+        if low < high:
+            spans[0, 0], spans[1, 0] = low, high
+            count = 1
+        step = 0
+        now = 0
+        while count:
+            near, far = max(step - past, 0.0), step + 1 - past
+            column, row = own_column + step * px, own_row + step * py
+            after = 2 - now
+            open_count = 0
+            for k in range(count):
+                slope, end = spans[now, k], spans[now + 1, k]
+                enters = math.floor(aside + slope * near)
+                leaves = math.floor(aside + slope * far)
+                while slope < end:
+                    next_enters = (enters + 1 - aside) / near if near > 0.0 else 2.0
+                    next_leaves = (leaves + 1 - aside) / far
+                    until = min(next_enters, next_leaves, end)
+                    if until > slope:
+                        r, c = row + enters * sy, column + enters * sx
+                        side = (ahead + 2) & 3
+                        inside = 0 <= r < rows and 0 <= c < columns
+                        stopped = not inside or solid[r, c]
+                        if not stopped and leaves != enters:
+                            r, c = row + leaves * sy, column + leaves * sx
+                            side = (ahead + 3) & 3 if leaves > enters else (ahead + 1) & 3
+                            inside = 0 <= r < rows and 0 <= c < columns
+                            stopped = not inside or solid[r, c]
+                        if stopped:
+                            if inside:
+                                seen[(r * columns + c) * 4 + side] = True
+                        elif open_count and spans[after + 1, open_count - 1] == slope:
+                            spans[after + 1, open_count - 1] = until
+                        else:
+                            spans[after, open_count], spans[after + 1, open_count] = slope, until
+                            open_count += 1
+                        slope = until
+                    if next_enters <= until:
+                        enters += 1
+                    if next_leaves <= until:
+                        leaves += 1
+            now, count = after, open_count
+            step += 1
+    return True
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def _bound(low, high, a, step, b):
     """Narrows each row's span to where a + step * y + b * x >= 0."""
     if b == 0.0:
@@ -66,11 +150,14 @@ def _bound(low, high, a, step, b):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def _draw_wall(wall, texture, flags, repeat, tint, view, low, high, width, texels, color, depth):
+def _draw_wall(
+    wall, texture, flags, repeat, tint, view, sector, low, high, width, texels, color, depth
+):
     """Draws one wall.
 
     `view` holds x, y, z of the eye; heading x, y; c(0), its step per row; rise(0), its step per
-    row; a(0) and its step per column.
+    row; a(0) and its step per column. `sector` says whether the view spans less than half a turn,
+    and its leftmost and rightmost directions.
     """
     eye_x, eye_y, eye_z, hx, hy, c0, dc, rise0, drise, a0, da = view
     x0, y0, x1, y1 = wall[0], wall[1], wall[2], wall[3]
@@ -83,7 +170,15 @@ def _draw_wall(wall, texture, flags, repeat, tint, view, low, high, width, texel
     ex /= length
     ey /= length
     nx, ny = ey, -ex
-    distance = nx * (x0 - eye_x) + ny * (y0 - eye_y)
+    px0, py0, px1, py1 = x0 - eye_x, y0 - eye_y, x1 - eye_x, y1 - eye_y
+    if sector[0]:
+        if sector[1] * py0 > sector[2] * px0 and sector[1] * py1 > sector[2] * px1:
+            return
+        if sector[3] * py0 < sector[4] * px0 and sector[3] * py1 < sector[4] * px1:
+            return
+        if hx * px0 + hy * py0 < 0.0 and hx * px1 + hy * py1 < 0.0:
+            return
+    distance = nx * px0 + ny * py0
     if distance > 0.0 and not flags & TWO_SIDED:
         return
     if abs(distance) < 1e-6:
@@ -226,16 +321,6 @@ def _draw_flat(
                 )  # fmt: skip
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def _inside(low, high, a, b):
-    """Narrows a span to where a + b * x >= 0."""
-    if b > 0.0:
-        return max(low, -a / b), high
-    if b < 0.0:
-        return low, min(high, -a / b)
-    return low, (high if a >= 0.0 else -1.0)
-
-
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, width, color, depth):
     """Fills a triangle given in pixels and 1/t, seen from its front."""
@@ -328,7 +413,7 @@ def draw(
     start, stop, mask, camera, walls, wall_looks, wall_repeat, wall_tint, wall_face, wall_count,
     flats, flat_looks, flat_tiles, flat_repeat, flat_tint, flat_count, tiles, mesh, position,
     rotation, scale, colors, sky, solid, grid, vertices, triangles, normals, parts, first_vertex,
-    first_triangle, fixed_colors, texels, focal, color, depth, low, high, seen, out,
+    first_triangle, fixed_colors, texels, focal, color, depth, low, high, seen, faces, spans, out,
 ):  # fmt: skip
     """Draws the worlds start .. stop - 1 that are in `mask` to `out`, uint8 [N, H, W, 3]."""
     height, width = out.shape[1], out.shape[2]
@@ -360,12 +445,27 @@ def draw(
                 paint |= np.uint32(shade) << np.uint32(8 * k)
             color[y] = paint
         depth[:] = 0.0
+        # Seen from above, the view is a sector as wide as its widest line; half a pixel is added.
+        narrowest = min(view[5], view[5] + view[6] * (height - 1))
+        half = math.atan2((middle_x + 1.0) / focal, narrowest)
+        sector = (
+            narrowest > 1e-3, math.cos(yaw + half), math.sin(yaw + half), math.cos(yaw - half),
+            math.sin(yaw - half),
+        )  # fmt: skip
+        by_grid = False
+        if grid[i, 2] > 0.0 and sector[0]:
+            by_grid = _look_around(
+                solid[i], (camera[i, 0] - grid[i, 0]) / np.float64(grid[i, 2]),
+                (camera[i, 1] - grid[i, 1]) / np.float64(grid[i, 2]), *sector[1:], faces, spans,
+            )  # fmt: skip
         for k in range(wall_count[i]):
+            if by_grid and wall_face[i, k] >= 0 and not faces[wall_face[i, k]]:
+                continue
             texture = wall_looks[i, k, 0]
             if texture >= 0:
                 _draw_wall(
                     walls[i, k], texture, wall_looks[i, k, 1], wall_repeat[i, k], wall_tint[i, k],
-                    view, low, high, width, texels, color, depth,
+                    view, sector, low, high, width, texels, color, depth,
                 )  # fmt: skip
         for k in range(mesh.shape[1]):
             which = mesh[i, k]

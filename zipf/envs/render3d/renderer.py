@@ -60,6 +60,7 @@ class Renderer:
         self._meshes = _prepare(meshes)
         self._texels = pack_textures(textures)
         self._focal = width / 2 / math.tan(math.radians(fov) / 2)
+        self._grid = (0, 0)
         self._scratch = [self._allocate() for _ in range(threads)]
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
@@ -83,6 +84,10 @@ class Renderer:
         elif mask.shape != (n,) or mask.dtype != np.bool_:
             raise ValueError(f"mask must be bool {(n,)}, not {mask.dtype} {mask.shape}")
 
+        if scenes.solid.shape[1:] != self._grid:
+            self._grid = scenes.solid.shape[1:]
+            self._scratch = [self._allocate() for _ in range(self.threads)]
+
         def draw(thread: int, start: int, stop: int) -> None:
             s = scenes
             kernels.draw(
@@ -103,13 +108,16 @@ class Renderer:
 
     def _allocate(self) -> tuple[NDArray[Any], ...]:
         stride = -(-self.width // LANES) * LANES + LANES
-        vertices = self._meshes[0].shape[1]
+        vertices = int(np.diff(self._meshes[4]).max(initial=0))
+        rows, columns = self._grid
         return (
             np.zeros((self.height, stride), np.uint32),
             np.zeros((self.height, stride), np.float32),
             np.zeros(self.height, np.float32),
             np.zeros(self.height, np.float32),
             np.zeros((3, vertices), np.float32),
+            np.zeros(rows * columns * 4, np.bool_),
+            np.zeros((4, rows * columns + 2)),
         )
 
 
