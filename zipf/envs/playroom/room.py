@@ -25,7 +25,7 @@ _LAYERS = {
     kernels.SUPPORTED_LAYER: _filter(_SUPPORTED, _WALL, _SUPPORTED),
 }
 _ITERATIONS = 8  # ours: little enough overlap when several objects are pushed into a corner
-_DENSITY = 2.0  # kilograms an object
+_MASS = 2.0  # kilograms, of every object: ours
 _ELONGATED = 1.3  # from this ratio of sides on a footprint is a box, else a disc
 
 
@@ -70,7 +70,7 @@ class Room:
         self.objects: list[pymunk.Body] = []
         self.shapes: list[pymunk.Shape] = []
         for x, y, angle, length, width in objects:
-            body = pymunk.Body(_DENSITY, pymunk.moment_for_box(_DENSITY, (length, width)))
+            body = pymunk.Body(_MASS, pymunk.moment_for_box(_MASS, (length, width)))
             body.position = x, y
             body.angle = angle
             shape: pymunk.Shape
@@ -103,7 +103,8 @@ class Room:
         agent, step = self.agent, self.space.step
         x, y = force
         for _ in range(kernels.FRAMES):
-            agent.force = x, y  # every frame uses it up
+            if x or y:
+                agent.force = x, y  # every frame uses it up
             step(kernels.FRAME)
 
     def poses(self) -> list[float]:
