@@ -137,7 +137,7 @@ def _look_around(solid, x, y, left_x, left_y, right_x, right_y, seen, spans):
 @njit(nogil=True, cache=True, error_model="numpy")
 def _bound(low, high, a, step, b):
     """Narrows each row's span to where a + step * y + b * x >= 0."""
-    if b == 0.0:
+    if abs(b) < 1e-30:
         b = 1e-30
     start = np.float32(-a / b)
     step = np.float32(-step / b)
@@ -234,6 +234,8 @@ def _draw_wall(
     texture_at = texels[texture].ctypes.data
     z32, dz32, du32, dv32 = np.float32(z), np.float32(dz), np.float32(du), np.float32(dv)
     for y in range(len(low)):
+        if low[y] > high[y]:
+            continue
         first, last = math.ceil(low[y]), math.floor(high[y])
         if first > last:
             continue

@@ -1,0 +1,580 @@
+"""The renderer against rays cast one surface at a time, and what its arguments mean."""
+
+import math
+
+import numpy as np
+import pytest
+
+from zipf.envs.render3d import (
+    FACES_DOWN,
+    SEE_THROUGH,
+    TWO_SIDED,
+    MeshAtlas,
+    Renderer,
+    Scenes,
+    kernels,
+    textures,
+)
+from zipf.envs.render3d.renderer import FIXED_COLORS, pack_textures
+
+CORNERS = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 2), (1, -1, 2), (1, 1, 2)] + [
+    (-1, 1, 2)
+]
+SQUARES = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+BOX = [t for a, b, c, d in SQUARES for t in ((a, b, c), (a, c, d))]
+PEAK = [(-1, -1, 0), (1, -1, 0), (0, 1, 0), (0, 0, 2)]
+SIDES = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)]
+ATLAS = MeshAtlas(
+    names=("box", "peak"),
+    vertices=np.array(CORNERS + PEAK, np.float32) * np.float32(0.2),
+    triangles=np.array(BOX + [(a + 8, b + 8, c + 8) for a, b, c in SIDES], np.int32),
+    parts=np.array([0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 0, 1, 2, 3], np.uint8),
+    first_vertex=np.array([0, 8, 12], np.int32),
+    first_triangle=np.array([0, 12, 16], np.int32),
+    extent=np.full((2, 3), 0.4, np.float32),
+)
+STACK = textures.stack()
+WIDTH, HEIGHT = 64, 48
+
+
+def plain(*colors):
+    """A stack of textures of one colour each."""
+    stack = np.full((len(colors), 64, 64, 4), 255, np.uint8)
+    for image, color in zip(stack, colors, strict=True):
+        image[..., :3] = color
+    return stack
+
+
+def view(scenes, stack=STACK, width=WIDTH, height=HEIGHT, **options):
+    renderer = Renderer(ATLAS, stack, width=width, height=height, **options)
+    out = np.zeros((scenes.num_worlds, height, width, 3), np.uint8)
+    renderer.render(scenes, out)
+    return out
+
+
+def sun_on(normal, dark, sun):
+    direction = np.array(kernels.SUN) / np.linalg.norm(kernels.SUN)
+    return dark + sun * (0.5 + 0.5 * np.asarray(normal) @ direction)
+
+
+def shaded(color, light, t):
+    return color * np.asarray(light / (1 + (t / kernels.FADE) ** 2))[..., None]
+
+
+def texel(packed, texture, u, v, area):
+    """The colours and alphas of a texture at texels u, v for pixels that cover `area` texels."""
+    level = np.clip(np.floor(np.log2(np.maximum(area, 1e-9)) / 2), 0, 6).astype(int)
+    u, v = np.floor(u).astype(int) % 64, np.floor(v).astype(int) % 64
+    value = packed[texture, (v >> level) * 128 + 128 - (128 >> level) + (u >> level)]
+    return np.stack([value >> 8 * k & 255 for k in range(4)], -1).astype(float)
+
+
+def within(distance, size):
+    return (distance >= -kernels.GROW) & (distance <= size + kernels.GROW)
+
+
+def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
+    """An image [H, W, 3] of floats, and which surface each pixel shows (0: the sky)."""
+    packed = pack_textures(stack)
+    eye, (yaw, pitch) = (
+        scenes.camera[world, :3].astype(float),
+        scenes.camera[world, 3:].astype(float),
+    )
+    focal = width / 2
+    y, x = np.mgrid[:height, :width]
+    right = np.array([math.sin(yaw), -math.cos(yaw), 0])
+    ahead = np.array([math.cos(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw)])
+    ahead = np.append(ahead, math.sin(pitch))
+    up = np.cross(right, ahead)
+    rays = (
+        ahead
+        + ((x - (width - 1) / 2) / focal)[..., None] * right
+        + (((height - 1) / 2 - y) / focal)[..., None] * up
+    )
+    low, high = scenes.sky[world].astype(float)
+    share = np.clip((pitch + np.arctan(((height - 1) / 2 - y) / focal)) / (math.pi / 2), 0, 1)
+    image = low + share[..., None] * (high - low)
+    depth = np.full((height, width), np.inf)
+    shown = np.zeros((height, width), int)
+    surfaces = 0
+
+    def put(t, where, color):
+        nonlocal surfaces
+        surfaces += 1
+        with np.errstate(invalid="ignore"):
+            where = where & (t >= kernels.NEAR) & (t < depth)
+        depth[where], shown[where], image[where] = t[where], surfaces, color[where]
+
+    with np.errstate(all="ignore"):
+        for k in range(scenes.wall_count[world]):
+            x0, y0, x1, y1, z0, z1 = scenes.walls[world, k].astype(float)
+            texture, flags = scenes.wall_looks[world, k]
+            along = np.array([x0 - x1, y0 - y1, 0])
+            length = np.linalg.norm(along)
+            along /= length
+            normal = np.array([-(y1 - y0), x1 - x0, 0]) / length  # left of the way
+            distance = (eye - (x0, y0, 0)) @ normal
+            if texture < 0 or (distance < 0 and not flags & TWO_SIDED):
+                continue
+            t = -distance / (rays @ normal)
+            hit = eye + t[..., None] * rays
+            u, v = (hit - (x1, y1, 0)) @ along, z1 - hit[..., 2]
+            inside = within(u, length) & within(v, z1 - z0)
+            per = [
+                64 / (r or whole)
+                for r, whole in zip(scenes.wall_repeat[world, k], (length, z1 - z0), strict=True)
+            ]
+            area = per[0] * per[1] * t**3 / focal**2 / abs(distance)
+            found = texel(
+                packed, texture, np.nan_to_num(u * per[0]), np.nan_to_num(v * per[1]), area
+            )
+            if flags & SEE_THROUGH:
+                inside &= found[..., 3] >= 128
+            light = sun_on(normal * np.sign(distance), kernels.SURFACE_DARK, kernels.SURFACE_SUN)
+            put(t, inside, shaded(found[..., :3] * scenes.wall_tint[world, k] / 255, light, t))
+        for k in range(scenes.flat_count[world]):
+            x0, y0, x1, y1, z = scenes.flats[world, k].astype(float)
+            texture, flags = scenes.flat_looks[world, k]
+            first, rows, columns = scenes.flat_tiles[world, k]
+            above = eye[2] > z
+            if not flags & TWO_SIDED and above == bool(flags & FACES_DOWN):
+                continue
+            t = (z - eye[2]) / rays[..., 2]
+            hit = eye + t[..., None] * rays
+            u, v = np.nan_to_num(hit[..., 0] - x0), np.nan_to_num(hit[..., 1] - y0)
+            inside = within(u, x1 - x0) & within(v, y1 - y0)
+            which = np.full(u.shape, texture)
+            if rows:
+                column = np.clip(u * columns / (x1 - x0), 0, columns - 1).astype(int)
+                row = np.clip(v * rows / (y1 - y0), 0, rows - 1).astype(int)
+                which = scenes.tiles[world, first + row * columns + column]
+                inside &= which >= 0
+            repeat = scenes.flat_repeat[world, k]
+            per_u = 64 / (repeat or (x1 - x0) / max(columns, 1))
+            per_v = 64 / (repeat or (y1 - y0) / max(rows, 1))
+            area = per_u * per_v * t**3 / focal**2 / abs(z - eye[2])
+            found = texel(packed, which, u * per_u, v * per_v, area)
+            if flags & SEE_THROUGH:
+                inside &= found[..., 3] >= 128
+            light = sun_on((0, 0, 1 if above else -1), kernels.SURFACE_DARK, kernels.SURFACE_SUN)
+            put(t, inside, shaded(found[..., :3] * scenes.flat_tint[world, k] / 255, light, t))
+        for k, mesh in enumerate(scenes.mesh[world]):
+            if mesh < 0:
+                continue
+            scale, rotation = float(scenes.scale[world, k]), scenes.rotation[world, k].astype(float)
+            position = scenes.position[world, k].astype(float)
+            colors = np.concatenate([scenes.colors[world, k], FIXED_COLORS]).astype(float)
+            fade = max((position - eye) @ ahead, 0.0)
+            for triangle in range(*ATLAS.first_triangle[mesh : mesh + 2]):
+                corners = ATLAS.vertices[ATLAS.triangles[triangle] + ATLAS.first_vertex[mesh] * 0]
+                a, b, c = scale * corners.astype(float) @ rotation.T + position
+                normal = np.cross(b - a, c - a)
+                normal /= np.linalg.norm(normal)
+                if (eye - a) @ normal <= 0:
+                    continue
+                t = (a - eye) @ normal / (rays @ normal)
+                hit = eye + t[..., None] * rays
+                inside = np.ones(t.shape, bool)
+                for p, q in ((a, b), (b, c), (c, a)):
+                    inside &= np.cross(q - p, hit - p) @ normal >= 0
+                light = sun_on(normal, kernels.MESH_DARK, kernels.MESH_SUN)
+                color = shaded(colors[ATLAS.parts[triangle]], light, fade)
+                put(t, inside, np.broadcast_to(color, (height, width, 3)))
+    return image, shown
+
+
+def inner(shown):
+    """Pixels whose eight neighbours show the same surface; the image's border is none."""
+    same = np.zeros(shown.shape, bool)
+    same[1:-1, 1:-1] = True
+    h, w = shown.shape
+    for down in range(3):
+        for across in range(3):
+            there = shown[down : h - 2 + down, across : w - 2 + across]
+            same[1:-1, 1:-1] &= there == shown[1:-1, 1:-1]
+    return same
+
+
+def random_rotation(rng):
+    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+    q *= np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q))
+
+
+def random_scenes(seed, worlds=6):
+    """Rooms with walls across, a hole in a patchwork floor, shelves, a fence and things."""
+    rng = np.random.default_rng(seed)
+    scenes = Scenes(worlds, walls=10, flats=4, instances=5, tile_cells=12)
+    corners = ((0, 0), (5, 0), (5, 4), (0, 4))
+    for world in range(worlds):
+        for k in range(4):
+            repeat = ((1, 1), (0, 0), (1.5, 0), (0, 0.7))[k]
+            ends = corners[k] + corners[(k + 1) % 4]
+            scenes.add_wall(world, ends, (0, 2.5), int(rng.integers(len(STACK))), repeat=repeat)
+        for k in range(5):
+            scenes.add_wall(
+                world, rng.uniform((0, 0, 0, 0), (5, 4, 5, 4)), (rng.uniform(0, 1), 1.5),
+                int(rng.integers(len(STACK))), flags=TWO_SIDED * (k % 2), repeat=(1, 1),
+                tint=rng.integers(100, 256, 3),
+            )  # fmt: skip
+        scenes.add_wall(
+            world, rng.uniform((0, 0, 0, 0), (5, 4, 5, 4)), (0, 1), textures.index("fence"),
+            flags=TWO_SIDED | SEE_THROUGH,
+        )  # fmt: skip
+        tiles = rng.integers(0, len(STACK), (3, 4))
+        tiles[1, 1] = -1
+        scenes.add_flat(world, (0, 0, 5, 4), 0, 0, tiles=tiles)
+        scenes.add_flat(world, (0, 0, 5, 4), 2.5, 1, flags=FACES_DOWN, repeat=1.0)
+        scenes.add_flat(world, (1, 1, 2, 3), 0.7, 2, flags=TWO_SIDED, tint=(255, 90, 40))
+        scenes.add_flat(world, (3, 1, 4, 2), 0.4, textures.index("fence"), flags=SEE_THROUGH)
+        for k in range(5):
+            scenes.mesh[world, k] = rng.integers(-1, 2)
+            scenes.position[world, k] = rng.uniform((0, 0, 0), (5, 4, 2))
+            scenes.rotation[world, k] = random_rotation(rng)
+            scenes.scale[world, k] = rng.uniform(0.5, 2)
+        scenes.colors[world] = rng.integers(0, 256, (5, 2, 3))
+        scenes.camera[world] = (
+            *rng.uniform((0.3, 0.3, 0.3), (4.7, 3.7, 2.2)),
+            *rng.uniform((-math.pi, -0.9), (math.pi, 0.9)),
+        )
+    return scenes
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_matches_rays(seed):
+    """Away from edges every surface is where it should be; texels may differ where two meet."""
+    scenes = random_scenes(seed)
+    images = view(scenes).astype(float)
+    for world in range(scenes.num_worlds):
+        image, shown = cast(scenes, world, STACK)
+        off = abs(images[world] - image).max(-1)
+        assert (off[inner(shown)] > 1.5).mean() < 0.01
+        assert (off > 1.5).mean() < 0.03
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_shows_the_right_surfaces(seed):
+    """With a colour for every surface, pixels within one are of its colour without exception."""
+    scenes = random_scenes(seed)
+    rng = np.random.default_rng(seed)
+    scenes.wall_looks[..., 0] = np.arange(10)
+    scenes.wall_looks[..., 1] &= ~SEE_THROUGH
+    scenes.flat_looks[..., 0] = np.arange(10, 14)
+    scenes.flat_looks[..., 1] &= ~SEE_THROUGH
+    scenes.tiles[scenes.tiles >= 0] = 10
+    scenes.wall_tint[:] = scenes.flat_tint[:] = 255
+    stack = plain(*rng.integers(30, 256, (14, 3)))
+    images = view(scenes, stack).astype(float)
+    for world in range(scenes.num_worlds):
+        image, shown = cast(scenes, world, stack)
+        off = abs(images[world] - image).max(-1)
+        assert off[inner(shown)].max() <= 1.5
+
+
+@pytest.mark.parametrize("size", [(1, 1), (7, 5), (16, 3), (33, 20), (160, 120)])
+def test_any_size(size):
+    scenes = random_scenes(9, worlds=2)
+    images = view(scenes, width=size[0], height=size[1]).astype(float)
+    for world in range(2):
+        image, _ = cast(scenes, world, STACK, *size)
+        off = abs(images[world] - image).max(-1)
+        assert (off > 1.5).mean() <= 0.05
+
+
+def test_things_around_the_eye():
+    """What reaches behind the near plane is cut there, not turned inside out."""
+    rng = np.random.default_rng(0)
+    scenes = Scenes(40, instances=1)
+    scenes.mesh[:] = rng.integers(0, 2, (40, 1))
+    scenes.scale[:] = 4
+    for world in range(40):
+        scenes.rotation[world, 0] = random_rotation(rng)
+        scenes.position[world, 0] = rng.uniform(-1, 1, 3)
+        scenes.camera[world, 3:] = rng.uniform((-3, -1), (3, 1))
+    images = view(scenes).astype(float)
+    cut = 0
+    for world in range(40):
+        image, shown = cast(scenes, world, STACK)
+        off = abs(images[world] - image).max(-1)
+        assert off[inner(shown)].max(initial=0) <= 1.5
+        cut += shown.any()
+    assert cut > 20
+
+
+def room(colors=((250, 0, 0), (0, 250, 0), (0, 0, 250), (250, 250, 0))):
+    """East red, north green, west blue, south yellow; floor white, ceiling grey."""
+    scenes = Scenes(1, walls=4, flats=2)
+    corners = ((2, -2), (2, 2), (-2, 2), (-2, -2))
+    for k in range(4):
+        scenes.add_wall(0, corners[k] + corners[(k + 1) % 4], (0, 2), k)
+    scenes.add_flat(0, (-2, -2, 2, 2), 0, 4)
+    scenes.add_flat(0, (-2, -2, 2, 2), 2, 5, flags=FACES_DOWN)
+    scenes.camera[0, 2] = 1
+    return scenes, plain(*colors, (250, 250, 250), (120, 120, 120))
+
+
+def test_yaw_turns_to_the_left():
+    scenes, stack = room()
+    for yaw, channels in ((0, (0,)), (math.pi / 2, (1,)), (math.pi, (2,)), (-math.pi / 2, (0, 1))):
+        scenes.camera[0, 3] = yaw
+        middle = view(scenes, stack)[0, HEIGHT // 2, WIDTH // 2]
+        assert tuple(np.flatnonzero(middle > 30)) == channels
+    scenes.camera[0, 3] = math.pi / 4 - 0.3  # the corner of east and north is now to the left
+    image = view(scenes, stack)[0, HEIGHT // 2]
+    corner = np.flatnonzero(image[:, 0] > 30)[0]
+    assert (image[:corner, 1] > 30).all()
+    assert corner == pytest.approx(WIDTH / 2 - math.tan(0.3) * WIDTH / 2, abs=1)
+
+
+def test_positive_pitch_looks_up():
+    scenes, stack = room()
+    scenes.camera[0, 4] = 1.2
+    up = view(scenes, stack)[0, HEIGHT // 2, WIDTH // 2].astype(int)
+    scenes.camera[0, 4] = -1.2
+    down = view(scenes, stack)[0, HEIGHT // 2, WIDTH // 2].astype(int)
+    assert np.ptp(up) <= 1
+    assert np.ptp(down) <= 1
+    assert up[0] < 120 < down[0]
+    scenes.camera[0, 4] = 0.2
+    level = view(scenes, stack)[0, :, WIDTH // 2, 0]
+    assert (level[:5] < level[-5:]).all()
+
+
+def test_straight_up_and_over():
+    scenes, stack = room()
+    for pitch in (math.pi / 2, -math.pi / 2, 1.5):
+        scenes.camera[0, 4] = pitch
+        image, shown = cast(scenes, 0, stack)
+        assert abs(view(scenes, stack)[0] - image)[inner(shown)].max() <= 1.5
+
+
+def test_walls_are_seen_from_their_left_unmirrored():
+    stack = plain((10, 10, 10))
+    stack[0, :32, :32, :3] = 250, 0, 0  # top left
+    stack[0, :32, 32:, :3] = 0, 250, 0  # top right
+    scenes = Scenes(1, walls=1)
+    scenes.sky[:] = 0
+    scenes.add_wall(0, (1, -1, 1, 1), (-1, 1), 0)
+    image = view(scenes, stack, 64, 64)[0]
+    assert image[16, 16, 0] > 100
+    assert image[16, 48, 1] > 100
+    assert image[48, 16].max() < 20
+    scenes.walls[0, 0, :4] = 1, 1, 1, -1
+    assert not view(scenes, stack).any()
+    scenes.wall_looks[0, 0, 1] = TWO_SIDED
+    assert view(scenes, stack).any()
+    scenes.wall_looks[0, 0, 0] = -1
+    assert not view(scenes, stack).any()
+
+
+def test_rows_of_a_patchwork_run_north():
+    scenes = Scenes(1, flats=1, tile_cells=8)
+    scenes.sky[:] = 0
+    tiles = np.array([[0, 1], [2, -1]])
+    scenes.add_flat(0, (-2, -2, 2, 2), 0, 0, tiles=tiles, first_tile=3)
+    scenes.camera[0] = 0, 0, 2, math.pi / 2, -math.pi / 2  # from above, north on top
+    image = view(scenes, plain((250, 0, 0), (0, 250, 0), (0, 0, 250)), 40, 40)[0]
+    assert [int(image[r, c].argmax()) for r, c in ((30, 10), (30, 30), (10, 10))] == [0, 1, 2]
+    assert not image[10, 30].any()
+
+
+def test_holes_show_what_is_behind():
+    scenes, stack = room()
+    fence = STACK[textures.index("fence")][None].copy()
+    fence[..., :3] = 0, 250, 250
+    scenes.walls = np.concatenate([scenes.walls, np.float32([[[1, -1, 1, 1, 0, 2]]])], 1)
+    scenes.wall_looks = np.concatenate([scenes.wall_looks, np.int32([[[6, SEE_THROUGH]]])], 1)
+    scenes.wall_repeat = np.zeros((1, 5, 2), np.float32)
+    scenes.wall_tint = np.full((1, 5, 3), 255, np.uint8)
+    scenes.wall_face = np.full((1, 5), -1, np.int32)
+    for order in ((0, 1, 2, 3, 4), (4, 0, 1, 2, 3)):
+        for name in ("walls", "wall_looks"):
+            getattr(scenes, name)[:] = getattr(scenes, name)[:, list(order)]
+        scenes.wall_count[0] = 5
+        image = view(scenes, np.concatenate([stack, fence]))[0, 16:30, 20:44].reshape(-1, 3)
+        bars, wall = (image[:, 1] > 100).mean(), (image[:, 0] > 100).mean()
+        assert bars + wall == 1
+        assert 0.2 < bars < 0.7
+
+
+def maze(seed, worlds=30):
+    """Random cells, every face with its wall, the camera anywhere free."""
+    rng = np.random.default_rng(seed)
+    size = (9, 12)
+    scenes = Scenes(worlds, walls=400, flats=1, grid=size)
+    ways = (
+        (0, 1, (1, 1, 1, 0)),
+        (1, 0, (0, 1, 1, 1)),
+        (0, -1, (0, 0, 0, 1)),
+        (-1, 0, (1, 0, 0, 0)),
+    )
+    for world in range(worlds):
+        solid = rng.random(size) < rng.uniform(0.05, 0.5)
+        solid[0] = solid[-1] = solid[:, 0] = solid[:, -1] = True
+        solid[4, 5] = False
+        scenes.solid[world] = solid
+        scenes.grid[world] = -3, 2, 0.5
+        for row, column in np.argwhere(solid):
+            for side, (down, right, ends) in enumerate(ways):
+                r, c = row + down, column + right
+                if 0 <= r < size[0] and 0 <= c < size[1] and not solid[r, c]:
+                    ends = np.array(ends) + (column, row, column, row)
+                    scenes.add_wall(
+                        world, ends * 0.5 + (-3, 2, -3, 2), (0, 0.5), int(rng.integers(20)),
+                        face=(row * size[1] + column) * 4 + side,
+                    )  # fmt: skip
+        free = np.argwhere(~solid)
+        y, x = free[rng.integers(len(free))] + rng.uniform(0.1, 0.9, 2)
+        pitch = rng.choice([0, rng.uniform(-0.6, 0.6), rng.uniform(-1.5, 1.5)])
+        scenes.camera[world] = -3 + x / 2, 2 + y / 2, 0.25, rng.uniform(-4, 4), pitch
+    return scenes
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_grid_hides_only_what_is_hidden(seed):
+    scenes = maze(seed)
+    by_grid = view(scenes)
+    faces = scenes.wall_face.copy()
+    scenes.wall_face[:] = -1
+    assert (by_grid == view(scenes)).all()
+    scenes.wall_face[:] = faces
+    scenes.wall_face[:, 50] = 0  # a face that nobody sees
+    scenes.camera[:, :2] = -3 + 0.2, 2 + 0.2  # in the rock
+    assert (view(scenes)[..., 0] != scenes.sky[0, 0, 0]).any()
+
+
+def test_grid_skips_hidden_faces():
+    scenes = Scenes(1, walls=1, grid=(3, 3))
+    scenes.sky[:] = 0
+    scenes.solid[0] = True
+    scenes.solid[0, 1, 1] = False
+    scenes.grid[0] = 0, 0, 1
+    scenes.camera[0] = 1.5, 1.5, 0.5, 0, 0
+    east = (1 * 3 + 2) * 4 + 2
+    scenes.add_wall(0, (2, 1, 2, 2), (0, 1), 0, face=east)
+    assert view(scenes).any()
+    scenes.wall_face[0, 0] = east - 2  # its back
+    assert not view(scenes).any()
+
+
+def test_same_pixels_in_any_company():
+    scenes = random_scenes(1, worlds=7)
+    renderer = Renderer(ATLAS, STACK, width=50, height=20)
+    out = np.zeros((7, 20, 50, 3), np.uint8)
+    renderer.render(scenes, out)
+    threaded = np.zeros_like(out)
+    Renderer(ATLAS, STACK, width=50, height=20, threads=3).render(scenes, threaded)
+    assert (out == threaded).all()
+    some = np.full_like(out, 7)
+    mask = np.array([True, False, False, True, False, True, False])
+    renderer.render(scenes, some, mask)
+    assert (some[mask] == out[mask]).all()
+    assert (some[~mask] == 7).all()
+    alone = Scenes(1, walls=10, flats=4, instances=5, tile_cells=12)
+    for world in range(7):
+        for name, array in vars(alone).items():
+            if isinstance(array, np.ndarray):
+                array[:] = getattr(scenes, name)[world]
+        one = np.zeros((1, 20, 50, 3), np.uint8)
+        renderer.render(alone, one)
+        assert (one[0] == out[world]).all()
+
+
+def test_no_background_between_surfaces():
+    """From inside a closed room the sky is nowhere to be seen."""
+    rng = np.random.default_rng(3)
+    scenes = Scenes(1000, walls=12, flats=4, tile_cells=8)
+    scenes.sky[:] = 255, 0, 255
+    angles = np.linspace(0, 2 * math.pi, 7)
+    for world in range(1000):
+        x, y = 3 * np.cos(angles), 3 * np.sin(angles)
+        for k in range(6):
+            for heights in ((0, 0.8), (0.8, 2)):
+                scenes.add_wall(world, (x[k], y[k], x[k + 1], y[k + 1]), heights, 0)
+        for west in (-3, 0):
+            scenes.add_flat(world, (west, -3, west + 3, 3), 0, 0)
+            scenes.add_flat(world, (west, -3, west + 3, 3), 2, 0, flags=FACES_DOWN)
+        scenes.camera[world] = (
+            *rng.uniform((-1.7, -1.7, 0.2), (1.7, 1.7, 1.8)),
+            *rng.uniform(-1.5, 1.5, 2),
+        )
+    images = view(scenes, plain((200, 200, 200)))
+    assert (images[..., 0] == images[..., 1]).all()
+
+
+def test_sky():
+    scenes = Scenes(1)
+    scenes.sky[0] = (10, 20, 30), (200, 200, 200)
+    image = view(scenes)[0]
+    assert (image[HEIGHT // 2 :] == (10, 20, 30)).all()
+    assert (np.diff(image[: HEIGHT // 2, 0, 0].astype(int)) <= 0).all()
+    assert image[0, 0, 0] > 60
+    scenes.camera[0, 4] = math.pi / 2
+    assert (view(scenes)[0, 0] == 200).all()
+
+
+def test_textures():
+    stack = textures.stack()
+    assert stack.shape == (len(textures.NAMES), 64, 64, 4)
+    assert stack.dtype == np.uint8
+    assert (stack == textures.stack()).all()
+    holes = {
+        name
+        for name, image in zip(textures.NAMES, stack, strict=True)
+        if (image[..., 3] == 0).any()
+    }
+    assert holes == {"fence"}
+    assert textures.index("fence") == textures.NAMES.index("fence")
+    with pytest.raises(ValueError, match="no texture 'velvet'"):
+        textures.index("velvet")
+
+
+def test_smaller_textures_are_means():
+    lines = pack_textures(STACK).reshape(len(STACK), 64, 128)
+    for k, image in enumerate(STACK):
+        if (image[..., 3] == 255).all():
+            mean = image[..., :3].reshape(-1, 3).mean(0)
+            last = lines[k, 0, 126]
+            assert [last & 255, last >> 8 & 255, last >> 16 & 255] == pytest.approx(mean, abs=0.51)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"width": 0}, "width must be 1 or more, not 0"),
+        ({"height": -3}, "height must be 1 or more, not -3"),
+        ({"threads": 0}, "threads must be 1 or more, not 0"),
+        ({"fov": 180}, "fov must be from 1 to 170 degrees, not 180"),
+    ],
+)
+def test_bad_options(options, message):
+    with pytest.raises(ValueError, match=message):
+        Renderer(ATLAS, STACK, **options)
+
+
+def test_bad_arrays():
+    with pytest.raises(ValueError, match=r"textures must be \[K, 64, 64, 4\]"):
+        Renderer(ATLAS, STACK[..., :3])
+    with pytest.raises(ValueError, match="textures must be uint8"):
+        Renderer(ATLAS, STACK.astype(np.float32))
+    renderer = Renderer(ATLAS, STACK, width=8, height=4)
+    scenes = Scenes(3)
+    out = np.zeros((3, 4, 8, 3), np.uint8)
+    for wrong in (out[:2], out.astype(np.int32), np.zeros((3, 8, 4, 3), np.uint8), out[:, ::-1]):
+        with pytest.raises(ValueError, match="out must be C-contiguous uint8"):
+            renderer.render(scenes, wrong)
+    for wrong in (np.ones(2, bool), np.ones(3, np.int64)):
+        with pytest.raises(ValueError, match="mask must be bool"):
+            renderer.render(scenes, out, wrong)
+
+
+def test_full_worlds():
+    scenes = Scenes(1, walls=1, flats=1, tile_cells=3)
+    scenes.add_wall(0, (0, 0, 1, 0), (0, 1), 0)
+    with pytest.raises(ValueError, match="world 0 has room for 1 walls"):
+        scenes.add_wall(0, (0, 0, 1, 0), (0, 1), 0)
+    with pytest.raises(ValueError, match="4 tiles in a world with room for 3"):
+        scenes.add_flat(0, (0, 0, 1, 1), 0, 0, tiles=np.zeros((2, 2), int))
+    scenes.flat_count[0] = 1
+    with pytest.raises(ValueError, match="world 0 has room for 1 flats"):
+        scenes.add_flat(0, (0, 0, 1, 1), 0, 0)
