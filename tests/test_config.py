@@ -2,6 +2,8 @@
 
 import pytest
 
+from zipf.agents.encoders import Encoder
+from zipf.envs import levels
 from zipf.experiments import command_line, config
 from zipf.experiments.errors import UserError
 
@@ -44,6 +46,39 @@ def test_the_papers_values():
     assert not command_line.load(["experiment=demo"]).is_released_benchmark
 
 
+@pytest.mark.parametrize(
+    ("experiment", "window"),
+    [
+        ("playroom_lift", [300_000, 400_000]),
+        ("playroom_put", [300_000, 400_000]),
+        ("playroom_find", [2_000_000, 3_000_000]),
+    ],
+)
+def test_the_papers_values_in_the_playroom(experiment, window):
+    """Its IMPALA table, whose first column is the Playroom's by the order of the others."""
+    paper = command_line.load([f"experiment={experiment}"])
+    assert paper.environment.split == experiment
+    assert paper.environment.image_size == [72, 96]
+    assert paper.agent.learning_rate == 3e-4
+    assert paper.agent.entropy_cost == 1e-4
+    assert paper.agent.baseline_cost == 0.6
+    assert paper.collector.unroll_length == 128
+    assert paper.schedule.window == window
+    assert paper.updates == window[1]
+    assert paper.is_released_benchmark
+    for other in ("object_order=alternate", "image_size=[36,48]", "max_steps=100"):
+        changed = command_line.load([f"experiment={experiment}", f"environment.{other}"])
+        assert not changed.is_released_benchmark
+
+
+@pytest.mark.parametrize(("experiment", "patch"), [("demo", 9), ("playroom_lift_compact", 12)])
+def test_the_compact_network_fits_every_family(experiment, patch):
+    loaded = command_line.load([f"experiment={experiment}"])
+    env = levels.make_vec(levels.split(loaded.environment.split).uniform, 1)
+    encoder = Encoder(env.single_observation_space, loaded.network)
+    assert encoder.image.patch == patch
+
+
 MISTAKES = [
     (["experiment=gridwrld"], ["experiment=gridwrld", "gridworld"]),
     (["experiment=demo", "agent=impla"], ["agent=impla", "impala"]),
@@ -63,8 +98,10 @@ MISTAKES = [
     (["experiment=demo", "evaluation.episodes=0"], ["evaluation.episodes=0", "greater"]),
     (
         ["experiment=demo", "environment.split=gridwrld"],
-        ["environment.split=gridwrld", "gridworld"],
+        ["environment.split=gridwrld: should be one of", "'gridworld'", "'playroom_lift'"],
     ),
+    (["experiment=playroom_put", "collector.num_envs=2"], ["collector.num_envs=2", "at least 3"]),
+    (["experiment=playroom_put", "environment.num_maps=2"], ["environment.num_maps", "no such"]),
     (["experiment=demo", "environment.num_objects=90"], ["num_objects = 90", "at most 25"]),
     (["experiment=demo", "environment.num_rooms=[2]"], ["environment.num_rooms"]),
     (["experiment=demo", "schedule.window=[3,1]"], ["schedule.window", "begin before"]),

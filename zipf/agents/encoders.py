@@ -26,10 +26,13 @@ class ResNetOptions(Options):
 
 
 class CompactOptions(Options):
-    """One convolution whose patches do not overlap, then a dense layer: made for CPUs."""
+    """One convolution whose patches do not overlap, then a dense layer: made for CPUs.
+
+    `patch` None is the largest common divisor of the picture's sides up to 12.
+    """
 
     name: Literal["compact"]
-    patch: Size
+    patch: Size | None
     channels: Size
     size: Size
     head_size: Annotated[int, Field(ge=0)]
@@ -125,15 +128,15 @@ class PatchEncoder(nn.Module):
     def __init__(self, shape: tuple[int, ...], options: CompactOptions):
         super().__init__()
         height, width, channels = shape
-        if height % options.patch or width % options.patch:
+        self.patch = options.patch or _largest_patch(height, width)
+        if height % self.patch or width % self.patch:
             raise ValueError(
-                f"network.patch={options.patch} does not divide the image of {height} x {width} "
+                f"network.patch={self.patch} does not divide the image of {height} x {width} "
                 "pixels; choose a common divisor, or network=resnet"
             )
-        self.patch = options.patch
         self.size = options.size
-        rows, columns = height // options.patch, width // options.patch
-        self.embed = nn.Linear(options.patch**2 * channels, options.channels)
+        rows, columns = height // self.patch, width // self.patch
+        self.embed = nn.Linear(self.patch**2 * channels, options.channels)
         self.mix = nn.Linear(rows * columns * options.channels, options.size)
 
     def forward(self, image: Tensor) -> Tensor:
@@ -144,6 +147,10 @@ class PatchEncoder(nn.Module):
         # Scaling the weights instead of the pixels saves a pass over the largest tensor there is.
         embedded = F.linear(patches, self.embed.weight / 255.0, self.embed.bias)
         return self.mix(embedded.relu().flatten(1)).relu()
+
+
+def _largest_patch(height: int, width: int) -> int:
+    return max(size for size in range(1, 13) if height % size == 0 and width % size == 0)
 
 
 def _compute_dtype(tensor: Tensor) -> torch.dtype:
