@@ -294,11 +294,11 @@ def _face_two(stream, agent, objects):
     """Two objects in view, one on the left and one on the right, the target on either side."""
     x, y = _between(stream, -0.2, 0.2), _between(stream, -0.2, 0.2)
     cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
-    agent[AX], agent[AY] = x - 0.9 * cos, y - 0.9 * sin
+    agent[AX], agent[AY] = x - 0.6 * cos, y - 0.6 * sin
     side = 1.0 if pcg64.next_double(stream) < 0.5 else -1.0
     for j in range(2):
-        ahead = _between(stream, 0.7, 1.0)
-        aside = (side if j == 0 else -side) * _between(stream, 0.5, 0.75)
+        ahead = _between(stream, 0.55, 0.8)
+        aside = (side if j == 0 else -side) * _between(stream, 0.4, 0.6)
         objects[j, X] = x + ahead * cos - aside * sin
         objects[j, Y] = y + ahead * sin + aside * cos
 
