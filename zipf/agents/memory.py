@@ -13,6 +13,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
+from zipf.agents.gtrxl import GTrXLMemory, GTrXLOptions
 from zipf.agents.options import Options
 
 State = dict[str, Tensor]
@@ -31,9 +32,10 @@ class LSTMOptions(Options):
 
     name: Literal["lstm"]
     size: Annotated[int, Field(ge=1)]
+    layers: Annotated[int, Field(ge=1)] = 1  # what runs had before it was an option
 
 
-MemoryOptions = Annotated[MLPOptions | LSTMOptions, Field(discriminator="name")]
+MemoryOptions = Annotated[MLPOptions | LSTMOptions | GTrXLOptions, Field(discriminator="name")]
 
 
 class MLPMemory(nn.Module):
@@ -57,7 +59,7 @@ class MLPMemory(nn.Module):
 
 
 class LSTMMemory(nn.Module):
-    """One LSTM layer that forgets where an episode begins.
+    """LSTM layers that forget where an episode begins; each above reads the one below it.
 
     The input's share of the gates is one product over all frames; only the recurrent share is
     computed frame by frame, because episodes end in any row.
@@ -72,28 +74,48 @@ class LSTMMemory(nn.Module):
             nn.init.uniform_(parameter, -(self.size**-0.5), self.size**-0.5)
         with torch.no_grad():  # begins by remembering (Jozefowicz et al. 2015), as IMPALA's LSTM
             self.input_gates.bias[options.size : 2 * options.size] += 1.0
+        self.above: LSTMMemory | None = None
+        if options.layers > 1:
+            others = options.model_copy(update={"layers": options.layers - 1})
+            self.above = LSTMMemory(options.size, others)
 
     def initial_state(self, batch: int) -> State:
-        """Zeros, float32 `[B, size]` each."""
+        """Zeros, float32 `[B, size]` each: `hidden`, `cell`, `above.hidden`, `above.cell`, ..."""
         device = self.input_gates.weight.device
-        return {name: torch.zeros(batch, self.size, device=device) for name in ("hidden", "cell")}
+        state = {name: torch.zeros(batch, self.size, device=device) for name in ("hidden", "cell")}
+        if self.above is not None:
+            state |= {f"above.{name}": v for name, v in self.above.initial_state(batch).items()}
+        return state
 
     def forward(self, inputs: Tensor, is_first: Tensor, state: State) -> tuple[Tensor, State]:
         """`[T, B, inputs]`, `[T, B]` -> `[T, B, size]` and the state after the last frame."""
         hidden, cell = state["hidden"], state["cell"]
-        outputs = []
+        rows = []
         for gates, begins in zip(self.input_gates(inputs), is_first.unsqueeze(-1), strict=True):
             hidden = hidden.masked_fill(begins, 0.0)
             cell = cell.masked_fill(begins, 0.0)
             enter, forget, candidate, leave = (gates + self.recurrent_gates(hidden)).chunk(4, -1)
             cell = forget.sigmoid() * cell + enter.sigmoid() * candidate.tanh()
             hidden = leave.sigmoid() * cell.tanh()
-            outputs.append(hidden)
-        return torch.stack(outputs), {"hidden": hidden.float(), "cell": cell.float()}
+            rows.append(hidden)
+        outputs, after = torch.stack(rows), {"hidden": hidden.float(), "cell": cell.float()}
+        if self.above is None:
+            return outputs, after
+        states = {k.removeprefix("above."): v for k, v in state.items() if k.startswith("above.")}
+        outputs, states = self.above(outputs, is_first, states)
+        return outputs, after | {f"above.{name}": v for name, v in states.items()}
 
 
-def build_memory(inputs: int, options: MLPOptions | LSTMOptions) -> MLPMemory | LSTMMemory:
-    """The memory that the options name, for inputs of that many features."""
-    if isinstance(options, MLPOptions):
-        return MLPMemory(inputs, options)
-    return LSTMMemory(inputs, options)
+def build_memory(inputs: int, options: MemoryOptions) -> MLPMemory | LSTMMemory | GTrXLMemory:
+    """The memory that the options name, for inputs of that many features.
+
+    Raises:
+        ValueError: there is no such GTrXL.
+    """
+    match options:
+        case MLPOptions():
+            return MLPMemory(inputs, options)
+        case LSTMOptions():
+            return LSTMMemory(inputs, options)
+        case GTrXLOptions():
+            return GTrXLMemory(inputs, options)
