@@ -19,7 +19,7 @@ from pydantic import Field
 from torch import Tensor
 
 from zipf.agents.encoders import NetworkOptions
-from zipf.agents.memory import LSTMOptions, MLPOptions, State
+from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import ActorCritic, Inputs
 from zipf.agents.options import Options
 from zipf.agents.returns import vtrace
@@ -57,13 +57,15 @@ class Impala:
         precision: "float32", or "bfloat16" for automatic mixed precision.
     """
 
+    burn_in = 0
+
     def __init__(
         self,
         observation_space: gym.spaces.Dict,
         action_space: gym.spaces.Discrete,
         options: ImpalaOptions,
         network: NetworkOptions,
-        memory: MLPOptions | LSTMOptions,
+        memory: MemoryOptions,
         *,
         seed: int,
         device: str = "cpu",
@@ -90,9 +92,9 @@ class Impala:
 
     @torch.no_grad()
     def act(
-        self, inputs: Inputs, memory: State, generator: torch.Generator
+        self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Samples an action in each of B worlds.
+        """Samples an action in each of B worlds; when evaluated just as in training.
 
         The generator is the CPU's whatever the device, so that a run can move between devices.
 
@@ -112,6 +114,10 @@ class Impala:
         """V of each of B worlds, float32 [B]."""
         with self._autocast():
             return self.network(inputs.unsqueeze(), memory).value[0]
+
+    def begin_learning(self) -> list[str]:
+        """There is nothing to set aside for learning, and nothing to say about it."""
+        return []
 
     def update(self, unroll: Unroll) -> dict[str, float]:
         """One optimiser step; returns the losses and what explains them.

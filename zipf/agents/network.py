@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from zipf.agents.encoders import Encoder, NetworkOptions
-from zipf.agents.memory import LSTMOptions, MLPOptions, State, build_memory
+from zipf.agents.memory import MemoryOptions, State, build_memory
 
 
 class Inputs(NamedTuple):
@@ -51,8 +51,8 @@ def head(inputs: int, hidden: int, outputs: int) -> nn.Module:
     return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, outputs))
 
 
-class ActorCritic(nn.Module):
-    """Policy and value of a discrete-action agent with a memory.
+class Torso(nn.Module):
+    """Encoder and memory: all of an agent's network but its heads.
 
     The memory reads the encoded observation, the last action (one-hot; zeros where an episode
     begins) and the last reward, clipped to [-1, 1] (Espeholt et al. 2018).
@@ -63,29 +63,52 @@ class ActorCritic(nn.Module):
         observation_space: gym.spaces.Dict,
         action_space: gym.spaces.Discrete,
         network: NetworkOptions,
-        memory: MLPOptions | LSTMOptions,
+        memory: MemoryOptions,
     ):
         super().__init__()
         self.actions = int(action_space.n)
         self.encoder = Encoder(observation_space, network)
         self.memory = build_memory(self.encoder.size + self.actions + 1, memory)
-        self.policy = head(self.memory.size, network.head_size, self.actions)
-        self.baseline = head(self.memory.size, network.head_size, 1)
 
-    def forward(self, inputs: Inputs, state: State) -> Outputs:
-        """Unrolls `[T, B]` frames from the memory's `state`."""
+    def remember(self, inputs: Inputs, state: State) -> tuple[Tensor, Tensor, State]:
+        """Unrolls `[T, B]` frames from the memory's `state`.
+
+        Returns the encoded observations [T, B, encoder size], the memory's outputs
+        [T, B, memory size], and its state after the last frame.
+        """
         steps, batch = inputs.is_first.shape
         encoded = self.encoder({k: v.flatten(0, 1) for k, v in inputs.observation.items()})
         actions = torch.arange(self.actions, device=encoded.device)
+        encoded = encoded.view(steps, batch, -1)
         features = torch.cat(
             [
-                encoded.view(steps, batch, -1),
+                encoded,
                 (inputs.previous_action.unsqueeze(-1) == actions).to(encoded.dtype),
                 inputs.previous_reward.clamp(-1, 1).unsqueeze(-1).to(encoded.dtype),
             ],
             -1,
         )
         core, state = self.memory(features, inputs.is_first, state)
+        return encoded, core, state
+
+
+class ActorCritic(Torso):
+    """Policy and value of a discrete-action agent with a memory."""
+
+    def __init__(
+        self,
+        observation_space: gym.spaces.Dict,
+        action_space: gym.spaces.Discrete,
+        network: NetworkOptions,
+        memory: MemoryOptions,
+    ):
+        super().__init__(observation_space, action_space, network, memory)
+        self.policy = head(self.memory.size, network.head_size, self.actions)
+        self.baseline = head(self.memory.size, network.head_size, 1)
+
+    def forward(self, inputs: Inputs, state: State) -> Outputs:
+        """Unrolls `[T, B]` frames from the memory's `state`."""
+        _, core, state = self.remember(inputs, state)
         return Outputs(
             self.policy(core).float(), self.baseline(core).squeeze(-1).float(), core, state
         )

@@ -28,13 +28,16 @@ class Unroll:
         and what the behaviour policy says of its action (for IMPALA: `logits` float32 [actions])
     In row T only the first four are filled; the rest belongs to the next unroll.
 
-    `memory` is the agent's memory before row 0, {name: [B, ...]}.
+    `memory` is the agent's memory before row 0, {name: [B, ...]}, and `late_memory` that before row
+    T - burn_in, for agents that learn from the last `burn_in` rows and the next unroll together.
     """
 
     steps: TensorDict
     memory: State
+    late_memory: State | None = None
 
     def to(self, device: str) -> Unroll:
         """The same on another device."""
         memory: dict[str, Tensor] = {k: v.to(device) for k, v in self.memory.items()}
-        return Unroll(self.steps.to(device, non_blocking=True), memory)
+        late = self.late_memory and {k: v.to(device) for k, v in self.late_memory.items()}
+        return Unroll(self.steps.to(device, non_blocking=True), memory, late)

@@ -24,13 +24,32 @@ _OUTCOMES = ("return", "length", "success")
 
 
 class Agent(Protocol):
-    """What the laboratory asks of an agent; `zipf.agents.impala.Impala` shows the shapes."""
+    """What the laboratory asks of an agent; `zipf.agents.impala.Impala` shows the shapes.
+
+    Attributes:
+        burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
+            unrolls say what the memory was before them (`Unroll.late_memory`).
+    """
+
+    burn_in: int
 
     def initial_memory(self, batch: int) -> State: ...
+
     def act(
-        self, inputs: Inputs, memory: State, generator: torch.Generator
-    ) -> tuple[Tensor, State, dict[str, Tensor]]: ...
+        self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
+    ) -> tuple[Tensor, State, dict[str, Tensor]]:
+        """`training` is False where the agent is scored: then nothing is done to explore."""
+
     def value(self, inputs: Inputs, memory: State) -> Tensor: ...
+
+    def begin_learning(self) -> list[str]:
+        """Sets aside what learning needs, before anything is learned or loaded; an agent that is
+        only to act is never asked to. Returns lines that tell the user about it.
+
+        Raises:
+            ValueError: this machine does not have what it takes.
+        """
+
     def update(self, unroll: Unroll) -> dict[str, float]: ...
     def state_dict(self) -> dict[str, Any]: ...
     def load_state_dict(self, state: dict[str, Any]) -> None: ...
@@ -50,6 +69,9 @@ class Collector:
         env: a batch in SAME_STEP autoreset mode; reset here, with `seed`.
         seed: of the worlds and of the agent's actions.
         exploration: a bonus for what the actions lead to.
+
+    Raises:
+        ValueError: the agent's burn-in is longer than an unroll.
     """
 
     def __init__(
@@ -62,6 +84,10 @@ class Collector:
         device: str = "cpu",
         exploration: CountBonus | None = None,
     ):
+        if agent.burn_in > unroll_length:
+            raise ValueError(
+                f"a burn-in of {agent.burn_in} rows is longer than an unroll of {unroll_length}"
+            )
         self.env = env
         self.agent = agent
         self.unroll_length = unroll_length
@@ -111,10 +137,12 @@ class Collector:
         """Plays `unroll_length` steps in every world; the next call overwrites the result."""
         for part in (*self._observation.values(), *self._fields.values()):
             part[0] = part[-1]
-        memory = self._memory
+        memory, late_memory = self._memory, None
         for t in range(self.unroll_length):
+            if self.agent.burn_in and t == self.unroll_length - self.agent.burn_in:
+                late_memory = self._memory
             self._step(t)
-        return Unroll(self._steps, memory).to(self.device)
+        return Unroll(self._steps, memory, late_memory).to(self.device)
 
     def episode_metrics(self) -> dict[str, float]:
         """Means over the episodes that ended since the last call; empty where none did."""

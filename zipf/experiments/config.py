@@ -54,6 +54,11 @@ class NoAuxiliaryOptions(Options):
     name: Literal["none"]
 
 
+# With a second member: Annotated[ImpalaOptions | ..., Field(discriminator="name")].
+AgentOptions = ImpalaOptions
+AuxiliaryOptions = NoAuxiliaryOptions
+
+
 class CollectorOptions(Options):
     """An update consumes num_envs x unroll_length frames."""
 
@@ -94,10 +99,10 @@ class Config(Options):
     device: Device
     precision: Literal["float32", "bfloat16"]
     resume: Literal["auto", "must", "never"]
-    agent: ImpalaOptions
+    agent: AgentOptions
     memory: MemoryOptions
     network: NetworkOptions
-    auxiliary: NoAuxiliaryOptions
+    auxiliary: AuxiliaryOptions
     exploration: ExplorationOptions
     environment: EnvironmentOptions
     collector: CollectorOptions

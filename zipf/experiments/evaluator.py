@@ -64,7 +64,9 @@ class AgentPolicy:
             torch.from_numpy(reward).to(self.device).masked_fill(first, 0.0),
             first,
         )
-        self.action, self.memory, _ = self.agent.act(inputs, self.memory, self.generator)
+        self.action, self.memory, _ = self.agent.act(
+            inputs, self.memory, self.generator, training=False
+        )
         return self.action.cpu().numpy()
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from zipf.agents.exploration import build_exploration
-from zipf.agents.impala import Impala
+from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.unroll import Unroll
 from zipf.envs import levels
 from zipf.envs.vector import ZipfVectorEnv
@@ -79,6 +79,10 @@ class Run:
         split = levels.split(config.environment.split)
         env = levels.make_vec(split.train, config.collector.num_envs, **config.level_options)
         self.agent = build_agent(config, env)
+        try:
+            notes = self.agent.begin_learning()
+        except ValueError as error:
+            raise UserError(str(error)) from None
         self.collector = Collector(
             env,
             self.agent,
@@ -106,6 +110,9 @@ class Run:
         self.display = Display(name, config.updates, self.update)
         self.display.say(f"{name}: {where}, on {config.torch_device}, in {self.folder}")
         self.logger.text(f"{name}: {where}, on {config.torch_device}")
+        for note in notes:
+            self.display.say(note)
+            self.logger.text(note)
 
     def save(self) -> None:
         """Writes the checkpoint."""
@@ -205,17 +212,16 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
     Raises:
         UserError: the network cannot read these observations.
     """
+    spaces = env.single_observation_space, env.single_action_space
+    common: dict[str, Any] = {
+        "seed": derive_seed(config.seed, "weights"),
+        "device": config.torch_device,
+        "precision": config.precision,
+    }
     try:
-        return Impala(
-            env.single_observation_space,
-            env.single_action_space,
-            config.agent,
-            config.network,
-            config.memory,
-            seed=derive_seed(config.seed, "weights"),
-            device=config.torch_device,
-            precision=config.precision,
-        )
+        match config.agent:
+            case ImpalaOptions():
+                return Impala(*spaces, config.agent, config.network, config.memory, **common)
     except ValueError as error:
         raise UserError(str(error)) from None
 
