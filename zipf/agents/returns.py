@@ -68,3 +68,102 @@ def vtrace(
         rewards + discount * successor(following) - values[:-1]
     )
     return VTrace(targets, advantages)
+
+
+@torch.no_grad()
+def bootstrapped_returns(
+    *,
+    rewards: Tensor,
+    final_value: Tensor,
+    terminated: Tensor,
+    truncated: Tensor,
+    truncation_values: Tensor,
+    discount: float,
+) -> Tensor:
+    """On-policy returns to the unroll's end, and the value there (Song et al. 2020, equation 6).
+
+    Args:
+        rewards: float32 [T, B], r_t, the reward that followed a_t.
+        final_value: float32 [B], V(x_T), of the row after the last.
+        terminated: bool [T, B], the episode ended for good after a_t: nothing follows.
+        truncated: bool [T, B], the episode was cut after a_t: its value there follows.
+        truncation_values: float32 [T, B], V(observation the episode was cut at); read where
+            `truncated`.
+        discount: gamma.
+
+    Returns:
+        float32 [T, B].
+    """
+    returns = torch.empty_like(rewards)
+    following = final_value
+    for t in reversed(range(len(rewards))):
+        following = torch.where(truncated[t], truncation_values[t], following)
+        following = rewards[t] + discount * following.masked_fill(terminated[t], 0.0)
+        returns[t] = following
+    return returns
+
+
+@torch.no_grad()
+def lambda_returns(
+    *,
+    rewards: Tensor,
+    values: Tensor,
+    terminated: Tensor,
+    truncated: Tensor,
+    truncation_values: Tensor,
+    discount: float,
+    lambda_: float,
+) -> Tensor:
+    """Peng's Q(lambda) (Peng and Williams 1996): returns that bootstrap a little at every step,
+
+        G_t = r_t + gamma ((1 - lambda) v_{t+1} + lambda G_{t+1}),  G_T = v_T
+
+    whatever the behaviour was: nothing is cut where an action was not the greedy one. A terminated
+    step has no successor; a truncated one bootstraps from its own and nothing flows across the cut.
+
+    Args:
+        rewards: float32 [T, B], r_t, the reward that followed a_t.
+        values: float32 [T, B], v_1 to v_T: of the row after each, Q of the action chosen there.
+        terminated: bool [T, B], the episode ended for good after a_t.
+        truncated: bool [T, B], the episode was cut after a_t.
+        truncation_values: float32 [T, B], the value of the observation it was cut at; read where
+            `truncated`.
+        discount: gamma.
+        lambda_: 0 for one-step returns, 1 for returns to the end.
+
+    Returns:
+        float32 [T, B], in the units of rewards.
+    """
+    returns = torch.empty_like(rewards)
+    following = values[-1]
+    for t in reversed(range(len(rewards))):
+        following = (1 - lambda_) * values[t] + lambda_ * following
+        following = torch.where(truncated[t], truncation_values[t], following)
+        following = rewards[t] + discount * following.masked_fill(terminated[t], 0.0)
+        returns[t] = following
+    return returns
+
+
+RESCALING_EPSILON = 1e-3  # Pohlen et al. 2018, and the paper's R2D2 tables
+
+
+def rescale(x: Tensor) -> Tensor:
+    """h(x) = sign(x) (sqrt(|x| + 1) - 1) + epsilon x (Pohlen et al. 2018), for returns of any size.
+
+    Written without the difference of nearly equal numbers that it is near 0.
+    """
+    return x / ((x.abs() + 1).sqrt() + 1) + RESCALING_EPSILON * x
+
+
+def unrescale(y: Tensor) -> Tensor:
+    """The inverse of `rescale`:
+
+    sign(y) (((sqrt(1 + 4 epsilon (|y| + 1 + epsilon)) - 1) / (2 epsilon))^2 - 1)
+
+    With the root s and u = 2 |y| / (s + 1 + 2 epsilon), which is the quotient less 1, it is
+    sign(y) u (u + 2); again without small differences, which 1 / epsilon would magnify.
+    """
+    epsilon, size = RESCALING_EPSILON, y.abs()
+    root = (1 + 4 * epsilon * (size + 1 + epsilon)).sqrt()
+    u = 2 * size / (root + 1 + 2 * epsilon)
+    return y.sign() * u * (u + 2)

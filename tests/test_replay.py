@@ -1,0 +1,267 @@
+"""Replay: what is drawn, how often, and that it goes on from its state wherever it is kept."""
+
+from copy import deepcopy
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from zipf.agents import replay
+from zipf.agents.replay import PrioritySampler, Replay, SumTree
+from zipf.experiments import checkpoint
+
+ITEM = TensorDict(
+    {
+        "steps": TensorDict({"image": torch.zeros(3, 2, 2, dtype=torch.uint8)}, [3]),
+        "memory": TensorDict({"above.hidden": torch.zeros(4)}),
+    }
+)
+
+
+def items(first, count):
+    """Items whose contents say which they are."""
+    numbers = torch.arange(first, first + count)
+    return TensorDict(
+        {
+            "steps": TensorDict(
+                {"image": (numbers % 256).to(torch.uint8)[:, None, None, None].expand(-1, 3, 2, 2)},
+                [count, 3],
+            ),
+            "memory": TensorDict({"above.hidden": numbers.float()[:, None] + torch.arange(4)}),
+        },
+        [count],
+    )
+
+
+def build(folder=None, capacity=10, spare=6, **changes):
+    options = {"priority_exponent": 0.9, "importance_exponent": 0.6, "seed": 0} | changes
+    return Replay(ITEM, capacity=capacity, folder=folder, spare=spare, **options)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 7, 8, 100])
+def test_the_tree_is_a_list_with_sums(size):
+    rng = np.random.default_rng(size)
+    tree, plain = SumTree(size), np.zeros(size)
+    for _ in range(50):
+        index = rng.integers(size, size=rng.integers(1, 6))
+        value = rng.random(len(index)) * (rng.random(len(index)) < 0.7)
+        tree.set(index, value)
+        for i, v in zip(index, value, strict=True):
+            plain[i] = v
+        np.testing.assert_array_equal(tree.leaves, plain)
+        assert tree.total == pytest.approx(plain.sum(), abs=1e-12)
+        if plain.sum() == 0:
+            continue
+        masses = np.append(rng.random(20) * tree.total, [0.0, tree.total])
+        for mass, found in zip(masses, tree.find(masses), strict=True):
+            assert plain[found] > 0
+            assert plain[:found].sum() <= mass + 1e-12
+            assert mass <= plain[: found + 1].sum() + 1e-12
+
+
+def chi_square(counts, probabilities):
+    """How many standard deviations of its own the statistic lies above its mean."""
+    expected = counts.sum() * probabilities
+    statistic = ((counts - expected) ** 2 / expected).sum()
+    freedom = len(counts) - 1
+    return (statistic - freedom) / np.sqrt(2 * freedom)
+
+
+def sampler_with(priorities, exponent, beta=0.6):
+    size = len(priorities)
+    sampler = PrioritySampler(
+        size, size, priority_exponent=exponent, importance_exponent=beta, seed=1
+    )
+    sampler.extend(torch.arange(size))
+    sampler.update_priority(torch.arange(size), torch.tensor(priorities))
+    return sampler
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.5, 0.9, 1.5])
+def test_draws_follow_priorities(exponent):
+    priorities = np.random.default_rng(0).gamma(1.0, size=100) + 0.05
+    sampler = sampler_with(priorities, exponent)
+    probabilities = priorities**exponent / (priorities**exponent).sum()
+    counts = np.zeros(100)
+    for _ in range(2000):
+        counts += np.bincount(sampler.sample(None, 32)[0].numpy(), minlength=100)
+    choices = np.random.default_rng(1).choice(100, size=64_000, p=probabilities)
+    assert chi_square(np.bincount(choices, minlength=100), probabilities) < 5
+    assert chi_square(counts, probabilities) < 5
+    wrong = priorities ** (exponent + 0.1) / (priorities ** (exponent + 0.1)).sum()
+    assert chi_square(counts, wrong) > 5
+
+
+def test_the_place_in_a_batch_says_nothing_of_the_share_drawn():
+    """One draw at a time gives the same shares as strata of 32."""
+    priorities = np.arange(1.0, 11.0)
+    sampler = sampler_with(priorities, 1.0)
+    counts = np.bincount([int(sampler.sample(None, 1)[0]) for _ in range(20_000)], minlength=10)
+    assert chi_square(counts, priorities / priorities.sum()) < 5
+
+
+@pytest.mark.parametrize("beta", [0.0, 0.6, 1.0])
+def test_importance_weights(beta):
+    priorities = np.random.default_rng(0).gamma(1.0, size=50)
+    sampler = sampler_with(priorities, 0.9, beta)
+    index, info = sampler.sample(None, 16)
+    scaled = [p**0.9 for p in priorities]
+    weights = [(50 * scaled[i] / sum(scaled)) ** -beta for i in index]
+    expected = [w / max(weights) for w in weights]
+    np.testing.assert_allclose(info["weight"], expected, rtol=1e-6)
+    if beta == 1.0:  # then weighted draws are unbiased: p w is the same for all
+        products = np.array([scaled[i] for i in index]) * info["weight"].numpy()
+        np.testing.assert_allclose(products, products[0], rtol=1e-5)
+
+
+def test_what_has_no_error_can_still_be_drawn():
+    sampler = sampler_with(np.zeros(4), 1.0)
+    drawn = torch.cat([sampler.sample(None, 4)[0] for _ in range(10)])
+    assert set(drawn.tolist()) == {0, 1, 2, 3}
+
+
+def test_what_is_new_has_the_largest_priority_yet():
+    sampler = sampler_with([3.0, 0.5, 0.5], 1.0)
+    sampler.update_priority(torch.tensor([0]), torch.tensor([0.25]))
+    sampler.extend(torch.tensor([1]))
+    np.testing.assert_allclose(sampler.tree.leaves, [0.25, 3.0, 0.5])
+
+
+@pytest.mark.parametrize("storage", ["memory", "memmap"])
+@pytest.mark.parametrize("batch", [1, 3, 4])
+def test_the_latest_items_are_drawn_as_they_were_put_in(storage, batch, tmp_path):
+    kept = build(tmp_path / "replay" if storage == "memmap" else None, priority_exponent=0.0)
+    for first in range(0, 60, batch):
+        kept.insert(items(first, batch))
+        inserted = first + batch
+        assert len(kept) == min(inserted, 10)
+        sample, _, weights = kept.sample(60)
+        numbers = sample["number"]
+        everything = items(0, inserted)
+        for name in (("steps", "image"), ("memory", "above.hidden")):
+            assert torch.equal(sample[name], everything[name][numbers])
+        assert (weights == 1).all()
+        # Strata are narrower than an item, so that every item is drawn.
+        assert set(numbers.tolist()) == set(range(max(0, inserted - 10), inserted))
+
+
+def play(kept, first, times):
+    """Inserts, draws and new priorities; what was drawn."""
+    drawn = []
+    for i in range(times):
+        kept.insert(items(first + 2 * i, 2))
+        sample, index, weights = kept.sample(4)
+        kept.update_priorities(index, (sample["number"] % 7).float() / 3)
+        drawn.append((sample.clone(), weights))
+    return drawn
+
+
+@pytest.mark.parametrize("storage", ["memory", "memmap"])
+@pytest.mark.parametrize("before", [2, 4, 9, 23])
+@pytest.mark.parametrize("lost", [0, 1, 3])
+def test_it_goes_on_from_its_checkpoint(storage, before, lost, tmp_path):
+    """Killed up to three updates of two items after a checkpoint, which is all there is room for."""
+    folder = tmp_path / "replay" if storage == "memmap" else None
+    kept = build(folder)
+    play(kept, 0, before)
+    checkpoint.save(tmp_path / "checkpoint.pt", kept.state_dict())
+    if storage == "memory":
+        expected = play(kept, 2 * before, 6)
+    else:
+        other = build(tmp_path / "other")
+        play(other, 0, before)
+        expected = play(other, 2 * before, 6)
+        play(kept, 2 * before, lost)
+    again = build(folder, seed=5)
+    again.load_state_dict(checkpoint.load(tmp_path / "checkpoint.pt"))
+    for (sample, weights), (other_sample, other_weights) in zip(
+        expected, play(again, 2 * before, 6), strict=True
+    ):
+        assert torch.equal(weights, other_weights)
+        for name in sample.keys(True, True):
+            assert torch.equal(sample[name], other_sample[name]), name
+
+
+def test_a_replay_that_was_empty_is_empty_again(tmp_path):
+    for folder in (None, tmp_path / "replay"):
+        kept = build(folder)
+        state = kept.state_dict()
+        play(kept, 0, 3)
+        kept.load_state_dict(state)
+        assert len(kept) == 0
+        play(kept, 0, 3)
+        assert len(kept) == 6
+
+
+def test_a_state_holds_what_can_be_drawn_and_no_more():
+    kept = build(capacity=1000)
+    play(kept, 0, 2)
+    state = kept.state_dict()
+    for leaf in state["items"].values():
+        assert len(leaf) == 4
+        assert leaf.untyped_storage().nbytes() == leaf.nbytes
+
+
+def test_files_that_are_not_the_checkpoints_are_refused(tmp_path):
+    folder = tmp_path / "replay"
+    kept = build(folder)
+    play(kept, 0, 6)
+    state = deepcopy(kept.state_dict())
+    play(kept, 12, 20)  # far more than there is room for
+    with pytest.raises(OSError, match="another replay than the checkpoint's"):
+        build(folder).load_state_dict(state)
+    with pytest.raises(OSError, match="cannot be read"):
+        build(tmp_path / "gone").load_state_dict(state)
+    with pytest.raises(OSError, match="room for 6 items between two checkpoints, and 7 would"):
+        build(folder, spare=7).load_state_dict(state)
+    wider = ITEM.clone()
+    wider["memory", "above.hidden"] = torch.zeros(5)
+    other = Replay(
+        wider,
+        capacity=10,
+        priority_exponent=0.9,
+        importance_exponent=0.6,
+        folder=folder,
+        spare=6,
+        seed=0,
+    )
+    with pytest.raises(OSError, match="another replay's items"):
+        other.load_state_dict(state)
+
+
+def test_what_does_not_fit_is_refused_before_it_is_set_aside(tmp_path, monkeypatch):
+    each = 3 * 2 * 2 + 4 * 4 + 2 * 8
+    assert build().item_bytes == each
+    monkeypatch.setattr(replay, "free_memory", lambda: 2 * 10 * each)
+    monkeypatch.setattr(replay, "free_disk", lambda folder: 16 * each)
+    build()
+    build(tmp_path / "replay")
+    with pytest.raises(ValueError, match=r"484 bytes of memory.*replay_capacity=10 fits.*memmap"):
+        build(capacity=11)
+    with pytest.raises(ValueError, match=r"room for 6 between checkpoints.*replay_capacity=10 "):
+        build(tmp_path / "replay", capacity=11)
+    assert not (tmp_path / "replay").exists()
+
+
+def test_free_memory_and_disk(tmp_path):
+    assert 2**20 < replay.free_memory() < 2**50
+    assert 2**20 < replay.free_disk(tmp_path / "not" / "there" / "yet")
+    size = 64 * 2**20
+    before = replay.free_disk(tmp_path)
+    (tmp_path / "file").write_bytes(bytes(size))
+    assert replay.free_disk(tmp_path) == pytest.approx(before, abs=size / 2)
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [
+        (0, "0 bytes"),
+        (999, "999 bytes"),
+        (1500, "1.5 kB"),
+        (1.57e11, "157.0 GB"),
+        (4e16, "40000.0 TB"),
+    ],
+)
+def test_sizes_in_words(size, words):
+    assert replay.in_words(size) == words

@@ -1,0 +1,415 @@
+"""R2D2 (Kapturowski et al. 2019): recurrent double Q-learning from replay, top to bottom.
+
+Replay holds sequences: the unroll of one world, the `burn_in` rows before it and the agent's memory
+before those. A burn-in without gradient brings the memory up to date for the online network and for
+the target network, each on its own; then, on the T rows of the unroll, the online network takes one
+optimiser step on
+
+    mean_b w_b 1/2 sum_t (h(G_t) - Q(x_t, a_t))^2
+
+with G_t the lambda-return over h^-1(Q-(x_t+1, argmax_a Q(x_t+1, a))), Q- the target network, h the
+rescaling of values and w_b the importance weight of the sequence. Its next priority is
+eta max_t |h(G_t) - Q| + (1 - eta) mean_t |h(G_t) - Q|.
+
+The loss sums over time as Acme's does: the paper's bound on the gradient's norm is for such a loss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import nullcontext
+from copy import deepcopy
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import gymnasium as gym
+import numpy as np
+import torch
+from pydantic import Field
+from tensordict import TensorDict
+from torch import Tensor
+
+from zipf.agents.encoders import NetworkOptions
+from zipf.agents.memory import MemoryOptions, State
+from zipf.agents.network import Inputs, Torso, head
+from zipf.agents.options import Options
+from zipf.agents.returns import lambda_returns, rescale, unrescale
+from zipf.agents.unroll import Unroll
+
+if TYPE_CHECKING:  # imported where learning begins: it brings TorchRL, which takes a second
+    from zipf.agents.replay import Replay
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, lt=1)]
+Share = Annotated[float, Field(ge=0, le=1)]
+PositiveInt = Annotated[int, Field(ge=1)]
+
+LADDER = 7.0  # alpha of Horgan et al. 2018
+
+STEP = {  # what replay holds of a step, beside the observation
+    "previous_action": torch.int64,
+    "previous_reward": torch.float32,
+    "is_first": torch.bool,
+    "action": torch.int64,
+    "reward": torch.float32,  # the task's and the bonus
+    "terminated": torch.bool,
+    "truncated": torch.bool,
+    "truncation_value": torch.float32,
+}
+
+METRICS = ("loss", "td_error", "gradient_norm", "value", "priority", "importance_weight")
+
+
+class R2D2Options(Options):
+    """What can be chosen; sources of the values are in `configs/agent/r2d2.yaml`."""
+
+    name: Literal["r2d2"]
+    learning_rate: Positive
+    adam_beta1: Fraction
+    adam_beta2: Fraction
+    adam_epsilon: Positive
+    weight_decay: NotNegative
+    max_gradient_norm: Positive
+    discount: Share
+    trace_lambda: Share
+    target_period: PositiveInt
+    epsilon: Share
+    epsilon_ladder: bool
+    burn_in: Annotated[int, Field(ge=0)]
+    samples_per_insert: Positive
+    replay_capacity: PositiveInt
+    replay_min: PositiveInt
+    storage: Literal["memory", "memmap"]
+    priority_exponent: NotNegative
+    importance_exponent: NotNegative
+    priority_max_weight: Share
+
+
+def problems(options: R2D2Options, num_envs: int, unroll_length: int) -> Iterator[str]:
+    """What is wrong with the options of an agent that so many worlds play for, a line each."""
+    batch = options.samples_per_insert * num_envs
+    if abs(batch - round(batch)) > 1e-6 or round(batch) < 1:
+        yield (
+            f"agent.samples_per_insert={options.samples_per_insert}: times "
+            f"collector.num_envs={num_envs} is {batch:g} sequences a batch; should be a whole "
+            "number"
+        )
+    if options.burn_in > unroll_length:
+        yield (
+            f"agent.burn_in={options.burn_in}: should be at most "
+            f"collector.unroll_length={unroll_length}"
+        )
+    if options.replay_capacity < num_envs:
+        yield (
+            f"agent.replay_capacity={options.replay_capacity}: should be at least "
+            f"collector.num_envs={num_envs}, the sequences of one update"
+        )
+    if options.replay_min > options.replay_capacity:
+        yield (
+            f"agent.replay_min={options.replay_min}: should be at most "
+            f"agent.replay_capacity={options.replay_capacity}"
+        )
+
+
+class DuelingQ(Torso):
+    """Q of every action (Wang et al. 2016): a state's value plus each action's advantage, less
+    the mean of the advantages."""
+
+    def __init__(
+        self,
+        observation_space: gym.spaces.Dict,
+        action_space: gym.spaces.Discrete,
+        network: NetworkOptions,
+        memory: MemoryOptions,
+    ):
+        super().__init__(observation_space, action_space, network, memory)
+        self.value = head(self.memory.size, network.head_size, 1)
+        self.advantage = head(self.memory.size, network.head_size, self.actions)
+
+    def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, State]:
+        """Rescaled Q, float32 [T, B, actions], and the memory's state after the last frame."""
+        _, core, state = self.remember(inputs, state)
+        advantage = self.advantage(core).float()
+        return self.value(core).float() + advantage - advantage.mean(-1, keepdim=True), state
+
+
+class R2D2:
+    """The agent: acts on batches of observations and learns from replayed sequences.
+
+    An update collects before it learns: until `replay_min` sequences are there it takes no
+    optimiser step, and counts all the same. With a burn-in, a run's first unroll has no rows before
+    it and is not put into replay.
+
+    Args:
+        observation_space, action_space: of one world.
+        num_envs, unroll_length: the B and T of the unrolls to come.
+        seed: of the networks' initial weights and of the draws from replay.
+        precision: "float32", or "bfloat16" for automatic mixed precision.
+        replay_folder: where replay is kept with `storage=memmap`.
+        updates_between_checkpoints: at most.
+
+    Raises:
+        ValueError: options that no such agent can have.
+    """
+
+    def __init__(
+        self,
+        observation_space: gym.spaces.Dict,
+        action_space: gym.spaces.Discrete,
+        options: R2D2Options,
+        network: NetworkOptions,
+        memory: MemoryOptions,
+        *,
+        num_envs: int,
+        unroll_length: int,
+        seed: int,
+        device: str = "cpu",
+        precision: str = "float32",
+        replay_folder: Path | None = None,
+        updates_between_checkpoints: int = 0,
+    ):
+        wrong = list(problems(options, num_envs, unroll_length))
+        if wrong:
+            raise ValueError("\n".join(wrong))
+        self.options = options
+        self.observation_space = observation_space
+        self.num_envs = num_envs
+        self.unroll_length = unroll_length
+        self.batch_size = round(options.samples_per_insert * num_envs)
+        self.burn_in = options.burn_in
+        self.seed = seed
+        self.device = device
+        self.precision = precision
+        self.replay_folder = replay_folder
+        self.updates_between_checkpoints = updates_between_checkpoints
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.network = DuelingQ(observation_space, action_space, network, memory)
+        self.network.to(device)
+        self.target = deepcopy(self.network).requires_grad_(False)
+        self.optimiser = torch.optim.AdamW(
+            self.network.parameters(),
+            lr=options.learning_rate,
+            betas=(options.adam_beta1, options.adam_beta2),
+            eps=options.adam_epsilon,
+            weight_decay=options.weight_decay,
+            fused=True,
+        )
+        self.epsilon = torch.full((num_envs,), options.epsilon, dtype=torch.float64)
+        if options.epsilon_ladder and num_envs > 1:
+            self.epsilon **= 1 + LADDER * torch.arange(num_envs) / (num_envs - 1)
+        self.steps = 0  # of the optimiser
+        self.replay: Replay | None = None
+        self._prefix: TensorDict | None = None  # [burn_in, B], the rows before the next unroll
+        self._prefix_memory: State = {}  # before them
+
+    def initial_memory(self, batch: int) -> State:
+        """The memory before the first frame of `batch` worlds."""
+        return self.network.memory.initial_state(batch)
+
+    @torch.no_grad()
+    def act(
+        self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
+    ) -> tuple[Tensor, State, dict[str, Tensor]]:
+        """The greedy action in each of B worlds; in training, world i of `num_envs` takes a random
+        one with probability `epsilon`, or with the ladder (Horgan et al. 2018)
+        epsilon^(1 + 7 i / (num_envs - 1)).
+
+        The generator is the CPU's whatever the device, so that a run can move between devices.
+
+        Returns actions int64 [B], the memory after this frame, and nothing more.
+        """
+        with self._autocast():
+            q, memory = self.network(inputs.unsqueeze(), memory)
+        action = q[0].argmax(-1)
+        if training:
+            explores = torch.rand(len(action), generator=generator) < self.epsilon
+            anything = torch.randint(self.network.actions, action.shape, generator=generator)
+            action = torch.where(explores.to(action.device), anything.to(action.device), action)
+        return action, memory, {}
+
+    @torch.no_grad()
+    def value(self, inputs: Inputs, memory: State) -> Tensor:
+        """max_a h^-1(Q) of each of B worlds, float32 [B]."""
+        with self._autocast():
+            q, _ = self.network(inputs.unsqueeze(), memory)
+        return unrescale(q[0].amax(-1))
+
+    def begin_learning(self) -> list[str]:
+        """Makes the replay, and says what it takes.
+
+        Raises:
+            ValueError: it does not fit into this machine.
+        """
+        from zipf.agents.replay import Replay, in_words
+
+        o = self.options
+        rows = self.burn_in + self.unroll_length + 1
+        sequence = TensorDict({name: torch.zeros(rows, dtype=t) for name, t in STEP.items()}, rows)
+        sequence["observation"] = TensorDict(
+            {
+                name: torch.from_numpy(np.zeros((rows, *(space.shape or ())), space.dtype))
+                for name, space in self.observation_space.spaces.items()
+            },
+            rows,
+        )
+        memory = {name: part[0].cpu() for name, part in self.initial_memory(1).items()}
+        self.replay = Replay(
+            TensorDict({"steps": sequence, "memory": TensorDict(memory)}),
+            capacity=o.replay_capacity,
+            priority_exponent=o.priority_exponent,
+            importance_exponent=o.importance_exponent,
+            folder=self.replay_folder if o.storage == "memmap" else None,
+            spare=self.updates_between_checkpoints * self.num_envs,
+            seed=self.seed,
+        )
+        if o.storage == "memmap":
+            where = f"disk, in {self.replay_folder}"
+        else:
+            where = "memory and in every checkpoint, and as much again while one is read"
+        return [
+            f"replay: {o.replay_capacity} sequences of {rows} rows, {in_words(self.replay.bytes)} "
+            f"of {where}",
+            f"replay: {o.samples_per_insert:g} samples per insert, batches of {self.batch_size}; "
+            f"learning begins with {o.replay_min} sequences",
+        ]
+
+    def update(self, unroll: Unroll) -> dict[str, float]:
+        """Puts an unroll into replay and takes one optimiser step on a batch from there.
+
+        Returns the losses and what explains them; all but the replay's size are NaN where no step
+        was taken.
+
+        Raises:
+            FloatingPointError: learning has diverged; no weights were changed.
+        """
+        assert self.replay is not None, "begin_learning() comes first"
+        self._insert(unroll)
+        metrics = dict.fromkeys(METRICS, float("nan"))
+        if len(self.replay) >= self.options.replay_min:
+            items, index, weights = self.replay.sample(self.batch_size)
+            metrics, priorities = self._learn(items.to(self.device), weights.to(self.device))
+            self.replay.update_priorities(index, priorities)
+        sizes = {
+            "replay_sequences": len(self.replay),
+            "samples_per_insert": self.batch_size / self.num_envs,
+        }
+        return metrics | sizes
+
+    def _insert(self, unroll: Unroll) -> None:
+        assert self.replay is not None
+        steps = unroll.steps.select("observation", *STEP)
+        steps["reward"] = unroll.steps["reward"] + unroll.steps["bonus"]
+        steps = steps.cpu()
+        memory = unroll.memory
+        if self.burn_in:
+            prefix, memory = self._prefix, self._prefix_memory
+            # The collector writes over the rows of an unroll.
+            self._prefix = steps[self.unroll_length - self.burn_in : self.unroll_length].clone()
+            assert unroll.late_memory is not None
+            self._prefix_memory = unroll.late_memory
+            if prefix is None:
+                return
+            steps = torch.cat([prefix, steps])
+        worlds = TensorDict({name: part.cpu() for name, part in memory.items()}, self.num_envs)
+        self.replay.insert(
+            TensorDict({"steps": steps.transpose(0, 1), "memory": worlds}, self.num_envs)
+        )
+
+    def _learn(self, items: TensorDict, weights: Tensor) -> tuple[dict[str, float], Tensor]:
+        """One optimiser step on sequences [B]; the metrics, and new priorities float32 [B]."""
+        o = self.options
+        steps = items["steps"].transpose(0, 1)
+        memory = {name: items["memory"][name] for name in items["memory"].keys()}
+        prefix, steps = steps[: self.burn_in], steps[self.burn_in :]
+        target_memory = memory
+        with torch.no_grad(), self._autocast():
+            if self.burn_in:
+                _, target_memory = self.target(Inputs.of(prefix), memory)
+                _, memory = self.network(Inputs.of(prefix), memory)
+            target_q, _ = self.target(Inputs.of(steps), target_memory)
+        with self._autocast():
+            q, _ = self.network(Inputs.of(steps), memory)
+
+        chosen = q.detach()[1:].argmax(-1, keepdim=True)
+        steps = steps[:-1]
+        returns = lambda_returns(
+            rewards=steps["reward"],
+            values=unrescale(target_q[1:].gather(-1, chosen).squeeze(-1)),
+            terminated=steps["terminated"],
+            truncated=steps["truncated"],
+            truncation_values=steps["truncation_value"],
+            discount=o.discount,
+            lambda_=o.trace_lambda,
+        )
+        taken = q[:-1].gather(-1, steps["action"].unsqueeze(-1)).squeeze(-1)
+        errors = rescale(returns) - taken
+        loss = (weights * 0.5 * errors.square().sum(0)).mean()
+
+        self.optimiser.zero_grad()
+        loss.backward()
+        gradient_norm = torch.nn.utils.clip_grad_norm_(
+            self.network.parameters(), o.max_gradient_norm
+        )
+        if not gradient_norm.isfinite():
+            raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")
+        self.optimiser.step()
+        self.steps += 1
+        if self.steps % o.target_period == 0:
+            self.target.load_state_dict(self.network.state_dict())
+
+        sizes = errors.detach().abs()
+        eta = o.priority_max_weight
+        priorities = (eta * sizes.amax(0) + (1 - eta) * sizes.mean(0)).cpu()
+        metrics = (
+            loss,
+            sizes.mean(),
+            gradient_norm,
+            unrescale(q.detach().amax(-1)).mean(),
+            priorities.mean(),
+            weights.mean(),
+        )
+        named = zip(METRICS, metrics, strict=True)
+        return {name: metric.item() for name, metric in named}, priorities
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that `update` changes; with `storage=memmap` the sequences are in the files of
+        the replay, beside the checkpoint."""
+        assert self.replay is not None, "begin_learning() comes first"
+        prefix = {}
+        if self._prefix is not None:
+            prefix = {"steps": self._prefix.to_dict(), "memory": dict(self._prefix_memory)}
+        return {
+            "network": self.network.state_dict(),
+            "target": self.target.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "steps": self.steps,
+            "prefix": prefix,
+            "replay": self.replay.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continues from `state_dict()`; an agent that is only to act takes no replay.
+
+        Raises:
+            OSError: the files of the replay are gone, or are not those of this state.
+        """
+        self.network.load_state_dict(state["network"])
+        self.target.load_state_dict(state["target"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.steps = state["steps"]
+        if self.replay is None:
+            return
+        self._prefix, self._prefix_memory = None, {}
+        if state["prefix"]:
+            shape = self.burn_in, self.num_envs
+            self._prefix = TensorDict(state["prefix"]["steps"], shape)
+            memory = state["prefix"]["memory"]
+            self._prefix_memory = {k: v.to(self.device) for k, v in memory.items()}
+        self.replay.load_state_dict(state["replay"])
+
+    def _autocast(self) -> Any:
+        if self.precision == "float32":
+            return nullcontext()
+        return torch.autocast(torch.device(self.device).type, torch.bfloat16)
