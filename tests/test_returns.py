@@ -1,10 +1,10 @@
-"""V-trace against a loop written from the definition, and against TorchRL's."""
+"""Returns against loops written from their definitions; V-trace against TorchRL's too."""
 
 import numpy as np
 import pytest
 import torch
 
-from zipf.agents.returns import vtrace
+from zipf.agents.returns import bootstrapped_returns, vtrace
 
 DISCOUNT = 0.9
 
@@ -114,3 +114,32 @@ def test_nothing_flows_across_an_episodes_end():
         assert torch.equal(before.targets[:until], after.targets[:until])
         assert torch.equal(before.advantages[:until], after.advantages[:until])
         assert not torch.equal(before.targets[until:], after.targets[until:])
+
+
+def summed_rewards(x, discount):
+    """G_s = sum_t gamma^(t-s) r_t and the value where the sum stops, forward for every s."""
+    x = {name: tensor.double().numpy() for name, tensor in x.items()}
+    steps, batch = x["rewards"].shape
+    returns = np.zeros((steps, batch))
+    for b in range(batch):
+        for s in range(steps):
+            following = x["values"][steps, b]
+            for t in range(s, steps):
+                returns[s, b] += discount ** (t - s) * x["rewards"][t, b]
+                if x["terminated"][t, b] or x["truncated"][t, b]:
+                    following = x["truncation_values"][t, b] if x["truncated"][t, b] else 0.0
+                    break
+            returns[s, b] += discount ** (t + 1 - s) * following
+    return returns
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_bootstrapped_returns_equal_the_definition(seed):
+    x = case(seed)
+    assert x["terminated"].any()
+    assert x["truncated"].any()
+    expected = summed_rewards(x, DISCOUNT)
+    del x["log_ratios"]
+    x["final_value"] = x.pop("values")[-1]
+    result = bootstrapped_returns(**x, discount=DISCOUNT)
+    np.testing.assert_allclose(result, expected, rtol=1e-4, atol=1e-4)

@@ -1,0 +1,521 @@
+"""V-MPO's update against its definition, written out step by step, and its directions."""
+
+import copy
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+import yaml
+from tensordict import TensorDict
+
+from zipf.agents.encoders import CompactOptions
+from zipf.agents.memory import LSTMOptions, MLPOptions
+from zipf.agents.network import Inputs
+from zipf.agents.unroll import Unroll
+from zipf.agents.vmpo import SMALLEST_DUAL, VMPO, VMPOOptions, is_top, vmpo_losses
+from zipf.envs import levels
+from zipf.experiments import checkpoint, command_line, run_folder
+from zipf.experiments.collector import Collector
+from zipf.experiments.evaluator import AgentPolicy, play
+from zipf.experiments.runner import Run
+
+ACTIONS, STEPS, BATCH = 3, 5, 5
+OPTIONS = VMPOOptions(
+    name="vmpo",
+    learning_rate=1e-3,
+    dual_learning_rate=0.1,
+    adam_beta1=0.9,
+    adam_beta2=0.999,
+    adam_epsilon=1e-8,
+    max_gradient_norm=1e9,
+    discount=0.9,
+    target_period=3,
+    top_fraction=0.5,
+    epsilon_eta=0.1,
+    epsilon_alpha=0.2,
+    initial_eta=0.7,
+    initial_alpha=1.5,
+)
+
+
+def agent(**changes):
+    return VMPO(
+        gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
+        gym.spaces.Discrete(ACTIONS),
+        OPTIONS.model_copy(update=changes),
+        CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=0),
+        LSTMOptions(name="lstm", size=16),
+        seed=0,
+    )
+
+
+def unroll(seed=0):
+    rng = np.random.default_rng(seed)
+    shape = (STEPS + 1, BATCH)
+
+    def floats(*tail):
+        return torch.tensor(rng.normal(size=(*shape, *tail)), dtype=torch.float32)
+
+    ended = torch.tensor(rng.random(shape) < 0.4)
+    cut = torch.tensor(rng.random(shape) < 0.5)
+    images = rng.integers(256, size=(*shape, 9, 9, 3))
+    steps = TensorDict(
+        {
+            "previous_action": torch.tensor(rng.integers(ACTIONS, size=shape)),
+            "previous_reward": floats(),
+            "is_first": torch.cat([torch.zeros(1, BATCH, dtype=torch.bool), ended[:-1]]),
+            "action": torch.tensor(rng.integers(ACTIONS, size=shape)),
+            "reward": floats(),
+            "bonus": floats().abs(),
+            "terminated": ended & ~cut,
+            "truncated": ended & cut,
+            "truncation_value": floats(),
+            "logits": floats(ACTIONS),
+            "observation": TensorDict(
+                {"image": torch.tensor(images, dtype=torch.uint8)}, batch_size=shape
+            ),
+        },
+        batch_size=shape,
+    )
+    memory = {part: floats(4)[0].repeat(1, 4) for part in ("hidden", "cell")}
+    return Unroll(steps, memory)
+
+
+def as_acted_by(vmpo, data):
+    """The same unroll with what the target's policy is in it."""
+    with torch.no_grad():
+        data.steps["logits"] = vmpo.target(Inputs.of(data.steps), data.memory).logits
+    return data
+
+
+def everything(vmpo):
+    return copy.deepcopy(vmpo.state_dict())
+
+
+def assert_equal(one, other):
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            assert_equal(one[key], other[key])
+    elif isinstance(one, list | tuple):
+        for a, b in zip(one, other, strict=True):
+            assert_equal(a, b)
+    elif isinstance(one, torch.Tensor):
+        assert torch.equal(one, other)
+    else:
+        assert one == other
+
+
+def by_hand(vmpo, data):
+    """The four losses of the definition in double precision, one world and one step at a time."""
+    o, steps = vmpo.options, data.steps
+    eta, alpha = vmpo.duals["eta"].item(), vmpo.duals["alpha"].item()
+    with torch.no_grad():
+        outputs = vmpo.network(Inputs.of(steps), data.memory)
+    value = outputs.value.double().numpy()
+    log_pi = outputs.logits.double().log_softmax(-1).numpy()
+    log_target = steps["logits"].double().log_softmax(-1).numpy()
+    kls, errors, judged = [], [], []
+    for b in range(BATCH):
+        following = value[STEPS, b]
+        for t in reversed(range(STEPS)):
+            if steps["terminated"][t, b]:
+                following = 0.0
+            if steps["truncated"][t, b]:
+                following = steps["truncation_value"][t, b].item()
+            reward = steps["reward"][t, b].item() + steps["bonus"][t, b].item()
+            following = reward + o.discount * following
+            errors.append(0.5 * (value[t, b] - following) ** 2)
+            judged.append((following - value[t, b], log_pi[t, b, steps["action"][t, b]]))
+            kl = 0.0
+            for a in range(ACTIONS):
+                kl += np.exp(log_target[t, b, a]) * (log_target[t, b, a] - log_pi[t, b, a])
+            kls.append(kl)
+    judged.sort(reverse=True)
+    top = judged[: (len(judged) + 1) // 2]
+    total = sum(np.exp(advantage / eta) for advantage, _ in top)
+    return {
+        "policy_loss": -sum(np.exp(advantage / eta) / total * log for advantage, log in top),
+        "eta_loss": eta * o.epsilon_eta + eta * np.log(total / len(top)),
+        "alpha_loss": np.mean([alpha * (o.epsilon_alpha - kl) + alpha * kl for kl in kls]),
+        "baseline_loss": np.mean(errors),
+        "kl": np.mean(kls),
+    }
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_losses_are_the_definitions(seed):
+    vmpo, data = agent(), unroll(seed)
+    assert data.steps["terminated"].any()
+    assert data.steps["truncated"].any()
+    expected = by_hand(vmpo, data)
+    metrics = vmpo.update(data)
+    for name, number in expected.items():
+        assert metrics[name] == pytest.approx(number, rel=1e-4), name
+    parts = ("policy_loss", "eta_loss", "alpha_loss", "baseline_loss")
+    assert metrics["loss"] == pytest.approx(sum(expected[part] for part in parts), rel=1e-4)
+
+
+LEARNED = ("logits", "values", "eta", "alpha")
+
+
+def loose_losses(seed, dtype=torch.float64, eta=0.7, alpha=1.5):
+    """The losses of random numbers, and these numbers."""
+    rng = np.random.default_rng(seed)
+
+    def floats(*tail):
+        return torch.tensor(rng.normal(size=(4, 3, *tail)), dtype=dtype)
+
+    learned = {
+        "logits": floats(ACTIONS),
+        "values": floats(),
+        "eta": torch.tensor(eta, dtype=dtype),
+        "alpha": torch.tensor(alpha, dtype=dtype),
+    }
+    for tensor in learned.values():
+        tensor.requires_grad_()
+    given = {
+        "log_target": floats(ACTIONS).log_softmax(-1),
+        "actions": torch.tensor(rng.integers(ACTIONS, size=(4, 3))),
+        "returns": floats(),
+    }
+    losses = vmpo_losses(
+        log_policy=learned["logits"].log_softmax(-1),
+        values=learned["values"],
+        eta=learned["eta"],
+        alpha=learned["alpha"],
+        **given,
+        epsilon_eta=0.1,
+        epsilon_alpha=0.2,
+        top_fraction=0.5,
+    )
+    return losses, learned, given
+
+
+def gradients(loss, learned):
+    found = torch.autograd.grad(loss, list(learned.values()), retain_graph=True, allow_unused=True)
+    return dict(zip(learned, found, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("loss", "reaches"),
+    [
+        ("policy", {"logits"}),
+        ("eta", {"eta"}),
+        ("alpha", {"logits", "alpha"}),
+        ("baseline", {"values"}),
+    ],
+)
+def test_each_loss_teaches_its_own(loss, reaches):
+    losses, learned, _ = loose_losses(0)
+    found = gradients(getattr(losses, loss), learned)
+    assert {name for name in LEARNED if found[name] is not None} == reaches
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_gradients_are_the_definitions(seed):
+    """Written out by hand: each with everything held fixed that the definition holds fixed."""
+    losses, learned, given = loose_losses(seed)
+    eta, alpha = 0.7, 1.5
+    pi = learned["logits"].detach().softmax(-1)
+    target = given["log_target"].exp()
+    values = learned["values"].detach()
+    advantages = given["returns"] - values
+    top = np.sort(advantages.flatten())[6:]
+    psi = (advantages >= top[0]) * (advantages / eta).exp() / np.exp(top / eta).sum()
+    kl = (target * (given["log_target"] - pi.log())).sum(-1).mean()
+    chosen = torch.nn.functional.one_hot(given["actions"], ACTIONS)
+
+    def eta_loss(eta):
+        return eta * 0.1 + eta * np.log(np.mean(np.exp(top / eta)))
+
+    expected = {
+        "policy": {"logits": psi.unsqueeze(-1) * (pi - chosen)},
+        "eta": {"eta": (eta_loss(eta + 1e-5) - eta_loss(eta - 1e-5)) / 2e-5},
+        "alpha": {"logits": alpha * (pi - target) / 12, "alpha": 0.2 - kl},
+        "baseline": {"values": (values - given["returns"]) / 12},
+    }
+    for loss, parts in expected.items():
+        found = gradients(getattr(losses, loss), learned)
+        for name, gradient in parts.items():
+            np.testing.assert_allclose(found[name], gradient, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("eta", [SMALLEST_DUAL, 1e-4, 1e4])
+def test_etas_gradient_is_exact_at_its_extremes(eta):
+    losses, learned, _ = loose_losses(0, torch.float32, eta)
+    exact, learned_exactly, _ = loose_losses(0, torch.float64, eta)
+    found = gradients(losses.eta, learned)["eta"]
+    expected = gradients(exact.eta, learned_exactly)["eta"]
+    assert found.item() == pytest.approx(expected.item(), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("advantages", "fraction", "top"),
+    [
+        ([3, 1, 2, 4], 0.5, [1, 0, 0, 1]),
+        ([3, 1, 2, 4, 5], 0.5, [1, 0, 0, 1, 1]),  # the middle one counts
+        ([1, 2, 2, 2, 3, 0], 0.5, [0, 1, 1, 1, 1, 0]),  # which of the equal would be a whim
+        ([7, 7, 7, 7], 0.5, [1, 1, 1, 1]),
+        ([-1], 0.5, [1]),
+        ([3, 1, 2, 4], 0.25, [0, 0, 0, 1]),
+        ([3, 1, 2, 4], 1.0, [1, 1, 1, 1]),
+    ],
+)
+def test_the_top_fraction(advantages, fraction, top):
+    found = is_top(torch.tensor(advantages, dtype=torch.float32), fraction)
+    assert found.int().tolist() == top
+
+
+def test_the_top_is_of_the_whole_batch():
+    advantages = torch.tensor([[1.0, 10.0], [2.0, 20.0]])
+    assert is_top(advantages, 0.5).tolist() == [[False, True], [False, True]]
+
+
+def test_alpha_keeps_the_policy_near_the_targets():
+    """A divergence above its bound raises alpha, one below lowers it."""
+    far, near = agent(epsilon_alpha=0.01), agent(epsilon_alpha=10.0)
+    for vmpo, sign in ((far, 1), (near, -1)):
+        metrics = vmpo.update(unroll())
+        assert (metrics["kl"] > vmpo.options.epsilon_alpha) == (sign == 1)
+        assert (vmpo.duals["alpha"].item() - metrics["alpha"]) * sign > 0.09
+
+
+def test_eta_keeps_the_weights_near_uniform():
+    """Weights further from uniform than the bound raise eta, those nearer lower it."""
+    for eta, sign in ((0.01, 1), (100.0, -1)):
+        vmpo = agent(initial_eta=eta)
+        vmpo.update(unroll())
+        assert (vmpo.duals["eta"].item() - eta) * sign > 0.09
+
+
+def test_the_duals_stay_positive():
+    vmpo = agent(initial_eta=1e3, initial_alpha=1e-3, epsilon_alpha=1e3, dual_learning_rate=2e3)
+    for _ in range(2):
+        vmpo.update(unroll())
+    assert vmpo.duals["alpha"].item() == pytest.approx(SMALLEST_DUAL)
+    assert vmpo.duals["eta"].item() >= 0.99 * SMALLEST_DUAL
+
+
+def test_alpha_holds_the_policy_back():
+    moved = []
+    for alpha in (0.01, 100.0):
+        vmpo = agent(initial_alpha=alpha, target_period=100, learning_rate=1e-2)
+        data = as_acted_by(vmpo, unroll())
+        for _ in range(30):
+            metrics = vmpo.update(data)
+        moved.append(metrics["kl"])
+    assert moved[1] < 0.1 * moved[0]
+
+
+def test_the_target_acts_and_follows_once_in_a_period():
+    vmpo, data = agent(learning_rate=0.1), unroll()
+    inputs = Inputs.of(data.steps[0])
+    generator = torch.Generator().manual_seed(0)
+
+    def now():
+        _, _, behaviour = vmpo.act(inputs, data.memory, generator)
+        return behaviour["logits"], vmpo.value(inputs, data.memory)
+
+    def learned():
+        with torch.no_grad():
+            outputs = vmpo.network(inputs.unsqueeze(), data.memory)
+        return outputs.logits[0], outputs.value[0]
+
+    for _ in range(2):
+        logits, value = now()
+        assert torch.equal(logits, learned()[0])
+        for _ in range(OPTIONS.target_period - 1):
+            vmpo.update(data)
+            assert torch.equal(now()[0], logits)
+            assert torch.equal(now()[1], value)
+            assert not torch.allclose(learned()[0], logits)
+        vmpo.update(data)
+        assert not torch.allclose(now()[0], logits)
+        assert not torch.allclose(now()[1], value)
+
+
+def test_a_period_begins_without_divergence():
+    vmpo = agent(learning_rate=0.01)
+    kls = [vmpo.update(as_acted_by(vmpo, unroll(i)))["kl"] for i in range(6)]
+    assert kls[0] == pytest.approx(0, abs=1e-6)
+    assert kls[3] == pytest.approx(0, abs=1e-6)
+    assert min(kls[1], kls[2], kls[4], kls[5]) > 1e-5
+
+
+def test_what_was_better_than_expected_becomes_likelier_and_the_value_follows():
+    vmpo = agent(learning_rate=1e-2, initial_alpha=0.1)
+
+    def now():
+        data = unroll()
+        with torch.no_grad():
+            outputs = vmpo.network(Inputs.of(data.steps), data.memory)
+        return outputs.logits[:-1].softmax(-1)[..., 1].mean(), outputs.value[:-1].mean()
+
+    before, _ = now()
+    for seed in range(100):
+        data = unroll(seed)  # of a policy that does each of the three as often
+        data.steps["reward"] = (data.steps["action"] == 1).float()
+        data.steps["bonus"].zero_()
+        data.steps["terminated"].fill_(True)
+        data.steps["truncated"].fill_(False)
+        vmpo.update(as_acted_by(vmpo, data))
+    after, value = now()
+    assert after > before + 0.2
+    assert value == pytest.approx(1 / 3, abs=0.15)
+
+
+def test_gradients_are_clipped():
+    vmpo = agent(max_gradient_norm=1e-3)
+    metrics = vmpo.update(unroll())
+    norms = [p.grad.norm() for p in vmpo.network.parameters()]
+    assert metrics["gradient_norm"] > 1e-3
+    assert torch.stack(norms).norm().item() == pytest.approx(1e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["reward", "truncation_value", "logits"])
+def test_divergence_changes_nothing(name):
+    vmpo, data = agent(), unroll()
+    vmpo.update(unroll(1))
+    before = everything(vmpo)
+    data.steps["truncated"][0, 0], data.steps["terminated"][0, 0] = True, False
+    data.steps[name][0, 0] = float("inf")
+    with pytest.raises(FloatingPointError):
+        vmpo.update(data)
+    assert_equal(everything(vmpo), before)
+
+
+def test_actions_follow_the_policy():
+    vmpo = agent()
+    n = 4000
+    inputs = Inputs(
+        {"image": torch.full((n, 9, 9, 3), 200, dtype=torch.uint8)},
+        torch.full((n,), -1),
+        torch.zeros(n),
+        torch.ones(n, dtype=torch.bool),
+    )
+    generator = torch.Generator().manual_seed(0)
+    action, _, behaviour = vmpo.act(inputs, vmpo.initial_memory(n), generator)
+    probabilities = behaviour["logits"][0].softmax(-1).numpy()
+    assert probabilities.max() - probabilities.min() > 0.01
+    frequencies = np.bincount(action.numpy(), minlength=ACTIONS) / n
+    sigma = np.sqrt(probabilities * (1 - probabilities) / n)
+    assert (abs(frequencies - probabilities) < 4 * sigma).all()
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_it_continues_from_its_state(precision):
+    """From within a period of the target, past its end."""
+    one, other = agent(), agent()
+    one.precision = other.precision = precision
+    one.update(unroll(0))
+    other.load_state_dict(everything(one))
+    for seed in range(1, 5):
+        assert one.update(unroll(seed)) == other.update(unroll(seed))
+    assert_equal(everything(one), everything(other))
+
+
+def shipped():
+    return yaml.safe_load((command_line.CONFIG_DIR / "agent" / "vmpo.yaml").read_text())
+
+
+def test_the_papers_values():
+    """Its V-MPO table, as printed but for T_target, whose 0.5 is the top fraction."""
+    options = VMPOOptions.model_validate({k: _number(v) for k, v in shipped().items()})
+    assert options.discount == 0.995
+    assert options.dual_learning_rate == 3e-3
+    assert options.learning_rate == 3e-5
+    assert options.top_fraction == 0.5
+    assert options.epsilon_eta == 0.1
+    assert options.epsilon_alpha == 0.1
+
+
+def _number(value):
+    """PyYAML reads 3e-5 as text."""
+    try:
+        return float(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+def test_a_run_goes_on_bit_for_bit(tmp_path):
+    loaded = command_line.load(
+        [
+            "experiment=demo",
+            "device=cpu",
+            "memory=lstm",
+            "memory.size=8",
+            "network.size=8",
+            "collector.num_envs=4",
+            "collector.unroll_length=5",
+            "environment.max_steps=9",
+            f"run_root={tmp_path}",
+        ]
+    )
+    loaded = loaded.model_copy(update={"agent": OPTIONS})
+    run_folder.make(loaded.folder)
+    whole, cut = Run(loaded), Run(loaded)
+
+    def advance(run):
+        for _ in range(4):
+            run.learn(run.collector.collect())
+            run.update += 1
+
+    for run in (whole, cut):
+        advance(run)
+    cut.save()
+    resumed = Run(loaded)
+    assert resumed.update == 4
+    for run in (whole, resumed):
+        advance(run)
+    assert isinstance(resumed.agent, VMPO)
+    assert_equal(everything(whole.agent), everything(resumed.agent))
+    whole.save()
+    first = checkpoint.load(loaded.folder / "checkpoint.pt")
+    resumed.save()
+    second = checkpoint.load(loaded.folder / "checkpoint.pt")
+    assert_equal(first["collector"], second["collector"])
+    for run in (whole, cut, resumed):
+        run.close()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_learns_a_tiny_gridworld(seed):
+    """One room, three objects: two steps lead to any of them. Chance is a third."""
+    torch.set_num_threads(1)
+    worlds = {
+        "num_maps": 1,
+        "num_rooms": [1, 1],
+        "num_objects": 3,
+        "max_steps": 20,
+        "observation": "tiles",
+    }
+    env = levels.make_vec("gridworld/uniform", 64, **worlds)
+    vmpo = VMPO(
+        env.single_observation_space,
+        env.single_action_space,
+        OPTIONS.model_copy(
+            update={
+                "learning_rate": 2e-3,
+                "dual_learning_rate": 1e-2,
+                "max_gradient_norm": 1.0,
+                "discount": 0.95,
+                "target_period": 10,
+                "epsilon_alpha": 0.01,
+                "initial_eta": 0.3,
+                "initial_alpha": 1.0,
+            }
+        ),
+        CompactOptions(name="compact", patch=9, channels=16, size=64, head_size=0),
+        MLPOptions(name="mlp", size=32, layers=1),
+        seed=seed,
+    )
+    collector = Collector(env, vmpo, unroll_length=8, seed=seed)
+    for _ in range(250):
+        vmpo.update(collector.collect())
+    policy = AgentPolicy(vmpo, seed=1, device="cpu")
+    test = levels.make_vec("gridworld/uniform", 100, **worlds)
+    episodes = play(policy, test, episodes=1000, seed=2)
+    assert episodes["success"].mean() >= 0.95
+    assert episodes["length"].mean() <= 2.2

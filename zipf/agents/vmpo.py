@@ -1,0 +1,295 @@
+"""V-MPO (Song et al. 2020): on-policy maximum a posteriori policy optimisation, top to bottom.
+
+The target network acts; every `target_period` updates it becomes what the learner is. The learner
+takes one optimiser step per unroll. Of its T x B steps D, let D~ be those with the largest
+advantages A = G - V, where G is the return, bootstrapped at the unroll's end. Then, where sg stops
+the gradient, the loss is the sum of (their equations 3 to 6)
+
+    L_pi    = -sum_D~ psi log pi(a|x)                      psi = softmax of A / eta over D~
+    L_eta   = eta epsilon_eta + eta log mean_D~ exp(A / eta)
+    L_alpha = mean_D[ alpha (epsilon_alpha - sg(KL)) + sg(alpha) KL ]    KL = KL(pi_target || pi)
+    L_V     = mean_D[ (V(x) - G)^2 ] / 2
+
+The temperature eta and the multiplier alpha are learned by an optimiser of their own, and projected
+to be positive after each of its steps, as in the paper.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import nullcontext
+from copy import deepcopy
+from typing import Annotated, Any, Literal, NamedTuple
+
+import gymnasium as gym
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+
+from zipf.agents.encoders import NetworkOptions
+from zipf.agents.memory import MemoryOptions, State
+from zipf.agents.network import ActorCritic, Inputs
+from zipf.agents.options import Options
+from zipf.agents.returns import bootstrapped_returns
+from zipf.agents.unroll import Unroll
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, lt=1)]
+
+SMALLEST_DUAL = 1e-8  # Song et al. 2020
+
+
+class VMPOOptions(Options):
+    """What can be chosen; sources of the values are in `configs/agent/vmpo.yaml`."""
+
+    name: Literal["vmpo"]
+    learning_rate: Positive
+    dual_learning_rate: Positive
+    adam_beta1: Fraction
+    adam_beta2: Fraction
+    adam_epsilon: Positive
+    max_gradient_norm: Positive
+    discount: Annotated[float, Field(ge=0, le=1)]
+    target_period: Annotated[int, Field(ge=1)]
+    top_fraction: Annotated[float, Field(gt=0, le=1)]
+    epsilon_eta: Positive
+    epsilon_alpha: Positive
+    initial_eta: Positive
+    initial_alpha: Positive
+
+
+class VMPO:
+    """The agent: acts on batches of observations and learns from unrolls.
+
+    Args:
+        observation_space, action_space: of one world.
+        seed: of the network's initial weights.
+        precision: "float32", or "bfloat16" for automatic mixed precision.
+    """
+
+    burn_in = 0
+
+    def __init__(
+        self,
+        observation_space: gym.spaces.Dict,
+        action_space: gym.spaces.Discrete,
+        options: VMPOOptions,
+        network: NetworkOptions,
+        memory: MemoryOptions,
+        *,
+        seed: int,
+        device: str = "cpu",
+        precision: str = "float32",
+    ):
+        self.options = options
+        self.device = device
+        self.precision = precision
+        self.updates = 0
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.network = ActorCritic(observation_space, action_space, network, memory)
+        self.network.to(device)
+        self.target = deepcopy(self.network).requires_grad_(False)
+        initial = {"eta": options.initial_eta, "alpha": options.initial_alpha}
+        self.duals = nn.ParameterDict(
+            {name: nn.Parameter(torch.tensor(value)) for name, value in initial.items()}
+        ).to(device)
+        self.optimiser = torch.optim.Adam(
+            self.network.parameters(),
+            lr=options.learning_rate,
+            betas=(options.adam_beta1, options.adam_beta2),
+            eps=options.adam_epsilon,
+            fused=True,
+        )
+        self.dual_optimiser = torch.optim.Adam(
+            self.duals.parameters(), lr=options.dual_learning_rate
+        )
+
+    def initial_memory(self, batch: int) -> State:
+        """The memory before the first frame of `batch` worlds."""
+        return self.target.memory.initial_state(batch)
+
+    @torch.no_grad()
+    def act(
+        self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
+    ) -> tuple[Tensor, State, dict[str, Tensor]]:
+        """Samples an action of the target policy in each of B worlds; when scored, as in training.
+
+        The generator is the CPU's whatever the device, so that a run can move between devices.
+
+        Returns actions int64 [B], the memory after this frame, and what `update` will want to know
+        of the target policy: `logits` float32 [B, actions].
+        """
+        with self._autocast():
+            outputs = self.target(inputs.unsqueeze(), memory)
+        logits = outputs.logits[0]
+        # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
+        noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
+        action = (logits + noise.to(logits.device)).argmax(-1)
+        return action, outputs.state, {"logits": logits}
+
+    @torch.no_grad()
+    def value(self, inputs: Inputs, memory: State) -> Tensor:
+        """The target network's V of each of B worlds, float32 [B]; the memory is the target's."""
+        with self._autocast():
+            return self.target(inputs.unsqueeze(), memory).value[0]
+
+    def begin_learning(self) -> list[str]:
+        """There is nothing to set aside for learning, and nothing to say about it."""
+        return []
+
+    def update(self, unroll: Unroll) -> dict[str, float]:
+        """One step of both optimisers; returns the losses and what explains them.
+
+        Raises:
+            FloatingPointError: learning has diverged; nothing was changed.
+        """
+        o = self.options
+        steps = unroll.steps
+        with self._autocast():
+            outputs = self.network(Inputs.of(steps), unroll.memory)
+
+        steps = steps[:-1]
+        returns = bootstrapped_returns(
+            rewards=steps["reward"] + steps["bonus"],
+            final_value=outputs.value[-1].detach(),
+            terminated=steps["terminated"],
+            truncated=steps["truncated"],
+            truncation_values=steps["truncation_value"],
+            discount=o.discount,
+        )
+        losses = vmpo_losses(
+            log_policy=outputs.logits[:-1].log_softmax(-1),
+            log_target=steps["logits"].log_softmax(-1),
+            actions=steps["action"],
+            values=outputs.value[:-1],
+            returns=returns,
+            eta=self.duals["eta"],
+            alpha=self.duals["alpha"],
+            epsilon_eta=o.epsilon_eta,
+            epsilon_alpha=o.epsilon_alpha,
+            top_fraction=o.top_fraction,
+        )
+        loss = losses.policy + losses.eta + losses.alpha + losses.baseline
+
+        self.optimiser.zero_grad()
+        self.dual_optimiser.zero_grad()
+        loss.backward()
+        gradient_norm = nn.utils.clip_grad_norm_(self.network.parameters(), o.max_gradient_norm)
+        for name, number in (("loss", loss), ("gradient's norm", gradient_norm)):
+            if not number.isfinite():
+                raise FloatingPointError(f"the {name} is {number.item()}")
+        metrics = {
+            "loss": loss,
+            "policy_loss": losses.policy,
+            "eta_loss": losses.eta,
+            "alpha_loss": losses.alpha,
+            "baseline_loss": losses.baseline,
+            "kl": losses.kl,
+            "entropy": losses.entropy,
+            "eta": self.duals["eta"],
+            "alpha": self.duals["alpha"],
+            "gradient_norm": gradient_norm,
+            "value": outputs.value.mean(),
+        }
+        numbers = {name: metric.item() for name, metric in metrics.items()}
+
+        self.optimiser.step()
+        self.dual_optimiser.step()
+        with torch.no_grad():
+            for dual in self.duals.parameters():
+                dual.clamp_(min=SMALLEST_DUAL)
+        self.updates += 1
+        if self.updates % o.target_period == 0:
+            self.target.load_state_dict(self.network.state_dict())
+        return numbers
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that `update` changes."""
+        return {
+            "network": self.network.state_dict(),
+            "target": self.target.state_dict(),
+            "duals": self.duals.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "dual_optimiser": self.dual_optimiser.state_dict(),
+            "updates": self.updates,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continues from `state_dict()`."""
+        self.network.load_state_dict(state["network"])
+        self.target.load_state_dict(state["target"])
+        self.duals.load_state_dict(state["duals"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.dual_optimiser.load_state_dict(state["dual_optimiser"])
+        self.updates = state["updates"]
+
+    def _autocast(self) -> Any:
+        if self.precision == "float32":
+            return nullcontext()
+        return torch.autocast(torch.device(self.device).type, torch.bfloat16)
+
+
+class VMPOLosses(NamedTuple):
+    """The four terms, and what explains them; float32 scalars."""
+
+    policy: Tensor
+    eta: Tensor
+    alpha: Tensor
+    baseline: Tensor
+    kl: Tensor  # mean over the steps; carries no gradient
+    entropy: Tensor  # same
+
+
+def vmpo_losses(
+    *,
+    log_policy: Tensor,
+    log_target: Tensor,
+    actions: Tensor,
+    values: Tensor,
+    returns: Tensor,
+    eta: Tensor,
+    alpha: Tensor,
+    epsilon_eta: float,
+    epsilon_alpha: float,
+    top_fraction: float,
+) -> VMPOLosses:
+    """The losses of Song et al. 2020, equations 3 to 6.
+
+    Args:
+        log_policy: float32 [T, B, actions], log pi of the learner.
+        log_target: float32 [T, B, actions], log pi of the target network, which acted.
+        actions: int64 [T, B], what it did.
+        values: float32 [T, B], V of the learner.
+        returns: float32 [T, B], G.
+        eta, alpha: float32 [], the temperature and the multiplier of the bound on KL.
+        epsilon_eta: bound on how far the weights psi may be from uniform.
+        epsilon_alpha: bound on how far the learner's policy may be from the target's.
+        top_fraction: how much of the steps the policy is fitted to.
+    """
+    advantages = returns - values.detach()
+    top = is_top(advantages, top_fraction)
+    best = advantages[top]
+    # With the largest taken out the exponentials stay finite, and eta's gradient exact, however
+    # small eta is: eta log mean exp(A / eta) = max A + eta log mean exp((A - max A) / eta).
+    scaled = (best - best.max()) / eta
+    weights = scaled.detach().softmax(0)
+    log_mean = scaled.logsumexp(0) - math.log(len(best))
+
+    log_pi = log_policy.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
+    kl = (log_target.exp() * (log_target - log_policy)).sum(-1).mean()
+    return VMPOLosses(
+        policy=-(weights * log_pi[top]).sum(),
+        eta=best.max() + eta * (epsilon_eta + log_mean),
+        alpha=alpha * (epsilon_alpha - kl.detach()) + alpha.detach() * kl,
+        baseline=0.5 * (values - returns).square().mean(),
+        kl=kl.detach(),
+        entropy=-(log_policy.detach().exp() * log_policy.detach()).sum(-1).mean(),
+    )
+
+
+def is_top(advantages: Tensor, fraction: float) -> Tensor:
+    """Which are the largest `fraction` of all, bool: at least one, and whatever equals the last."""
+    count = math.ceil(fraction * advantages.numel())
+    last = advantages.flatten().kthvalue(advantages.numel() - count + 1).values
+    return advantages >= last
