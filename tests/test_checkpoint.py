@@ -73,6 +73,34 @@ def test_a_strangers_checkpoint_runs_no_code(tmp_path, capsys):
     assert capsys.readouterr().out == "run\n"
 
 
+PEAKS = """
+import resource, sys
+import torch
+from pathlib import Path
+from zipf.experiments import checkpoint
+
+path = Path(sys.argv[1])
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+checkpoint.save(path, {"replay": torch.zeros(1)})
+checkpoint.load(path)
+state = {"replay": torch.ones(200 * 2**20, dtype=torch.uint8)}
+peaks = [peak()]
+checkpoint.save(path, state)
+peaks.append(peak())
+state.clear()
+checkpoint.load(path)
+print(*peaks, peak())
+"""
+
+
+def test_no_copy_is_made_of_what_is_saved_or_loaded(tmp_path):
+    command = [sys.executable, "-c", PEAKS, str(tmp_path / "checkpoint.pt")]
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    before, saved, loaded = (int(peak) / 1024 for peak in output.split())  # MiB
+    assert saved - before < 50
+    assert loaded - saved < 50
+
+
 FULL_DISK = """
 import resource, sys
 from pathlib import Path
