@@ -26,6 +26,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import ValidationError
 
 import zipf
+from zipf.agents import r2d2
 from zipf.agents.network import ActorCritic
 from zipf.agents.options import Options
 from zipf.envs import levels
@@ -270,6 +271,9 @@ def _impossible(config: Config) -> Iterator[str]:
             f"collector.num_envs={config.collector.num_envs}: should be at least {len(train)}, a "
             f"world for each level that {split.name} trains on"
         )
+    if isinstance(config.agent, r2d2.R2D2Options):
+        collector = config.collector
+        yield from r2d2.problems(config.agent, collector.num_envs, collector.unroll_length)
     try:
         find_device(config.device)
     except UserError as error:

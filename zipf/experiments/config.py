@@ -13,6 +13,8 @@ from zipf.agents.exploration import ExplorationOptions
 from zipf.agents.impala import ImpalaOptions
 from zipf.agents.memory import MemoryOptions
 from zipf.agents.options import Options
+from zipf.agents.r2d2 import R2D2Options
+from zipf.agents.vmpo import VMPOOptions
 from zipf.experiments.errors import UserError
 
 PositiveInt = Annotated[int, Field(ge=1)]
@@ -54,8 +56,8 @@ class NoAuxiliaryOptions(Options):
     name: Literal["none"]
 
 
-# With a second member: Annotated[ImpalaOptions | ..., Field(discriminator="name")].
-AgentOptions = ImpalaOptions
+AgentOptions = Annotated[ImpalaOptions | VMPOOptions | R2D2Options, Field(discriminator="name")]
+# With a second member, a union as that of the agents.
 AuxiliaryOptions = NoAuxiliaryOptions
 
 

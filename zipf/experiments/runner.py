@@ -17,7 +17,9 @@ import torch
 
 from zipf.agents.exploration import build_exploration
 from zipf.agents.impala import Impala, ImpalaOptions
+from zipf.agents.r2d2 import R2D2, R2D2Options
 from zipf.agents.unroll import Unroll
+from zipf.agents.vmpo import VMPO, VMPOOptions
 from zipf.envs import levels
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments import checkpoint, run_folder
@@ -75,7 +77,6 @@ class Run:
     def __init__(self, config: Config):
         self.config = config
         self.folder = config.folder
-        saved = run_folder.find_checkpoint(config)
         split = levels.split(config.environment.split)
         env = levels.make_vec(split.train, config.collector.num_envs, **config.level_options)
         self.agent = build_agent(config, env)
@@ -83,6 +84,7 @@ class Run:
             notes = self.agent.begin_learning()
         except ValueError as error:
             raise UserError(str(error)) from None
+        saved = run_folder.find_checkpoint(config)
         self.collector = Collector(
             env,
             self.agent,
@@ -132,7 +134,10 @@ class Run:
         with run_folder.fits(self.folder / "checkpoint.pt"):
             self.update = saved["update"]
             self.seconds.spent = saved["seconds"]
-            self.agent.load_state_dict(saved["agent"])
+            try:
+                self.agent.load_state_dict(saved["agent"])
+            except OSError as error:  # files that the checkpoint refers to
+                raise UserError(str(error)) from None
             self.collector.load_state_dict(saved["collector"])
             torch.set_rng_state(saved["torch_rng"])
 
@@ -222,6 +227,20 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
         match config.agent:
             case ImpalaOptions():
                 return Impala(*spaces, config.agent, config.network, config.memory, **common)
+            case VMPOOptions():
+                return VMPO(*spaces, config.agent, config.network, config.memory, **common)
+            case R2D2Options():
+                return R2D2(
+                    *spaces,
+                    config.agent,
+                    config.network,
+                    config.memory,
+                    num_envs=config.collector.num_envs,
+                    unroll_length=config.collector.unroll_length,
+                    replay_folder=config.folder / "replay",
+                    updates_between_checkpoints=config.schedule.checkpoint_every,
+                    **common,
+                )
     except ValueError as error:
         raise UserError(str(error)) from None
 
