@@ -148,7 +148,7 @@ class Layer(nn.Module):
         head_size = stream.shape[-1] // self.heads
         projected = self.project(stream).unflatten(-1, (self.heads, -1)).transpose(1, 2)
         query, latest = projected.split([head_size, 2 * head_size], -1)
-        frames = torch.cat([memory, latest.float()], 2)  # [B, heads, memory_length + T, ...]
+        frames = torch.cat([memory, latest], 2)  # float32 [B, heads, memory_length + T, ...]
         key, value = frames.chunk(2, -1)
         distance_key = self.project_distances(distances).unflatten(-1, (self.heads, -1))
 
