@@ -256,6 +256,23 @@ def test_a_checkpoint_of_another_configuration_is_refused(trained):
     assert (folder / "checkpoint.pt").read_bytes() == before
 
 
+def test_a_run_from_before_an_option_goes_on(trained):
+    """As LSTMs from before they could have several layers."""
+    folder = folder_of(trained)
+    state = checkpoint.load(folder / "checkpoint.pt")
+    assert state["options"].pop("memory.layers") == 1
+    checkpoint.save(folder / "checkpoint.pt", state)
+    description = folder / "config.yaml"
+    description.write_text(description.read_text().replace("  layers: 1\n", ""))
+    assert run_folder.read_config(folder).memory.layers == 1
+    assert runner.load_agent(folder, "cpu").update == 2
+    with pytest.raises(UserError, match=r"memory\.layers=None there, 2 here"):
+        runner.train(
+            command_line.load([*trained, "memory.layers=2", f"condition='{folder.parent.name}'"])
+        )
+    assert runner.train(command_line.load([*trained, "resume=must", "updates=3"])) == 0
+
+
 def test_a_damaged_checkpoint_is_an_error_and_never_a_fresh_start(trained):
     path = folder_of(trained) / "checkpoint.pt"
     content = bytearray(path.read_bytes())

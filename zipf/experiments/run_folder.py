@@ -22,7 +22,7 @@ from yaml import YAMLError
 import zipf
 from zipf.envs import levels
 from zipf.experiments import checkpoint
-from zipf.experiments.config import Config
+from zipf.experiments.config import Config, flatten
 from zipf.experiments.errors import UserError
 from zipf.experiments.paper import TABLE_OF_SPLIT
 
@@ -63,9 +63,11 @@ def check_options(path: Path, saved: dict[str, Any], config: Config) -> None:
     """Raises `UserError` where a checkpoint was made with other options than these."""
     with fits(path):
         there, here = saved["options"], config.what_is_learned
+    # Options younger than the checkpoint default to what was done before there was a choice.
+    chosen = flatten(config.model_dump(exclude_defaults=True))
     differing = [
         f"{name}={there.get(name)} there, {here.get(name)} here"
-        for name in sorted(there.keys() | here.keys())
+        for name in sorted(there.keys() | (here.keys() & chosen.keys()))
         if there.get(name) != here.get(name)
     ]
     if differing:
