@@ -128,7 +128,7 @@ class PatchEncoder(nn.Module):
     def __init__(self, shape: tuple[int, ...], options: CompactOptions):
         super().__init__()
         height, width, channels = shape
-        self.patch = options.patch or _largest_patch(height, width)
+        self.patch = options.patch or largest_patch(height, width)
         if height % self.patch or width % self.patch:
             raise ValueError(
                 f"network.patch={self.patch} does not divide the image of {height} x {width} "
@@ -149,7 +149,8 @@ class PatchEncoder(nn.Module):
         return self.mix(embedded.relu().flatten(1)).relu()
 
 
-def _largest_patch(height: int, width: int) -> int:
+def largest_patch(height: int, width: int) -> int:
+    """The largest common divisor of an image's sides up to 12."""
     return max(size for size in range(1, 13) if height % size == 0 and width % size == 0)
 
 

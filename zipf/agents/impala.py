@@ -4,8 +4,8 @@ The actor samples from the policy; the learner takes one optimiser step per unro
 
     mean_{t,b}[ -log pi(a_t|x_t) A_t + c_b/2 (v_t - V(x_t))^2 + c_e sum_a pi log pi ]
 
-with v_t and A_t from V-trace. The losses are means over the unroll; where a source sums, divide
-its gradient clip and Adam's epsilon by T x B.
+with v_t and A_t from V-trace, and what `zipf.agents.auxiliary` adds to it. The losses are means
+over the unroll; where a source sums, divide its gradient clip and Adam's epsilon by T x B.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions, build_auxiliary
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import ActorCritic, Inputs
@@ -66,6 +67,7 @@ class Impala:
         options: ImpalaOptions,
         network: NetworkOptions,
         memory: MemoryOptions,
+        auxiliary: AuxiliaryOptions = NO_AUXILIARY,
         *,
         seed: int,
         device: str = "cpu",
@@ -77,9 +79,14 @@ class Impala:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = ActorCritic(observation_space, action_space, network, memory)
+            self.auxiliary = build_auxiliary(
+                auxiliary, observation_space, network, self.network, seed=seed
+            )
         self.network.to(device)
+        self.auxiliary.to(device)
+        self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
         self.optimiser = torch.optim.Adam(
-            self.network.parameters(),
+            self.learned,
             lr=options.learning_rate,
             betas=(options.adam_beta1, options.adam_beta2),
             eps=options.adam_epsilon,
@@ -127,8 +134,10 @@ class Impala:
         """
         o = self.options
         steps = unroll.steps
+        inputs = Inputs.of(steps)
         with self._autocast():
-            outputs = self.network(Inputs.of(steps), unroll.memory)
+            outputs = self.network(inputs, unroll.memory)
+            auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, outputs.core)
 
         steps = steps[:-1]
         log_policy = outputs.logits[:-1].log_softmax(-1)
@@ -151,15 +160,15 @@ class Impala:
         baseline_loss = 0.5 * (returns.targets - outputs.value[:-1]).square().mean()
         entropy = -(log_policy.exp() * log_policy).sum(-1).mean()
         loss = policy_loss + o.baseline_cost * baseline_loss - o.entropy_cost * entropy
+        loss = loss + auxiliary_loss
 
         self.optimiser.zero_grad()
         loss.backward()
-        gradient_norm = torch.nn.utils.clip_grad_norm_(
-            self.network.parameters(), o.max_gradient_norm
-        )
+        gradient_norm = torch.nn.utils.clip_grad_norm_(self.learned, o.max_gradient_norm)
         if not gradient_norm.isfinite():
             raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")
         self.optimiser.step()
+        self.auxiliary.after_update(self.network.encoder)
         metrics = {
             "loss": loss,
             "policy_loss": policy_loss,
@@ -168,16 +177,22 @@ class Impala:
             "gradient_norm": gradient_norm,
             "value": outputs.value.mean(),
             "importance_ratio": (log_pi - log_mu).exp().mean(),
+            **auxiliary_metrics,
         }
         return {name: metric.item() for name, metric in metrics.items()}
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that `update` changes."""
-        return {"network": self.network.state_dict(), "optimiser": self.optimiser.state_dict()}
+        return {
+            "network": self.network.state_dict(),
+            "auxiliary": self.auxiliary.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
         self.network.load_state_dict(state["network"])
+        self.auxiliary.load_state_dict(state["auxiliary"])
         self.optimiser.load_state_dict(state["optimiser"])
 
     def _autocast(self) -> Any:

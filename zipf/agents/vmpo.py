@@ -10,8 +10,8 @@ the gradient, the loss is the sum of (their equations 3 to 6)
     L_alpha = mean_D[ alpha (epsilon_alpha - sg(KL)) + sg(alpha) KL ]    KL = KL(pi_target || pi)
     L_V     = mean_D[ (V(x) - G)^2 ] / 2
 
-The temperature eta and the multiplier alpha are learned by an optimiser of their own, and projected
-to be positive after each of its steps, as in the paper.
+and of what `zipf.agents.auxiliary` adds. The temperature eta and the multiplier alpha are learned
+by an optimiser of their own, and projected to be positive after each of its steps, as in the paper.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
+from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions, build_auxiliary
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import ActorCritic, Inputs
@@ -76,6 +77,7 @@ class VMPO:
         options: VMPOOptions,
         network: NetworkOptions,
         memory: MemoryOptions,
+        auxiliary: AuxiliaryOptions = NO_AUXILIARY,
         *,
         seed: int,
         device: str = "cpu",
@@ -88,14 +90,19 @@ class VMPO:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = ActorCritic(observation_space, action_space, network, memory)
+            self.auxiliary = build_auxiliary(
+                auxiliary, observation_space, network, self.network, seed=seed
+            )
         self.network.to(device)
+        self.auxiliary.to(device)
+        self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
         self.target = deepcopy(self.network).requires_grad_(False)
         initial = {"eta": options.initial_eta, "alpha": options.initial_alpha}
         self.duals = nn.ParameterDict(
             {name: nn.Parameter(torch.tensor(value)) for name, value in initial.items()}
         ).to(device)
         self.optimiser = torch.optim.Adam(
-            self.network.parameters(),
+            self.learned,
             lr=options.learning_rate,
             betas=(options.adam_beta1, options.adam_beta2),
             eps=options.adam_epsilon,
@@ -146,8 +153,10 @@ class VMPO:
         """
         o = self.options
         steps = unroll.steps
+        inputs = Inputs.of(steps)
         with self._autocast():
-            outputs = self.network(Inputs.of(steps), unroll.memory)
+            outputs = self.network(inputs, unroll.memory)
+            auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, outputs.core)
 
         steps = steps[:-1]
         returns = bootstrapped_returns(
@@ -170,12 +179,12 @@ class VMPO:
             epsilon_alpha=o.epsilon_alpha,
             top_fraction=o.top_fraction,
         )
-        loss = losses.policy + losses.eta + losses.alpha + losses.baseline
+        loss = losses.policy + losses.eta + losses.alpha + losses.baseline + auxiliary_loss
 
         self.optimiser.zero_grad()
         self.dual_optimiser.zero_grad()
         loss.backward()
-        gradient_norm = nn.utils.clip_grad_norm_(self.network.parameters(), o.max_gradient_norm)
+        gradient_norm = nn.utils.clip_grad_norm_(self.learned, o.max_gradient_norm)
         for name, number in (("loss", loss), ("gradient's norm", gradient_norm)):
             if not number.isfinite():
                 raise FloatingPointError(f"the {name} is {number.item()}")
@@ -191,11 +200,13 @@ class VMPO:
             "alpha": self.duals["alpha"],
             "gradient_norm": gradient_norm,
             "value": outputs.value.mean(),
+            **auxiliary_metrics,
         }
         numbers = {name: metric.item() for name, metric in metrics.items()}
 
         self.optimiser.step()
         self.dual_optimiser.step()
+        self.auxiliary.after_update(self.network.encoder)
         with torch.no_grad():
             for dual in self.duals.parameters():
                 dual.clamp_(min=SMALLEST_DUAL)
@@ -209,6 +220,7 @@ class VMPO:
         return {
             "network": self.network.state_dict(),
             "target": self.target.state_dict(),
+            "auxiliary": self.auxiliary.state_dict(),
             "duals": self.duals.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "dual_optimiser": self.dual_optimiser.state_dict(),
@@ -219,6 +231,7 @@ class VMPO:
         """Continues from `state_dict()`."""
         self.network.load_state_dict(state["network"])
         self.target.load_state_dict(state["target"])
+        self.auxiliary.load_state_dict(state["auxiliary"])
         self.duals.load_state_dict(state["duals"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.dual_optimiser.load_state_dict(state["dual_optimiser"])

@@ -27,8 +27,11 @@ from pydantic import ValidationError
 
 import zipf
 from zipf.agents import r2d2
+from zipf.agents.auxiliary import NO_AUXILIARY, build_auxiliary
+from zipf.agents.impala import ImpalaOptions
 from zipf.agents.network import ActorCritic
 from zipf.agents.options import Options
+from zipf.agents.vmpo import VMPOOptions
 from zipf.envs import levels
 from zipf.experiments.config import (
     DEVICE_PATTERN,
@@ -274,6 +277,13 @@ def _impossible(config: Config) -> Iterator[str]:
     if isinstance(config.agent, r2d2.R2D2Options):
         collector = config.collector
         yield from r2d2.problems(config.agent, collector.num_envs, collector.unroll_length)
+    if config.auxiliary != NO_AUXILIARY and not isinstance(
+        config.agent, ImpalaOptions | VMPOOptions
+    ):
+        yield (
+            f"auxiliary={config.auxiliary.name}: agent={config.agent.name} has no auxiliary "
+            "losses; choose auxiliary=none, or agent=impala or vmpo"
+        )
     try:
         find_device(config.device)
     except UserError as error:
@@ -286,7 +296,7 @@ def _impossible(config: Config) -> Iterator[str]:
         yield problem
 
 
-_BUILT = ("environment", "network", "memory")
+_BUILT = ("environment", "network", "memory", "auxiliary")
 _buildable: dict[str, str | None] = {}
 
 
@@ -304,7 +314,8 @@ def _cannot_be_built(key: str, config: Config) -> str | None:
         try:
             with torch.device("meta"):
                 spaces = env.single_observation_space, env.single_action_space
-                ActorCritic(*spaces, config.network, config.memory)
+                built = ActorCritic(*spaces, config.network, config.memory)
+                build_auxiliary(config.auxiliary, spaces[0], config.network, built, seed=0)
         except ValueError as error:
             _buildable[key] = str(error)
     return _buildable[key]

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import torch
 from pydantic import Field
 
+from zipf.agents.auxiliary import AuxiliaryOptions
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.exploration import ExplorationOptions
 from zipf.agents.impala import ImpalaOptions
@@ -50,15 +51,7 @@ class PlayroomOptions(Options):
 EnvironmentOptions = Annotated[GridworldOptions | PlayroomOptions, Field(discriminator="split")]
 
 
-class NoAuxiliaryOptions(Options):
-    """No auxiliary loss."""
-
-    name: Literal["none"]
-
-
 AgentOptions = Annotated[ImpalaOptions | VMPOOptions | R2D2Options, Field(discriminator="name")]
-# With a second member, a union as that of the agents.
-AuxiliaryOptions = NoAuxiliaryOptions
 
 
 class CollectorOptions(Options):

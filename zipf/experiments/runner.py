@@ -215,7 +215,8 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
     """The agent that the configuration names, for these worlds, with weights from its seed.
 
     Raises:
-        UserError: the network cannot read these observations.
+        UserError: the network cannot read these observations, or they lack what the auxiliary loss
+            is about.
     """
     spaces = env.single_observation_space, env.single_action_space
     common: dict[str, Any] = {
@@ -226,9 +227,23 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
     try:
         match config.agent:
             case ImpalaOptions():
-                return Impala(*spaces, config.agent, config.network, config.memory, **common)
+                return Impala(
+                    *spaces,
+                    config.agent,
+                    config.network,
+                    config.memory,
+                    config.auxiliary,
+                    **common,
+                )
             case VMPOOptions():
-                return VMPO(*spaces, config.agent, config.network, config.memory, **common)
+                return VMPO(
+                    *spaces,
+                    config.agent,
+                    config.network,
+                    config.memory,
+                    config.auxiliary,
+                    **common,
+                )
             case R2D2Options():
                 return R2D2(
                     *spaces,
