@@ -21,7 +21,15 @@ import math
 import numpy as np
 from numba import njit
 
-from zipf.envs.render3d.blocks import LANES, flat_block, pack_block, patchwork_block, wall_block
+from zipf.envs.render3d.blocks import (
+    LANES,
+    TRIANGLE_LANES,
+    flat_block,
+    pack_block,
+    patchwork_block,
+    triangle_block,
+    wall_block,
+)
 from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
 
 LEVEL_STRIDE = 128
@@ -40,6 +48,7 @@ FADE = 14.0
 """Metres at which distance halves the light."""
 
 _SUN_X, _SUN_Y, _SUN_Z = (s / math.sqrt(sum(s * s for s in SUN)) for s in SUN)
+_EDGE = np.float32(1e-4)  # pixels this near outside of an edge are taken in, lest two let one slip
 _SOLID = -(1 << 31)  # makes every texel opaque
 _FADE2 = 1.0 / FADE**2
 
@@ -232,7 +241,7 @@ def _draw_wall(
     area = per_u * per_v * da * da / abs(distance)
     solid = 0 if flags & SEE_THROUGH else _SOLID
     texture_at = texels[texture].ctypes.data
-    z32, dz32, du32, dv32 = np.float32(z), np.float32(dz), np.float32(du), np.float32(dv)
+    dz32, du32, dv32 = np.float32(dz), np.float32(du), np.float32(dv)
     for y in range(len(low)):
         if low[y] > high[y]:
             continue
@@ -325,38 +334,99 @@ def _draw_flat(
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, width, color, depth):
-    """Fills a triangle given in pixels and 1/t, seen from its front."""
-    left, right = min(ax, bx, cx), max(ax, bx, cx)
-    top, bottom = min(ay, by, cy), max(ay, by, cy)
-    if right < 0.0 or left > width - 1.0 or bottom < 0.0 or top > len(depth) - 1.0:
+    """Fills a triangle given in pixels and 1/t (float32), seen from its front."""
+    left = max(math.ceil(min(ax, bx, cx)), 0)
+    right = min(math.floor(max(ax, bx, cx)), width - 1)
+    top = max(math.ceil(min(ay, by, cy)), 0)
+    bottom = min(math.floor(max(ay, by, cy)), len(depth) - 1)
+    if left > right or top > bottom:
         return
-    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    if area >= 0.0:
+    # How far inside of each edge, times its length; and 1/t.
+    a_x, a_y = by - ay, ax - bx
+    b_x, b_y = cy - by, bx - cx
+    c_x, c_y = ay - cy, cx - ax
+    area = a_x * c_y - a_y * c_x
+    if area <= 0.0:
         return
-    dz = ((bz - az) * (cy - ay) - (cz - az) * (by - ay)) / area
-    dz_row = ((cz - az) * (bx - ax) - (bz - az) * (cx - ax)) / area
-    grow = 1e-4
-    for y in range(max(math.ceil(top), 0), min(math.floor(bottom), len(depth) - 1) + 1):
-        for x in range(max(math.ceil(left), 0), min(math.floor(right), width - 1) + 1):
-            inverse = az + dz * (x - ax) + dz_row * (y - ay)
-            if (
-                (bx - ax) * (y - ay) - (by - ay) * (x - ax) <= grow
-                and (cx - bx) * (y - by) - (cy - by) * (x - bx) <= grow
-                and (ax - cx) * (y - cy) - (ay - cy) * (x - cx) <= grow
-                and inverse > depth[y, x]
-            ):
-                depth[y, x] = inverse
-                color[y, x] = paint
+    per_area = np.float32(1.0) / area
+    dz = ((cz - az) * a_x + (bz - az) * c_x) * per_area
+    dz_row = ((cz - az) * a_y + (bz - az) * c_y) * per_area
+    x, y = np.float32(left), np.float32(top)
+    a = a_x * (x - ax) + a_y * (y - ay) + _EDGE
+    b = b_x * (x - bx) + b_y * (y - by) + _EDGE
+    c = c_x * (x - cx) + c_y * (y - cy) + _EDGE
+    z = az + dz * (x - ax) + dz_row * (y - ay)
+    stride = color.shape[1] * 4
+    line, depths = color[top].ctypes.data, depth[top].ctypes.data
+    for _ in range(top, bottom + 1):
+        for x in range(0, right - left + 1, TRIANGLE_LANES):
+            at = 4 * (left + x)
+            triangle_block(line + at, depths + at, x, paint, z, dz, a, a_x, b, b_x, c, c_x)
+        a += a_y
+        b += b_y
+        c += c_y
+        z += dz_row
+        line += stride
+        depths += stride
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _transform(vertices, m, seen):
+    """Writes the places of vertices, seen from the eye, to the first rows of `seen`."""
+    m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
+    m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
+    m20, m21, m22, m23 = m[2, 0], m[2, 1], m[2, 2], m[2, 3]
+    xs, ys, zs = vertices[0], vertices[1], vertices[2]
+    right, up, ahead = seen[0], seen[1], seen[2]
+    for k in range(len(xs)):
+        x, y, z = xs[k], ys[k], zs[k]
+        right[k] = m00 * x + m01 * y + m02 * z + m03
+        up[k] = m10 * x + m11 * y + m12 * z + m13
+        ahead[k] = m20 * x + m21 * y + m22 * z + m23
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _project(count, focal, middle_x, middle_y, seen):
+    """Writes the pixels and 1/t of the first `count` places to the last rows of `seen`."""
+    right, up, ahead = seen[0], seen[1], seen[2]
+    x, y, inverse = seen[3], seen[4], seen[5]
+    for k in range(count):
+        z = np.float32(1.0) / ahead[k]
+        x[k] = middle_x + focal * z * right[k]
+        y[k] = middle_y - focal * z * up[k]
+        inverse[k] = z
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _light_triangles(normals, eye, sun, fade, lit):
+    """Writes the light on triangles to `lit`, 0 on those that face away from the eye."""
+    eye_x, eye_y, eye_z = eye
+    sun_x, sun_y, sun_z = sun
+    base, slope = fade * np.float32(MESH_DARK + 0.5 * MESH_SUN), fade * np.float32(0.5 * MESH_SUN)
+    xs, ys, zs, planes = normals[0], normals[1], normals[2], normals[3]
+    for k in range(len(xs)):
+        x, y, z = xs[k], ys[k], zs[k]
+        front = x * eye_x + y * eye_y + z * eye_z > planes[k]
+        light = base + slope * (x * sun_x + y * sun_y + z * sun_z)
+        lit[k] = light if front else np.float32(0.0)
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _draw_mesh(
-    vertices, triangles, normals, parts, position, rotation, scale, colors, eye, frame, focal,
-    middle_x, middle_y, seen, width, color, depth,
+    vertices, triangles, normals, parts, ball, position, rotation, scale, colors, eye, frame, focal,
+    middle_x, middle_y, slant_x, slant_y, seen, lit, width, color, depth,
 ):  # fmt: skip
-    """Draws one mesh. `frame` [3, 3] holds right, up and forward; `seen` [3, V] is scratch."""
-    ox, oy, oz = position[0] - eye[0], position[1] - eye[1], position[2] - eye[2]
+    """Draws one mesh.
+
+    `frame` [3, 3] holds right, up and forward, `ball` the centre and radius of a ball around the
+    mesh, and `slant_x`, `slant_y` are the sine and cosine of half the field of view sideways and
+    upwards. `seen` [6, V] and `lit` [T] are scratch.
+    """
+    offset = np.empty(3, np.float32)
     m = np.empty((3, 4), np.float32)
+    for i in range(3):
+        offset[i] = position[i] - eye[i]
+    middle = np.empty(3, np.float32)
     for i in range(3):
         for j in range(3):
             m[i, j] = scale * (
@@ -364,50 +434,81 @@ def _draw_mesh(
                 + frame[i, 1] * rotation[1, j]
                 + frame[i, 2] * rotation[2, j]
             )
-        m[i, 3] = frame[i, 0] * ox + frame[i, 1] * oy + frame[i, 2] * oz
-    for k in range(vertices.shape[1]):
-        vx, vy, vz = vertices[0, k], vertices[1, k], vertices[2, k]
-        for i in range(3):
-            seen[i, k] = m[i, 0] * vx + m[i, 1] * vy + m[i, 2] * vz + m[i, 3]
+        m[i, 3] = frame[i, 0] * offset[0] + frame[i, 1] * offset[1] + frame[i, 2] * offset[2]
+        middle[i] = m[i, 0] * ball[0] + m[i, 1] * ball[1] + m[i, 2] * ball[2] + m[i, 3]
+    radius = ball[3] * scale
+    if (
+        middle[2] + radius < NEAR
+        or abs(middle[0]) * slant_x[1] - middle[2] * slant_x[0] > radius
+        or abs(middle[1]) * slant_y[1] - middle[2] * slant_y[0] > radius
+    ):
+        return
+    _transform(vertices, m, seen)
     # In the mesh's own frame: the eye, and the sun.
-    view_x = -(rotation[0, 0] * ox + rotation[1, 0] * oy + rotation[2, 0] * oz) / scale
-    view_y = -(rotation[0, 1] * ox + rotation[1, 1] * oy + rotation[2, 1] * oz) / scale
-    view_z = -(rotation[0, 2] * ox + rotation[1, 2] * oy + rotation[2, 2] * oz) / scale
-    sun_x = rotation[0, 0] * _SUN_X + rotation[1, 0] * _SUN_Y + rotation[2, 0] * _SUN_Z
-    sun_y = rotation[0, 1] * _SUN_X + rotation[1, 1] * _SUN_Y + rotation[2, 1] * _SUN_Z
-    sun_z = rotation[0, 2] * _SUN_X + rotation[1, 2] * _SUN_Y + rotation[2, 2] * _SUN_Z
-    fade = 1.0 / (1.0 + max(m[2, 3], 0.0) ** 2 * _FADE2)
-    px, py, pz = np.empty(4), np.empty(4), np.empty(4)
+    own = np.float32(1.0) / scale
+    own_eye = (
+        -own
+        * (rotation[0, 0] * offset[0] + rotation[1, 0] * offset[1] + rotation[2, 0] * offset[2]),
+        -own
+        * (rotation[0, 1] * offset[0] + rotation[1, 1] * offset[1] + rotation[2, 1] * offset[2]),
+        -own
+        * (rotation[0, 2] * offset[0] + rotation[1, 2] * offset[1] + rotation[2, 2] * offset[2]),
+    )
+    sun_x, sun_y, sun_z = np.float32(_SUN_X), np.float32(_SUN_Y), np.float32(_SUN_Z)
+    own_sun = (
+        rotation[0, 0] * sun_x + rotation[1, 0] * sun_y + rotation[2, 0] * sun_z,
+        rotation[0, 1] * sun_x + rotation[1, 1] * sun_y + rotation[2, 1] * sun_z,
+        rotation[0, 2] * sun_x + rotation[1, 2] * sun_y + rotation[2, 2] * sun_z,
+    )
+    fade = np.float32(1.0 / (1.0 + max(m[2, 3], np.float32(0.0)) ** 2 * _FADE2))
+    _light_triangles(normals, own_eye, own_sun, fade, lit)
+    if middle[2] - radius > NEAR:
+        _project(vertices.shape[1], focal, middle_x, middle_y, seen)
+        x, y, inverse = seen[3], seen[4], seen[5]
+        for k in range(len(triangles)):
+            light = lit[k]
+            if light > 0.0:
+                a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
+                _draw_triangle(
+                    x[a], y[a], inverse[a], x[b], y[b], inverse[b], x[c], y[c], inverse[c],
+                    _paint(colors, parts[k], light), width, color, depth,
+                )  # fmt: skip
+        return
+    px, py, pz = np.empty(4, np.float32), np.empty(4, np.float32), np.empty(4, np.float32)
+    near = np.float32(NEAR)
     for k in range(len(triangles)):
-        nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
-        if nx * view_x + ny * view_y + nz * view_z <= normals[3, k]:
+        light = lit[k]
+        if light <= 0.0:
             continue
-        light = fade * (MESH_DARK + MESH_SUN * (0.5 + 0.5 * (nx * sun_x + ny * sun_y + nz * sun_z)))
-        part = parts[k]
-        paint = np.uint32(0)
-        for i in range(3):
-            paint |= np.uint32(colors[part, i] * light) << np.uint32(8 * i)
         # The triangle, cut where it is nearer than the near plane: up to four corners.
         corners = 0
         for i in range(3):
             v, w = triangles[k, i], triangles[k, (i + 1) % 3]
             depth_v, depth_w = seen[2, v], seen[2, w]
-            if depth_v >= NEAR:
-                px[corners] = middle_x + focal * seen[0, v] / depth_v
-                py[corners] = middle_y - focal * seen[1, v] / depth_v
-                pz[corners] = 1.0 / depth_v
+            if depth_v >= near:
+                pz[corners] = np.float32(1.0) / depth_v
+                px[corners] = middle_x + focal * pz[corners] * seen[0, v]
+                py[corners] = middle_y - focal * pz[corners] * seen[1, v]
                 corners += 1
-            if (depth_v >= NEAR) != (depth_w >= NEAR):
-                f = (NEAR - depth_v) / (depth_w - depth_v)
-                px[corners] = middle_x + focal * (seen[0, v] + f * (seen[0, w] - seen[0, v])) / NEAR
-                py[corners] = middle_y - focal * (seen[1, v] + f * (seen[1, w] - seen[1, v])) / NEAR
-                pz[corners] = 1.0 / NEAR
+            if (depth_v >= near) != (depth_w >= near):
+                f = (near - depth_v) / (depth_w - depth_v)
+                pz[corners] = np.float32(1.0) / near
+                right = seen[0, v] + f * (seen[0, w] - seen[0, v])
+                up = seen[1, v] + f * (seen[1, w] - seen[1, v])
+                px[corners] = middle_x + focal * pz[corners] * right
+                py[corners] = middle_y - focal * pz[corners] * up
                 corners += 1
         for i in range(2, corners):
             _draw_triangle(
                 px[0], py[0], pz[0], px[i - 1], py[i - 1], pz[i - 1], px[i], py[i], pz[i],
-                paint, width, color, depth,
+                _paint(colors, parts[k], light), width, color, depth,
             )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _paint(colors, part, light):
+    red, green, blue = colors[part, 0], colors[part, 1], colors[part, 2]
+    return np.int32(red * light) | np.int32(green * light) << 8 | np.int32(blue * light) << 16
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -415,13 +516,17 @@ def draw(
     start, stop, mask, camera, walls, wall_looks, wall_repeat, wall_tint, wall_face, wall_count,
     flats, flat_looks, flat_tiles, flat_repeat, flat_tint, flat_count, tiles, mesh, position,
     rotation, scale, colors, sky, solid, grid, vertices, triangles, normals, parts, first_vertex,
-    first_triangle, fixed_colors, texels, focal, color, depth, low, high, seen, faces, spans, out,
+    first_triangle, balls, fixed_colors, texels, focal, color, depth,
+    low, high, seen, lit, faces, spans, out,
 ):  # fmt: skip
     """Draws the worlds start .. stop - 1 that are in `mask` to `out`, uint8 [N, H, W, 3]."""
     height, width = out.shape[1], out.shape[2]
     middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
     frame = np.empty((3, 3))
-    palette = np.empty((len(fixed_colors) + 2, 3), np.uint8)
+    palette = np.empty((len(fixed_colors) + 2, 3), np.float32)
+    to_edge = (width / 2 / focal, height / 2 / focal)
+    slant_x = (math.sin(math.atan(to_edge[0])), math.cos(math.atan(to_edge[0])))
+    slant_y = (math.sin(math.atan(to_edge[1])), math.cos(math.atan(to_edge[1])))
     palette[2:] = fixed_colors
     for i in range(start, stop):
         if not mask[i]:
@@ -478,8 +583,9 @@ def draw(
             t0, t1 = first_triangle[which], first_triangle[which + 1]
             _draw_mesh(
                 vertices[:, v0:v1], triangles[t0:t1], normals[:, t0:t1], parts[t0:t1],
-                position[i, k], rotation[i, k], scale[i, k], palette, camera[i], frame, focal,
-                middle_x, middle_y, seen, width, color, depth,
+                balls[which], position[i, k], rotation[i, k], scale[i, k], palette, camera[i],
+                frame, np.float32(focal), np.float32(middle_x), np.float32(middle_y), slant_x,
+                slant_y, seen, lit, width, color, depth,
             )  # fmt: skip
         for k in range(flat_count[i]):
             texture, rows = flat_looks[i, k, 0], flat_tiles[i, k, 1]

@@ -19,6 +19,9 @@ FIXED_COLORS = np.array(
 """Of the parts of meshes from 2 on: dark, light, wood, green."""
 
 
+_DRAW: Any = kernels.draw
+
+
 class Renderer:
     """Draws what the cameras of `Scenes` see.
 
@@ -90,7 +93,7 @@ class Renderer:
 
         def draw(thread: int, start: int, stop: int) -> None:
             s = scenes
-            kernels.draw(
+            _DRAW(
                 start, stop, mask, s.camera, s.walls, s.wall_looks, s.wall_repeat, s.wall_tint,
                 s.wall_face, s.wall_count, s.flats, s.flat_looks, s.flat_tiles, s.flat_repeat,
                 s.flat_tint, s.flat_count, s.tiles, s.mesh, s.position, s.rotation, s.scale,
@@ -108,14 +111,15 @@ class Renderer:
 
     def _allocate(self) -> tuple[NDArray[Any], ...]:
         stride = -(-self.width // LANES) * LANES + LANES
-        vertices = int(np.diff(self._meshes[4]).max(initial=0))
+        vertices, triangles = (int(np.diff(ends).max(initial=0)) for ends in self._meshes[4:6])
         rows, columns = self._grid
         return (
             np.zeros((self.height, stride), np.uint32),
             np.zeros((self.height, stride), np.float32),
             np.zeros(self.height, np.float32),
             np.zeros(self.height, np.float32),
-            np.zeros((3, vertices), np.float32),
+            np.zeros((6, vertices), np.float32),
+            np.zeros(triangles, np.float32),
             np.zeros(rows * columns * 4, np.bool_),
             np.zeros((4, rows * columns + 2)),
         )
@@ -154,6 +158,13 @@ def _prepare(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     planes = np.concatenate([normals, (normals * corners[:, 0]).sum(1, keepdims=True)], axis=1)
+    balls = np.zeros((len(meshes.names), 4), np.float32)
+    for ball, first, last in zip(
+        balls, meshes.first_vertex[:-1], meshes.first_vertex[1:], strict=True
+    ):
+        own = meshes.vertices[first:last]
+        ball[:3] = (own.min(0) + own.max(0)) / 2
+        ball[3] = np.linalg.norm(own - ball[:3], axis=1).max()
     local = meshes.triangles - meshes.first_vertex[owner][:, None]
     return (
         np.ascontiguousarray(meshes.vertices.T, np.float32),
@@ -162,4 +173,5 @@ def _prepare(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
         np.ascontiguousarray(meshes.parts, np.uint8),
         np.ascontiguousarray(meshes.first_vertex, np.int32),
         np.ascontiguousarray(meshes.first_triangle, np.int32),
+        balls,
     )
