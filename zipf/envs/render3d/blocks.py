@@ -187,24 +187,23 @@ def _written(kinds: Sequence[Any], write: Callable[..., None]) -> Any:
 
 @intrinsic
 def wall_block(
-    typingctx, color, depth, texels, x, first, last, z, dz, u, du, v, dv, area, fade, red, green,
+    typingctx, color, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, red, green,
     blue, solid,
 ):  # fmt: skip
-    """Pixels x .. x + 15 of a wall's span first .. last (columns).
+    """Pixels x .. x + 15, but none past the column last, of a wall.
 
     1/t is z + dz * x, texel coordinates over t likewise; a pixel covers area * t**3 texels; light
     is red, green, blue over 1 + fade * t**2. Holes are kept where `solid` is not 0.
     """
 
-    def write(builder, color, depth, texels, x, first, last, z, dz, u, du, v, dv, area, fade, red,
+    def write(builder, color, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, red,
               green, blue, solid):  # fmt: skip
         code = _Code(builder)
         splat = code.splat
         column = code.columns(x)
         place = column.floats_()
         inverse = splat(z) + splat(dz) * place
-        mask = (column >= splat(first)) & (column <= splat(last))
-        mask = mask & (inverse > code.load(depth, _FLOAT))
+        mask = (column <= splat(last)) & (inverse > code.load(depth, _FLOAT))
         with builder.if_then(mask.any()):
             # t and the light of one division: 1/t**2 + fade is the denominator of both.
             square = inverse * inverse
@@ -223,18 +222,17 @@ def wall_block(
             code.keep(mask, inverse, depth, _FLOAT)
             code.keep(mask, paint, color, _INT)
 
-    return _written([_ADDRESS] * 3 + [_I] * 3 + [_F] * 11 + [_I], write)
+    return _written([_ADDRESS] * 3 + [_I] * 2 + [_F] * 11 + [_I], write)
 
 
 def _flat(patchwork: bool) -> Callable[..., Any]:
-    def write(builder, color, depth, texels, x, first, last, z, u, du, v, dv, level, red, green,
+    def write(builder, color, depth, texels, x, last, z, u, du, v, dv, level, red, green,
               blue, solid, tiles, c, dc, columns, r, dr, rows):  # fmt: skip
         code = _Code(builder)
         splat = code.splat
         column = code.columns(x)
         place = column.floats_()
-        mask = (column >= splat(first)) & (column <= splat(last))
-        mask = mask & (splat(z) > code.load(depth, _FLOAT))
+        mask = (column <= splat(last)) & (splat(z) > code.load(depth, _FLOAT))
         with builder.if_then(mask.any()):
             iu = (splat(u) + splat(du) * place).truncated() & 63
             iv = (splat(v) + splat(dv) * place).truncated() & 63
@@ -255,27 +253,87 @@ def _flat(patchwork: bool) -> Callable[..., Any]:
     return write
 
 
-_FLAT = [_ADDRESS] * 3 + [_I] * 3 + [_F] * 5 + [_I] + [_F] * 3 + [_I]
+_FLAT = [_ADDRESS] * 3 + [_I] * 2 + [_F] * 5 + [_I] + [_F] * 3 + [_I]
 
 
 @intrinsic
 def flat_block(
-    typingctx, color, depth, texels, x, first, last, z, u, du, v, dv, level, red, green, blue,
+    typingctx, color, depth, texels, x, last, z, u, du, v, dv, level, red, green, blue,
     solid,
 ):  # fmt: skip
-    """Pixels x .. x + 15 of a flat's span first .. last: 1/t, the light and the size of texels are
-    the same along the line, texel coordinates are affine."""
+    """Pixels x .. x + 15, but none past the column last, of a flat.
+
+    1/t, the light and the size of texels are the same along a line, texel coordinates are affine.
+    """
     write = _flat(patchwork=False)
     return _written(_FLAT, lambda builder, *args: write(builder, *args, *[None] * 7))
 
 
 @intrinsic
 def patchwork_block(
-    typingctx, color, depth, texels, x, first, last, z, u, du, v, dv, level, red, green, blue,
+    typingctx, color, depth, texels, x, last, z, u, du, v, dv, level, red, green, blue,
     solid, tiles, c, dc, columns, r, dr, rows,
 ):  # fmt: skip
     """Like `flat_block`; the texture is found in `tiles` [rows, columns] at affine coordinates."""
     return _written(_FLAT + [_ADDRESS, _F, _F, _I, _F, _F, _I], _flat(patchwork=True))
+
+
+@intrinsic
+def vertex_block(
+    typingctx, vertices, vertex_line, seen, seen_line, xx, xy, xz, xw, yx, yy, yz, yw, zx, zy, zz,
+    zw, focal, middle_x, middle_y,
+):  # fmt: skip
+    """Transforms 16 vertices, lines x, y, z of an array whose lines are so many bytes apart.
+
+    Writes where they are seen from the eye (right, up, ahead), their pixels and 1/t as the six
+    lines of `seen`; the last three are meaningless for vertices that are not ahead.
+    """
+
+    def write(builder, vertices, vertex_line, seen, seen_line, xx, xy, xz, xw, yx, yy, yz, yw, zx,
+              zy, zz, zw, focal, middle_x, middle_y):  # fmt: skip
+        code = _Code(builder)
+        splat = code.splat
+
+        def line(start: Any, step: Any, number: int) -> Any:
+            return builder.add(start, builder.mul(step, ir.Constant(step.type, number)))
+
+        x, y, z = (code.load(line(vertices, vertex_line, k), _FLOAT) for k in range(3))
+        right, up, ahead = (
+            splat(a) * x + splat(b) * y + splat(c) * z + splat(d)
+            for a, b, c, d in ((xx, xy, xz, xw), (yx, yy, yz, yw), (zx, zy, zz, zw))
+        )
+        inverse = ahead.like(1.0) / ahead
+        scale = splat(focal) * inverse
+        across = splat(middle_x) + scale * right
+        down = splat(middle_y) - scale * up
+        for k, value in enumerate((right, up, ahead, across, down, inverse)):
+            code.store(value, line(seen, seen_line, k))
+
+    return _written([_ADDRESS] * 4 + [_F] * 15, write)
+
+
+@intrinsic
+def light_block(
+    typingctx, normals, line, lit, eye_x, eye_y, eye_z, sun_x, sun_y, sun_z, base, slope
+):  # fmt: skip
+    """Writes the light on 16 triangles, 0 on those that face away from the eye.
+
+    `normals` are lines x, y, z and distance from the origin, so many bytes apart.
+    """
+
+    def write(builder, normals, line, lit, eye_x, eye_y, eye_z, sun_x, sun_y, sun_z, base, slope):
+        code = _Code(builder)
+        splat = code.splat
+        x, y, z, plane = (
+            code.load(builder.add(normals, builder.mul(line, ir.Constant(line.type, k))), _FLOAT)
+            for k in range(4)
+        )
+        front = splat(eye_x) * x + splat(eye_y) * y + splat(eye_z) * z > plane
+        light = splat(sun_x) * x + splat(sun_y) * y + splat(sun_z) * z
+        light = splat(base) + splat(slope) * light
+        code.store(front.choose(light, light.like(0.0)), lit)
+
+    return _written([_ADDRESS] * 3 + [_F] * 8, write)
 
 
 TRIANGLE_LANES = 8

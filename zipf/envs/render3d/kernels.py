@@ -25,9 +25,11 @@ from zipf.envs.render3d.blocks import (
     LANES,
     TRIANGLE_LANES,
     flat_block,
+    light_block,
     pack_block,
     patchwork_block,
     triangle_block,
+    vertex_block,
     wall_block,
 )
 from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
@@ -47,16 +49,22 @@ MESH_DARK, MESH_SUN = 0.34, 0.66
 FADE = 14.0
 """Metres at which distance halves the light."""
 
-_SUN_X, _SUN_Y, _SUN_Z = (s / math.sqrt(sum(s * s for s in SUN)) for s in SUN)
+_SUN = tuple(np.float32(s / math.sqrt(sum(s * s for s in SUN))) for s in SUN)
 _EDGE = np.float32(1e-4)  # pixels this near outside of an edge are taken in, lest two let one slip
 _SOLID = -(1 << 31)  # makes every texel opaque
 _FADE2 = 1.0 / FADE**2
 
 
+@njit(nogil=True, cache=True)
+def _address(array):
+    # Signed: numba adds unsigned and signed integers as floats.
+    return np.intp(array.ctypes.data)
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def _light(x, y, z, dark, sun):
     """The light on a surface with the unit normal x, y, z: wrapped around, to shade all sides."""
-    return dark + sun * (0.5 + 0.5 * (x * _SUN_X + y * _SUN_Y + z * _SUN_Z))
+    return dark + sun * (0.5 + 0.5 * (x * _SUN[0] + y * _SUN[1] + z * _SUN[2]))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -240,7 +248,7 @@ def _draw_wall(
     # A pixel covers area * t**3 texels.
     area = per_u * per_v * da * da / abs(distance)
     solid = 0 if flags & SEE_THROUGH else _SOLID
-    texture_at = texels[texture].ctypes.data
+    texture_at = _address(texels[texture])
     dz32, du32, dv32 = np.float32(dz), np.float32(du), np.float32(dv)
     for y in range(len(low)):
         if low[y] > high[y]:
@@ -250,10 +258,10 @@ def _draw_wall(
             continue
         z_row = np.float32(z + dz_row * y)
         u_row, v_row = np.float32(u + du_row * y), np.float32(v + dv_row * y)
-        line, depths = color[y].ctypes.data, depth[y].ctypes.data
-        for x in range(first & -LANES, last + 1, LANES):
+        line, depths = _address(color[y]), _address(depth[y])
+        for x in range(first, last + 1, LANES):
             wall_block(
-                line + 4 * x, depths + 4 * x, texture_at, x, first, last, z_row, dz32, u_row, du32,
+                line + 4 * x, depths + 4 * x, texture_at, x, last, z_row, dz32, u_row, du32,
                 v_row, dv32, area, _FADE2, red, green, blue, solid,
             )  # fmt: skip
 
@@ -295,6 +303,7 @@ def _draw_flat(
     per_v = 64.0 / repeat if repeat > 0.0 else 64.0 * max(rows, 1) / (north - south)
     area = per_u * per_v * da * da / abs(up)
     solid = 0 if flags & SEE_THROUGH else _SOLID
+    tiles_at = _address(tiles) + 2 * first
     for y in range(len(depth)):
         inverse = (rise0 + drise * y) / up
         if not 1.0 / FAR < inverse < 1.0 / NEAR:
@@ -313,32 +322,38 @@ def _draw_flat(
         fade = light / (1.0 + t * t * _FADE2) / 255.0
         red, green, blue = fade * tint[0], fade * tint[1], fade * tint[2]
         first_x, last_x = math.ceil(low), math.floor(high)
+        if first_x > last_x:
+            continue
         px -= west
         py -= south
-        line, depths = color[y].ctypes.data, depth[y].ctypes.data
-        for x in range(first_x & -LANES, last_x + 1, LANES):
+        line, depths = _address(color[y]), _address(depth[y])
+        for x in range(first_x, last_x + 1, LANES):
             if rows > 0:
                 patchwork_block(
-                    line + 4 * x, depths + 4 * x, texels.ctypes.data, x, first_x, last_x, inverse,
+                    line + 4 * x, depths + 4 * x, _address(texels), x, last_x, inverse,
                     px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green, blue, solid,
-                    tiles[first:].ctypes.data, px * per_column, dx * per_column, columns,
+                    tiles_at, px * per_column, dx * per_column, columns,
                     py * per_row, dy * per_row, rows,
                 )  # fmt: skip
             else:
                 flat_block(
-                    line + 4 * x, depths + 4 * x, texels[texture].ctypes.data, x, first_x, last_x,
+                    line + 4 * x, depths + 4 * x, _address(texels[texture]), x, last_x,
                     inverse, px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green,
                     blue, solid,
                 )  # fmt: skip
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def _draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, width, color, depth):
-    """Fills a triangle given in pixels and 1/t (float32), seen from its front."""
+def _draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, image):
+    """Fills a triangle given in pixels and 1/t (float32), seen from its front.
+
+    `image` holds width, height, pixels in a line of the buffers, and the addresses of the buffers.
+    """
+    width, height, stride, color, depth = image
     left = max(math.ceil(min(ax, bx, cx)), 0)
     right = min(math.floor(max(ax, bx, cx)), width - 1)
     top = max(math.ceil(min(ay, by, cy)), 0)
-    bottom = min(math.floor(max(ay, by, cy)), len(depth) - 1)
+    bottom = min(math.floor(max(ay, by, cy)), height - 1)
     if left > right or top > bottom:
         return
     # How far inside of each edge, times its length; and 1/t.
@@ -351,77 +366,36 @@ def _draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, width, color, dept
     per_area = np.float32(1.0) / area
     dz = ((cz - az) * a_x + (bz - az) * c_x) * per_area
     dz_row = ((cz - az) * a_y + (bz - az) * c_y) * per_area
-    x, y = np.float32(left), np.float32(top)
-    a = a_x * (x - ax) + a_y * (y - ay) + _EDGE
-    b = b_x * (x - bx) + b_y * (y - by) + _EDGE
-    c = c_x * (x - cx) + c_y * (y - cy) + _EDGE
-    z = az + dz * (x - ax) + dz_row * (y - ay)
-    stride = color.shape[1] * 4
-    line, depths = color[top].ctypes.data, depth[top].ctypes.data
+    px, py = np.float32(left), np.float32(top)
+    a = a_x * (px - ax) + a_y * (py - ay) + _EDGE
+    b = b_x * (px - bx) + b_y * (py - by) + _EDGE
+    c = c_x * (px - cx) + c_y * (py - cy) + _EDGE
+    z = az + dz * (px - ax) + dz_row * (py - ay)
+    start = top * stride + left
     for _ in range(top, bottom + 1):
         for x in range(0, right - left + 1, TRIANGLE_LANES):
-            at = 4 * (left + x)
-            triangle_block(line + at, depths + at, x, paint, z, dz, a, a_x, b, b_x, c, c_x)
+            at = 4 * (start + x)
+            triangle_block(color + at, depth + at, x, paint, z, dz, a, a_x, b, b_x, c, c_x)
         a += a_y
         b += b_y
         c += c_y
         z += dz_row
-        line += stride
-        depths += stride
-
-
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def _transform(vertices, m, seen):
-    """Writes the places of vertices, seen from the eye, to the first rows of `seen`."""
-    m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
-    m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
-    m20, m21, m22, m23 = m[2, 0], m[2, 1], m[2, 2], m[2, 3]
-    xs, ys, zs = vertices[0], vertices[1], vertices[2]
-    right, up, ahead = seen[0], seen[1], seen[2]
-    for k in range(len(xs)):
-        x, y, z = xs[k], ys[k], zs[k]
-        right[k] = m00 * x + m01 * y + m02 * z + m03
-        up[k] = m10 * x + m11 * y + m12 * z + m13
-        ahead[k] = m20 * x + m21 * y + m22 * z + m23
-
-
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def _project(count, focal, middle_x, middle_y, seen):
-    """Writes the pixels and 1/t of the first `count` places to the last rows of `seen`."""
-    right, up, ahead = seen[0], seen[1], seen[2]
-    x, y, inverse = seen[3], seen[4], seen[5]
-    for k in range(count):
-        z = np.float32(1.0) / ahead[k]
-        x[k] = middle_x + focal * z * right[k]
-        y[k] = middle_y - focal * z * up[k]
-        inverse[k] = z
-
-
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def _light_triangles(normals, eye, sun, fade, lit):
-    """Writes the light on triangles to `lit`, 0 on those that face away from the eye."""
-    eye_x, eye_y, eye_z = eye
-    sun_x, sun_y, sun_z = sun
-    base, slope = fade * np.float32(MESH_DARK + 0.5 * MESH_SUN), fade * np.float32(0.5 * MESH_SUN)
-    xs, ys, zs, planes = normals[0], normals[1], normals[2], normals[3]
-    for k in range(len(xs)):
-        x, y, z = xs[k], ys[k], zs[k]
-        front = x * eye_x + y * eye_y + z * eye_z > planes[k]
-        light = base + slope * (x * sun_x + y * sun_y + z * sun_z)
-        lit[k] = light if front else np.float32(0.0)
+        start += stride
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _draw_mesh(
-    vertices, triangles, normals, parts, ball, position, rotation, scale, colors, eye, frame, focal,
-    middle_x, middle_y, slant_x, slant_y, seen, lit, width, color, depth,
+    mesh, atlas, position, rotation, scale, colors, eye, frame, focal, middle_x, middle_y, slant_x,
+    slant_y, seen, lit, front, image,
 ):  # fmt: skip
-    """Draws one mesh.
+    """Draws one mesh of the atlas.
 
-    `frame` [3, 3] holds right, up and forward, `ball` the centre and radius of a ball around the
-    mesh, and `slant_x`, `slant_y` are the sine and cosine of half the field of view sideways and
-    upwards. `seen` [6, V] and `lit` [T] are scratch.
+    `frame` [3, 3] holds right, up and forward, `slant_x` and `slant_y` the sine and cosine of half
+    the field of view sideways and upwards, `image` is that of `_draw_triangle`; `seen` [6, V],
+    `lit` [T] and `front` [T] are scratch.
     """
+    vertices, triangles, normals, parts, first_vertex, first_triangle, balls = atlas
+    ball = balls[mesh]
     offset = np.empty(3, np.float32)
     m = np.empty((3, 4), np.float32)
     for i in range(3):
@@ -443,47 +417,59 @@ def _draw_mesh(
         or abs(middle[1]) * slant_y[1] - middle[2] * slant_y[0] > radius
     ):
         return
-    _transform(vertices, m, seen)
+    first, last = first_vertex[mesh], first_vertex[mesh + 1]
+    source, target = _address(vertices) + 4 * first, _address(seen)
+    for k in range(0, 4 * (last - first), 4 * LANES):
+        vertex_block(
+            source + k, vertices.strides[0], target + k, seen.strides[0], m[0, 0], m[0, 1], m[0, 2],
+            m[0, 3], m[1, 0], m[1, 1], m[1, 2], m[1, 3], m[2, 0], m[2, 1], m[2, 2], m[2, 3], focal,
+            middle_x, middle_y,
+        )  # fmt: skip
     # In the mesh's own frame: the eye, and the sun.
     own = np.float32(1.0) / scale
-    own_eye = (
-        -own
-        * (rotation[0, 0] * offset[0] + rotation[1, 0] * offset[1] + rotation[2, 0] * offset[2]),
-        -own
-        * (rotation[0, 1] * offset[0] + rotation[1, 1] * offset[1] + rotation[2, 1] * offset[2]),
-        -own
-        * (rotation[0, 2] * offset[0] + rotation[1, 2] * offset[1] + rotation[2, 2] * offset[2]),
+    eye_x = -own * (
+        rotation[0, 0] * offset[0] + rotation[1, 0] * offset[1] + rotation[2, 0] * offset[2]
     )
-    sun_x, sun_y, sun_z = np.float32(_SUN_X), np.float32(_SUN_Y), np.float32(_SUN_Z)
-    own_sun = (
-        rotation[0, 0] * sun_x + rotation[1, 0] * sun_y + rotation[2, 0] * sun_z,
-        rotation[0, 1] * sun_x + rotation[1, 1] * sun_y + rotation[2, 1] * sun_z,
-        rotation[0, 2] * sun_x + rotation[1, 2] * sun_y + rotation[2, 2] * sun_z,
+    eye_y = -own * (
+        rotation[0, 1] * offset[0] + rotation[1, 1] * offset[1] + rotation[2, 1] * offset[2]
     )
+    eye_z = -own * (
+        rotation[0, 2] * offset[0] + rotation[1, 2] * offset[1] + rotation[2, 2] * offset[2]
+    )
+    sun_x = rotation[0, 0] * _SUN[0] + rotation[1, 0] * _SUN[1] + rotation[2, 0] * _SUN[2]
+    sun_y = rotation[0, 1] * _SUN[0] + rotation[1, 1] * _SUN[1] + rotation[2, 1] * _SUN[2]
+    sun_z = rotation[0, 2] * _SUN[0] + rotation[1, 2] * _SUN[1] + rotation[2, 2] * _SUN[2]
     fade = np.float32(1.0 / (1.0 + max(m[2, 3], np.float32(0.0)) ** 2 * _FADE2))
-    _light_triangles(normals, own_eye, own_sun, fade, lit)
+    base, slope = fade * (MESH_DARK + 0.5 * MESH_SUN), fade * 0.5 * MESH_SUN
+    first, last = first_triangle[mesh], first_triangle[mesh + 1]
+    source, target = _address(normals) + 4 * first, _address(lit)
+    for k in range(0, 4 * (last - first), 4 * LANES):
+        light_block(
+            source + k, normals.strides[0], target + k, eye_x, eye_y, eye_z, sun_x, sun_y, sun_z,
+            base, slope,
+        )  # fmt: skip
+    count = 0
+    for k in range(last - first):
+        front[count] = k
+        count += lit[k] > 0.0
     if middle[2] - radius > NEAR:
-        _project(vertices.shape[1], focal, middle_x, middle_y, seen)
         x, y, inverse = seen[3], seen[4], seen[5]
-        for k in range(len(triangles)):
-            light = lit[k]
-            if light > 0.0:
-                a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
-                _draw_triangle(
-                    x[a], y[a], inverse[a], x[b], y[b], inverse[b], x[c], y[c], inverse[c],
-                    _paint(colors, parts[k], light), width, color, depth,
-                )  # fmt: skip
+        for n in range(count):
+            k = front[n]
+            a, b, c = triangles[first + k, 0], triangles[first + k, 1], triangles[first + k, 2]
+            _draw_triangle(
+                x[a], y[a], inverse[a], x[b], y[b], inverse[b], x[c], y[c], inverse[c],
+                _paint(colors, parts[first + k], lit[k]), image,
+            )  # fmt: skip
         return
     px, py, pz = np.empty(4, np.float32), np.empty(4, np.float32), np.empty(4, np.float32)
     near = np.float32(NEAR)
-    for k in range(len(triangles)):
-        light = lit[k]
-        if light <= 0.0:
-            continue
+    for n in range(count):
+        k = front[n]
         # The triangle, cut where it is nearer than the near plane: up to four corners.
         corners = 0
         for i in range(3):
-            v, w = triangles[k, i], triangles[k, (i + 1) % 3]
+            v, w = triangles[first + k, i], triangles[first + k, (i + 1) % 3]
             depth_v, depth_w = seen[2, v], seen[2, w]
             if depth_v >= near:
                 pz[corners] = np.float32(1.0) / depth_v
@@ -501,7 +487,7 @@ def _draw_mesh(
         for i in range(2, corners):
             _draw_triangle(
                 px[0], py[0], pz[0], px[i - 1], py[i - 1], pz[i - 1], px[i], py[i], pz[i],
-                _paint(colors, parts[k], light), width, color, depth,
+                _paint(colors, parts[first + k], lit[k]), image,
             )  # fmt: skip
 
 
@@ -515,14 +501,14 @@ def _paint(colors, part, light):
 def draw(
     start, stop, mask, camera, walls, wall_looks, wall_repeat, wall_tint, wall_face, wall_count,
     flats, flat_looks, flat_tiles, flat_repeat, flat_tint, flat_count, tiles, mesh, position,
-    rotation, scale, colors, sky, solid, grid, vertices, triangles, normals, parts, first_vertex,
-    first_triangle, balls, fixed_colors, texels, focal, color, depth,
-    low, high, seen, lit, faces, spans, out,
+    rotation, scale, colors, sky, solid, grid, atlas, fixed_colors, texels, focal, color, depth,
+    low, high, seen, lit, front, faces, spans, out,
 ):  # fmt: skip
     """Draws the worlds start .. stop - 1 that are in `mask` to `out`, uint8 [N, H, W, 3]."""
     height, width = out.shape[1], out.shape[2]
     middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
     frame = np.empty((3, 3))
+    image = width, height, color.shape[1], _address(color), _address(depth)
     palette = np.empty((len(fixed_colors) + 2, 3), np.float32)
     to_edge = (width / 2 / focal, height / 2 / focal)
     slant_x = (math.sin(math.atan(to_edge[0])), math.cos(math.atan(to_edge[0])))
@@ -575,18 +561,13 @@ def draw(
                     view, sector, low, high, width, texels, color, depth,
                 )  # fmt: skip
         for k in range(mesh.shape[1]):
-            which = mesh[i, k]
-            if which < 0:
-                continue
-            palette[:2] = colors[i, k]
-            v0, v1 = first_vertex[which], first_vertex[which + 1]
-            t0, t1 = first_triangle[which], first_triangle[which + 1]
-            _draw_mesh(
-                vertices[:, v0:v1], triangles[t0:t1], normals[:, t0:t1], parts[t0:t1],
-                balls[which], position[i, k], rotation[i, k], scale[i, k], palette, camera[i],
-                frame, np.float32(focal), np.float32(middle_x), np.float32(middle_y), slant_x,
-                slant_y, seen, lit, width, color, depth,
-            )  # fmt: skip
+            if mesh[i, k] >= 0:
+                palette[:2] = colors[i, k]
+                _draw_mesh(
+                    mesh[i, k], atlas, position[i, k], rotation[i, k], scale[i, k], palette,
+                    camera[i], frame, np.float32(focal), np.float32(middle_x),
+                    np.float32(middle_y), slant_x, slant_y, seen, lit, front, image,
+                )  # fmt: skip
         for k in range(flat_count[i]):
             texture, rows = flat_looks[i, k, 0], flat_tiles[i, k, 1]
             if texture >= 0 or rows > 0:
@@ -596,10 +577,10 @@ def draw(
                     width, texels, color, depth,
                 )  # fmt: skip
         for y in range(height):
-            line, image = color[y].ctypes.data, out[i, y].ctypes.data
+            line, pixels = _address(color[y]), _address(out[i, y])
             whole = width & -LANES
             for x in range(0, whole, LANES):
-                pack_block(line + 4 * x, image + 3 * x)
+                pack_block(line + 4 * x, pixels + 3 * x)
             for x in range(whole, width):
                 paint = color[y, x]
                 out[i, y, x, 0] = paint & 255

@@ -97,7 +97,7 @@ class Renderer:
                 start, stop, mask, s.camera, s.walls, s.wall_looks, s.wall_repeat, s.wall_tint,
                 s.wall_face, s.wall_count, s.flats, s.flat_looks, s.flat_tiles, s.flat_repeat,
                 s.flat_tint, s.flat_count, s.tiles, s.mesh, s.position, s.rotation, s.scale,
-                s.colors, s.sky, s.solid, s.grid, *self._meshes, FIXED_COLORS, self._texels,
+                s.colors, s.sky, s.solid, s.grid, self._meshes, FIXED_COLORS, self._texels,
                 self._focal, *self._scratch[thread], out,
             )  # fmt: skip
 
@@ -118,8 +118,9 @@ class Renderer:
             np.zeros((self.height, stride), np.float32),
             np.zeros(self.height, np.float32),
             np.zeros(self.height, np.float32),
-            np.zeros((6, vertices), np.float32),
-            np.zeros(triangles, np.float32),
+            np.zeros((6, vertices + LANES), np.float32),
+            np.zeros(triangles + LANES, np.float32),
+            np.zeros(triangles + 1, np.int32),
             np.zeros(rows * columns * 4, np.bool_),
             np.zeros((4, rows * columns + 2)),
         )
@@ -167,11 +168,18 @@ def _prepare(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
         ball[3] = np.linalg.norm(own - ball[:3], axis=1).max()
     local = meshes.triangles - meshes.first_vertex[owner][:, None]
     return (
-        np.ascontiguousarray(meshes.vertices.T, np.float32),
+        _lines(meshes.vertices),
         np.ascontiguousarray(local, np.int32),
-        np.ascontiguousarray(planes.T, np.float32),
+        _lines(planes),
         np.ascontiguousarray(meshes.parts, np.uint8),
         np.ascontiguousarray(meshes.first_vertex, np.int32),
         np.ascontiguousarray(meshes.first_triangle, np.int32),
         balls,
     )
+
+
+def _lines(rows: NDArray[Any]) -> NDArray[np.float32]:
+    """The columns of `rows` as lines, with a block to spare at their ends."""
+    lines = np.zeros((rows.shape[1], len(rows) + LANES), np.float32)
+    lines[:, : len(rows)] = rows.T
+    return lines
