@@ -248,7 +248,9 @@ def _draw_wall(
     # A pixel covers area * t**3 texels.
     area = per_u * per_v * da * da / abs(distance)
     solid = 0 if flags & SEE_THROUGH else _SOLID
-    texture_at = _address(texels[texture])
+    texture_at = _address(texels) + 4 * texels.shape[1] * texture
+    line, depths = _address(color), _address(depth)
+    line_bytes = 4 * color.shape[1]
     dz32, du32, dv32 = np.float32(dz), np.float32(du), np.float32(dv)
     for y in range(len(low)):
         if low[y] > high[y]:
@@ -258,10 +260,10 @@ def _draw_wall(
             continue
         z_row = np.float32(z + dz_row * y)
         u_row, v_row = np.float32(u + du_row * y), np.float32(v + dv_row * y)
-        line, depths = _address(color[y]), _address(depth[y])
         for x in range(first, last + 1, LANES):
+            at = y * line_bytes + 4 * x
             wall_block(
-                line + 4 * x, depths + 4 * x, texture_at, x, last, z_row, dz32, u_row, du32,
+                line + at, depths + at, texture_at, x, last, z_row, dz32, u_row, du32,
                 v_row, dv32, area, _FADE2, red, green, blue, solid,
             )  # fmt: skip
 
@@ -304,6 +306,10 @@ def _draw_flat(
     area = per_u * per_v * da * da / abs(up)
     solid = 0 if flags & SEE_THROUGH else _SOLID
     tiles_at = _address(tiles) + 2 * first
+    texels_at = _address(texels)
+    texture_at = texels_at + 4 * texels.shape[1] * texture
+    line, depths = _address(color), _address(depth)
+    line_bytes = 4 * color.shape[1]
     for y in range(len(depth)):
         inverse = (rise0 + drise * y) / up
         if not 1.0 / FAR < inverse < 1.0 / NEAR:
@@ -326,18 +332,18 @@ def _draw_flat(
             continue
         px -= west
         py -= south
-        line, depths = _address(color[y]), _address(depth[y])
         for x in range(first_x, last_x + 1, LANES):
+            at = y * line_bytes + 4 * x
             if rows > 0:
                 patchwork_block(
-                    line + 4 * x, depths + 4 * x, _address(texels), x, last_x, inverse,
+                    line + at, depths + at, texels_at, x, last_x, inverse,
                     px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green, blue, solid,
                     tiles_at, px * per_column, dx * per_column, columns,
                     py * per_row, dy * per_row, rows,
                 )  # fmt: skip
             else:
                 flat_block(
-                    line + 4 * x, depths + 4 * x, _address(texels[texture]), x, last_x,
+                    line + at, depths + at, texture_at, x, last_x,
                     inverse, px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green,
                     blue, solid,
                 )  # fmt: skip
@@ -502,7 +508,7 @@ def draw(
     start, stop, mask, camera, walls, wall_looks, wall_repeat, wall_tint, wall_face, wall_count,
     flats, flat_looks, flat_tiles, flat_repeat, flat_tint, flat_count, tiles, mesh, position,
     rotation, scale, colors, sky, solid, grid, atlas, fixed_colors, texels, focal, color, depth,
-    low, high, seen, lit, front, faces, spans, out,
+    tilts, low, high, seen, lit, front, faces, spans, out,
 ):  # fmt: skip
     """Draws the worlds start .. stop - 1 that are in `mask` to `out`, uint8 [N, H, W, 3]."""
     height, width = out.shape[1], out.shape[2]
@@ -530,7 +536,7 @@ def draw(
             -middle_x / focal, 1.0 / focal,
         )  # fmt: skip
         for y in range(height):
-            angle = pitch + math.atan((middle_y - y) / focal)
+            angle = pitch + tilts[y]
             share = min(max(angle / (math.pi / 2), 0.0), 1.0)
             paint = np.uint32(0)
             for k in range(3):
@@ -577,7 +583,8 @@ def draw(
                     width, texels, color, depth,
                 )  # fmt: skip
         for y in range(height):
-            line, pixels = _address(color[y]), _address(out[i, y])
+            line = _address(color) + y * 4 * color.shape[1]
+            pixels = _address(out) + 3 * width * (i * height + y)
             whole = width & -LANES
             for x in range(0, whole, LANES):
                 pack_block(line + 4 * x, pixels + 3 * x)

@@ -116,6 +116,7 @@ class Renderer:
         return (
             np.zeros((self.height, stride), np.uint32),
             np.zeros((self.height, stride), np.float32),
+            np.arctan(((self.height - 1) / 2 - np.arange(self.height)) / self._focal),
             np.zeros(self.height, np.float32),
             np.zeros(self.height, np.float32),
             np.zeros((6, vertices + LANES), np.float32),
