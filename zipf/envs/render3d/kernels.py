@@ -32,7 +32,7 @@ from zipf.envs.render3d.blocks import (
     vertex_block,
     wall_block,
 )
-from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
+from zipf.envs.render3d.scene import FACES_DOWN, SCREEN, SEE_THROUGH, TWO_SIDED
 
 LEVEL_STRIDE = 128
 """Texels in a line of a texture with its smaller versions beside it; see `pack_textures`."""
@@ -168,7 +168,7 @@ def _bound(low, high, a, step, b):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _draw_wall(
-    wall, texture, flags, repeat, tint, view, sector, low, high, width, texels, color, depth
+    wall, texture, flags, repeat, tint, screen, view, sector, low, high, width, texels, color, depth
 ):
     """Draws one wall.
 
@@ -227,6 +227,14 @@ def _draw_wall(
     far = tall + GROW
     _bound(low, high, far * z - v, far * dz_row - dv_row, far * dz - dv)
 
+    if texture == SCREEN:
+        _draw_screen(
+            screen, z, dz_row, dz, u + GROW * z, du_row + GROW * dz_row, du + GROW * dz,
+            v + GROW * z, dv_row + GROW * dz_row, dv + GROW * dz,
+            screen.shape[1] / (length + 2 * GROW), screen.shape[0] / (tall + 2 * GROW),
+            low, high, color, depth,
+        )  # fmt: skip
+        return
     per_u = 64.0 / repeat[0] if repeat[0] > 0.0 else 64.0 / (length + 2 * GROW)
     per_v = 64.0 / repeat[1] if repeat[1] > 0.0 else 64.0 / (tall + 2 * GROW)
     shift_u = 0.0 if repeat[0] > 0.0 else GROW
@@ -266,6 +274,44 @@ def _draw_wall(
                 line + at, depths + at, texture_at, x, last, z_row, dz32, u_row, du32,
                 v_row, dv32, area, _FADE2, red, green, blue, solid,
             )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _draw_screen(
+    screen, z, dz_row, dz, u, du_row, du, v, dv_row, dv, per_u, per_v, low, high, color, depth
+):  # fmt: skip
+    """Draws a picture of any size on a wall's spans; u and v are over t, as in `_draw_wall`."""
+    rows, columns = screen.shape[0], screen.shape[1]
+    for y in range(len(low)):
+        if low[y] > high[y]:
+            continue
+        for x in range(math.ceil(low[y]), math.floor(high[y]) + 1):
+            inverse = z + dz_row * y + dz * x
+            if inverse > depth[y, x]:
+                column = int((u + du_row * y + du * x) / inverse * per_u)
+                row = int((v + dv_row * y + dv * x) / inverse * per_v)
+                texel = screen[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)]
+                depth[y, x] = inverse
+                color[y, x] = texel[0] | np.int32(texel[1]) << 8 | np.int32(texel[2]) << 16
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _draw_overlay(overlay, paint, image):
+    """Draws a rectangle given as shares of `image`, uint8 [H, W, 3], in an RGBA colour."""
+    height, width = image.shape[0], image.shape[1]
+    left, right = _pixel(overlay[0], width), _pixel(overlay[2], width)
+    top, bottom = _pixel(overlay[1], height), _pixel(overlay[3], height)
+    alpha = np.int32(paint[3])
+    for y in range(top, bottom):
+        for x in range(left, right):
+            for k in range(3):
+                mixed = image[y, x, k] * (255 - alpha) + paint[k] * alpha
+                image[y, x, k] = (mixed + 127) // 255
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _pixel(share, size):
+    return min(max(math.floor(share * size + 0.5), 0), size)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -507,10 +553,14 @@ def _paint(colors, part, light):
 def draw(
     start, stop, mask, camera, walls, wall_looks, wall_repeat, wall_tint, wall_face, wall_count,
     flats, flat_looks, flat_tiles, flat_repeat, flat_tint, flat_count, tiles, mesh, position,
-    rotation, scale, colors, sky, solid, grid, atlas, fixed_colors, texels, focal, color, depth,
+    rotation, scale, colors, sky, screen, overlays, overlay_colors, overlay_count,
+    solid, grid, atlas, fixed_colors, texels, focal, color, depth,
     tilts, low, high, seen, lit, front, faces, spans, out,
 ):  # fmt: skip
-    """Draws the worlds start .. stop - 1 that are in `mask` to `out`, uint8 [N, H, W, 3]."""
+    """Draws the worlds start .. stop - 1 that are in `mask` to `out`, uint8 [N, H, W, 3].
+
+    Returns the first of them that names a texture, screen or mesh there is not, or -1.
+    """
     height, width = out.shape[1], out.shape[2]
     middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
     frame = np.empty((3, 3))
@@ -561,12 +611,16 @@ def draw(
             if by_grid and wall_face[i, k] >= 0 and not faces[wall_face[i, k]]:
                 continue
             texture = wall_looks[i, k, 0]
-            if texture >= 0:
+            if texture >= len(texels) or (texture == SCREEN and screen[i].size == 0):
+                return i
+            if texture >= 0 or texture == SCREEN:
                 _draw_wall(
                     walls[i, k], texture, wall_looks[i, k, 1], wall_repeat[i, k], wall_tint[i, k],
-                    view, sector, low, high, width, texels, color, depth,
+                    screen[i], view, sector, low, high, width, texels, color, depth,
                 )  # fmt: skip
         for k in range(mesh.shape[1]):
+            if mesh[i, k] >= len(atlas[-1]):
+                return i
             if mesh[i, k] >= 0:
                 palette[:2] = colors[i, k]
                 _draw_mesh(
@@ -576,6 +630,8 @@ def draw(
                 )  # fmt: skip
         for k in range(flat_count[i]):
             texture, rows = flat_looks[i, k, 0], flat_tiles[i, k, 1]
+            if texture >= len(texels):
+                return i
             if texture >= 0 or rows > 0:
                 _draw_flat(
                     flats[i, k], texture, flat_looks[i, k, 1], flat_tiles[i, k, 0], rows,
@@ -593,3 +649,6 @@ def draw(
                 out[i, y, x, 0] = paint & 255
                 out[i, y, x, 1] = (paint >> 8) & 255
                 out[i, y, x, 2] = (paint >> 16) & 255
+        for k in range(overlay_count[i]):
+            _draw_overlay(overlays[i, k], overlay_colors[i, k], out[i])
+    return -1

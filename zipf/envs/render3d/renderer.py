@@ -73,7 +73,8 @@ class Renderer:
         """Writes the views to `out`, uint8 [N, height, width, 3], C-contiguous.
 
         With `mask`, bool [N], only its rows are written. Raises ValueError for an `out` or a `mask`
-        of another shape, dtype or layout.
+        of another shape, dtype or layout, and for scenes with textures or meshes there are not;
+        `tiles` are trusted.
         """
         n = scenes.num_worlds
         shape = (n, self.height, self.width, 3)
@@ -91,23 +92,28 @@ class Renderer:
             self._grid = scenes.solid.shape[1:]
             self._scratch = [self._allocate() for _ in range(self.threads)]
 
-        def draw(thread: int, start: int, stop: int) -> None:
+        def draw(thread: int, start: int, stop: int) -> int:
             s = scenes
-            _DRAW(
+            return _DRAW(
                 start, stop, mask, s.camera, s.walls, s.wall_looks, s.wall_repeat, s.wall_tint,
                 s.wall_face, s.wall_count, s.flats, s.flat_looks, s.flat_tiles, s.flat_repeat,
                 s.flat_tint, s.flat_count, s.tiles, s.mesh, s.position, s.rotation, s.scale,
-                s.colors, s.sky, s.solid, s.grid, self._meshes, FIXED_COLORS, self._texels,
+                s.colors, s.sky, s.screen, s.overlays, s.overlay_colors,
+                s.overlay_count, s.solid, s.grid, self._meshes, FIXED_COLORS, self._texels,
                 self._focal, *self._scratch[thread], out,
             )  # fmt: skip
 
         if self._pool is None:
-            draw(0, 0, n)
-            return
-        cuts = [n * k // self.threads for k in range(self.threads + 1)]
-        jobs = [self._pool.submit(draw, k, cuts[k], cuts[k + 1]) for k in range(self.threads)]
-        for job in jobs:
-            job.result()
+            wrong = draw(0, 0, n)
+        else:
+            cuts = [n * k // self.threads for k in range(self.threads + 1)]
+            jobs = [self._pool.submit(draw, k, cuts[k], cuts[k + 1]) for k in range(self.threads)]
+            wrong = max(job.result() for job in jobs)
+        if wrong >= 0:
+            raise ValueError(
+                f"world {wrong} shows a texture from {len(self._texels)} on, a mesh from "
+                f"{len(self._meshes[-1])} on, or a screen without Scenes(screen=...)"
+            )
 
     def _allocate(self) -> tuple[NDArray[Any], ...]:
         stride = -(-self.width // LANES) * LANES + LANES
