@@ -71,6 +71,11 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
     policy = _who_plays(options)
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
     worlds = _worlds(options, policy, seed)
+    say(f"{', '.join(world.level for world in worlds)}, seed {seed}")
+    for world in worlds:
+        # The first time compiles, which may take a minute; better before a screen is open.
+        world.env.reset(seed=seed)
+        world.env.render()
     fps = options.fps or worlds[0].env.metadata["render_fps"]
     with ExitStack() as stack:
         lines: list[str] = []
@@ -288,7 +293,7 @@ class _Session:
         self,
         worlds: list[World],
         shows: _Shows,
-        fps: int,
+        fps: float,
         seed: int,
         say: Callable[[str], None],
     ) -> None:
@@ -302,7 +307,6 @@ class _Session:
     def play(self, episodes: int | None) -> None:
         """Plays so many episodes, without end where that is None."""
         several = len(self.worlds) > 1
-        self.say(f"seed {self.seed}" if several else f"{self.worlds[0].level}, seed {self.seed}")
         for world in self.worlds:
             if world.policy:
                 world.policy.start(1)
