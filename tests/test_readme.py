@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 
 import zipf.report
+from zipf.envs import levels
 from zipf.experiments import command_line
 from zipf.experiments.config import Config, EvaluateOptions
+from zipf.experiments.playing import PlayOptions
 
 ROOT = Path(__file__).parent.parent
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
@@ -64,6 +66,13 @@ def test_train_commands_are_accepted(arguments):
 @pytest.mark.parametrize("arguments", commands("zipf.evaluate"), ids=" ".join)
 def test_evaluate_commands_are_accepted(arguments):
     command_line.read_options(EvaluateOptions, arguments)
+
+
+@pytest.mark.parametrize("arguments", commands("zipf.play"), ids=" ".join)
+def test_play_commands_are_accepted(arguments):
+    if arguments != ["--help"]:
+        options = command_line.read_options(PlayOptions, arguments)
+        assert options.run or levels.keys(options.level)
 
 
 @pytest.mark.parametrize("arguments", commands("zipf.report"), ids=" ".join)
