@@ -11,9 +11,9 @@ from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 BED = (-1.2, 0.0, 0.0)
 """Against the western wall: x from -1.9 to -0.5, y from -0.45 to 0.45."""
-TRAY = (0.8, 0.0, 0.0)
-"""x from 0.5 to 1.1, y from -0.225 to 0.225."""
-AWAY = ((1.7, 1.7), (-1.7, 1.7), (1.7, -1.7), (0.6, 1.7), (-0.6, 1.7), (-1.7, -1.7))
+TRAY = (0.8, 1.2, 0.0)
+"""x from 0.5 to 1.1, y from 0.975 to 1.425."""
+AWAY = ((1.7, 1.7), (-1.7, 1.7), (1.7, -1.7), (-1.7, -1.7), (-0.6, 1.7), (-0.6, -1.7))
 """Corners where objects are in nobody's way."""
 
 
