@@ -352,7 +352,9 @@ class _Episode:
                 self._step(action)
         finally:
             told = self.outcome or f"left after {_steps(self.steps)}"
-            self.session.say(f"{self.name}: {self._situation()}: {told}")
+            self.session.say(
+                f"{self.name}: {', '.join([*self._words(), self._situation()])}: {told}"
+            )
         self._rest()
 
     def _step(self, action: int) -> None:
@@ -419,11 +421,12 @@ class _Episode:
     def _situation(self) -> str:
         return ", ".join(f"{name} {self.info[name][0]}" for name in self.env.situation)
 
+    def _words(self) -> list[str]:
+        """The instruction, in families that give one."""
+        return [str(self.info["instruction"][0])] if "instruction" in self.info else []
+
     def _text(self) -> Text:
         keys = self.world.keys
-        lines = []
-        if "instruction" in self.info:
-            lines.append(str(self.info["instruction"][0]))
         progress = f"{self.name}   step {self.steps}   return {self.total:g}"
         help = []
         if self.world.policy is None:
@@ -435,7 +438,7 @@ class _Episode:
             help += [f"{_shown((toggle.key,))}: {toggle.label}" for toggle in keys.toggles]
         help += [f"{NEXT}: next episode", f"{LEAVE}: leave"]
         situation = f"{self.world.level}   ranks: {self._situation()}"
-        return Text((*lines, situation, progress, self.outcome), tuple(help))
+        return Text((*self._words(), situation, progress, self.outcome), tuple(help))
 
 
 def _steps(number: int) -> str:

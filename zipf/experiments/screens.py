@@ -192,9 +192,7 @@ _FINALS = {
     **{chr(ord("p") + digit): str(digit) for digit in range(10)},  # the numeric pad
     "M": "enter",
 }
-_NUMBERS = {
-    **{"1": "home", "7": "home", "4": "end", "8": "end", "5": "pageup", "6": "pagedown"},
-}
+_NUMBERS = {"1": "home", "7": "home", "4": "end", "8": "end", "5": "pageup", "6": "pagedown"}
 _CONTROLS = {
     **{" ": "space", "\t": "tab", "\r": "enter", "\n": "enter"},
     **{"\x7f": "backspace", "\b": "backspace"},
