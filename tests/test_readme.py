@@ -19,7 +19,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
 TEXT = {page: (ROOT / page).read_text(encoding="utf-8") for page in PAGES}
 README = TEXT["README.md"]
-ENVIRONMENT = "zipf/Gridworld-v0"  # looks like a path
+ENVIRONMENTS = {"zipf/Gridworld-v0", "zipf/Playroom-v0"}  # look like paths
 FOLDERS = ("configs/", "docs/", "scripts/", "tests/", "zipf/")
 ASKING = {"-m", "--multirun", "--help"}
 
@@ -104,7 +104,7 @@ def test_links_and_paths_exist(page):
     links = re.findall(r"\]\(([^)#:\s]+)\)", TEXT[page])
     spans = [word for span in re.findall(r"`([^`\n]+)`", TEXT[page]) for word in span.split()]
     scripts = [word for block in blocks("sh", page) for word in block.split()]
-    paths = {word for word in spans + scripts if word.startswith(FOLDERS)} - {ENVIRONMENT}
+    paths = {word for word in spans + scripts if word.startswith(FOLDERS)} - ENVIRONMENTS
     missing = [path for path in [*links, *paths] if not list(ROOT.glob(path.rstrip("/")))]
     assert not missing
 
