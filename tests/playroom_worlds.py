@@ -106,3 +106,12 @@ RUNS = (0.0, False, False, None)
 DONE = (1.0, True, False, True)
 FAILED = (0.0, True, False, False)
 TIMEOUT = (0.0, False, True, False)
+
+
+def wait(env: PlayroomVectorEnv, limit: int = 12) -> tuple[float, bool, bool, bool | None]:
+    """Does nothing until the episode ends, or for as long as the limit; the outcome."""
+    for _ in range(limit):
+        end = outcome(act(env, "NOOP"))
+        if end != RUNS:
+            return end
+    return RUNS

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from zipf.envs import chance, levels, make_vec
 from zipf.envs.playroom.expert import Expert
 from zipf.envs.playroom.levels import LEVELS
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 
-def solved(level: str, episodes: int, **options: str) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+def solved(
+    level: str, episodes: int, **options: str
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
     """Success and length of the first episode of each world."""
     env = PlayroomVectorEnv(
         episodes, level, image_size=(1, 1), max_steps=200, autoreset_mode="Disabled", **options
