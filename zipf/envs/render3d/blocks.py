@@ -152,9 +152,15 @@ class _Code:
         """The elements at `indices` of an array, widened to 32 bits with their sign."""
         start = self._pointer(address, element)
         found = ir.Constant(ir.VectorType(_INT, self.lanes), ir.Undefined)
+        # Taken out two at a time: that is the slow part.
+        pairs = self.builder.bitcast(indices.value, ir.VectorType(ir.IntType(64), self.lanes // 2))
         for lane in range(self.lanes):
             place = ir.Constant(_INT, lane)
-            index = self.builder.extract_element(indices.value, place)
+            pair = self.builder.extract_element(pairs, ir.Constant(_INT, lane // 2))
+            if lane % 2:
+                index = self.builder.lshr(pair, ir.Constant(pair.type, 32))
+            else:
+                index = self.builder.zext(self.builder.trunc(pair, _INT), pair.type)
             value = self.builder.load(self.builder.gep(start, [index]))
             if element.width < 32:
                 value = self.builder.sext(value, _INT)
@@ -171,8 +177,12 @@ class _Code:
         assert colour is not None
         return colour
 
-    def keep(self, mask: _Vector, value: _Vector, address: Any, element: Any) -> None:
-        self.store(mask.choose(value, self.load(address, element)), address)
+    def keep(self, mask: _Vector, inverse: _Vector, depth: Any, paint: _Vector, color: Any) -> None:
+        """Writes the pixels of `mask` to both buffers."""
+        # Loaded before the first store, or LLVM makes masked stores of them: slow on some CPUs.
+        old_inverse, old_paint = self.load(depth, _FLOAT), self.load(color, _INT)
+        self.store(mask.choose(inverse, old_inverse), depth)
+        self.store(mask.choose(paint, old_paint), color)
 
 
 def _written(kinds: Sequence[Any], write: Callable[..., None]) -> Any:
@@ -211,16 +221,16 @@ def wall_block(
             both = lit.like(1.0) / (inverse * lit)
             t = lit * both
             dim = square * inverse * both
-            level = (((splat(area) * (t * t * t)).bits() >> 23) - 127) >> 1
-            level = level.most(0).least(6)
+            # Half of the exponent of the texels in a pixel, which is from bit 23 on, less 127.
+            texels_each = (splat(area) * (t * t * t)).most(1.0).least(4096.0)
+            level = (texels_each.bits() - (127 << 23)) >> 24
             iu = ((splat(u) + splat(du) * place) * t).truncated() & 63
             iv = ((splat(v) + splat(dv) * place) * t).truncated() & 63
             index = ((iv >> level) << 7) + (iu >> level) + 128 - (level.like(128) >> level)
             texel = code.look_up(texels, index, _INT)
             mask = mask & ((texel | splat(solid)) < 0)
             paint = code.shade(texel, [dim * splat(c) for c in (red, green, blue)])
-            code.keep(mask, inverse, depth, _FLOAT)
-            code.keep(mask, paint, color, _INT)
+            code.keep(mask, inverse, depth, paint, color)
 
     return _written([_ADDRESS] * 3 + [_I] * 2 + [_F] * 11 + [_I], write)
 
@@ -247,8 +257,7 @@ def _flat(patchwork: bool) -> Callable[..., Any]:
             texel = code.look_up(texels, index, _INT)
             mask = mask & ((texel | splat(solid)) < 0)
             paint = code.shade(texel, [splat(factor) for factor in (red, green, blue)])
-            code.keep(mask, splat(z), depth, _FLOAT)
-            code.keep(mask, paint, color, _INT)
+            code.keep(mask, splat(z), depth, paint, color)
 
     return write
 
@@ -353,8 +362,7 @@ def triangle_block(
         mask = inverse > code.load(depth, _FLOAT)
         for start, step in ((a, da), (b, db), (c, dc)):
             mask = mask & (splat(start) + splat(step) * place > 0.0)
-        code.keep(mask, inverse, depth, _FLOAT)
-        code.keep(mask, splat(paint), color, _INT)
+        code.keep(mask, inverse, depth, splat(paint), color)
 
     kinds = [_ADDRESS, _ADDRESS, _I, _I] + [_F] * 8
     return _written(kinds, write)

@@ -13,7 +13,7 @@ where c(y) = cos p - b sin p, and its rise, sin p + b cos p, is the same along a
 Depth is kept as 1/t, 0 being nothing yet. Colours in the making are uint32, 0x00BBGGRR.
 
 Compiled code is cached beside this file and renewed only when this file changes: after a change to
-what it imports (the constants of `scene.py`), touch it.
+what it imports (`blocks.py`, the constants of `scene.py`), touch it.
 """
 
 import math
