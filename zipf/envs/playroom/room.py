@@ -27,7 +27,7 @@ _LAYERS = {
     kernels.SUPPORTED_LAYER: _filter(_SUPPORTED, _WALL, _SUPPORTED),
 }
 _SLOP = 0.005  # overlap that is let be; pymunk's own, 0.1, is made for pixels
-_ITERATIONS = 8  # ours: little enough overlap when several objects are pushed into a corner
+_ITERATIONS = 30  # ours: little enough overlap when several objects are pushed into a corner
 _MASS = 2.0  # kilograms, of every object: ours
 _ELONGATED = 1.3  # from this ratio of sides on a footprint is a box, else a disc
 
