@@ -15,13 +15,13 @@ from zipf.envs.playroom.expert import Expert
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 EPISODES = {
-    "lift/lift_shape_uniform": 2,
-    "put/put_on_bed_tray_all": 1,
-    "put/put_near_bed_tray_frequent": 3,
-    "supervised/find_shape_uniform": 0,
+    "lift/lift_shape_uniform": 1,
+    "put/put_on_bed_tray_all": 5,
+    "put/put_near_bed_tray_frequent": 2,
+    "supervised/find_shape_uniform": 3,
 }
 """Level and seed."""
-COLUMNS = 8
+COLUMNS = 6
 
 
 def episode(level: str, seed: int) -> list[NDArray[np.uint8]]:

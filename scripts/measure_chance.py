@@ -1,67 +1,55 @@
-"""Measures how well uniformly random actions do where nothing exact is known.
+"""Measures how well uniformly random actions do on the playroom's levels.
 
-    python scripts/measure_chance.py playroom_lift playroom_put playroom_find --episodes 10000
+    python scripts/measure_chance.py
 
-Writes `zipf/envs/<family>/chance.json`, keeping there what is known of other levels.
+Writes `zipf/envs/playroom/chance.json`, which evaluations and reports read. Every draw comes from
+fixed seeds. Images are drawn as small as can be, since random actions do not look at them.
 """
-
-from __future__ import annotations
 
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
+from numpy.typing import NDArray
 
-from zipf.envs import levels
-from zipf.experiments.config import EnvironmentOptions
+import zipf.envs.playroom
+from zipf.envs import make_vec
+from zipf.envs.playroom.levels import LEVELS
 from zipf.experiments.evaluator import play
 
-ENVS = Path(__file__).parent.parent / "zipf" / "envs"
+MEASURED = [(level, 900) for level in LEVELS] + [
+    (f"lift/lift_shape_{name}", 100) for name in ("zipf3", "uniform", "uniform_rare")
+]
+"""Levels and `max_steps`: the benchmark's, and that of `experiment=playroom_lift_compact`."""
 
 
-class RandomActions:
-    """A policy that never looks."""
+class Random:
+    """Uniformly random actions."""
 
-    def __init__(self, num_actions: int, seed: int) -> None:
-        self.num_actions = num_actions
-        self.rng = np.random.default_rng([seed, 1])  # worlds are seeded seed, seed + 1, ...
+    def start(self, num_envs: int) -> None:
+        self.generator = np.random.default_rng([0, 1])  # worlds are seeded 0, 1, ...
 
-    def start(self, num_envs: int) -> None: ...
-
-    def __call__(self, observation: object, reward: object, is_first: np.ndarray) -> np.ndarray:
-        return self.rng.integers(self.num_actions, size=len(is_first))
-
-
-def measure(split: levels.Split, episodes: int, num_envs: int, seed: int) -> None:
-    """Measures every level of a split with its family's default options."""
-    options = TypeAdapter(EnvironmentOptions).validate_python({"split": split.name}).model_dump()
-    del options["split"]
-    for level in {level: None for kind in levels.KINDS for level in split.levels(kind)}:
-        family, name = str(level).split("/", 1)
-        file = ENVS / family / "chance.json"
-        known = json.loads(file.read_text()) if file.exists() else {}
-        env = levels.make_vec(level, num_envs, **options)
-        policy = RandomActions(int(env.single_action_space.n), seed)
-        score = float(play(policy, env, episodes=episodes, seed=seed)["return"].mean())
-        env.close()
-        # How worlds are drawn does not matter to a policy that never looks.
-        told = {key: value for key, value in options.items() if key != "image_size"}
-        known[name] = {"score": score, "episodes": episodes, "options": told}
-        file.write_text(json.dumps(dict(sorted(known.items())), indent=2) + "\n")
-        print(f"{level}: {score:.4f}", flush=True)
+    def __call__(self, observation: object, reward: NDArray, is_first: NDArray) -> NDArray:
+        return self.generator.integers(46, size=len(is_first))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("splits", nargs="+", choices=list(levels.SPLITS))
-    parser.add_argument("--episodes", type=int, default=10_000, help="a level (10000)")
-    parser.add_argument("--num-envs", type=int, default=250, help="worlds at a time (250)")
-    parser.add_argument("--seed", type=int, default=0, help="of worlds and actions (0)")
-    arguments = parser.parse_args()
-    for split in arguments.splits:
-        measure(levels.split(split), arguments.episodes, arguments.num_envs, seed=arguments.seed)
+    parser.add_argument("--episodes", type=int, default=1000, help="of each level")
+    episodes = parser.parse_args().episodes
+    figures: dict[str, list[dict[str, Any]]] = {}
+    for level, max_steps in MEASURED:
+        options = {"object_order": "default", "max_steps": max_steps}
+        env = make_vec(f"playroom/{level}", 250, image_size=(1, 1), **options)  # type: ignore[arg-type]
+        score = float(play(Random(), env, episodes=episodes, seed=0)["return"].mean())
+        figure = {"score": score, "episodes": episodes, "options": options}
+        figures.setdefault(level, []).append(figure)
+        print(f"{level}, {max_steps} steps: {score:.4f}", flush=True)
+    path = Path(zipf.envs.playroom.__file__).with_name("chance.json")
+    path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
+    print(f"written: {path}")
 
 
 if __name__ == "__main__":

@@ -73,7 +73,7 @@ def test_the_papers_values_in_the_playroom(experiment, window):
 
 @pytest.mark.parametrize(("experiment", "patch"), [("demo", 9), ("playroom_lift_compact", 12)])
 def test_the_compact_network_fits_every_family(experiment, patch):
-    loaded = command_line.load([f"experiment={experiment}"])
+    loaded = command_line.load([f"experiment={experiment}", "network=compact"])
     env = levels.make_vec(levels.split(loaded.environment.split).uniform, 1)
     encoder = Encoder(env.single_observation_space, loaded.network)
     assert encoder.image.patch == patch

@@ -10,14 +10,16 @@ from pathlib import Path
 import pytest
 
 import zipf.report
+from zipf.envs import levels
 from zipf.experiments import command_line
 from zipf.experiments.config import Config, EvaluateOptions
+from zipf.experiments.playing import PlayOptions
 
 ROOT = Path(__file__).parent.parent
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
 TEXT = {page: (ROOT / page).read_text(encoding="utf-8") for page in PAGES}
 README = TEXT["README.md"]
-ENVIRONMENT = "zipf/Gridworld-v0"  # looks like a path
+ENVIRONMENTS = {"zipf/Gridworld-v0", "zipf/Playroom-v0"}  # look like paths
 FOLDERS = ("configs/", "docs/", "scripts/", "tests/", "zipf/")
 ASKING = {"-m", "--multirun", "--help"}
 
@@ -66,6 +68,13 @@ def test_evaluate_commands_are_accepted(arguments):
     command_line.read_options(EvaluateOptions, arguments)
 
 
+@pytest.mark.parametrize("arguments", commands("zipf.play"), ids=" ".join)
+def test_play_commands_are_accepted(arguments):
+    if arguments != ["--help"]:
+        options = command_line.read_options(PlayOptions, arguments)
+        assert options.run or levels.keys(options.level)
+
+
 @pytest.mark.parametrize("arguments", commands("zipf.report"), ids=" ".join)
 def test_report_commands_are_accepted(arguments, monkeypatch):
     calls = []
@@ -95,7 +104,7 @@ def test_links_and_paths_exist(page):
     links = re.findall(r"\]\(([^)#:\s]+)\)", TEXT[page])
     spans = [word for span in re.findall(r"`([^`\n]+)`", TEXT[page]) for word in span.split()]
     scripts = [word for block in blocks("sh", page) for word in block.split()]
-    paths = {word for word in spans + scripts if word.startswith(FOLDERS)} - {ENVIRONMENT}
+    paths = {word for word in spans + scripts if word.startswith(FOLDERS)} - ENVIRONMENTS
     missing = [path for path in [*links, *paths] if not list(ROOT.glob(path.rstrip("/")))]
     assert not missing
 

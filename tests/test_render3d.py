@@ -7,6 +7,7 @@ import pytest
 
 from zipf.envs.render3d import (
     FACES_DOWN,
+    SCREEN,
     SEE_THROUGH,
     TWO_SIDED,
     MeshAtlas,
@@ -397,6 +398,31 @@ def test_holes_show_what_is_behind():
         assert 0.2 < bars < 0.7
 
 
+def test_a_screen_shows_its_worlds_picture():
+    scenes = Scenes(2, walls=1, screen=(4, 6))
+    rng = np.random.default_rng(0)
+    scenes.screen[:] = rng.integers(0, 256, scenes.screen.shape)
+    for world in range(2):
+        scenes.add_wall(world, (1, -1, 1, 1), (-1, 1), SCREEN)
+    images = view(scenes, width=48, height=48)
+    assert (images == scenes.screen.repeat(12, 1).repeat(8, 2)).all()
+
+
+def test_overlays_lie_over_the_view():
+    scenes = Scenes(1, overlays=3)
+    scenes.sky[:] = 100
+    scenes.overlays[0] = (0, 0, 0.5, 0.25), (0.25, 0, 1, 1), (0, 0, 1, 1)
+    scenes.overlay_colors[0] = (200, 10, 10, 255), (0, 200, 0, 128), (0, 0, 0, 255)
+    scenes.overlay_count[0] = 2
+    image = view(scenes, width=8, height=8)[0].astype(int)
+    assert (image[:2, :2] == (200, 10, 10)).all()
+    assert abs(image[:2, 2:4] - (100, 105, 5)).max() <= 1
+    assert abs(image[2:, 2:] - (50, 150, 50)).max() <= 1
+    assert (image[2:, :2] == 100).all()
+    scenes.overlays[0, 0] = -1, -1, 3, 3
+    assert (view(scenes, width=8, height=8)[0, :, 0] == (200, 10, 10)).all()
+
+
 def maze(seed, worlds=30):
     """Random cells, every face with its wall, the camera anywhere free."""
     rng = np.random.default_rng(seed)
@@ -566,6 +592,19 @@ def test_bad_arrays():
     for wrong in (np.ones(2, bool), np.ones(3, np.int64)):
         with pytest.raises(ValueError, match="mask must be bool"):
             renderer.render(scenes, out, wrong)
+
+
+def test_scenes_with_what_there_is_not():
+    scenes = Scenes(2, walls=1, flats=1, instances=1)
+    scenes.wall_count[:] = scenes.flat_count[:] = 1
+    for array in (scenes.wall_looks[1, 0], scenes.flat_looks[1, 0], scenes.mesh[1]):
+        array[0] = 99
+        with pytest.raises(ValueError, match="world 1 shows a texture from 20 on, a mesh from 2"):
+            view(scenes)
+        array[0] = -1
+    scenes.wall_looks[1, 0, 0] = SCREEN
+    with pytest.raises(ValueError, match="world 1 shows"):
+        view(scenes)
 
 
 def test_full_worlds():

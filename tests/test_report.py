@@ -26,6 +26,7 @@ from matplotlib.patches import Rectangle
 from rich.console import Console
 
 from zipf import report
+from zipf.envs import levels
 from zipf.experiments import paper, plots, rendering, results, tables
 from zipf.experiments.errors import UserError
 
@@ -374,6 +375,175 @@ def test_disagreement_about_chance_is_noted(tmp_path: Path) -> None:
     assert "disagree about chance" in table.notes[0]
 
 
+# --- several train levels --------------------------------------------------------------------
+
+PUTTING = levels.split("playroom_put")
+LIFTING = levels.split("playroom_lift")
+
+
+def write_playroom(
+    root: Path,
+    split: levels.Split,
+    scores: Mapping[int, Sequence[float]],
+    *,
+    variant: str = "",
+    chance: Sequence[float | None] = (0.3, 0.01, 0.02, 0.015, 0.015),
+    **description: Any,
+) -> Path:
+    """A run of the playroom; `scores` are those of every level of its split, by update."""
+    every = [(kind, str(level)) for kind in levels.KINDS for level in split.levels(kind)]
+    described = [
+        {"level_kind": kind, "level": level, "chance": score, "chance_episodes": 5000}
+        for (kind, level), score in zip(every, chance, strict=False)
+    ]
+    of_kinds = {
+        kind: [one["chance"] for one in described if one["level_kind"] == kind]
+        for kind in levels.KINDS
+    }
+    folder = write_run(
+        root,
+        {},
+        experiment=split.name + variant,
+        split=split.name,
+        paper=paper.TABLE_OF_SPLIT[split.name],
+        levels=described,
+        chance={kind: None if None in s else sum(s) / len(s) for kind, s in of_kinds.items()},
+        environment={"max_steps": 900},
+        **description,
+    )
+    lines = [
+        f"{update},{update * 4096},{update * 2.5},{kind},{level},1000,{score},{score},{score},40"
+        for update, row in scores.items()
+        for (kind, level), score in zip(every, row, strict=True)
+    ]
+    (folder / "evaluations.csv").write_text("\n".join([EVALUATION_HEADER, *lines]) + "\n")
+    return folder
+
+
+def test_the_train_score_is_the_mean_over_train_levels(tmp_path: Path) -> None:
+    write_playroom(
+        tmp_path,
+        PUTTING,
+        {100: (0.9, 0.6, 0.3, 0.2, 0.1), 200: (0.8, 0.2, 0.2, 0.2, 0.1), 300: (1, 1, 0.7, 0.2, 0)},
+    )
+    table = only_table(tmp_path)
+    train = row(table, "impala", "train")
+    assert train["median"] == pytest.approx(0.6)  # of 0.6, 0.4, 0.9
+    assert train["episodes"] == 3000
+    assert train["chance"] == pytest.approx(0.11)
+    assert "Episodes per estimate: 1,000." in rendering.caption(table)
+    assert (
+        "Chance: uniformly random actions, measured over 5,000 episodes of each level."
+        in rendering.caption(table)
+    )
+    scores = table.train_scores.set_index("level_kind")
+    near, on = PUTTING.levels("train")[1:]
+    assert list(scores.index) == ["Lifting (Zipf 2)", "Putting (frequent only)", near, on]
+    # Putting at each update 0.45, 0.2, 0.85.
+    assert scores["median"].tolist() == pytest.approx([0.9, 0.45, 0.6, 0.3])
+    assert scores["paper_value"].tolist()[:2] == [0.993, 0.987]
+    assert scores["chance"].tolist() == pytest.approx([0.3, 0.015, 0.01, 0.02])
+
+
+def test_an_update_at_which_a_train_level_is_missing_has_no_train_score(tmp_path: Path) -> None:
+    folder = write_playroom(tmp_path, PUTTING, {100: (0.3,) * 5, 200: (0.9,) * 5})
+    path = folder / "evaluations.csv"
+    kept = path.read_text().splitlines()
+    del kept[-4]  # of update 200, the near level
+    path.write_text("\n".join(kept) + "\n")
+    table = only_table(tmp_path)
+    assert row(table, "impala", "train")["median"] == pytest.approx(0.3)
+    assert row(table, "impala", "rare")["median"] == pytest.approx(0.6)
+    scores = table.train_scores.set_index("level_kind")
+    assert scores["median"].tolist() == pytest.approx([0.6, 0.3, 0.3, 0.6])
+
+
+def test_a_level_that_is_none_of_the_runs_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_playroom(tmp_path, LIFTING, {100: (0.3,) * 3})
+    path = folder / "evaluations.csv"
+    path.write_text(path.read_text().replace("zipf3", "zipf4"))
+    message = refusal(capsys, str(tmp_path))
+    assert "evaluations.csv: a train level (playroom/lift/lift_shape_zipf4); the run has" in message
+
+
+def test_train_levels_stand_in_a_table_of_their_own(tmp_path: Path) -> None:
+    write_playroom(tmp_path, PUTTING, {100: (0.9, 0.6, 0.3, 0.2, 0.1)})
+    made = report.report([tmp_path], tmp_path / "out", record=tmp_path / "RESULTS.md")
+    expected = (
+        "Train levels:\n\n"
+        "| Condition | Seeds | Lifting (Zipf 2) | paper | Putting (frequent only) | paper "
+        "| put\\_near\\_bed\\_tray\\_frequent | paper "
+        "| put\\_on\\_bed\\_tray\\_frequent | paper |\n"
+        "| :-- | --: | --: | --: | --: | --: | --: | --: | --: | --: |\n"
+        "| IMPALA | 1/3 | 0.90 | 0.99 | 0.45 | 0.99 | 0.60 | – | 0.30 | – |\n"
+        "| Chance (measured) |  | 0.30 |  | 0.01 |  | 0.01 |  | 0.02 |  |\n"
+    )
+    for name in ("out/report.md", "RESULTS.md"):
+        assert expected in (tmp_path / name).read_text(encoding="utf-8")
+    lines = (tmp_path / "out/report.csv").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 1 + 3 + 4
+    assert lines[4].startswith("playroom_put,playroom_put,impala,train: Lifting (Zipf 2),1,0.9,")
+    assert r"\label{tab:playroom-put-train}" in (tmp_path / "out/report.tex").read_text("utf-8")
+    assert tmp_path / "out/playroom_put_learning.png" in made.files
+
+
+def test_levels_of_no_published_experiment_stand_each_alone(tmp_path: Path) -> None:
+    folder = write_playroom(tmp_path, PUTTING, {100: (0.9, 0.6, 0.3, 0.2, 0.1)})
+    described = json.loads((folder / "run.json").read_text()) | {"paper": None}
+    (folder / "run.json").write_text(json.dumps(described))
+    table = only_table(tmp_path)
+    assert list(table.train_groups) == list(PUTTING.levels("train"))
+    assert "| Condition | Seeds | lift\\_shape\\_zipf2 |" in rendering.markdown(table)
+
+
+def test_lifting_and_putting_stand_side_by_side_as_in_the_paper(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_playroom(tmp_path, LIFTING, {100: (0.99, 0.6, 0.5)}, chance=(0.3, 0.3, 0.3))
+    write_playroom(tmp_path, LIFTING, {100: (0.9, 0.4, 0.4)}, condition="vmpo")
+    write_playroom(tmp_path, PUTTING, {100: (0.9, 0.6, 0.3, 0.2, 0.1)})
+    write_playroom(tmp_path, PUTTING, {100: (0.1, 0.1, 0.1, 0.1, 0.1)}, variant="_compact")
+    assert report.main([str(tmp_path)]) == 0
+    assert capsys.readouterr().out.count("Zipf's Playroom, training performance") == 1
+    text = (tmp_path / "report/report.md").read_text(encoding="utf-8")
+    assert text.count("## Zipf's Playroom\n") == 1  # there is no compact lifting beside it
+    start = text.index("## Zipf's Playroom\n")
+    assert text[start:].splitlines()[2:7] == [
+        "| Condition | Seeds | Lifting: uniform | paper | Lifting: rare | paper "
+        "| Putting: uniform | paper | Putting: rare | paper |",
+        "| :-- | --: | --: | --: | --: | --: | --: | --: | --: | --: |",
+        "| IMPALA | 1/3 | 0.60 | 0.65 ± 0.02 | 0.50 | 0.59 ± 0.02 "
+        "| 0.20 | 0.62 ± 0.02 | 0.10 | 0.49 ± 0.04 |",
+        "| V-MPO | 1/3 | 0.40 | 0.39 ± 0.01 | 0.40 | 0.40 ± 0.03 | – | – | – | – |",
+        "| Chance (measured) |  | 0.30 |  | 0.30 |  | 0.01 |  | 0.01 |  |",
+    ]
+    train = text[text.index("## Zipf's Playroom, training performance") :].splitlines()
+    assert train[4].startswith("| IMPALA | 1/3 | 0.99 | 1.00 | 0.90 | 0.99 | 0.45 | 0.99 |")
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
+def test_the_latex_file_of_the_playroom_compiles(tmp_path: Path) -> None:
+    write_playroom(tmp_path, LIFTING, {100: (0.99, 0.6, 0.5)})
+    write_playroom(tmp_path, PUTTING, {100: (0.9, 0.6, 0.3, 0.2, 0.1)})
+    report.report([tmp_path], tmp_path / "out")
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "report.tex"]
+    done = subprocess.run(command, cwd=tmp_path / "out", capture_output=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert b"Overfull" not in done.stdout
+
+
+def test_ranks_that_the_rare_level_does_not_choose_by_are_not_marked(tmp_path: Path) -> None:
+    header = "update,level_kind,target,task,episodes,successes,return_sum"
+    cells = ("300,uniform,3,4,10,5,5.0", "300,rare,45,3,10,5,5.0", "300,rare,46,4,10,5,5.0")
+    sizes = {"target": 50, "task": 5}
+    write_run(tmp_path, constant(0.5), situations=(header, *cells), situation=sizes)
+    table = only_table(tmp_path)
+    assert plots._rare_ranks(table, "target") == list(range(40, 50))
+    assert plots._rare_ranks(table, "task") == []
+
+
 # --- damaged files ---------------------------------------------------------------------------
 
 
@@ -609,13 +779,18 @@ def test_the_papers_tables_name_known_conditions_and_levels() -> None:
     ):
         table = paper.paper_table(experiment)
         assert set(table.rows) <= set(paper.CONDITION_NAMES)
-        assert all(set(scores) <= set(paper.LEVEL_KINDS) for scores in table.rows.values())
+        columns = {*paper.LEVEL_KINDS, *table.train_groups}
+        assert all(set(scores) <= columns for scores in table.rows.values())
     assert paper.paper_table("playroom_lifting").score("impala_mlp", "train") is None
     assert paper.paper_table("labyrinth_forward").score("impala", "rare") == (
         paper.PaperScore(0.32, 0.11)
     )
     with pytest.raises(UserError, match="gridworld"):
         paper.paper_table("maze")
+    for split in levels.SPLITS.values():
+        table = paper.paper_table(paper.TABLE_OF_SPLIT[split.name])
+        for group in table.train_groups.values():
+            assert set(group) < set(split.levels("train"))
 
 
 # --- situations and plots --------------------------------------------------------------------

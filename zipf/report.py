@@ -51,7 +51,7 @@ def report(
     """
     from rich.console import Console
 
-    from zipf.experiments import plots, rendering, results, tables
+    from zipf.experiments import plots, rendering, results, side_by_side, tables
 
     chosen = tables.parse_window(window) if window is not None else None
     found = tables.score_tables(results.load_runs(folders), chosen)
@@ -61,6 +61,9 @@ def report(
             console = Console(width=120)
     for table in found:
         rendering.print_table(table, console)
+        console.print()
+    for beside in side_by_side.side_by_side(found):
+        rendering.print_side_by_side(beside, console)
         console.print()
 
     target = Path(output) if output is not None else Path(folders[0]) / "report"

@@ -24,16 +24,16 @@ def measured(package: str) -> Callable[..., Chance | None]:
     A function of a level's name and constructor options reads it from the package's `chance.json`,
     which `scripts/measure_chance.py` writes:
 
-        {"lift/lift_shape_zipf3": {"score": 0.3, "episodes": 10000, "options": {"max_steps": 900}}}
+        {"lift/lift_shape_zipf3": [{"score": 0.3, "episodes": 1000, "options": {"max_steps": 900}}]}
 
     It is None for levels and options that were not measured.
     """
 
     def chance(level: str, **options: Any) -> Chance | None:
         figures = json.loads((resources.files(package) / "chance.json").read_text("utf-8"))
-        figure = figures.get(level)
-        if figure is None or options != {k: figure["options"].get(k) for k in options}:
-            return None
-        return Chance(figure["score"], figure["episodes"])
+        for figure in figures.get(level, []):
+            if options.items() <= figure["options"].items():
+                return Chance(figure["score"], figure["episodes"])
+        return None
 
     return chance

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs import distributions
-from zipf.envs.chance import Chance
+from zipf.envs.chance import Chance, measured
 from zipf.envs.gridworld.chance import random_policy_success
 from zipf.envs.gridworld.expert import Expert as GridworldExpert
 from zipf.envs.gridworld.keys import KEYS as GRIDWORLD_KEYS
@@ -111,7 +111,7 @@ _FAMILIES = {
     "playroom": _Family(
         PlayroomEnv,
         PlayroomVectorEnv,
-        None,
+        measured("zipf.envs.playroom"),
         playroom_levels.by_name,
         PLAYROOM_KEYS,
         PlayroomExpert,

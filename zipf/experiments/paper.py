@@ -60,17 +60,20 @@ class PaperScore:
 class PaperTable:
     """What the paper printed for one experiment.
 
-    `error_kind` says in words what its ± is; `note` what a reader of the numbers has to know.
+    `error_kind` says in words what its ± is; `note` what a reader of the numbers has to know. A row
+    has scores by level kind, or by the name of a group of train levels; `train_groups` says which
+    levels, averaged, make such a group.
     """
 
     source: str
     error_kind: str
     note: str | None
+    train_groups: Mapping[str, tuple[str, ...]]
     rows: Mapping[str, Mapping[str, PaperScore]]
 
-    def score(self, condition: str, level_kind: str) -> PaperScore | None:
+    def score(self, condition: str, column: str) -> PaperScore | None:
         """The published score, or None where the paper has no such row or column."""
-        return self.rows.get(condition, {}).get(level_kind)
+        return self.rows.get(condition, {}).get(column)
 
 
 @functools.cache
@@ -82,10 +85,13 @@ def _tables() -> Mapping[str, PaperTable]:
             source=data["source"],
             error_kind=table["error"],
             note=table["note"],
+            train_groups={
+                group: tuple(levels) for group, levels in table.get("train_groups", {}).items()
+            },
             rows={
                 condition: {
-                    level_kind: PaperScore(score[0], score[1] if len(score) > 1 else None)
-                    for level_kind, score in row.items()
+                    column: PaperScore(score[0], score[1] if len(score) > 1 else None)
+                    for column, score in row.items()
                 }
                 for condition, row in table["rows"].items()
             },

@@ -71,6 +71,11 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
     policy = _who_plays(options)
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
     worlds = _worlds(options, policy, seed)
+    say(f"{', '.join(world.level for world in worlds)}, seed {seed}")
+    for world in worlds:
+        # The first time compiles, which may take a minute; better before a screen is open.
+        world.env.reset(seed=seed)
+        world.env.render()
     fps = options.fps or worlds[0].env.metadata["render_fps"]
     with ExitStack() as stack:
         lines: list[str] = []
@@ -288,7 +293,7 @@ class _Session:
         self,
         worlds: list[World],
         shows: _Shows,
-        fps: int,
+        fps: float,
         seed: int,
         say: Callable[[str], None],
     ) -> None:
@@ -302,7 +307,6 @@ class _Session:
     def play(self, episodes: int | None) -> None:
         """Plays so many episodes, without end where that is None."""
         several = len(self.worlds) > 1
-        self.say(f"seed {self.seed}" if several else f"{self.worlds[0].level}, seed {self.seed}")
         for world in self.worlds:
             if world.policy:
                 world.policy.start(1)
@@ -348,7 +352,9 @@ class _Episode:
                 self._step(action)
         finally:
             told = self.outcome or f"left after {_steps(self.steps)}"
-            self.session.say(f"{self.name}: {self._situation()}: {told}")
+            self.session.say(
+                f"{self.name}: {', '.join([*self._words(), self._situation()])}: {told}"
+            )
         self._rest()
 
     def _step(self, action: int) -> None:
@@ -415,11 +421,12 @@ class _Episode:
     def _situation(self) -> str:
         return ", ".join(f"{name} {self.info[name][0]}" for name in self.env.situation)
 
+    def _words(self) -> list[str]:
+        """The instruction, in families that give one."""
+        return [str(self.info["instruction"][0])] if "instruction" in self.info else []
+
     def _text(self) -> Text:
         keys = self.world.keys
-        lines = []
-        if "instruction" in self.info:
-            lines.append(str(self.info["instruction"][0]))
         progress = f"{self.name}   step {self.steps}   return {self.total:g}"
         help = []
         if self.world.policy is None:
@@ -431,7 +438,7 @@ class _Episode:
             help += [f"{_shown((toggle.key,))}: {toggle.label}" for toggle in keys.toggles]
         help += [f"{NEXT}: next episode", f"{LEAVE}: leave"]
         situation = f"{self.world.level}   ranks: {self._situation()}"
-        return Text((*lines, situation, progress, self.outcome), tuple(help))
+        return Text((*self._words(), situation, progress, self.outcome), tuple(help))
 
 
 def _steps(number: int) -> str:

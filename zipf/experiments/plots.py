@@ -191,8 +191,9 @@ def success_against_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> 
         if rare[name]:
             ends = (min(rare[name]) - 0.5, max(rare[name]) + 0.5)
             axis.axvspan(*ends, color="0.9", zorder=0, linewidth=0)
-        axis.set_title(f"{name.capitalize()}s by frequency")
-        axis.set_xlabel(f"{name.capitalize()} rank (0 = most frequent)")
+        spoken = name.replace("_", " ").capitalize()
+        axis.set_title(spoken)
+        axis.set_xlabel(f"{spoken} rank (0 = most frequent)")
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.set_xlim(-0.5, _rank_count(table, name, rates[name]) - 0.5)
     axes[0].set_ylim(0, 1.02)
@@ -329,11 +330,13 @@ def _rank_count(table: ScoreTable, name: str, rates: pd.DataFrame) -> int:
 
 
 def _rare_ranks(table: ScoreTable, name: str) -> list[int]:
-    """The ranks that the rare level is made of: the last fifth.
+    """The ranks that the rare level is made of: the last fifth; none where it visits others, too.
 
     Where runs do not tell how many ranks there are: those that the rare level visited.
     """
+    visited = sorted(success_rates(table, [name], "rare")[name].astype(int).unique())
     size = table.situation_sizes.get(name)
-    if size is not None:
-        return list(range(size - size // 5, size))
-    return sorted(success_rates(table, [name], "rare")[name].astype(int).unique())
+    if size is None:
+        return visited
+    last_fifth = range(size - size // 5, size)
+    return list(last_fifth) if set(visited) <= set(last_fifth) else []

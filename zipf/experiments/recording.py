@@ -6,6 +6,7 @@ import itertools
 import os
 from collections import deque
 from fractions import Fraction
+from math import ceil
 from pathlib import Path
 from typing import IO, Protocol
 
@@ -45,7 +46,7 @@ class Recording:
             the file cannot be written.
     """
 
-    def __init__(self, path: Path, fps: int) -> None:
+    def __init__(self, path: Path, fps: float) -> None:
         self.path = path
         self.fps = fps
         self.frames = 0
@@ -81,8 +82,8 @@ class Recording:
             raise UserError(f"record={self.path}: cannot be written: {error.strerror}") from None
 
     def hold(self, seconds: float) -> None:
-        """Shows the last frame for so long more."""
-        self.add(self._last, repeat=round(seconds * self.fps))
+        """Shows the last frame for so long more, in whole frames."""
+        self.add(self._last, repeat=ceil(seconds * self.fps))
 
     def __enter__(self) -> Recording:
         return self
@@ -104,7 +105,7 @@ class Recording:
 class _Gif:
     """Keeps all frames until the end, with one byte a pixel: a GIF is for what is short."""
 
-    def __init__(self, file: IO[bytes], fps: int, size: tuple[int, int]) -> None:
+    def __init__(self, file: IO[bytes], fps: float, size: tuple[int, int]) -> None:
         self.file = file
         self.fps = fps
         self.frames: deque[Image.Image] = deque()
@@ -127,12 +128,14 @@ class _Gif:
 class _Mp4:
     """H.264, as every browser plays it: an even number of pixels each way, 4:2:0."""
 
-    def __init__(self, file: IO[bytes], fps: int, size: tuple[int, int]) -> None:
+    def __init__(self, file: IO[bytes], fps: float, size: tuple[int, int]) -> None:
         self.av = _av()
         width, height = size
         self.margin = ((0, height % 2), (0, width % 2), (0, 0))
         self.container = self.av.open(file, "w", format="mp4")
-        self.stream = self.container.add_stream("libx264", rate=Fraction(fps))
+        self.stream = self.container.add_stream(
+            "libx264", rate=Fraction(fps).limit_denominator(1000)
+        )
         self.stream.width, self.stream.height = width + width % 2, height + height % 2
         self.stream.pix_fmt = "yuv420p"
         self.stream.options = {"crf": "18"}  # no loss that the eye sees

@@ -16,8 +16,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from zipf.experiments.paper import LEVEL_KINDS, condition_name
+from zipf.experiments.paper import condition_name
 from zipf.experiments.results import Run
+from zipf.experiments.side_by_side import SideBySide, side_by_side
 from zipf.experiments.tables import (
     PROTOCOL_SEEDS,
     ScoreTable,
@@ -45,6 +46,11 @@ def score_text(value: float, error: float = math.nan) -> str:
 def seeds_text(count: int) -> str:
     """`2/3` below the protocol's number of seeds, the plain count from there."""
     return f"{count}/{PROTOCOL_SEEDS}" if count < PROTOCOL_SEEDS else str(count)
+
+
+def short_name(level: str) -> str:
+    """A level's name without those before its last: `put_on_bed_tray_all`."""
+    return level.rpartition("/")[2]
 
 
 def duration_text(seconds: float) -> str:
@@ -76,7 +82,12 @@ def caption(table: ScoreTable) -> str:
         f"Updates reached: {_range_text([run.updates for run in table.runs])}; "
         f"frames: {_range_text([run.frames for run in table.runs])}."
     )
-    if table.chance:
+    if table.chance and table.chance_episodes:
+        sentences.append(
+            f"Chance: uniformly random actions, measured over {_range_text(table.chance_episodes)} "
+            f"episodes of each level."
+        )
+    elif table.chance:
         sentences.append("Chance: uniformly random actions.")
     if table.paper:
         sentences.append(f"Paper: {table.paper.source}, ± {table.paper.error_kind}.")
@@ -87,39 +98,39 @@ def caption(table: ScoreTable) -> str:
 
 def print_table(table: ScoreTable, console: Console) -> None:
     """Print the table, the paper's scores below ours, then its caption and notes."""
-    grid = Table(title=escape(table.title), title_style="bold", title_justify="left")
-    grid.add_column("Condition")
-    grid.add_column("Seeds", justify="right", no_wrap=True)
-    for level_kind in LEVEL_KINDS:
-        grid.add_column(LEVEL_NAMES[level_kind], justify="right", no_wrap=True)
-    for row in _rows(table):
-        grid.add_row(escape(row.name), row.seeds, *row.ours)
-        if any(text != NONE for text in row.paper):
-            grid.add_row("[dim]  paper[/dim]", "", *(f"[dim]{text}[/dim]" for text in row.paper))
-    if table.chance:
-        grid.add_section()
-        grid.add_row("Chance", "", *_chance_cells(table))
-    console.print(grid)
+    _print_grid(_grid(table), table.title, console)
+    if table.train_groups:
+        _print_grid(_train_grid(table), f"{table.title}: train levels", console)
     console.print(f"[dim]{escape(caption(table))}[/dim]", highlight=False)
     for note in table.notes:
         console.print(f"[yellow]Note:[/yellow] {escape(note)}", highlight=False)
 
 
+def print_side_by_side(beside: SideBySide, console: Console) -> None:
+    """Print both tables of an environment in the paper's layout."""
+    for title, grid in _grids(beside):
+        _print_grid(grid, title, console)
+    console.print(f"[dim]{escape(beside.caption)}[/dim]", highlight=False)
+
+
 def markdown(table: ScoreTable) -> str:
     """The table as Markdown, with its caption and notes below it."""
-    header, align = ["Condition", "Seeds"], [":--", "--:"]
-    for level_kind in LEVEL_KINDS:
-        header += [LEVEL_NAMES[level_kind]] + (["paper"] if table.paper else [])
-        align += ["--:"] * (2 if table.paper else 1)
-    lines = [header, align]
-    lines += [[_markdown_escape(row.name), row.seeds, *_beside(table, row)] for row in _rows(table)]
-    if table.chance:
-        lines.append(["Chance", "", *_chance_beside(table)])
-    text = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-    parts = [text, caption(table)]
+    parts = [_markdown_grid(_grid(table))]
+    if table.train_groups:
+        parts += ["Train levels:", _markdown_grid(_train_grid(table))]
+    parts.append(caption(table))
     if table.notes:
         parts.append("\n".join(f"- {_markdown_escape(note)}" for note in table.notes))
     return "\n\n".join(parts) + "\n"
+
+
+def markdown_side_by_side(beside: SideBySide) -> str:
+    """Both tables of an environment in the paper's layout, as Markdown with headings."""
+    parts = [
+        f"## {_markdown_escape(title)}\n\n{_markdown_grid(grid)}\n"
+        for title, grid in _grids(beside)
+    ]
+    return "\n".join([*parts, f"{_markdown_escape(beside.caption)}\n"])
 
 
 def markdown_report(tables: Sequence[ScoreTable], plots: Mapping[str, Sequence[Path]]) -> str:
@@ -128,6 +139,7 @@ def markdown_report(tables: Sequence[ScoreTable], plots: Mapping[str, Sequence[P
     for table in tables:
         parts.append(f"## {_markdown_escape(table.title)}\n\n{markdown(table)}")
         parts += [f"![{path.stem}]({path.name})\n" for path in plots.get(table.name, [])]
+    parts += [markdown_side_by_side(beside) for beside in side_by_side(tables)]
     return "\n".join(parts)
 
 
@@ -140,13 +152,25 @@ def linked_plots(markdown_text: str) -> list[str]:
 
 def latex_report(tables: Sequence[ScoreTable]) -> str:
     """`report.tex`: a document that compiles by itself, one booktabs table per experiment."""
-    body = "\n".join(_latex_table(table) for table in tables)
+    body = "\n".join(
+        [
+            *(part for table in tables for part in _latex_tables(table)),
+            *(part for beside in side_by_side(tables) for part in _latex_side_by_side(beside)),
+        ]
+    )
     return _LATEX_HEAD + body + "\\end{document}\n"
 
 
 def csv_report(tables: Sequence[ScoreTable]) -> str:
-    """`report.csv`: one line per condition and level kind, at full precision, empty for none."""
-    return pd.concat([table.scores for table in tables]).to_csv(
+    """`report.csv`: one line per condition and level kind, at full precision, empty for none.
+
+    Where there are several train levels, lines of `train: <level or group of levels>` follow.
+    """
+    parts = []
+    for table in tables:
+        groups = "train: " + table.train_scores["level_kind"].astype(str)
+        parts += [table.scores, table.train_scores.assign(level_kind=groups)]
+    return pd.concat([part for part in parts if len(part)]).to_csv(
         index=False, float_format="%.10g", lineterminator="\n"
     )
 
@@ -161,11 +185,12 @@ def record(tables: Sequence[ScoreTable], command: str) -> str:
         parts.append("\n".join(f"| {' | '.join(cells)} |" for cells in lines) + "\n")
         commands = "\n".join(run.description.command for run in table.runs)
         parts.append(f"```\n{commands}\n```\n")
+    parts += [markdown_side_by_side(beside) for beside in side_by_side(tables)]
     return "\n".join(parts)
 
 
 class _Row(NamedTuple):
-    """A condition's cells as text; one of `ours` and `paper` for each level kind."""
+    """A condition's cells as text; one of `ours` and `paper` for each column."""
 
     name: str
     seeds: str
@@ -173,38 +198,97 @@ class _Row(NamedTuple):
     paper: list[str]
 
 
-def _rows(table: ScoreTable) -> list[_Row]:
+class _Grid(NamedTuple):
+    """A table's cells as text, before any markup; `chance` is empty where it is not known."""
+
+    columns: list[str]
+    rows: list[_Row]
+    chance_name: str
+    chance: list[str]
+
+    @property
+    def has_paper(self) -> bool:
+        return any(text != NONE for row in self.rows for text in row.paper)
+
+    def beside(self, row: _Row) -> list[str]:
+        """The row's cells, the paper's beside ours where there are any."""
+        if not self.has_paper:
+            return row.ours
+        return [text for pair in zip(row.ours, row.paper, strict=True) for text in pair]
+
+    @property
+    def chance_beside(self) -> list[str]:
+        if not self.has_paper:
+            return self.chance
+        return [text for cell in self.chance for text in (cell, "")]
+
+
+def _grid(table: ScoreTable) -> _Grid:
+    return _grid_of(table.scores, LEVEL_NAMES, measured=bool(table.chance_episodes))
+
+
+def _train_grid(table: ScoreTable) -> _Grid:
+    columns = {group: short_name(group) for group in table.train_groups}
+    return _grid_of(table.train_scores, columns, measured=bool(table.chance_episodes))
+
+
+def _grid_of(scores: pd.DataFrame, columns: Mapping[str, str], *, measured: bool) -> _Grid:
+    """The grid of a `score_table`, with a heading for each level kind."""
     rows = []
-    for condition in table.conditions:
-        scores = table.scores[table.scores["condition"] == condition]
-        scores = scores.set_index("level_kind").loc[list(LEVEL_KINDS)]
-        published = zip(scores["paper_value"], scores["paper_error"], strict=True)
+    for condition in scores["condition"].unique():
+        row = scores[scores["condition"] == condition].set_index("level_kind").reindex(columns)
+        published = zip(row["paper_value"], row["paper_error"], strict=True)
         rows.append(
             _Row(
                 name=condition_name(condition),
-                seeds=seeds_text(int(scores["seeds"].min())),
-                ours=[
-                    score_text(*pair) for pair in zip(scores["median"], scores["mad"], strict=True)
-                ],
+                seeds=seeds_text(int(row["seeds"].min())),
+                ours=[score_text(*pair) for pair in zip(row["median"], row["mad"], strict=True)],
                 paper=[score_text(*pair) for pair in published],
             )
         )
-    return rows
+    chance = scores.groupby("level_kind")["chance"].first().reindex(list(columns))
+    return _Grid(
+        columns=list(columns.values()),
+        rows=rows,
+        chance_name="Chance (measured)" if measured else "Chance",
+        chance=[score_text(value) for value in chance] if chance.notna().any() else [],
+    )
 
 
-def _beside(table: ScoreTable, row: _Row) -> list[str]:
-    if not table.paper:
-        return row.ours
-    return [text for pair in zip(row.ours, row.paper, strict=True) for text in pair]
+def _grids(beside: SideBySide) -> list[tuple[str, _Grid]]:
+    return [
+        (title, _grid_of(scores, {c: c for c in columns}, measured=beside.chance_is_measured))
+        for title, columns, scores in beside.parts
+    ]
 
 
-def _chance_cells(table: ScoreTable) -> list[str]:
-    return [score_text(table.chance.get(level_kind, math.nan)) for level_kind in LEVEL_KINDS]
+def _print_grid(grid: _Grid, title: str, console: Console) -> None:
+    shown = Table(title=escape(title), title_style="bold", title_justify="left")
+    shown.add_column("Condition")
+    shown.add_column("Seeds", justify="right", no_wrap=True)
+    for column in grid.columns:
+        fits = len(column) <= len(LEVEL_NAMES["train"])
+        shown.add_column(escape(column), justify="right", no_wrap=fits, overflow="fold")
+    for row in grid.rows:
+        shown.add_row(escape(row.name), row.seeds, *row.ours)
+        if any(text != NONE for text in row.paper):
+            shown.add_row("[dim]  paper[/dim]", "", *(f"[dim]{text}[/dim]" for text in row.paper))
+    if grid.chance:
+        shown.add_section()
+        shown.add_row(grid.chance_name, "", *grid.chance)
+    console.print(shown)
 
 
-def _chance_beside(table: ScoreTable) -> list[str]:
-    cells = _chance_cells(table)
-    return [text for cell in cells for text in (cell, "")] if table.paper else cells
+def _markdown_grid(grid: _Grid) -> str:
+    header, align = ["Condition", "Seeds"], [":--", "--:"]
+    for column in grid.columns:
+        header += [_markdown_escape(column)] + (["paper"] if grid.has_paper else [])
+        align += ["--:"] * (2 if grid.has_paper else 1)
+    lines = [header, align]
+    lines += [[_markdown_escape(row.name), row.seeds, *grid.beside(row)] for row in grid.rows]
+    if grid.chance:
+        lines.append([grid.chance_name, "", *grid.chance_beside])
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _range_text(counts: Sequence[int]) -> str:
@@ -274,39 +358,53 @@ def _latex_escape(text: str) -> str:
     return "".join(escaped).replace("\0", "{}")  # keeps "--" from becoming a dash
 
 
-def _latex_table(table: ScoreTable) -> str:
-    width = 2 if table.paper else 1
+def _latex_tables(table: ScoreTable) -> list[str]:
+    text = caption(table) + "".join(f" {note}" for note in table.notes)
+    parts = [_latex_grid(_grid(table), table.title, text, table.name)]
+    if table.train_groups:
+        title = f"{table.title}: train levels"
+        parts.append(_latex_grid(_train_grid(table), title, "", f"{table.name}-train"))
+    return parts
+
+
+def _latex_side_by_side(beside: SideBySide) -> list[str]:
+    return [
+        _latex_grid(grid, title, beside.caption, f"{beside.name}-{number}")
+        for number, (title, grid) in enumerate(_grids(beside))
+    ]
+
+
+def _latex_grid(grid: _Grid, title: str, text: str, label: str) -> str:
+    count = len(grid.columns)
+    width = 2 if grid.has_paper else 1
     lines = [
         r"\begin{table}",
         r"\centering",
         r"\footnotesize",
-        r"\setlength{\tabcolsep}{4pt}",
-        rf"\begin{{tabular}}{{lr{'r' * width * len(LEVEL_KINDS)}}}",
+        rf"\setlength{{\tabcolsep}}{{{4 if count <= len(LEVEL_NAMES) else 3}pt}}",
+        rf"\begin{{tabular}}{{lr{'r' * width * count}}}",
         r"\toprule",
     ]
-    names = [_latex_escape(LEVEL_NAMES[level_kind]) for level_kind in LEVEL_KINDS]
-    if table.paper:
+    names = [_latex_escape(column) for column in grid.columns]
+    if grid.has_paper:
         spans = [rf"\multicolumn{{2}}{{c}}{{{name}}}" for name in names]
         lines.append(rf" & & {' & '.join(spans)} \\")
-        lines.append("".join(rf"\cmidrule(lr){{{first}-{first + 1}}}" for first in range(3, 9, 2)))
-        lines.append(rf"Condition & Seeds{' & ours & paper' * len(LEVEL_KINDS)} \\")
+        ends = range(3, 3 + 2 * count, 2)
+        lines.append("".join(rf"\cmidrule(lr){{{first}-{first + 1}}}" for first in ends))
+        lines.append(rf"Condition & Seeds{' & ours & paper' * count} \\")
     else:
         lines.append(rf"Condition & Seeds & {' & '.join(names)} \\")
     lines.append(r"\midrule")
-    rows = [[row.name, row.seeds, *_beside(table, row)] for row in _rows(table)]
+    rows = [[row.name, row.seeds, *grid.beside(row)] for row in grid.rows]
     lines += [rf"{' & '.join(_latex_escape(cell) for cell in row)} \\" for row in rows]
-    if table.chance:
-        lines += [
-            r"\midrule",
-            rf"{' & '.join(_latex_escape(c) for c in ['Chance', '', *_chance_beside(table)])} \\",
-        ]
-    notes = "".join(f" {note}" for note in table.notes)
+    if grid.chance:
+        cells = [grid.chance_name, "", *grid.chance_beside]
+        lines += [r"\midrule", rf"{' & '.join(_latex_escape(cell) for cell in cells)} \\"]
     lines += [
         r"\bottomrule",
         r"\end{tabular}",
-        rf"\caption{{\textbf{{{_latex_escape(table.title)}.}} "
-        rf"{_latex_escape(caption(table) + notes)}}}",
-        rf"\label{{tab:{re.sub(r'[^A-Za-z0-9-]', '-', table.name)}}}",
+        rf"\caption{{\textbf{{{_latex_escape(title)}.}} {_latex_escape(text)}}}",
+        rf"\label{{tab:{re.sub(r'[^A-Za-z0-9-]', '-', label)}}}",
         r"\end{table}",
         "",
     ]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -29,11 +29,24 @@ BOOKKEEPING = frozenset(
 )
 
 
+class LevelDescription(BaseModel):
+    """A level of a run, with the score of random actions there and over how many episodes that
+    was measured; None where it is exact, or not known."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
+
+    level_kind: Literal["train", "uniform", "rare"]
+    level: str
+    chance: float | None
+    chance_episodes: int | None
+
+
 class RunDescription(BaseModel):
     """`run.json`: what a run is.
 
     `window` is in updates, both ends included; `situation` has the number of ranks of each of the
-    situation's columns, None in files of a version that did not write it.
+    situation's columns, None in files of a version that did not write it; nor did it write
+    `levels`, and there was one of each kind.
     """
 
     model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
@@ -51,6 +64,7 @@ class RunDescription(BaseModel):
     window: tuple[int, int]
     num_updates: int
     chance: dict[Literal["train", "uniform", "rare"], float | None] | None
+    levels: tuple[LevelDescription, ...] = ()
     environment: dict[str, Any]
     paper: str | None
     situation: dict[str, PositiveInt] | None = None
@@ -61,6 +75,10 @@ class RunDescription(BaseModel):
             raise ValueError(f"window {list(self.window)} ends before it starts")
         return self
 
+    def names(self, level_kind: str) -> list[str]:
+        """The levels of a kind; empty where the file does not tell."""
+        return [one.level for one in self.levels if one.level_kind == level_kind]
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -68,7 +86,10 @@ class Run:
 
     Attributes:
         folder: as the user gave it, plus the path below.
-        evaluations: one row per (update, level_kind); columns as in `evaluations.csv`.
+        evaluations: one row per (update, level_kind), a mean over the levels of that kind:
+            `update`, `level_kind`, `frames`, `seconds`, `episodes` (of all levels), `score`.
+        level_evaluations: one row per (update, level_kind, level); columns as in
+            `evaluations.csv`.
         situations: one row per (update, level_kind, situation); columns as in `situations.csv`.
         situation_names: the situation's columns, e.g. ("map", "target"); ranks, 0 most frequent.
         updates, frames, seconds: how far the run has come.
@@ -79,6 +100,7 @@ class Run:
     folder: Path
     description: RunDescription
     evaluations: pd.DataFrame
+    level_evaluations: pd.DataFrame
     situations: pd.DataFrame
     situation_names: tuple[str, ...]
     updates: int
@@ -91,6 +113,11 @@ class Run:
     def label(self) -> str:
         """The run's folder, as messages show it."""
         return self.folder.as_posix()
+
+    def mean_over(self, level_kind: str, levels: Collection[str]) -> pd.DataFrame:
+        """As `evaluations`, of these levels of a kind alone."""
+        rows = self.level_evaluations
+        return _mean_over(rows[rows["level_kind"] == level_kind], levels)
 
 
 def load_runs(folders: Iterable[str | Path]) -> list[Run]:
@@ -130,7 +157,7 @@ def load_run(folder: Path) -> Run:
     description = _read_description(folder / "run.json")
     notes: list[str] = []
 
-    evaluations = _read_table(
+    level_evaluations = _read_table(
         folder / "evaluations.csv",
         {
             "update": int,
@@ -143,14 +170,19 @@ def load_run(folder: Path) -> Run:
         },
         notes,
     )
-    evaluations = _latest(evaluations, ["update", "level_kind", "level"])
-    for level_kind, levels in evaluations.groupby("level_kind")["level"]:
-        if levels.nunique() > 1:
-            names = ", ".join(sorted(levels.unique()))
+    level_evaluations = _latest(level_evaluations, ["update", "level_kind", "level"])
+    means = []
+    for level_kind, rows in level_evaluations.groupby("level_kind"):
+        found = sorted(rows["level"].unique())
+        levels = description.names(str(level_kind)) or found[:1]
+        if not set(found) <= set(levels):
+            several = f"several {level_kind} levels" if len(found) > 1 else f"a {level_kind} level"
             raise UserError(
-                f"{folder.as_posix()}/evaluations.csv: several {level_kind} levels ({names}); "
-                f"a run has one"
+                f"{folder.as_posix()}/evaluations.csv: {several} ({', '.join(found)}); "
+                f"the run has {', '.join(levels)}"
             )
+        means.append(_mean_over(rows, levels))
+    evaluations = pd.concat(means) if means else level_evaluations
 
     path = folder / "situations.csv"
     situation_names = _situation_names(path)
@@ -175,7 +207,7 @@ def load_run(folder: Path) -> Run:
 
     progress = {"update": 0.0, "frames": 0.0, "seconds": 0.0}
     metrics = _read_table(folder / "metrics.csv", dict.fromkeys(progress, float), notes)
-    for frame in (evaluations, metrics):
+    for frame in (level_evaluations, metrics):
         for column in progress:
             if len(frame):
                 progress[column] = max(progress[column], float(frame[column].max()))
@@ -183,7 +215,8 @@ def load_run(folder: Path) -> Run:
     return Run(
         folder=folder,
         description=description,
-        evaluations=evaluations,
+        evaluations=evaluations.sort_values("update", kind="stable").reset_index(drop=True),
+        level_evaluations=level_evaluations,
         situations=situations,
         situation_names=situation_names,
         updates=int(progress["update"]),
@@ -307,6 +340,17 @@ _EXPECTED: Mapping[Callable[[str], Any], str] = {
     float: "a finite number",
     _level_kind: f"one of {', '.join(LEVEL_KINDS)}",
 }
+
+
+def _mean_over(evaluations: pd.DataFrame, levels: Collection[str]) -> pd.DataFrame:
+    """The mean score over levels of a kind, at every update at which all of them were scored."""
+    chosen = evaluations[evaluations["level"].isin(levels)]
+    scored = chosen.groupby("update")["level"].transform("size")
+    return (
+        chosen[scored == len(levels)]
+        .groupby(["update", "level_kind"], as_index=False)
+        .agg({"frames": "first", "seconds": "first", "episodes": "sum", "score": "mean"})
+    )
 
 
 def _latest(frame: pd.DataFrame, key: list[str]) -> pd.DataFrame:

@@ -170,11 +170,12 @@ class Terminal:
         picture, text = self._shown
         self._size = os.get_terminal_size(self._output)
         columns, rows = self._size.columns or 80, self._size.lines or 24  # some say nothing: 0, 0
-        lines, keys = text.wrapped(columns)
+        lines, keys = text.wrapped(max(columns - 1, 1))
         below = [f"\x1b[1m{line}\x1b[0m" for line in lines] + [f"\x1b[2m{k}\x1b[0m" for k in keys]
         below = below[: max(rows - _FEWEST_ROWS, 0)]
         drawn = half_blocks(fit(picture, columns, 2 * (rows - len(below))))
-        page = "\r\n".join(f"{line}\x1b[K" for line in drawn + below)
+        # Erasing after a line that fills its row would take its last character.
+        page = "\r\n".join(f"\x1b[K{line}" for line in drawn + below)
         self._write(f"\x1b[?2026h\x1b[H{page}\x1b[J\x1b[?2026l")  # all at once, where it is known
 
     def _write(self, text: str) -> None:
@@ -191,9 +192,7 @@ _FINALS = {
     **{chr(ord("p") + digit): str(digit) for digit in range(10)},  # the numeric pad
     "M": "enter",
 }
-_NUMBERS = {
-    **{"1": "home", "7": "home", "4": "end", "8": "end", "5": "pageup", "6": "pagedown"},
-}
+_NUMBERS = {"1": "home", "7": "home", "4": "end", "8": "end", "5": "pageup", "6": "pagedown"}
 _CONTROLS = {
     **{" ": "space", "\t": "tab", "\r": "enter", "\n": "enter"},
     **{"\x7f": "backspace", "\b": "backspace"},

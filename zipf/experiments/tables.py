@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,6 +91,8 @@ class LastEvaluations:
 
 Window = UpdateWindow | LastEvaluations
 
+TrainGroups = Mapping[str, tuple[str, ...]]
+
 
 def parse_window(text: str) -> Window:
     """The window that `text` names: `2000000:3000000`, `2M:3M`, `last` or `last:10`.
@@ -123,6 +125,9 @@ class ScoreTable:
         own_window: whether that is the experiment's own.
         paper: what was published; None where it has a number for none of the conditions.
         scores: one row per (condition, level kind), in the table's order; see `score_table`.
+        train_groups: the train levels apart, or in the groups that the paper averages, by the
+            group's name; empty where there is one train level.
+        train_scores: as `scores`, with these groups in the place of level kinds.
         notes: what is missing or doubtful, one sentence each.
     """
 
@@ -133,6 +138,8 @@ class ScoreTable:
     own_window: bool
     paper: PaperTable | None
     scores: pd.DataFrame
+    train_groups: TrainGroups
+    train_scores: pd.DataFrame
     notes: tuple[str, ...]
 
     @property
@@ -147,12 +154,24 @@ class ScoreTable:
         return dict(zip(known["level_kind"], known["chance"], strict=True))
 
     @property
+    def chance_episodes(self) -> list[int]:
+        """Over how many episodes the chance of each level was measured; empty where it is exact."""
+        return [
+            level.chance_episodes
+            for run in self.runs
+            for level in run.description.levels
+            if level.chance_episodes is not None
+        ]
+
+    @property
     def episodes(self) -> list[int]:
-        """How many episodes are behind each evaluation inside the window."""
+        """How many episodes of a level are behind each evaluation inside the window."""
         return [
             int(count)
             for run in self.runs
-            for count in run.evaluations["episodes"][self.window.select(run.evaluations["update"])]
+            for count in run.level_evaluations["episodes"][
+                self.window.select(run.level_evaluations["update"])
+            ]
         ]
 
     @property
@@ -165,8 +184,13 @@ class ScoreTable:
         }
 
 
-def seed_scores(runs: Sequence[Run], window: Window) -> pd.DataFrame:
+def seed_scores(
+    runs: Sequence[Run], window: Window, train_groups: TrainGroups | None = None
+) -> pd.DataFrame:
     """Every run's score: the median of its evaluations inside the window.
+
+    Args:
+        train_groups: score these in the place of the level kinds.
 
     Returns:
         One row per run and level kind: `condition`, `seed`, `level_kind`, `evaluations` (how many
@@ -175,9 +199,14 @@ def seed_scores(runs: Sequence[Run], window: Window) -> pd.DataFrame:
     """
     rows: list[dict[str, Any]] = []
     for run in runs:
-        inside = run.evaluations[window.select(run.evaluations["update"])]
-        for level_kind in LEVEL_KINDS:
-            evaluations = inside[inside["level_kind"] == level_kind]
+        updates = run.level_evaluations["update"]
+        updates = updates[window.select(updates)]
+        for level_kind in train_groups or LEVEL_KINDS:
+            if train_groups:
+                evaluations = run.mean_over("train", train_groups[level_kind])
+            else:
+                evaluations = run.evaluations[run.evaluations["level_kind"] == level_kind]
+            evaluations = evaluations[evaluations["update"].isin(updates)]
             rows.append(
                 {
                     "condition": run.description.condition,
@@ -197,21 +226,29 @@ def median_absolute_deviation(values: pd.Series) -> float:
 
 
 def score_table(
-    runs: Sequence[Run], window: Window, *, name: str = "", paper: PaperTable | None = None
+    runs: Sequence[Run],
+    window: Window,
+    *,
+    name: str = "",
+    paper: PaperTable | None = None,
+    train_groups: TrainGroups | None = None,
 ) -> pd.DataFrame:
     """The scores of comparable runs, one row per condition and level kind.
+
+    Args:
+        train_groups: score these in the place of the level kinds.
 
     Returns:
         `SCORE_COLUMNS`: `seeds` counts the seeds that have a score; `median` and `mad` are over
         these; `evaluations` and `episodes` are the fewest behind one of their scores; `updates`
         and `frames` the fewest that a run of the condition has reached. NaN is "none".
     """
-    scores = seed_scores(runs, window)
-    chance = _chance(runs)
+    scores = seed_scores(runs, window, train_groups)
+    chance = _chance_of_groups(runs, train_groups) if train_groups else _chance(runs)
     rows: list[dict[str, Any]] = []
     for condition in sorted({run.description.condition for run in runs}, key=condition_order):
         of_condition = [run for run in runs if run.description.condition == condition]
-        for level_kind in LEVEL_KINDS:
+        for level_kind in train_groups or LEVEL_KINDS:
             chosen = scores[
                 (scores["condition"] == condition)
                 & (scores["level_kind"] == level_kind)
@@ -272,6 +309,7 @@ def score_tables(runs: Sequence[Run], window: Window | None = None) -> list[Scor
         used = window or UpdateWindow(*description.window)
         paper = _paper(group)
         scores = score_table(group, used, name=name, paper=paper)
+        train_groups = _train_groups(group, paper)
         tables.append(
             ScoreTable(
                 name=name,
@@ -281,6 +319,12 @@ def score_tables(runs: Sequence[Run], window: Window | None = None) -> list[Scor
                 own_window=window is None,
                 paper=paper if scores["paper_value"].notna().any() else None,
                 scores=scores,
+                train_groups=train_groups,
+                train_scores=(
+                    score_table(group, used, name=name, paper=paper, train_groups=train_groups)
+                    if train_groups
+                    else scores[:0]
+                ),
                 notes=_notes(group, used),
             )
         )
@@ -402,6 +446,29 @@ def _chance(runs: Sequence[Run]) -> dict[str, float]:
             if value is not None:
                 chance.setdefault(level_kind, value)
     return chance
+
+
+def _chance_of_groups(runs: Sequence[Run], groups: TrainGroups) -> dict[str, float]:
+    """The mean over each group's levels, of the first known values."""
+    known: dict[str, float] = {}
+    for level in (level for run in runs for level in run.description.levels):
+        if level.chance is not None:
+            known.setdefault(level.level, level.chance)
+    return {
+        name: float(np.mean([known[level] for level in levels]))
+        for name, levels in groups.items()
+        if known.keys() >= set(levels)
+    }
+
+
+def _train_groups(runs: Sequence[Run], paper: PaperTable | None) -> TrainGroups:
+    """The groups that the paper averages, then every other train level; empty if there is one."""
+    names = next((names for run in runs if (names := run.description.names("train"))), [])
+    if len(names) < 2:
+        return {}
+    groups = dict(paper.train_groups) if paper else {}
+    alone = [(name,) for name in names]
+    return groups | {levels[0]: levels for levels in alone if levels not in groups.values()}
 
 
 def _notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:

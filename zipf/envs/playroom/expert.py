@@ -232,7 +232,7 @@ def _is_blocked(x, y, furnished, finding, carried, ranks, extents, furniture, it
             continue
         clear = 0.85 * kernels.footprint(extents[ranks[j]]) + margin
         if finding:
-            clear = kernels.APPROACH_DISTANCE + 0.1
+            clear = kernels.APPROACH_DISTANCE + 0.25
         if math.hypot(x - items[j, 0], y - items[j, 1]) < clear:
             return True
     if furnished:

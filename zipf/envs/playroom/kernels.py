@@ -25,7 +25,7 @@ STEP = FRAMES * FRAME
 AGENT_RADIUS = 0.25
 AGENT_MASS = 20.0
 DAMPING = 5.0  # 1/s: speed falls by this rate, so that the agent has momentum
-ACCELERATION = 12.5  # m/s^2: 2.5 m/s at most
+ACCELERATION = 12.5  # m/s^2: 2.7 m/s at most
 TURN_RATE = math.radians(120)
 LOOK_RATE = math.radians(90)
 FIRST_PITCH = math.radians(-25)  # objects on the floor are in view
@@ -49,11 +49,13 @@ APPROACH_DISTANCE = 0.7  # between the centres of agent and object, in supervise
 
 # Furniture: bed and tray, half length and half width of the footprint, and height of the top.
 FURNITURE_SIZE = np.array([[0.70, 0.45, 0.35], [0.30, 0.225, 0.03]])
+LANDING = 0.005  # what falls lands on a top that it is this little below, or less
+CLIMB = 0.1  # what is held this little below a top, or less, comes to be on it
 PASSAGE = 0.55  # left free around furniture, for the agent to pass
 
 FLOOR, AIR, HELD, ON_BED, ON_TRAY = range(5)
 """Where an object is."""
-GROUND_LAYER, RAISED_LAYER, CARRIED_LAYER, SUPPORTED_LAYER = range(4)
+GROUND_LAYER, RAISED_LAYER, LOW_LAYER, CARRIED_LAYER, SUPPORTED_LAYER = range(5)
 """What an object collides with, see `room.py`."""
 
 AX, AY, YAW, PITCH, HOLD, BASE = range(6)
@@ -361,6 +363,8 @@ def control(
             hands[i] = -1
             status[i, held] = AIR
             objects[i, held, VZ] = 0.0
+            floor = _floor_of_hand(furnished, furniture[i], objects[i, held])
+            objects[i, held, Z] = max(objects[i, held, Z], floor)
             _let_go(objects[i, held], orientation[i, held])
             turned[i] = held
             held = -1
@@ -384,6 +388,8 @@ def _layer(status, height):
         return SUPPORTED_LAYER
     if status == HELD and height < 0.1:
         return CARRIED_LAYER
+    if height < FURNITURE_SIZE[0, 2] - (CLIMB if status == HELD else LANDING):
+        return LOW_LAYER
     return RAISED_LAYER
 
 
@@ -494,20 +500,48 @@ def _carry(agent, furnished, furniture, item, extent, drive):
     limit = ROOM / 2 - radius
     x = min(max(agent[AX] + flat * math.cos(agent[YAW]), -limit), limit)
     y = min(max(agent[AY] + flat * math.sin(agent[YAW]), -limit), limit)
+    if furnished and item[Z] < FURNITURE_SIZE[0, 2] - CLIMB:
+        x, y = _beside(furniture[0], FURNITURE_SIZE[0], 0.5 * min(extent[0], extent[1]), item, x, y)
     dx, dy = x - item[X], y - item[Y]
     distance = math.hypot(dx, dy)
     share = min(1.0, HAND_SPEED * STEP / distance) if distance > 0 else 0.0
     drive[0], drive[1] = dx * share / _COAST, dy * share / _COAST
     height = EYE + math.sin(agent[PITCH]) * agent[HOLD] - extent[2] / 2
+    floor = _floor_of_hand(furnished, furniture, item)
+    height = min(max(height, floor), CEILING - extent[2])
+    step = HAND_SPEED * STEP
+    item[Z] += min(max(height - item[Z], -step), step)
+
+
+@njit(nogil=True, cache=True)
+def _floor_of_hand(furnished, furniture, item):
+    """The lowest that an object may be held where it is."""
     floor = 0.0
     if furnished:
         for k in range(2):
             over = rectangle_gap(furniture[k], FURNITURE_SIZE[k], item[X], item[Y]) == 0.0
-            if over and item[Z] >= FURNITURE_SIZE[k, 2] - 0.1:
+            if over and item[Z] >= FURNITURE_SIZE[k, 2] - CLIMB:
                 floor = FURNITURE_SIZE[k, 2]
-    height = min(max(height, floor), CEILING - extent[2])
-    step = HAND_SPEED * STEP
-    item[Z] += min(max(height - item[Z], -step), step)
+    return floor
+
+
+@njit(nogil=True, cache=True)
+def _beside(pose, size, radius, item, x, y):
+    """The place nearest to (x, y) on the side of a rectangle on which an object is now.
+
+    The physics alone would not do: what has its speed set moves before it is stopped.
+    """
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    own_x = cos * (item[X] - pose[0]) + sin * (item[Y] - pose[1])
+    own_y = cos * (item[Y] - pose[1]) - sin * (item[X] - pose[0])
+    to_x = cos * (x - pose[0]) + sin * (y - pose[1])
+    to_y = cos * (y - pose[1]) - sin * (x - pose[0])
+    least_x, least_y = size[0] + radius, size[1] + radius
+    if abs(own_x) - least_x > abs(own_y) - least_y:
+        to_x = max(to_x, least_x) if own_x > 0 else min(to_x, -least_x)
+    else:
+        to_y = max(to_y, least_y) if own_y > 0 else min(to_y, -least_y)
+    return pose[0] + cos * to_x - sin * to_y, pose[1] + sin * to_x + cos * to_y
 
 
 @njit(nogil=True, cache=True)
@@ -564,7 +598,7 @@ def _fall(item, before, furnished, furniture):
                 height = FURNITURE_SIZE[f, 2]
                 # What stands on the floor beside a support does not jump onto it.
                 if (
-                    item[Z] >= height - 0.005
+                    item[Z] >= height - LANDING
                     and rectangle_gap(furniture[f], FURNITURE_SIZE[f], x, y) == 0.0
                 ):
                     top, where = height, ON_BED + f

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from zipf.envs.playroom import kernels
 
-_WALL, _AGENT, _GROUND, _FURNITURE, _RAISED, _CARRIED, _SUPPORTED = (1 << k for k in range(7))
+_WALL, _AGENT, _GROUND, _BED, _TRAY, _RAISED, _CARRIED, _SUPPORTED = (1 << k for k in range(8))
 _WALL_DEPTH = 1.0  # so thick that nothing can pass in one frame
 
 
@@ -17,14 +17,17 @@ def _filter(category: int, *against: int) -> pymunk.ShapeFilter:
 
 
 # By the layers of `kernels`. What is held low pushes what stands on the floor, but not the agent
-# who holds it; what is high meets only walls; what lies on a support meets its like.
+# who holds it; what is lower than the bed meets its sides; what is high meets only walls; what lies
+# on a support meets its like.
 _LAYERS = {
-    kernels.GROUND_LAYER: _filter(_GROUND, _WALL, _AGENT, _GROUND, _FURNITURE, _CARRIED),
+    kernels.GROUND_LAYER: _filter(_GROUND, _WALL, _AGENT, _GROUND, _BED, _TRAY, _CARRIED),
     kernels.RAISED_LAYER: _filter(_RAISED, _WALL),
-    kernels.CARRIED_LAYER: _filter(_CARRIED, _WALL, _GROUND, _FURNITURE),
+    kernels.LOW_LAYER: _filter(_RAISED, _WALL, _BED),
+    kernels.CARRIED_LAYER: _filter(_CARRIED, _WALL, _GROUND, _BED),
     kernels.SUPPORTED_LAYER: _filter(_SUPPORTED, _WALL, _SUPPORTED),
 }
-_ITERATIONS = 8  # ours: little enough overlap when several objects are pushed into a corner
+_SLOP = 0.005  # overlap that is let be; pymunk's own, 0.1, is made for pixels
+_ITERATIONS = 30  # ours: little enough overlap when several objects are pushed into a corner
 _MASS = 2.0  # kilograms, of every object: ours
 _ELONGATED = 1.3  # from this ratio of sides on a footprint is a box, else a disc
 
@@ -37,7 +40,7 @@ class Room:
     Args:
         agent: x and y of the agent.
         objects: (x, y, angle, length, width) of each object.
-        furniture: (x, y, angle, half length, half width) of each piece.
+        furniture: (x, y, angle, half length, half width) of bed and tray; empty without.
     """
 
     def __init__(
@@ -48,6 +51,7 @@ class Room:
     ) -> None:
         self.space = pymunk.Space()
         self.space.iterations = _ITERATIONS
+        self.space.collision_slop = _SLOP
         self.space.damping = math.exp(-kernels.DAMPING)
         still = self.space.static_body
         half = kernels.ROOM / 2 + _WALL_DEPTH
@@ -56,16 +60,16 @@ class Room:
             wall = pymunk.Segment(still, one, two, _WALL_DEPTH)
             wall.filter = _filter(_WALL, _AGENT, _GROUND, _RAISED, _CARRIED, _SUPPORTED)
             self.space.add(wall)
-        for x, y, angle, length, width in furniture:
+        for kind, (x, y, angle, length, width) in zip((_BED, _TRAY), furniture, strict=False):
             placed = pymunk.Transform.translation(x, y).rotated(angle)
             points = [(length, width), (-length, width), (-length, -width), (length, -width)]
             piece = pymunk.Poly(still, points, placed)
-            piece.filter = _filter(_FURNITURE, _AGENT, _GROUND, _CARRIED)
+            piece.filter = _filter(kind, _AGENT, _GROUND, _RAISED, _CARRIED)
             self.space.add(piece)
         self.agent = pymunk.Body(kernels.AGENT_MASS, math.inf)
         self.agent.position = agent[0], agent[1]
         disc = pymunk.Circle(self.agent, kernels.AGENT_RADIUS)
-        disc.filter = _filter(_AGENT, _WALL, _GROUND, _FURNITURE)
+        disc.filter = _filter(_AGENT, _WALL, _GROUND, _BED, _TRAY)
         self.space.add(self.agent, disc)
         self.objects: list[pymunk.Body] = []
         self.shapes: list[pymunk.Shape] = []

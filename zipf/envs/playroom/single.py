@@ -38,8 +38,8 @@ class PlayroomEnv(SingleWorld):
     | Action | Does                                    | Full          | Finer                     |
     |--------|-----------------------------------------|---------------|---------------------------|
     | 0      | nothing                                 |               |                           |
-    | 1, 2   | moves forward, backward                 | 2.5 m/s       |                           |
-    | 3, 4   | moves right, left                       | 2.5 m/s       | 9, 10: 0.05 of it         |
+    | 1, 2   | moves forward, backward                 | 2.7 m/s       |                           |
+    | 3, 4   | moves right, left                       | 2.7 m/s       | 9, 10: 0.05 of it         |
     | 5, 6   | turns right, left                       | 16 degrees    | 13, 14: 0.2; 15, 16: 0.05 |
     | 7, 8   | looks down, up                          | 12 degrees    | 11, 12: 0.03 of it        |
     | 17     | grips                                   |               |                           |

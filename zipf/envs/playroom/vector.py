@@ -1,5 +1,6 @@
 """Zipf's Playroom, many worlds at once."""
 
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -41,20 +42,23 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         render_mode: str | None = None,
     ) -> None:
         self.level = levels.by_name(level)
-        if len(image_size) != 2 or min(image_size) < 1:
+        sizes = _whole_numbers(image_size)
+        if sizes is None or len(sizes) != 2 or min(sizes) < 1:
             raise ValueError(
-                f"image_size must be (height, width), both at least 1, got {tuple(image_size)}"
+                "image_size must be (height, width), whole numbers of at least 1, "
+                f"got {image_size!r}"
             )
-        if object_order not in levels.ORDERS:
+        if object_order not in tuple(levels.ORDERS):
             raise ValueError(
                 f"object_order must be {' or '.join(map(repr, levels.ORDERS))}, "
                 f"got {object_order!r}"
             )
-        if max_steps < 1:
-            raise ValueError(f"max_steps must be at least 1, got {max_steps}")
+        steps = _whole_numbers([max_steps])
+        if steps is None or steps[0] < 1:
+            raise ValueError(f"max_steps must be a whole number of at least 1, got {max_steps!r}")
         self.objects = levels.ORDERS[object_order]
         self.max_steps = max_steps
-        height, width = image_size
+        height, width = sizes
         super().__init__(
             num_envs,
             single_observation_space=spaces.Dict(
@@ -279,8 +283,12 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             or (state["actions"] >= len(ACTIONS)).any()
             or (state["lengths"] < 0).any()
             or (state["lengths"] > self.max_steps).any()
+            or (state["running"] & (state["lengths"] == self.max_steps)).any()
+            or (state["running"] & ~state["seeded"]).any()
         ):
-            raise ValueError("the state is of another level, or damaged: ranks or actions too high")
+            raise ValueError(
+                "the state is of another level, or damaged: ranks, actions or lengths out of range"
+            )
         self._began[:] = state["began"]
         self._forced[:] = state["forced"]
         self._actions[:] = state["actions"]
@@ -298,3 +306,11 @@ class PlayroomVectorEnv(ZipfVectorEnv):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._replay(self._seeded, self._lengths)
+
+
+def _whole_numbers(values: Any) -> list[int] | None:
+    """The values as integers; None where they are anything else."""
+    try:
+        return [operator.index(value) for value in values]
+    except TypeError:
+        return None

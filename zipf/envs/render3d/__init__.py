@@ -3,10 +3,11 @@
 from zipf.envs.render3d import textures
 from zipf.envs.render3d.meshes import MeshAtlas, load_meshes
 from zipf.envs.render3d.renderer import Renderer
-from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED, Scenes
+from zipf.envs.render3d.scene import FACES_DOWN, SCREEN, SEE_THROUGH, TWO_SIDED, Scenes
 
 __all__ = [
     "FACES_DOWN",
+    "SCREEN",
     "SEE_THROUGH",
     "TWO_SIDED",
     "MeshAtlas",

@@ -12,7 +12,9 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+from numba.extending import intrinsic as _intrinsic
+
+intrinsic: Any = _intrinsic  # its annotations do not know what it makes of a function
 
 LANES = 16
 
@@ -150,9 +152,15 @@ class _Code:
         """The elements at `indices` of an array, widened to 32 bits with their sign."""
         start = self._pointer(address, element)
         found = ir.Constant(ir.VectorType(_INT, self.lanes), ir.Undefined)
+        # Taken out two at a time: that is the slow part.
+        pairs = self.builder.bitcast(indices.value, ir.VectorType(ir.IntType(64), self.lanes // 2))
         for lane in range(self.lanes):
             place = ir.Constant(_INT, lane)
-            index = self.builder.extract_element(indices.value, place)
+            pair = self.builder.extract_element(pairs, ir.Constant(_INT, lane // 2))
+            if lane % 2:
+                index = self.builder.lshr(pair, ir.Constant(pair.type, 32))
+            else:
+                index = self.builder.zext(self.builder.trunc(pair, _INT), pair.type)
             value = self.builder.load(self.builder.gep(start, [index]))
             if element.width < 32:
                 value = self.builder.sext(value, _INT)
@@ -169,8 +177,12 @@ class _Code:
         assert colour is not None
         return colour
 
-    def keep(self, mask: _Vector, value: _Vector, address: Any, element: Any) -> None:
-        self.store(mask.choose(value, self.load(address, element)), address)
+    def keep(self, mask: _Vector, inverse: _Vector, depth: Any, paint: _Vector, color: Any) -> None:
+        """Writes the pixels of `mask` to both buffers."""
+        # Loaded before the first store, or LLVM makes masked stores of them: slow on some CPUs.
+        old_inverse, old_paint = self.load(depth, _FLOAT), self.load(color, _INT)
+        self.store(mask.choose(inverse, old_inverse), depth)
+        self.store(mask.choose(paint, old_paint), color)
 
 
 def _written(kinds: Sequence[Any], write: Callable[..., None]) -> Any:
@@ -185,24 +197,23 @@ def _written(kinds: Sequence[Any], write: Callable[..., None]) -> Any:
 
 @intrinsic
 def wall_block(
-    typingctx, color, depth, texels, x, first, last, z, dz, u, du, v, dv, area, fade, red, green,
+    typingctx, color, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, red, green,
     blue, solid,
 ):  # fmt: skip
-    """Pixels x .. x + 15 of a wall's span first .. last (columns).
+    """Pixels x .. x + 15, but none past the column last, of a wall.
 
     1/t is z + dz * x, texel coordinates over t likewise; a pixel covers area * t**3 texels; light
     is red, green, blue over 1 + fade * t**2. Holes are kept where `solid` is not 0.
     """
 
-    def write(builder, color, depth, texels, x, first, last, z, dz, u, du, v, dv, area, fade, red,
+    def write(builder, color, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, red,
               green, blue, solid):  # fmt: skip
         code = _Code(builder)
         splat = code.splat
         column = code.columns(x)
         place = column.floats_()
         inverse = splat(z) + splat(dz) * place
-        mask = (column >= splat(first)) & (column <= splat(last))
-        mask = mask & (inverse > code.load(depth, _FLOAT))
+        mask = (column <= splat(last)) & (inverse > code.load(depth, _FLOAT))
         with builder.if_then(mask.any()):
             # t and the light of one division: 1/t**2 + fade is the denominator of both.
             square = inverse * inverse
@@ -210,29 +221,28 @@ def wall_block(
             both = lit.like(1.0) / (inverse * lit)
             t = lit * both
             dim = square * inverse * both
-            level = (((splat(area) * (t * t * t)).bits() >> 23) - 127) >> 1
-            level = level.most(0).least(6)
+            # Half of the exponent of the texels in a pixel, which is from bit 23 on, less 127.
+            texels_each = (splat(area) * (t * t * t)).most(1.0).least(4096.0)
+            level = (texels_each.bits() - (127 << 23)) >> 24
             iu = ((splat(u) + splat(du) * place) * t).truncated() & 63
             iv = ((splat(v) + splat(dv) * place) * t).truncated() & 63
             index = ((iv >> level) << 7) + (iu >> level) + 128 - (level.like(128) >> level)
             texel = code.look_up(texels, index, _INT)
             mask = mask & ((texel | splat(solid)) < 0)
             paint = code.shade(texel, [dim * splat(c) for c in (red, green, blue)])
-            code.keep(mask, inverse, depth, _FLOAT)
-            code.keep(mask, paint, color, _INT)
+            code.keep(mask, inverse, depth, paint, color)
 
-    return _written([_ADDRESS] * 3 + [_I] * 3 + [_F] * 11 + [_I], write)
+    return _written([_ADDRESS] * 3 + [_I] * 2 + [_F] * 11 + [_I], write)
 
 
 def _flat(patchwork: bool) -> Callable[..., Any]:
-    def write(builder, color, depth, texels, x, first, last, z, u, du, v, dv, level, red, green,
+    def write(builder, color, depth, texels, x, last, z, u, du, v, dv, level, red, green,
               blue, solid, tiles, c, dc, columns, r, dr, rows):  # fmt: skip
         code = _Code(builder)
         splat = code.splat
         column = code.columns(x)
         place = column.floats_()
-        mask = (column >= splat(first)) & (column <= splat(last))
-        mask = mask & (splat(z) > code.load(depth, _FLOAT))
+        mask = (column <= splat(last)) & (splat(z) > code.load(depth, _FLOAT))
         with builder.if_then(mask.any()):
             iu = (splat(u) + splat(du) * place).truncated() & 63
             iv = (splat(v) + splat(dv) * place).truncated() & 63
@@ -247,33 +257,92 @@ def _flat(patchwork: bool) -> Callable[..., Any]:
             texel = code.look_up(texels, index, _INT)
             mask = mask & ((texel | splat(solid)) < 0)
             paint = code.shade(texel, [splat(factor) for factor in (red, green, blue)])
-            code.keep(mask, splat(z), depth, _FLOAT)
-            code.keep(mask, paint, color, _INT)
+            code.keep(mask, splat(z), depth, paint, color)
 
     return write
 
 
-_FLAT = [_ADDRESS] * 3 + [_I] * 3 + [_F] * 5 + [_I] + [_F] * 3 + [_I]
+_FLAT = [_ADDRESS] * 3 + [_I] * 2 + [_F] * 5 + [_I] + [_F] * 3 + [_I]
 
 
 @intrinsic
 def flat_block(
-    typingctx, color, depth, texels, x, first, last, z, u, du, v, dv, level, red, green, blue,
+    typingctx, color, depth, texels, x, last, z, u, du, v, dv, level, red, green, blue,
     solid,
 ):  # fmt: skip
-    """Pixels x .. x + 15 of a flat's span first .. last: 1/t, the light and the size of texels are
-    the same along the line, texel coordinates are affine."""
+    """Pixels x .. x + 15, but none past the column last, of a flat.
+
+    1/t, the light and the size of texels are the same along a line, texel coordinates are affine.
+    """
     write = _flat(patchwork=False)
     return _written(_FLAT, lambda builder, *args: write(builder, *args, *[None] * 7))
 
 
 @intrinsic
 def patchwork_block(
-    typingctx, color, depth, texels, x, first, last, z, u, du, v, dv, level, red, green, blue,
+    typingctx, color, depth, texels, x, last, z, u, du, v, dv, level, red, green, blue,
     solid, tiles, c, dc, columns, r, dr, rows,
 ):  # fmt: skip
     """Like `flat_block`; the texture is found in `tiles` [rows, columns] at affine coordinates."""
     return _written(_FLAT + [_ADDRESS, _F, _F, _I, _F, _F, _I], _flat(patchwork=True))
+
+
+@intrinsic
+def vertex_block(
+    typingctx, vertices, vertex_line, seen, seen_line, xx, xy, xz, xw, yx, yy, yz, yw, zx, zy, zz,
+    zw, focal, middle_x, middle_y,
+):  # fmt: skip
+    """Transforms 16 vertices, lines x, y, z of an array whose lines are so many bytes apart.
+
+    Writes where they are seen from the eye (right, up, ahead), their pixels and 1/t as the six
+    lines of `seen`; the last three are meaningless for vertices that are not ahead.
+    """
+
+    def write(builder, vertices, vertex_line, seen, seen_line, xx, xy, xz, xw, yx, yy, yz, yw, zx,
+              zy, zz, zw, focal, middle_x, middle_y):  # fmt: skip
+        code = _Code(builder)
+        splat = code.splat
+
+        def line(start: Any, step: Any, number: int) -> Any:
+            return builder.add(start, builder.mul(step, ir.Constant(step.type, number)))
+
+        x, y, z = (code.load(line(vertices, vertex_line, k), _FLOAT) for k in range(3))
+        right, up, ahead = (
+            splat(a) * x + splat(b) * y + splat(c) * z + splat(d)
+            for a, b, c, d in ((xx, xy, xz, xw), (yx, yy, yz, yw), (zx, zy, zz, zw))
+        )
+        inverse = ahead.like(1.0) / ahead
+        scale = splat(focal) * inverse
+        across = splat(middle_x) + scale * right
+        down = splat(middle_y) - scale * up
+        for k, value in enumerate((right, up, ahead, across, down, inverse)):
+            code.store(value, line(seen, seen_line, k))
+
+    return _written([_ADDRESS] * 4 + [_F] * 15, write)
+
+
+@intrinsic
+def light_block(
+    typingctx, normals, line, lit, eye_x, eye_y, eye_z, sun_x, sun_y, sun_z, base, slope
+):  # fmt: skip
+    """Writes the light on 16 triangles, 0 on those that face away from the eye.
+
+    `normals` are lines x, y, z and distance from the origin, so many bytes apart.
+    """
+
+    def write(builder, normals, line, lit, eye_x, eye_y, eye_z, sun_x, sun_y, sun_z, base, slope):
+        code = _Code(builder)
+        splat = code.splat
+        x, y, z, plane = (
+            code.load(builder.add(normals, builder.mul(line, ir.Constant(line.type, k))), _FLOAT)
+            for k in range(4)
+        )
+        front = splat(eye_x) * x + splat(eye_y) * y + splat(eye_z) * z > plane
+        light = splat(sun_x) * x + splat(sun_y) * y + splat(sun_z) * z
+        light = splat(base) + splat(slope) * light
+        code.store(front.choose(light, light.like(0.0)), lit)
+
+    return _written([_ADDRESS] * 3 + [_F] * 8, write)
 
 
 TRIANGLE_LANES = 8
@@ -293,8 +362,7 @@ def triangle_block(
         mask = inverse > code.load(depth, _FLOAT)
         for start, step in ((a, da), (b, db), (c, dc)):
             mask = mask & (splat(start) + splat(step) * place > 0.0)
-        code.keep(mask, inverse, depth, _FLOAT)
-        code.keep(mask, splat(paint), color, _INT)
+        code.keep(mask, inverse, depth, splat(paint), color)
 
     kinds = [_ADDRESS, _ADDRESS, _I, _I] + [_F] * 8
     return _written(kinds, write)

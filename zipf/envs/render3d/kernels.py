@@ -13,7 +13,7 @@ where c(y) = cos p - b sin p, and its rise, sin p + b cos p, is the same along a
 Depth is kept as 1/t, 0 being nothing yet. Colours in the making are uint32, 0x00BBGGRR.
 
 Compiled code is cached beside this file and renewed only when this file changes: after a change to
-what it imports (the constants of `scene.py`), touch it.
+what it imports (`blocks.py`, the constants of `scene.py`), touch it.
 """
 
 import math
@@ -21,8 +21,18 @@ import math
 import numpy as np
 from numba import njit
 
-from zipf.envs.render3d.blocks import LANES, flat_block, pack_block, patchwork_block, wall_block
-from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
+from zipf.envs.render3d.blocks import (
+    LANES,
+    TRIANGLE_LANES,
+    flat_block,
+    light_block,
+    pack_block,
+    patchwork_block,
+    triangle_block,
+    vertex_block,
+    wall_block,
+)
+from zipf.envs.render3d.scene import FACES_DOWN, SCREEN, SEE_THROUGH, TWO_SIDED
 
 LEVEL_STRIDE = 128
 """Texels in a line of a texture with its smaller versions beside it; see `pack_textures`."""
@@ -39,15 +49,22 @@ MESH_DARK, MESH_SUN = 0.34, 0.66
 FADE = 14.0
 """Metres at which distance halves the light."""
 
-_SUN_X, _SUN_Y, _SUN_Z = (s / math.sqrt(sum(s * s for s in SUN)) for s in SUN)
+_SUN = tuple(np.float32(s / math.sqrt(sum(s * s for s in SUN))) for s in SUN)
+_EDGE = np.float32(1e-4)  # pixels this near outside of an edge are taken in, lest two let one slip
 _SOLID = -(1 << 31)  # makes every texel opaque
 _FADE2 = 1.0 / FADE**2
+
+
+@njit(nogil=True, cache=True)
+def _address(array):
+    # Signed: numba adds unsigned and signed integers as floats.
+    return np.intp(array.ctypes.data)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _light(x, y, z, dark, sun):
     """The light on a surface with the unit normal x, y, z: wrapped around, to shade all sides."""
-    return dark + sun * (0.5 + 0.5 * (x * _SUN_X + y * _SUN_Y + z * _SUN_Z))
+    return dark + sun * (0.5 + 0.5 * (x * _SUN[0] + y * _SUN[1] + z * _SUN[2]))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -151,7 +168,7 @@ def _bound(low, high, a, step, b):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _draw_wall(
-    wall, texture, flags, repeat, tint, view, sector, low, high, width, texels, color, depth
+    wall, texture, flags, repeat, tint, screen, view, sector, low, high, width, texels, color, depth
 ):
     """Draws one wall.
 
@@ -210,6 +227,14 @@ def _draw_wall(
     far = tall + GROW
     _bound(low, high, far * z - v, far * dz_row - dv_row, far * dz - dv)
 
+    if texture == SCREEN:
+        _draw_screen(
+            screen, z, dz_row, dz, u + GROW * z, du_row + GROW * dz_row, du + GROW * dz,
+            v + GROW * z, dv_row + GROW * dz_row, dv + GROW * dz,
+            screen.shape[1] / (length + 2 * GROW), screen.shape[0] / (tall + 2 * GROW),
+            low, high, color, depth,
+        )  # fmt: skip
+        return
     per_u = 64.0 / repeat[0] if repeat[0] > 0.0 else 64.0 / (length + 2 * GROW)
     per_v = 64.0 / repeat[1] if repeat[1] > 0.0 else 64.0 / (tall + 2 * GROW)
     shift_u = 0.0 if repeat[0] > 0.0 else GROW
@@ -231,8 +256,10 @@ def _draw_wall(
     # A pixel covers area * t**3 texels.
     area = per_u * per_v * da * da / abs(distance)
     solid = 0 if flags & SEE_THROUGH else _SOLID
-    texture_at = texels[texture].ctypes.data
-    z32, dz32, du32, dv32 = np.float32(z), np.float32(dz), np.float32(du), np.float32(dv)
+    texture_at = _address(texels) + 4 * texels.shape[1] * texture
+    line, depths = _address(color), _address(depth)
+    line_bytes = 4 * color.shape[1]
+    dz32, du32, dv32 = np.float32(dz), np.float32(du), np.float32(dv)
     for y in range(len(low)):
         if low[y] > high[y]:
             continue
@@ -241,12 +268,50 @@ def _draw_wall(
             continue
         z_row = np.float32(z + dz_row * y)
         u_row, v_row = np.float32(u + du_row * y), np.float32(v + dv_row * y)
-        line, depths = color[y].ctypes.data, depth[y].ctypes.data
-        for x in range(first & -LANES, last + 1, LANES):
+        for x in range(first, last + 1, LANES):
+            at = y * line_bytes + 4 * x
             wall_block(
-                line + 4 * x, depths + 4 * x, texture_at, x, first, last, z_row, dz32, u_row, du32,
+                line + at, depths + at, texture_at, x, last, z_row, dz32, u_row, du32,
                 v_row, dv32, area, _FADE2, red, green, blue, solid,
             )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _draw_screen(
+    screen, z, dz_row, dz, u, du_row, du, v, dv_row, dv, per_u, per_v, low, high, color, depth
+):  # fmt: skip
+    """Draws a picture of any size on a wall's spans; u and v are over t, as in `_draw_wall`."""
+    rows, columns = screen.shape[0], screen.shape[1]
+    for y in range(len(low)):
+        if low[y] > high[y]:
+            continue
+        for x in range(math.ceil(low[y]), math.floor(high[y]) + 1):
+            inverse = z + dz_row * y + dz * x
+            if inverse > depth[y, x]:
+                column = int((u + du_row * y + du * x) / inverse * per_u)
+                row = int((v + dv_row * y + dv * x) / inverse * per_v)
+                texel = screen[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)]
+                depth[y, x] = inverse
+                color[y, x] = texel[0] | np.int32(texel[1]) << 8 | np.int32(texel[2]) << 16
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _draw_overlay(overlay, paint, image):
+    """Draws a rectangle given as shares of `image`, uint8 [H, W, 3], in an RGBA colour."""
+    height, width = image.shape[0], image.shape[1]
+    left, right = _pixel(overlay[0], width), _pixel(overlay[2], width)
+    top, bottom = _pixel(overlay[1], height), _pixel(overlay[3], height)
+    alpha = np.int32(paint[3])
+    for y in range(top, bottom):
+        for x in range(left, right):
+            for k in range(3):
+                mixed = image[y, x, k] * (255 - alpha) + paint[k] * alpha
+                image[y, x, k] = (mixed + 127) // 255
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _pixel(share, size):
+    return min(max(math.floor(share * size + 0.5), 0), size)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -286,6 +351,11 @@ def _draw_flat(
     per_v = 64.0 / repeat if repeat > 0.0 else 64.0 * max(rows, 1) / (north - south)
     area = per_u * per_v * da * da / abs(up)
     solid = 0 if flags & SEE_THROUGH else _SOLID
+    tiles_at = _address(tiles) + 2 * first
+    texels_at = _address(texels)
+    texture_at = texels_at + 4 * texels.shape[1] * texture
+    line, depths = _address(color), _address(depth)
+    line_bytes = 4 * color.shape[1]
     for y in range(len(depth)):
         inverse = (rise0 + drise * y) / up
         if not 1.0 / FAR < inverse < 1.0 / NEAR:
@@ -304,59 +374,85 @@ def _draw_flat(
         fade = light / (1.0 + t * t * _FADE2) / 255.0
         red, green, blue = fade * tint[0], fade * tint[1], fade * tint[2]
         first_x, last_x = math.ceil(low), math.floor(high)
+        if first_x > last_x:
+            continue
         px -= west
         py -= south
-        line, depths = color[y].ctypes.data, depth[y].ctypes.data
-        for x in range(first_x & -LANES, last_x + 1, LANES):
+        for x in range(first_x, last_x + 1, LANES):
+            at = y * line_bytes + 4 * x
             if rows > 0:
                 patchwork_block(
-                    line + 4 * x, depths + 4 * x, texels.ctypes.data, x, first_x, last_x, inverse,
+                    line + at, depths + at, texels_at, x, last_x, inverse,
                     px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green, blue, solid,
-                    tiles[first:].ctypes.data, px * per_column, dx * per_column, columns,
+                    tiles_at, px * per_column, dx * per_column, columns,
                     py * per_row, dy * per_row, rows,
                 )  # fmt: skip
             else:
                 flat_block(
-                    line + 4 * x, depths + 4 * x, texels[texture].ctypes.data, x, first_x, last_x,
+                    line + at, depths + at, texture_at, x, last_x,
                     inverse, px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green,
                     blue, solid,
                 )  # fmt: skip
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def _draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, width, color, depth):
-    """Fills a triangle given in pixels and 1/t, seen from its front."""
-    left, right = min(ax, bx, cx), max(ax, bx, cx)
-    top, bottom = min(ay, by, cy), max(ay, by, cy)
-    if right < 0.0 or left > width - 1.0 or bottom < 0.0 or top > len(depth) - 1.0:
+def _draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, image):
+    """Fills a triangle given in pixels and 1/t (float32), seen from its front.
+
+    `image` holds width, height, pixels in a line of the buffers, and the addresses of the buffers.
+    """
+    width, height, stride, color, depth = image
+    left = max(math.ceil(min(ax, bx, cx)), 0)
+    right = min(math.floor(max(ax, bx, cx)), width - 1)
+    top = max(math.ceil(min(ay, by, cy)), 0)
+    bottom = min(math.floor(max(ay, by, cy)), height - 1)
+    if left > right or top > bottom:
         return
-    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    if area >= 0.0:
+    # How far inside of each edge, times its length; and 1/t.
+    a_x, a_y = by - ay, ax - bx
+    b_x, b_y = cy - by, bx - cx
+    c_x, c_y = ay - cy, cx - ax
+    area = a_x * c_y - a_y * c_x
+    if area <= 0.0:
         return
-    dz = ((bz - az) * (cy - ay) - (cz - az) * (by - ay)) / area
-    dz_row = ((cz - az) * (bx - ax) - (bz - az) * (cx - ax)) / area
-    grow = 1e-4
-    for y in range(max(math.ceil(top), 0), min(math.floor(bottom), len(depth) - 1) + 1):
-        for x in range(max(math.ceil(left), 0), min(math.floor(right), width - 1) + 1):
-            inverse = az + dz * (x - ax) + dz_row * (y - ay)
-            if (
-                (bx - ax) * (y - ay) - (by - ay) * (x - ax) <= grow
-                and (cx - bx) * (y - by) - (cy - by) * (x - bx) <= grow
-                and (ax - cx) * (y - cy) - (ay - cy) * (x - cx) <= grow
-                and inverse > depth[y, x]
-            ):
-                depth[y, x] = inverse
-                color[y, x] = paint
+    per_area = np.float32(1.0) / area
+    dz = ((cz - az) * a_x + (bz - az) * c_x) * per_area
+    dz_row = ((cz - az) * a_y + (bz - az) * c_y) * per_area
+    px, py = np.float32(left), np.float32(top)
+    a = a_x * (px - ax) + a_y * (py - ay) + _EDGE
+    b = b_x * (px - bx) + b_y * (py - by) + _EDGE
+    c = c_x * (px - cx) + c_y * (py - cy) + _EDGE
+    z = az + dz * (px - ax) + dz_row * (py - ay)
+    start = top * stride + left
+    for _ in range(top, bottom + 1):
+        for x in range(0, right - left + 1, TRIANGLE_LANES):
+            at = 4 * (start + x)
+            triangle_block(color + at, depth + at, x, paint, z, dz, a, a_x, b, b_x, c, c_x)
+        a += a_y
+        b += b_y
+        c += c_y
+        z += dz_row
+        start += stride
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _draw_mesh(
-    vertices, triangles, normals, parts, position, rotation, scale, colors, eye, frame, focal,
-    middle_x, middle_y, seen, width, color, depth,
+    mesh, atlas, position, rotation, scale, colors, eye, frame, focal, middle_x, middle_y, slant_x,
+    slant_y, seen, lit, front, image,
 ):  # fmt: skip
-    """Draws one mesh. `frame` [3, 3] holds right, up and forward; `seen` [3, V] is scratch."""
-    ox, oy, oz = position[0] - eye[0], position[1] - eye[1], position[2] - eye[2]
+    """Draws one mesh of the atlas.
+
+    `frame` [3, 3] holds right, up and forward, `slant_x` and `slant_y` the sine and cosine of half
+    the field of view sideways and upwards, `image` is that of `_draw_triangle`; `seen` [6, V],
+    `lit` [T] and `front` [T] are scratch.
+    """
+    vertices, triangles, normals, parts, first_vertex, first_triangle, balls = atlas
+    ball = balls[mesh]
+    offset = np.empty(3, np.float32)
     m = np.empty((3, 4), np.float32)
+    for i in range(3):
+        offset[i] = position[i] - eye[i]
+    middle = np.empty(3, np.float32)
     for i in range(3):
         for j in range(3):
             m[i, j] = scale * (
@@ -364,64 +460,115 @@ def _draw_mesh(
                 + frame[i, 1] * rotation[1, j]
                 + frame[i, 2] * rotation[2, j]
             )
-        m[i, 3] = frame[i, 0] * ox + frame[i, 1] * oy + frame[i, 2] * oz
-    for k in range(vertices.shape[1]):
-        vx, vy, vz = vertices[0, k], vertices[1, k], vertices[2, k]
-        for i in range(3):
-            seen[i, k] = m[i, 0] * vx + m[i, 1] * vy + m[i, 2] * vz + m[i, 3]
+        m[i, 3] = frame[i, 0] * offset[0] + frame[i, 1] * offset[1] + frame[i, 2] * offset[2]
+        middle[i] = m[i, 0] * ball[0] + m[i, 1] * ball[1] + m[i, 2] * ball[2] + m[i, 3]
+    radius = ball[3] * scale
+    if (
+        middle[2] + radius < NEAR
+        or abs(middle[0]) * slant_x[1] - middle[2] * slant_x[0] > radius
+        or abs(middle[1]) * slant_y[1] - middle[2] * slant_y[0] > radius
+    ):
+        return
+    first, last = first_vertex[mesh], first_vertex[mesh + 1]
+    source, target = _address(vertices) + 4 * first, _address(seen)
+    for k in range(0, 4 * (last - first), 4 * LANES):
+        vertex_block(
+            source + k, vertices.strides[0], target + k, seen.strides[0], m[0, 0], m[0, 1], m[0, 2],
+            m[0, 3], m[1, 0], m[1, 1], m[1, 2], m[1, 3], m[2, 0], m[2, 1], m[2, 2], m[2, 3], focal,
+            middle_x, middle_y,
+        )  # fmt: skip
     # In the mesh's own frame: the eye, and the sun.
-    view_x = -(rotation[0, 0] * ox + rotation[1, 0] * oy + rotation[2, 0] * oz) / scale
-    view_y = -(rotation[0, 1] * ox + rotation[1, 1] * oy + rotation[2, 1] * oz) / scale
-    view_z = -(rotation[0, 2] * ox + rotation[1, 2] * oy + rotation[2, 2] * oz) / scale
-    sun_x = rotation[0, 0] * _SUN_X + rotation[1, 0] * _SUN_Y + rotation[2, 0] * _SUN_Z
-    sun_y = rotation[0, 1] * _SUN_X + rotation[1, 1] * _SUN_Y + rotation[2, 1] * _SUN_Z
-    sun_z = rotation[0, 2] * _SUN_X + rotation[1, 2] * _SUN_Y + rotation[2, 2] * _SUN_Z
-    fade = 1.0 / (1.0 + max(m[2, 3], 0.0) ** 2 * _FADE2)
-    px, py, pz = np.empty(4), np.empty(4), np.empty(4)
-    for k in range(len(triangles)):
-        nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
-        if nx * view_x + ny * view_y + nz * view_z <= normals[3, k]:
-            continue
-        light = fade * (MESH_DARK + MESH_SUN * (0.5 + 0.5 * (nx * sun_x + ny * sun_y + nz * sun_z)))
-        part = parts[k]
-        paint = np.uint32(0)
-        for i in range(3):
-            paint |= np.uint32(colors[part, i] * light) << np.uint32(8 * i)
+    own = np.float32(1.0) / scale
+    eye_x = -own * (
+        rotation[0, 0] * offset[0] + rotation[1, 0] * offset[1] + rotation[2, 0] * offset[2]
+    )
+    eye_y = -own * (
+        rotation[0, 1] * offset[0] + rotation[1, 1] * offset[1] + rotation[2, 1] * offset[2]
+    )
+    eye_z = -own * (
+        rotation[0, 2] * offset[0] + rotation[1, 2] * offset[1] + rotation[2, 2] * offset[2]
+    )
+    sun_x = rotation[0, 0] * _SUN[0] + rotation[1, 0] * _SUN[1] + rotation[2, 0] * _SUN[2]
+    sun_y = rotation[0, 1] * _SUN[0] + rotation[1, 1] * _SUN[1] + rotation[2, 1] * _SUN[2]
+    sun_z = rotation[0, 2] * _SUN[0] + rotation[1, 2] * _SUN[1] + rotation[2, 2] * _SUN[2]
+    fade = np.float32(1.0 / (1.0 + max(m[2, 3], np.float32(0.0)) ** 2 * _FADE2))
+    base, slope = fade * (MESH_DARK + 0.5 * MESH_SUN), fade * 0.5 * MESH_SUN
+    first, last = first_triangle[mesh], first_triangle[mesh + 1]
+    source, target = _address(normals) + 4 * first, _address(lit)
+    for k in range(0, 4 * (last - first), 4 * LANES):
+        light_block(
+            source + k, normals.strides[0], target + k, eye_x, eye_y, eye_z, sun_x, sun_y, sun_z,
+            base, slope,
+        )  # fmt: skip
+    count = 0
+    for k in range(last - first):
+        front[count] = k
+        count += lit[k] > 0.0
+    if middle[2] - radius > NEAR:
+        x, y, inverse = seen[3], seen[4], seen[5]
+        for n in range(count):
+            k = front[n]
+            a, b, c = triangles[first + k, 0], triangles[first + k, 1], triangles[first + k, 2]
+            _draw_triangle(
+                x[a], y[a], inverse[a], x[b], y[b], inverse[b], x[c], y[c], inverse[c],
+                _paint(colors, parts[first + k], lit[k]), image,
+            )  # fmt: skip
+        return
+    px, py, pz = np.empty(4, np.float32), np.empty(4, np.float32), np.empty(4, np.float32)
+    near = np.float32(NEAR)
+    for n in range(count):
+        k = front[n]
         # The triangle, cut where it is nearer than the near plane: up to four corners.
         corners = 0
         for i in range(3):
-            v, w = triangles[k, i], triangles[k, (i + 1) % 3]
+            v, w = triangles[first + k, i], triangles[first + k, (i + 1) % 3]
             depth_v, depth_w = seen[2, v], seen[2, w]
-            if depth_v >= NEAR:
-                px[corners] = middle_x + focal * seen[0, v] / depth_v
-                py[corners] = middle_y - focal * seen[1, v] / depth_v
-                pz[corners] = 1.0 / depth_v
+            if depth_v >= near:
+                pz[corners] = np.float32(1.0) / depth_v
+                px[corners] = middle_x + focal * pz[corners] * seen[0, v]
+                py[corners] = middle_y - focal * pz[corners] * seen[1, v]
                 corners += 1
-            if (depth_v >= NEAR) != (depth_w >= NEAR):
-                f = (NEAR - depth_v) / (depth_w - depth_v)
-                px[corners] = middle_x + focal * (seen[0, v] + f * (seen[0, w] - seen[0, v])) / NEAR
-                py[corners] = middle_y - focal * (seen[1, v] + f * (seen[1, w] - seen[1, v])) / NEAR
-                pz[corners] = 1.0 / NEAR
+            if (depth_v >= near) != (depth_w >= near):
+                f = (near - depth_v) / (depth_w - depth_v)
+                pz[corners] = np.float32(1.0) / near
+                right = seen[0, v] + f * (seen[0, w] - seen[0, v])
+                up = seen[1, v] + f * (seen[1, w] - seen[1, v])
+                px[corners] = middle_x + focal * pz[corners] * right
+                py[corners] = middle_y - focal * pz[corners] * up
                 corners += 1
         for i in range(2, corners):
             _draw_triangle(
                 px[0], py[0], pz[0], px[i - 1], py[i - 1], pz[i - 1], px[i], py[i], pz[i],
-                paint, width, color, depth,
+                _paint(colors, parts[first + k], lit[k]), image,
             )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _paint(colors, part, light):
+    red, green, blue = colors[part, 0], colors[part, 1], colors[part, 2]
+    return np.int32(red * light) | np.int32(green * light) << 8 | np.int32(blue * light) << 16
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def draw(
     start, stop, mask, camera, walls, wall_looks, wall_repeat, wall_tint, wall_face, wall_count,
     flats, flat_looks, flat_tiles, flat_repeat, flat_tint, flat_count, tiles, mesh, position,
-    rotation, scale, colors, sky, solid, grid, vertices, triangles, normals, parts, first_vertex,
-    first_triangle, fixed_colors, texels, focal, color, depth, low, high, seen, faces, spans, out,
+    rotation, scale, colors, sky, screen, overlays, overlay_colors, overlay_count,
+    solid, grid, atlas, fixed_colors, texels, focal, color, depth,
+    tilts, low, high, seen, lit, front, faces, spans, out,
 ):  # fmt: skip
-    """Draws the worlds start .. stop - 1 that are in `mask` to `out`, uint8 [N, H, W, 3]."""
+    """Draws the worlds start .. stop - 1 that are in `mask` to `out`, uint8 [N, H, W, 3].
+
+    Returns the first of them that names a texture, screen or mesh there is not, or -1.
+    """
     height, width = out.shape[1], out.shape[2]
     middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
     frame = np.empty((3, 3))
-    palette = np.empty((len(fixed_colors) + 2, 3), np.uint8)
+    image = width, height, color.shape[1], _address(color), _address(depth)
+    palette = np.empty((len(fixed_colors) + 2, 3), np.float32)
+    to_edge = (width / 2 / focal, height / 2 / focal)
+    slant_x = (math.sin(math.atan(to_edge[0])), math.cos(math.atan(to_edge[0])))
+    slant_y = (math.sin(math.atan(to_edge[1])), math.cos(math.atan(to_edge[1])))
     palette[2:] = fixed_colors
     for i in range(start, stop):
         if not mask[i]:
@@ -439,7 +586,7 @@ def draw(
             -middle_x / focal, 1.0 / focal,
         )  # fmt: skip
         for y in range(height):
-            angle = pitch + math.atan((middle_y - y) / focal)
+            angle = pitch + tilts[y]
             share = min(max(angle / (math.pi / 2), 0.0), 1.0)
             paint = np.uint32(0)
             for k in range(3):
@@ -464,25 +611,27 @@ def draw(
             if by_grid and wall_face[i, k] >= 0 and not faces[wall_face[i, k]]:
                 continue
             texture = wall_looks[i, k, 0]
-            if texture >= 0:
+            if texture >= len(texels) or (texture == SCREEN and screen[i].size == 0):
+                return i
+            if texture >= 0 or texture == SCREEN:
                 _draw_wall(
                     walls[i, k], texture, wall_looks[i, k, 1], wall_repeat[i, k], wall_tint[i, k],
-                    view, sector, low, high, width, texels, color, depth,
+                    screen[i], view, sector, low, high, width, texels, color, depth,
                 )  # fmt: skip
         for k in range(mesh.shape[1]):
-            which = mesh[i, k]
-            if which < 0:
-                continue
-            palette[:2] = colors[i, k]
-            v0, v1 = first_vertex[which], first_vertex[which + 1]
-            t0, t1 = first_triangle[which], first_triangle[which + 1]
-            _draw_mesh(
-                vertices[:, v0:v1], triangles[t0:t1], normals[:, t0:t1], parts[t0:t1],
-                position[i, k], rotation[i, k], scale[i, k], palette, camera[i], frame, focal,
-                middle_x, middle_y, seen, width, color, depth,
-            )  # fmt: skip
+            if mesh[i, k] >= len(atlas[-1]):
+                return i
+            if mesh[i, k] >= 0:
+                palette[:2] = colors[i, k]
+                _draw_mesh(
+                    mesh[i, k], atlas, position[i, k], rotation[i, k], scale[i, k], palette,
+                    camera[i], frame, np.float32(focal), np.float32(middle_x),
+                    np.float32(middle_y), slant_x, slant_y, seen, lit, front, image,
+                )  # fmt: skip
         for k in range(flat_count[i]):
             texture, rows = flat_looks[i, k, 0], flat_tiles[i, k, 1]
+            if texture >= len(texels):
+                return i
             if texture >= 0 or rows > 0:
                 _draw_flat(
                     flats[i, k], texture, flat_looks[i, k, 1], flat_tiles[i, k, 0], rows,
@@ -490,12 +639,16 @@ def draw(
                     width, texels, color, depth,
                 )  # fmt: skip
         for y in range(height):
-            line, image = color[y].ctypes.data, out[i, y].ctypes.data
+            line = _address(color) + y * 4 * color.shape[1]
+            pixels = _address(out) + 3 * width * (i * height + y)
             whole = width & -LANES
             for x in range(0, whole, LANES):
-                pack_block(line + 4 * x, image + 3 * x)
+                pack_block(line + 4 * x, pixels + 3 * x)
             for x in range(whole, width):
                 paint = color[y, x]
                 out[i, y, x, 0] = paint & 255
                 out[i, y, x, 1] = (paint >> 8) & 255
                 out[i, y, x, 2] = (paint >> 16) & 255
+        for k in range(overlay_count[i]):
+            _draw_overlay(overlays[i, k], overlay_colors[i, k], out[i])
+    return -1

@@ -19,6 +19,9 @@ FIXED_COLORS = np.array(
 """Of the parts of meshes from 2 on: dark, light, wood, green."""
 
 
+_DRAW: Any = kernels.draw
+
+
 class Renderer:
     """Draws what the cameras of `Scenes` see.
 
@@ -70,7 +73,8 @@ class Renderer:
         """Writes the views to `out`, uint8 [N, height, width, 3], C-contiguous.
 
         With `mask`, bool [N], only its rows are written. Raises ValueError for an `out` or a `mask`
-        of another shape, dtype or layout.
+        of another shape, dtype or layout, and for scenes with textures or meshes there are not;
+        `tiles` are trusted.
         """
         n = scenes.num_worlds
         shape = (n, self.height, self.width, 3)
@@ -88,34 +92,42 @@ class Renderer:
             self._grid = scenes.solid.shape[1:]
             self._scratch = [self._allocate() for _ in range(self.threads)]
 
-        def draw(thread: int, start: int, stop: int) -> None:
+        def draw(thread: int, start: int, stop: int) -> int:
             s = scenes
-            kernels.draw(
+            return _DRAW(
                 start, stop, mask, s.camera, s.walls, s.wall_looks, s.wall_repeat, s.wall_tint,
                 s.wall_face, s.wall_count, s.flats, s.flat_looks, s.flat_tiles, s.flat_repeat,
                 s.flat_tint, s.flat_count, s.tiles, s.mesh, s.position, s.rotation, s.scale,
-                s.colors, s.sky, s.solid, s.grid, *self._meshes, FIXED_COLORS, self._texels,
+                s.colors, s.sky, s.screen, s.overlays, s.overlay_colors,
+                s.overlay_count, s.solid, s.grid, self._meshes, FIXED_COLORS, self._texels,
                 self._focal, *self._scratch[thread], out,
             )  # fmt: skip
 
         if self._pool is None:
-            draw(0, 0, n)
-            return
-        cuts = [n * k // self.threads for k in range(self.threads + 1)]
-        jobs = [self._pool.submit(draw, k, cuts[k], cuts[k + 1]) for k in range(self.threads)]
-        for job in jobs:
-            job.result()
+            wrong = draw(0, 0, n)
+        else:
+            cuts = [n * k // self.threads for k in range(self.threads + 1)]
+            jobs = [self._pool.submit(draw, k, cuts[k], cuts[k + 1]) for k in range(self.threads)]
+            wrong = max(job.result() for job in jobs)
+        if wrong >= 0:
+            raise ValueError(
+                f"world {wrong} shows a texture from {len(self._texels)} on, a mesh from "
+                f"{len(self._meshes[-1])} on, or a screen without Scenes(screen=...)"
+            )
 
     def _allocate(self) -> tuple[NDArray[Any], ...]:
         stride = -(-self.width // LANES) * LANES + LANES
-        vertices = int(np.diff(self._meshes[4]).max(initial=0))
+        vertices, triangles = (int(np.diff(ends).max(initial=0)) for ends in self._meshes[4:6])
         rows, columns = self._grid
         return (
             np.zeros((self.height, stride), np.uint32),
             np.zeros((self.height, stride), np.float32),
+            np.arctan(((self.height - 1) / 2 - np.arange(self.height)) / self._focal),
             np.zeros(self.height, np.float32),
             np.zeros(self.height, np.float32),
-            np.zeros((3, vertices), np.float32),
+            np.zeros((6, vertices + LANES), np.float32),
+            np.zeros(triangles + LANES, np.float32),
+            np.zeros(triangles + 1, np.int32),
             np.zeros(rows * columns * 4, np.bool_),
             np.zeros((4, rows * columns + 2)),
         )
@@ -154,12 +166,27 @@ def _prepare(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     planes = np.concatenate([normals, (normals * corners[:, 0]).sum(1, keepdims=True)], axis=1)
+    balls = np.zeros((len(meshes.names), 4), np.float32)
+    for ball, first, last in zip(
+        balls, meshes.first_vertex[:-1], meshes.first_vertex[1:], strict=True
+    ):
+        own = meshes.vertices[first:last]
+        ball[:3] = (own.min(0) + own.max(0)) / 2
+        ball[3] = np.linalg.norm(own - ball[:3], axis=1).max()
     local = meshes.triangles - meshes.first_vertex[owner][:, None]
     return (
-        np.ascontiguousarray(meshes.vertices.T, np.float32),
+        _lines(meshes.vertices),
         np.ascontiguousarray(local, np.int32),
-        np.ascontiguousarray(planes.T, np.float32),
+        _lines(planes),
         np.ascontiguousarray(meshes.parts, np.uint8),
         np.ascontiguousarray(meshes.first_vertex, np.int32),
         np.ascontiguousarray(meshes.first_triangle, np.int32),
+        balls,
     )
+
+
+def _lines(rows: NDArray[Any]) -> NDArray[np.float32]:
+    """The columns of `rows` as lines, with a block to spare at their ends."""
+    lines = np.zeros((rows.shape[1], len(rows) + LANES), np.float32)
+    lines[:, : len(rows)] = rows.T
+    return lines

@@ -52,6 +52,12 @@ class Scenes:
       `scale` float32 [N, M] (starts as 1): world = rotation @ (scale * vertex) + position
     - `colors` uint8 [N, M, 2, 3]: main and accent colour
     - `sky` uint8 [N, 2, 3]: colours at the horizon and overhead
+    - `screen` uint8 [N, h, w, 3]: the picture on walls whose texture is SCREEN, stretched once over
+      the wall and always bright
+    - `overlays` float32 [N, K, 4]: left, top, right, bottom of rectangles drawn over the view, in
+      order, as shares of the image's width and height from its top left corner
+    - `overlay_colors` uint8 [N, K, 4]: RGBA
+    - `overlay_count` int32 [N]
     - `solid` bool [N, rows, columns]: cells that nobody sees through, whatever the height. What
       lies outside the grid counts as solid. A camera in a solid cell sees every wall.
     - `grid` float32 [N, 3]: x, y of the grid's south-west corner and the size of a cell; a size
@@ -67,6 +73,8 @@ class Scenes:
         instances: int = 0,
         tile_cells: int = 0,
         grid: tuple[int, int] = (0, 0),
+        screen: tuple[int, int] = (0, 0),
+        overlays: int = 0,
     ) -> None:
         n = num_worlds
         self.num_worlds = n
@@ -90,6 +98,10 @@ class Scenes:
         self.scale = np.ones((n, instances), np.float32)
         self.colors = np.full((n, instances, 2, 3), 200, np.uint8)
         self.sky = np.full((n, 2, 3), [(190, 215, 235), (95, 150, 215)], np.uint8)
+        self.screen = np.zeros((n, *screen, 3), np.uint8)
+        self.overlays = np.zeros((n, overlays, 4), np.float32)
+        self.overlay_colors = np.zeros((n, overlays, 4), np.uint8)
+        self.overlay_count = np.zeros(n, np.int32)
         self.solid = np.zeros((n, *grid), np.bool_)
         self.grid = np.zeros((n, 3), np.float32)
 

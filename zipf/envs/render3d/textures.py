@@ -4,6 +4,7 @@ Contrast is gentle, so that things stand out before walls and floors.
 """
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,6 +146,13 @@ def index(name: str) -> int:
     return NAMES.index(name)
 
 
+@cache
 def stack() -> NDArray[np.uint8]:
-    """All textures in the order of `NAMES`, uint8 [K, 64, 64, 4]; alpha 0 marks holes."""
-    return np.stack([paint(color, 16 * i) for i, (paint, color) in enumerate(_TEXTURES.values())])
+    """All textures in the order of `NAMES`, uint8 [K, 64, 64, 4]; alpha 0 marks holes.
+
+    Painted once; the array is read-only.
+    """
+    painted = [paint(color, 16 * i) for i, (paint, color) in enumerate(_TEXTURES.values())]
+    stacked = np.stack(painted)
+    stacked.flags.writeable = False
+    return stacked

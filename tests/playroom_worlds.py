@@ -1,0 +1,117 @@
+"""Playrooms arranged by hand, and what to do in them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from zipf.envs.playroom import actions, kernels
+from zipf.envs.playroom.room import Room, furniture_of
+from zipf.envs.playroom.vector import PlayroomVectorEnv
+
+BED = (-1.2, 0.0, 0.0)
+"""Against the western wall: x from -1.9 to -0.5, y from -0.45 to 0.45."""
+TRAY = (0.8, 1.2, 0.0)
+"""x from 0.5 to 1.1, y from 0.975 to 1.425."""
+AWAY = ((1.7, 1.7), (-1.7, 1.7), (1.7, -1.7), (-1.7, -1.7), (-0.6, 1.7), (-0.6, -1.7))
+"""Corners where objects are in nobody's way."""
+
+
+def playroom(level: str = "lift/lift_shape_uniform", **options: Any) -> PlayroomVectorEnv:
+    """One world that waits when its episode ends, drawn as a single pixel unless asked."""
+    options = {"image_size": (1, 1), "autoreset_mode": "Disabled", **options}
+    return PlayroomVectorEnv(1, level, **options)
+
+
+def arrange(
+    env: PlayroomVectorEnv,
+    agent: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    items: Mapping[int, Sequence[float]] | None = None,
+    names: Sequence[str] = ("bottle", "candle", "robot", "train", "boat", "mug"),
+    *,
+    task: str | None = None,
+    furniture: Sequence[Sequence[float]] = (BED, TRAY),
+    seed: int = 0,
+) -> dict[str, np.ndarray]:
+    """Begins an episode and then puts everything where it is wanted.
+
+    Args:
+        env: one world.
+        agent: x, y, yaw and pitch.
+        items: x, y, angle and height of objects, 0 being the target; the others are in corners.
+        names: the objects, target first.
+        task: such as "on bed".
+
+    Returns:
+        The observation.
+    """
+    count = env.ranks.shape[1]
+    ranks = dict(
+        zip(env.situation, [env.objects.index(name) for name in names[:count]], strict=False)
+    )
+    if task is not None:
+        ranks["task"] = ("lift", "near bed", "near tray", "on bed", "on tray").index(task)
+    env.reset(seed=seed, options=ranks)
+    env.agents[0, :4] = agent
+    env.items[0] = 0.0
+    env.items[0, :, :2] = AWAY[:count]
+    for j, pose in (items or {}).items():
+        env.items[0, j, : len(pose)] = pose
+    env.furniture[0] = furniture
+    everywhere = np.ones(1, np.bool_)
+    kernels.begin(
+        everywhere, env.agents, env.hands, env.items, env.orientation, env.status, env.still,
+        env.lifted,
+    )  # fmt: skip
+    env.status[0, env.items[0, :, kernels.Z] > 0] = kernels.AIR
+    env.rooms[0] = Room(
+        env.agents[0, :2].tolist(),
+        [
+            [*pose[:3], *env.extents[rank, :2]]
+            for pose, rank in zip(env.items[0].tolist(), env.ranks[0], strict=True)
+        ],
+        furniture_of(env.furniture[0]) if env.level.furnished else [],
+    )
+    env._view.begin(everywhere, env)
+    return env.observations()
+
+
+def act(env: PlayroomVectorEnv, *names: str | int) -> Any:
+    """Takes actions by name or number; the last step's result."""
+    result = None
+    for name in names:
+        action = actions.ACTIONS.index(name) if isinstance(name, str) else name
+        result = env.step(np.full(env.num_envs, action))
+    return result
+
+
+def look_at(env: PlayroomVectorEnv, item: int) -> None:
+    """Turns the agent's view to the middle of an object, at once."""
+    agent = env.agents[0]
+    x, y, _, z, _ = env.items[0, item]
+    middle = z + env.extents[env.ranks[0, item], 2] / 2
+    dx, dy = x - agent[kernels.AX], y - agent[kernels.AY]
+    agent[kernels.YAW] = np.arctan2(dy, dx)
+    agent[kernels.PITCH] = np.arctan2(middle - kernels.EYE, np.hypot(dx, dy))
+
+
+def outcome(result: Any) -> tuple[float, bool, bool, bool | None]:
+    """Reward, terminated, truncated and success (None while the episode goes on)."""
+    _, reward, terminated, truncated, info = result
+    success = bool(info["success"][0]) if "success" in info else None
+    return float(reward[0]), bool(terminated[0]), bool(truncated[0]), success
+
+
+RUNS = (0.0, False, False, None)
+DONE = (1.0, True, False, True)
+FAILED = (0.0, True, False, False)
+TIMEOUT = (0.0, False, True, False)
+
+
+def wait(env: PlayroomVectorEnv, limit: int = 12) -> tuple[float, bool, bool, bool | None]:
+    """Does nothing until the episode ends, or for as long as the limit; the outcome."""
+    for _ in range(limit):
+        end = outcome(act(env, "NOOP"))
+        if end != RUNS:
+            return end
+    return RUNS

@@ -1,0 +1,672 @@
+"""Playing, watching and recording: keys, experts, files, screens, and what is said of mistakes."""
+
+import fcntl
+import math
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import termios
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import zipf.play
+from zipf.envs import SPLITS, levels
+from zipf.envs.gridworld import looks
+from zipf.envs.gridworld.maps import MOVES
+from zipf.envs.keys import LEAVE, NEXT, Binding, Keys, Toggle
+from zipf.experiments import command_line, playing, runner, screens
+from zipf.experiments.errors import UserError
+from zipf.experiments.playing import PlayOptions
+from zipf.experiments.recording import Recording
+
+PATIENCE = 120.0  # seconds, on a machine busy with other things
+FAMILIES = {split.rare.partition("/")[0]: split.rare for split in SPLITS.values()}
+NAMED = {"up", "down", "left", "right", "home", "end", "pageup", "pagedown"} | {
+    *("space", "tab", "backspace")
+}
+
+
+def play(*arguments: str) -> list[str]:
+    """Plays, and returns the lines that were said."""
+    said: list[str] = []
+    playing.play(command_line.read_options(PlayOptions, list(arguments)), said.append)
+    return said
+
+
+# Keys.
+
+
+@pytest.mark.parametrize("level", FAMILIES.values(), ids=FAMILIES)
+def test_the_keys_of_a_family_reach_every_action(level):
+    keys, env = levels.keys(level), levels.make_vec(level, 1)
+    assert keys is not None
+    pressed = {
+        keys.press(key, toggled)[0]
+        for binding in keys.bindings
+        for key in binding.keys
+        for toggled in range(2 ** len(keys.toggles))
+    }
+    assert pressed == set(range(env.single_action_space.n))
+    for part in (*keys.bindings, *keys.toggles):
+        assert len(part.actions) in (0, 1, 2 ** len(keys.toggles))
+    names = [key for binding in keys.bindings for key in binding.keys]
+    assert all(len(name) == 1 or name in NAMED for name in names)
+
+
+def test_toggles_change_what_keys_do_until_pressed_again():
+    keys = Keys(
+        (Binding(("a", "b"), "go", (1, 2, 3, 4)), Binding(("c",), "sit", (5,))),
+        (Toggle("x", "fast"), Toggle("y", "hold", (0, 0, 9, 9))),
+    )
+    assert keys.press("a") == keys.press("b") == (1, 0)
+    assert keys.press("x", 0) == (None, 1)
+    assert keys.press("a", 1) == (2, 1)
+    assert keys.press("y", 1) == (9, 3)
+    assert keys.press("a", 3) == (4, 3)
+    assert keys.press("c", 3) == (5, 3)
+    assert keys.press("x", 3) == (None, 2)
+    assert keys.press("y", 2) == (0, 0)
+    assert keys.press("?", 2) == (None, 2)
+
+
+@pytest.mark.parametrize("key", ["a", "x", LEAVE, NEXT])
+def test_a_key_means_one_thing(key):
+    with pytest.raises(ValueError, match="more than one meaning"):
+        Keys((Binding(("a",), "", (0,)), Binding((key,), "", (1,))), (Toggle("x", ""),))
+
+
+def test_what_a_terminal_sends_is_read_as_keys():
+    sent = (
+        "aQ \t\r\x7f\x1b[A\x1bOB\x1b[1;2C\x1b[D\x1b[5~\x1b[6;5~\x1b[H\x1b[4~\x1bOw\x1b[99~\x1b\x01é"
+    )
+    assert list(screens.key_names(sent)) == [
+        *("a", "q", "space", "tab", "enter", "backspace", "up", "down", "right", "left"),
+        *("pageup", "pagedown", "home", "end", "7", "é"),
+    ]
+
+
+# Experts.
+
+
+def shortest(board: np.ndarray, start: tuple[int, int], goal: tuple[int, int]) -> int:
+    """By breadth-first search, from the rules."""
+    steps, edge = {start: 0}, deque([start])
+    while edge:
+        row, column = edge.popleft()
+        if (row, column) == goal:
+            return steps[goal]
+        if board[row, column] >= looks.FIRST_LOOK:
+            continue
+        for down, right in MOVES:
+            to = row + down, column + right
+            between = board[row + down, column], board[row, column + right]
+            squeezed = down and right and between == (looks.WALL, looks.WALL)
+            if to not in steps and board[to] != looks.WALL and not squeezed:
+                steps[to] = steps[row, column] + 1
+                edge.append(to)
+    raise AssertionError("there is no way")
+
+
+def test_the_gridworld_expert_always_succeeds_by_the_shortest_way():
+    env = levels.make_vec("gridworld/uniform", 400)
+    expert = levels.expert("gridworld/uniform", env)
+    assert expert is not None
+    maps, targets = np.divmod(np.arange(400), 20)
+    env.reset(seed=0, options={"map": maps, "target": targets})
+    lengths = np.zeros(400, np.int64)
+    while not lengths.all():
+        *_, info = env.step(expert())
+        if "final_info" in info:
+            first = info["_final_info"] & (lengths == 0)
+            lengths[first] = info["final_info"]["length"][first]
+            assert info["final_info"]["success"][first].all()
+    made = env.level.maps
+    for i, (map, target) in enumerate(zip(maps, targets, strict=True)):
+        start, goal = (tuple(made.cells[map, j].tolist()) for j in (-1, target))
+        assert lengths[i] == shortest(made.boards[map], start, goal)
+
+
+# Recordings.
+
+
+def moving(frames: int, height: int = 31, width: int = 45) -> list[np.ndarray]:
+    """Frames with a square that moves."""
+    made = []
+    for i in range(frames):
+        frame = np.full((height, width, 3), (20, 60, 140), np.uint8)
+        frame[5:15, 2 * i : 2 * i + 10] = (250, 200, 10)
+        made.append(frame)
+    return made
+
+
+def read_gif(path: Path) -> tuple[list[np.ndarray], list[int]]:
+    """Frames, and milliseconds of each."""
+    frames, lasts = [], []
+    with Image.open(path) as image:
+        for i in range(image.n_frames):
+            image.seek(i)
+            frames.append(np.array(image.convert("RGB")))
+            lasts.append(image.info["duration"])
+    return frames, lasts
+
+
+def read_mp4(path: Path) -> tuple[list[np.ndarray], float]:
+    """Frames, and how many a second."""
+    import av
+
+    with av.open(str(path)) as file:
+        frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+        return frames, float(file.streams.video[0].average_rate)
+
+
+def test_a_gif_holds_the_frames_and_their_time(tmp_path):
+    frames = moving(8)
+    with Recording(tmp_path / "out.gif", 8) as recording:
+        for frame in frames:
+            recording.add(frame)
+        recording.hold(2.0)
+    assert (recording.written, recording.frames, recording.size) == (True, 8 + 16, (45, 31))
+    read, lasts = read_gif(tmp_path / "out.gif")
+    np.testing.assert_array_equal(read, frames)
+    assert set(lasts[:-1]) == {120, 130}  # 125 is no whole number of hundredths of a second
+    assert sum(lasts) == 3000
+    assert [path.name for path in tmp_path.iterdir()] == ["out.gif"]
+
+
+def test_an_mp4_holds_the_frames_of_odd_sizes_too(tmp_path):
+    frames = moving(9)
+    with Recording(tmp_path / "out.mp4", 12) as recording:
+        for frame in frames:
+            recording.add(frame)
+        recording.hold(0.5)
+    read, rate = read_mp4(tmp_path / "out.mp4")
+    assert rate == 12
+    assert len(read) == 9 + 6
+    assert read[0].shape == (32, 46, 3)
+    for frame, found in zip(frames, read, strict=False):
+        assert abs(found[:31, :45].astype(int) - frame).mean() < 8
+
+
+@pytest.mark.parametrize("ending", ["gif", "mp4"])
+def test_a_recording_that_is_cut_short_is_kept(ending, tmp_path):
+    path = tmp_path / f"out.{ending}"
+
+    def interrupted():
+        with Recording(path, 5) as recording:
+            for frame in moving(3):
+                recording.add(frame)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert len((read_gif if ending == "gif" else read_mp4)(path)[0]) == 3
+
+
+def test_no_frames_replace_no_file(tmp_path):
+    path = tmp_path / "out.gif"
+    path.write_text("before")
+    with pytest.raises(ZeroDivisionError), Recording(path, 5):
+        raise ZeroDivisionError
+    assert path.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_mp4_takes_its_library(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(UserError, match=r"zipf-rl\[video\]"):
+        Recording(tmp_path / "out.mp4", 5)
+    with Recording(tmp_path / "out.gif", 5) as recording:
+        recording.add(moving(1)[0])
+    assert not (tmp_path / "out.mp4").exists()
+
+
+@pytest.mark.parametrize("level", FAMILIES.values(), ids=FAMILIES)
+def test_every_family_can_be_recorded(level, tmp_path):
+    path = tmp_path / "out.gif"
+    said = play(f"level={level}", "policy=expert", "seed=1", f"record={path}", "view=agent")
+    assert said[0] == f"{level}, seed 1"
+    assert said[1].startswith("episode 1: ")
+    steps = int(re.search(r"(\d+) steps?$", said[1])[1])
+    env = levels.make_vec(level, 1)
+    fps = env.metadata["render_fps"]
+    height, width, _ = env.single_observation_space["image"].shape
+    scale = -(-288 // height)
+    frames = 1 + steps + math.ceil(fps)
+    assert said[2:] == [f"written: {path} ({frames} frames, {width * scale} x {height * scale})"]
+    # Where nothing changes a GIF shows a frame for longer.
+    read, lasts = read_gif(path)
+    assert sum(lasts) == pytest.approx(1000 * frames / fps, abs=10)
+    assert read[0].shape == (height * scale, width * scale, 3)
+
+
+def test_a_recording_shows_the_worlds_frames(tmp_path):
+    path = tmp_path / "out.gif"
+    said = play(
+        *("level=gridworld/rare", "policy=expert", "seed=3", "episodes=2", "fps=10"),
+        *(f"record={path}", "scale=1"),
+    )
+    env = levels.make_vec("gridworld/rare", 1, autoreset_mode="Disabled", render_mode="rgb_array")
+    expert = levels.expert("gridworld/rare", env)
+    frames, lasts = [], []
+    for seed in (3, None):
+        env.reset(seed=seed)
+        ended = False
+        frames.append(env.render()[0])
+        lasts.append(100)
+        while not ended:
+            _, _, terminated, truncated, _ = env.step(expert())
+            ended = terminated[0] or truncated[0]
+            frames.append(env.render()[0])
+            lasts.append(100)
+        lasts[-1] += 1000
+    read, read_lasts = read_gif(path)
+    np.testing.assert_array_equal(read, frames)
+    assert read_lasts == lasts
+    assert [line.split(":")[0] for line in said] == [
+        *("gridworld/rare, seed 3", "episode 1", "episode 2", "written"),
+    ]
+    assert all("success, return 1" in line for line in said[1:3])
+
+
+def test_the_same_seed_plays_the_same(tmp_path):
+    def once(seed: int) -> tuple[list[str], bytes]:
+        path = tmp_path / "out.gif"
+        said = play("level=gridworld/uniform", "policy=random", f"seed={seed}", f"record={path}")
+        return said, path.read_bytes()
+
+    assert once(1) == once(1) != once(2)
+    # Without one it is drawn, and told.
+    said = play("level=gridworld/uniform", "policy=random", f"record={tmp_path}/out.gif")
+    assert re.fullmatch(r"gridworld/uniform, seed \d+", said[0])
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """A run of two updates."""
+    root = tmp_path_factory.mktemp("runs")
+    config = command_line.load(
+        [
+            *("experiment=demo", "device=cpu", "updates=2", f"run_root={root}"),
+            *("collector.num_envs=4", "collector.unroll_length=5", "evaluation.episodes=5"),
+            *("network.size=16", "memory.size=16", "memory=lstm", "environment.max_steps=9"),
+        ]
+    )
+    assert runner.train(config) == 0
+    return config.folder
+
+
+@pytest.mark.parametrize(
+    ("level", "played"),
+    [
+        ([], "gridworld/zipf_2"),
+        (["level=rare"], "gridworld/rare"),
+        (["level=uniform"], "gridworld/uniform"),
+        (["level=gridworld/zipf_1"], "gridworld/zipf_1"),
+    ],
+)
+def test_a_run_plays_its_levels(run, level, played, tmp_path):
+    said = play(f"run={run}", *level, "episodes=2", "seed=0", f"record={tmp_path}/out.gif")
+    assert said[0] == f"{played}, seed 0"
+    assert len(said) == 4
+    # Of the run's 5 maps the rarest fifth is the last.
+    if played == "gridworld/rare":
+        assert all("map 4, target 4" in line for line in said[1:3])
+    assert all(int(line.split()[-2]) <= 9 for line in said[1:3])
+
+
+def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
+    from zipf.experiments.evaluator import AgentPolicy, derive_seed
+    from zipf.experiments.evaluator import play as score
+
+    said = play(f"run={run}", "episodes=1", "seed=7", f"record={tmp_path}/out.gif")
+    trained = runner.load_agent(run, "cpu")
+    env = levels.make_vec("gridworld/zipf_2", 1, **trained.config.level_options)
+    policy = AgentPolicy(trained.agent, seed=derive_seed(7, "actions"), device="cpu")
+    episode = score(policy, env, episodes=1, seed=7).iloc[0]
+    assert f"map {episode['map']}, target {episode['target']}:" in said[1]
+    assert said[1].split()[-2] == str(episode["length"])
+
+
+# Mistakes.
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("level=gridwrld/rare", r"unknown level 'gridwrld/rare' \(did you mean 'gridworld/rare'"),
+        ("level=gridworld/zipf2", r"unknown level 'zipf2' \(did you mean 'zipf_2'"),
+        ("level=gridworld/rare policy=robot", "policy=robot: should be 'keyboard', 'random'"),
+        ("level=gridworld/rare policy=agent", "policy=agent: needs the agent of a run"),
+        ("level=rare", "level=rare: is one of a run's levels"),
+        ("policy=random", "say what to play"),
+        ("levl=gridworld/rare", "levl: no such option; did you mean level?"),
+        ("level=gridworld/rare record=x.gif", "policy is not set"),
+        ("level=gridworld/rare policy=random record=x.avi", "should end in .gif or .mp4"),
+        ("level=gridworld/rare policy=random record=no/x.gif", "No such file or directory"),
+        ("level=gridworld/rare policy=random record=x.gif fps=51", "at most 50 frames"),
+        ("level=gridworld/rare policy=random record=x.gif episodes=0", "greater than or equal"),
+        ("run=nowhere", "nowhere: is no run's folder"),
+        ("level=gridworld/rare", "no screen: .*record=FILE.gif"),
+        ("level=gridworld/rare screen=terminal", "should be a terminal"),
+        ("level=gridworld/rare screen=window", "needs a display.*use screen=terminal"),
+    ],
+)
+def test_mistakes_are_told_in_a_line(arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(UserError, match=message):
+        play(*arguments.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_without_a_checkpoint(run, tmp_path):
+    (tmp_path / "config.yaml").write_text((run / "config.yaml").read_text())
+    with pytest.raises(UserError, match=r"checkpoint\.pt: cannot be read"):
+        play(f"run={tmp_path}", f"record={tmp_path}/x.gif")
+
+
+def test_a_level_that_the_agent_cannot_play(run, tmp_path):
+    others = [level for family, level in FAMILIES.items() if family != "gridworld"]
+    for level in others:
+        with pytest.raises(UserError, match=f"level={level}: "):
+            play(f"run={run}", f"level={level}", f"record={tmp_path}/x.gif")
+
+
+def test_a_family_may_have_neither_keys_nor_an_expert(monkeypatch, tmp_path):
+    for name in ("keys", "expert"):
+        monkeypatch.setattr(levels, name, lambda *_: None)
+    with pytest.raises(UserError, match="policy=expert: there is none for gridworld/rare"):
+        play("level=gridworld/rare", "policy=expert", f"record={tmp_path}/x.gif")
+    with pytest.raises(UserError, match="no keys for gridworld/rare"):
+        play("level=gridworld/rare")
+
+
+def test_the_agents_view_takes_an_image(monkeypatch, tmp_path):
+    make = levels.make_vec
+    monkeypatch.setattr(levels, "make_vec", lambda *a, **k: make(*a, observation="tiles", **k))
+    with pytest.raises(UserError, match="view=agent"):
+        play("level=gridworld/rare", "policy=random", "view=agent", f"record={tmp_path}/x.gif")
+
+
+# Screens.
+
+
+def test_a_picture_in_half_blocks():
+    picture = np.zeros((3, 2, 3), np.uint8)
+    picture[0] = (255, 0, 0)
+    picture[1, 1] = (0, 0, 255)
+    assert screens.half_blocks(picture) == [
+        "\x1b[38;2;255;0;0m\x1b[48;2;0;0;0m▀\x1b[48;2;0;0;255m▀\x1b[0m",
+        "\x1b[38;2;0;0;0m\x1b[48;2;0;0;0m▀▀\x1b[0m",
+    ]
+
+
+def test_pictures_fit_in_proportion():
+    picture = np.arange(10 * 20 * 3, dtype=np.uint8).reshape(10, 20, 3)
+    assert screens.fit(picture, 70, 100).shape == (30, 60, 3)
+    np.testing.assert_array_equal(screens.fit(picture, 70, 100)[::3, ::3], picture)
+    assert screens.fit(picture, 10, 100).shape == (5, 10, 3)
+    assert screens.fit(picture, 100, 1).shape == (1, 2, 3)
+
+
+class Person:
+    """Somebody at a terminal, 90 x 30, who does what `script` says while something runs in it."""
+
+    def __init__(self) -> None:
+        self.master, self.slave = pty.openpty()
+        termios.tcsetwinsize(self.slave, (30, 90))
+        self.before = termios.tcgetattr(self.slave)
+        self.output = ""
+
+    def type(self, keys: str) -> None:
+        os.write(self.master, keys.encode())
+
+    def sees(self, text: str) -> str:
+        """Waits until it is shown, after what was waited for before; returns what is between."""
+        ends = time.monotonic() + PATIENCE
+        while text not in self.output:
+            if time.monotonic() > ends:
+                raise AssertionError(f"no {text!r} in {self.output[-2000:]!r}")
+            if select.select([self.master], [], [], 0.1)[0]:
+                self.output += os.read(self.master, 65536).decode(errors="replace")
+        before, _, self.output = self.output.partition(text)
+        return before
+
+    @contextmanager
+    def doing(self, script: Callable[[], None]) -> Iterator[None]:
+        """Runs the script beside what is within, which it has to bring to an end."""
+        failures: list[BaseException] = []
+
+        def run() -> None:
+            try:
+                script()
+            except BaseException as failure:
+                failures.append(failure)
+                self.type("q")
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        try:
+            with (
+                os.fdopen(os.dup(self.slave)) as stdin,
+                os.fdopen(os.dup(self.slave), "w") as stdout,
+                pytest.MonkeyPatch.context() as patch,
+            ):
+                patch.setattr(sys, "stdin", stdin)
+                patch.setattr(sys, "stdout", stdout)
+                yield
+        finally:
+            thread.join()
+            assert not failures, failures
+            self.sees("\x1b[?25h\x1b[?1049l")
+            assert termios.tcgetattr(self.slave) == self.before
+
+
+@pytest.fixture
+def person(monkeypatch):
+    """Somebody at the terminal of this process."""
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    one = Person()
+    yield one
+    os.close(one.master)
+    os.close(one.slave)
+
+
+def test_a_person_plays_in_a_terminal(person, tmp_path):
+    env = levels.make_vec("gridworld/zipf_2", 1, autoreset_mode="Disabled")
+    expert = levels.expert("gridworld/zipf_2", env)
+    keys = levels.keys("gridworld/zipf_2")
+    _, info = env.reset(seed=5)
+    typed = []
+    ended = False
+    while not ended:
+        action = int(expert()[0])
+        typed.append(keys.bindings[action].keys[1])
+        _, _, terminated, _, _ = env.step(np.array([action]))
+        ended = terminated[0]
+
+    def script():
+        person.sees("\x1b[?1049h\x1b[?25l")
+        person.sees("▀")
+        person.sees(f"ranks: map {info['map'][0]}, target {info['target'][0]}")
+        person.sees("step 0")
+        person.sees("↑/k/8: north")
+        person.sees("q: leave")
+        person.type("x\x1a?")  # none of this means anything
+        person.type("".join(typed))
+        person.sees(f"success, return 1, {len(typed)} steps")
+        person.type("\x1b[A\r")
+        person.sees("episode 2   step 0")
+        person.type("\x1b[A\x1bOA")
+        person.sees("episode 2   step 2")
+        person.type("\n")
+        person.sees("episode 3   step 0")
+        person.type("q")
+
+    path = tmp_path / "mine.gif"
+    with person.doing(script):
+        said = play(
+            *("level=gridworld/zipf_2", "policy=keyboard", "seed=5", "fps=10", f"record={path}")
+        )
+    assert said[0] == "gridworld/zipf_2, seed 5"
+    assert said[1].endswith(f": success, return 1, {len(typed)} steps")
+    assert said[2].endswith(": left after 2 steps")
+    assert said[3].endswith(": left after 0 steps")
+    # The second on the last frame of the first episode; then three frames and one.
+    frames, lasts = read_gif(path)
+    assert sum(lasts) == 100 * (len(typed) + 1 + 10 + 3 + 1)
+    assert frames[0].shape == (459, 405, 3)
+
+
+def test_toggles_are_shown(person, monkeypatch):
+    keys = Keys((Binding(("a",), "go", (0, 4)),), (Toggle("space", "boots"),))
+    monkeypatch.setattr(levels, "keys", lambda level: keys)
+
+    def script():
+        person.sees("boots off")
+        person.sees("space: boots")
+        person.type(" ")
+        person.sees("step 0   return 0   boots on")
+        person.type("a")
+        person.sees("step 1   return 0   boots on")
+        person.type("q")
+
+    with person.doing(script):
+        play("level=gridworld/zipf_2")
+
+
+def test_a_terminal_may_change_its_size(person):
+    def script():
+        person.sees("step 1")
+        for shown, rows, columns in (((5, 20), 5, 20), ((0, 0), 24, 80)):
+            termios.tcsetwinsize(person.slave, shown)  # some say 0 where they do not know
+            person.sees("\x1b[H")
+            person.sees("\x1b[H")
+            lines = re.sub(r"\x1b\[[0-9;]*[mK]", "", person.sees("\x1b[J")).split("\n")
+            assert len(lines) == rows
+            assert max(len(line.strip("\r")) for line in lines) <= columns
+        person.type("\r")
+        person.sees("episode 2")
+        person.type("q")
+
+    with person.doing(script):
+        play("level=gridworld/zipf_2", "policy=random", "seed=3")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_the_terminal_as_it_was(person, monkeypatch, number):
+    def script():
+        person.sees("step 2")
+        os.kill(os.getpid(), number)
+
+    monkeypatch.setattr(sys, "argv", ["play", "level=gridworld/zipf_2", "policy=random", "seed=3"])
+    before = {n: signal.getsignal(n) for n in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        with pytest.raises(SystemExit) as left, person.doing(script):
+            zipf.play.main()
+        assert left.value.code == 128 + number
+    finally:
+        for n, handler in before.items():
+            signal.signal(n, handler)
+
+
+def test_ctrl_c_leaves_the_terminal_and_keeps_the_recording(tmp_path):
+    person = Person()
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "zipf.play", "level=gridworld/zipf_2"),
+            *("policy=keyboard", "record=out.mp4", "screen=terminal"),
+        ],
+        **dict.fromkeys(("stdin", "stdout", "stderr"), person.slave),
+        cwd=tmp_path,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )
+
+    def script():
+        person.sees("step 0")
+        person.type("\x1b[A")
+        person.sees("step 1")
+        person.type("\x03")
+
+    with person.doing(script):
+        assert process.wait(2 * PATIENCE) == 130
+    person.sees("left after 1 step")
+    person.sees("written: out.mp4 (2 frames, 405 x 459)")
+    assert len(read_mp4(tmp_path / "out.mp4")[0]) == 2
+    os.close(person.master)
+    os.close(person.slave)
+
+
+def test_a_person_plays_in_a_window(monkeypatch):
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    shown: list[tuple[np.ndarray, tuple[str, ...]]] = []
+
+    def press(key: int, text: str = "") -> None:
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key, unicode=text))
+
+    typed = iter([(pygame.K_RIGHT, ""), (pygame.K_k, "K"), (pygame.K_KP4, "4"), (0, "")])
+
+    class Watched(screens.Window):
+        def show(self, picture, text):
+            super().show(picture, text)
+            drawn = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+            shown.append((drawn, text.lines))
+            key, letter = next(typed)
+            if key:
+                press(key, letter)
+            else:
+                pygame.event.post(pygame.event.Event(pygame.QUIT))
+
+    monkeypatch.setattr(screens, "Window", Watched)
+    said = play("level=gridworld/zipf_2", "seed=6", "screen=window")
+    assert said[-1].endswith("left after 3 steps")
+    assert not pygame.display.get_init()
+
+    env = levels.make_vec("gridworld/zipf_2", 1, autoreset_mode="Disabled", render_mode="rgb_array")
+    env.reset(seed=6)
+    for i, action in enumerate([2, 0, 6, None]):
+        drawn, lines = shown[i]
+        frame = env.render()[0]
+        left = (drawn.shape[1] - frame.shape[1]) // 2
+        np.testing.assert_array_equal(drawn[: len(frame), left : left + frame.shape[1]], frame)
+        assert len(np.unique(drawn[len(frame) :].reshape(-1, 3), axis=0)) > 2  # there is text
+        assert f"step {i}   return 0" in lines[1]
+        if action is not None:
+            env.step(np.array([action]))
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"]])
+def test_the_command_says_what_there_is(arguments, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["play", *arguments])
+    with pytest.raises(SystemExit) as left:
+        zipf.play.main()
+    assert left.value.code == (0 if arguments else 2)
+    told = capsys.readouterr().out
+    for option in PlayOptions.model_fields:
+        assert re.search(rf"^{option}=", told, re.MULTILINE), option
+
+
+def test_the_command_ends_with_2_after_a_mistake(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["play", "policy=x", "fps=y"])
+    with pytest.raises(SystemExit) as left:
+        zipf.play.main()
+    assert left.value.code == 2
+    assert [line.split("=")[0] for line in capsys.readouterr().err.splitlines()] == [
+        *("error: policy", "error: fps"),
+    ]

@@ -1,0 +1,299 @@
+"""The playroom as users of Gymnasium meet it: every level, bad input, states, pickles."""
+
+import copy
+import pickle
+import warnings
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.passive_env_checker import env_render_passive_checker
+from gymnasium.vector import AutoresetMode
+
+from zipf.envs import MixtureVectorEnv, make, make_vec, split
+from zipf.envs.check import check_vector_env
+from zipf.envs.playroom.levels import LEVELS
+from zipf.envs.playroom.single import PlayroomEnv
+from zipf.envs.playroom.vector import PlayroomVectorEnv
+
+ID = "zipf/Playroom-v0"
+SMALL: dict[str, Any] = {"image_size": (6, 8), "max_steps": 18}
+NAMES = {
+    "lift/lift_shape_zipf2",
+    "lift/lift_shape_zipf3",
+    "lift/lift_shape_zipf4",
+    "lift/lift_shape_uniform",
+    "lift/lift_shape_uniform_rare",
+    "put/lift_shape_zipf2",
+    "put/lift_shape_many_zipf1",
+    "put/lift_shape_many_zipf4",
+    "put/lift_shape_uniform",
+    "put/lift_shape_uniform_rare",
+    "put/put_near_bed_tray_frequent",
+    "put/put_on_bed_tray_frequent",
+    "put/put_on_bed_tray_all",
+    "put/put_on_bed_tray_rare",
+    "supervised/find_shape_zipf2",
+    "supervised/find_shape_zipf3",
+    "supervised/find_shape_uniform",
+    "supervised/find_shape_uniform_rare",
+}
+
+
+def test_the_levels_are_those_of_the_release() -> None:
+    assert set(LEVELS) == NAMES
+
+
+@pytest.mark.parametrize("level", sorted(NAMES))
+def test_every_level_keeps_the_contract(level: str) -> None:
+    name = f"playroom/{level}"
+    check_vector_env(
+        partial(make_vec, name, **SMALL), partial(make, name, **SMALL), num_envs=2, steps=45
+    )
+
+
+def test_the_other_order_keeps_the_contract() -> None:
+    name, options = "playroom/put/put_on_bed_tray_all", {**SMALL, "object_order": "alternate"}
+    check_vector_env(
+        partial(make_vec, name, **options), partial(make, name, **options), num_envs=2, steps=45
+    )
+
+
+def test_a_mixture_keeps_the_contract() -> None:
+    """Of levels that are all the same, so that every world has the same single world."""
+    name = "playroom/put/put_near_bed_tray_frequent"
+    makers = {str(number): partial(make_vec, name, **SMALL) for number in range(2)}
+    check_vector_env(
+        partial(MixtureVectorEnv, makers), partial(make, name, **SMALL), num_envs=3, steps=45
+    )
+
+
+def test_a_mixture_equals_its_levels() -> None:
+    levels = split("playroom_put").levels("train")
+    env = make_vec(levels, 5, **SMALL)
+    singles = [make(levels[k], **SMALL) for k in (0, 0, 1, 1, 2)]
+    observation, info = env.reset(seed=3)
+    starts = [single.reset(seed=3 + i) for i, single in enumerate(singles)]
+    rng = np.random.default_rng(0)
+    for _ in range(80):
+        for i, (image, told) in enumerate(starts):
+            np.testing.assert_equal({key: rows[i] for key, rows in observation.items()}, image)
+            assert {key: info[key][i] for key in told} == told
+        actions = rng.integers(46, size=5)
+        observation, *ends, info = env.step(actions)
+        steps = [single.step(a) for single, a in zip(singles, actions, strict=True)]
+        np.testing.assert_array_equal(np.transpose(ends), [step[1:4] for step in steps])
+        starts = [
+            single.reset() if step[2] or step[3] else (step[0], step[4])
+            for single, step in zip(singles, steps, strict=True)
+        ]
+
+
+@pytest.mark.parametrize("level", ["lift/lift_shape_zipf3", "playroom/put/put_on_bed_tray_all"])
+def test_gymnasium_checks_the_environment(level: str) -> None:
+    env = gym.make(ID, level=level)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+        env = gym.make(ID, level=level, render_mode="rgb_array")
+        env.reset(seed=0)
+        env_render_passive_checker(env.unwrapped)
+    assert env.spec is not None
+    assert env.observation_space["image"].shape == (72, 96, 3)
+    assert env.action_space.n == 46
+
+
+def test_gymnasium_makes_the_native_batch() -> None:
+    env = gym.make_vec(ID, 7, level="supervised/find_shape_uniform", image_size=(6, 8))
+    assert isinstance(env, PlayroomVectorEnv)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    observation, info = env.reset(seed=0)
+    assert observation["image"].shape == (7, 6, 8, 3)
+    assert observation["instruction"].shape == (7, 6)
+    assert set(info) == {"target", "other", "instruction", "side"}
+    assert env.situation == {"target": 50, "other": 50}
+
+
+@pytest.mark.parametrize("level", sorted(NAMES))
+def test_gymnasium_makes_every_level(level: str) -> None:
+    env = gym.make(ID, level=level, **SMALL)
+    _, info = env.reset(seed=0)
+    assert info["instruction"].split()[0] == level.split("_")[0].split("/")[1]
+    *_, info = env.step(0)
+    assert set(info) == set(env.get_wrapper_attr("situation")) | {"instruction"} | (
+        {"side"} if "find" in level else set()
+    )
+
+
+# Bad input.
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"level": "lift/lift_shape_zipf5"}, "did you mean 'lift/lift_shape_zipf"),
+        ({"level": "put_on_bed_tray_all"}, "did you mean 'put/put_on_bed_tray_all'"),
+        ({"level": "find_shape_zipf3"}, "did you mean 'supervised/find_shape_zipf3'"),
+        ({"level": ""}, "unknown level '.*'.*: expected one of "),
+        ({"image_size": (0, 96)}, r"image_size .*at least 1, got \(0, 96\)"),
+        ({"image_size": (72, -1)}, r"image_size .*at least 1, got \(72, -1\)"),
+        ({"image_size": (72, 96, 3)}, r"image_size must be \(height, width\).*got \(72, 96, 3\)"),
+        ({"image_size": (72.5, 96)}, r"image_size .*whole numbers.*got \(72\.5, 96\)"),
+        ({"image_size": 96}, r"image_size must be \(height, width\).*got 96"),
+        ({"image_size": "ab"}, "image_size .*whole numbers.*got 'ab'"),
+        ({"object_order": "alternative"}, "'default' or 'alternate', got 'alternative'"),
+        ({"object_order": ["default"]}, r"'default' or 'alternate', got \['default'\]"),
+        ({"max_steps": 0}, "max_steps .*at least 1, got 0"),
+        ({"max_steps": 2.5}, r"max_steps .*whole number.*got 2\.5"),
+        ({"max_steps": None}, "max_steps .*whole number.*got None"),
+    ],
+)
+def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:
+    level = options.get("level", "lift/lift_shape_zipf3")
+    others = {key: value for key, value in options.items() if key != "level"}
+    for attempt in (
+        lambda: PlayroomEnv(**options),
+        lambda: PlayroomVectorEnv(**options),
+        lambda: make(f"playroom/{level}", **others),
+        lambda: make_vec(f"playroom/{level}", 2, **others),
+        lambda: gym.make(ID, **options),
+        lambda: gym.make_vec(ID, 2, **options),
+    ):
+        with pytest.raises(ValueError, match=message):
+            attempt()
+
+
+def test_an_unknown_way_to_render_is_refused() -> None:
+    for make_env in (PlayroomEnv, PlayroomVectorEnv):
+        with pytest.raises(ValueError, match=r"render_mode must be one of \['rgb_array'\] or None"):
+            make_env(render_mode="human")
+    assert PlayroomVectorEnv(2, **SMALL).render() is None
+
+
+# States.
+
+
+def played(level: str, steps: int, **options: Any) -> PlayroomVectorEnv:
+    env = PlayroomVectorEnv(3, level, **{**SMALL, "max_steps": 200, **options})
+    env.reset(seed=5)
+    rng = np.random.default_rng(0)
+    for _ in range(steps):
+        env.step(rng.integers(46, size=3))
+    return env
+
+
+@pytest.mark.parametrize("level", ["put/put_on_bed_tray_all", "put/lift_shape_many_zipf1"])
+def test_everything_goes_on_from_a_state(level: str) -> None:
+    """Down to what no observation shows: speeds, heights, orientations."""
+    env = played(level, 150)
+    fresh = PlayroomVectorEnv(3, level, **{**SMALL, "max_steps": 200})
+    fresh.set_state(env.get_state())
+    copies = [pickle.loads(pickle.dumps(env)), copy.deepcopy(env), fresh]
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        actions = rng.integers(46, size=3)
+        expected = env.step(actions)
+        for other in copies:
+            np.testing.assert_equal(other.step(actions), expected)
+            for name in ("agents", "items", "orientation", "status", "hands", "still", "lifted"):
+                np.testing.assert_array_equal(getattr(other, name), getattr(env, name))
+
+
+def test_a_damaged_state_is_refused_before_anything_is_taken() -> None:
+    env = played("put/put_on_bed_tray_all", 30)
+    before = env.get_state()
+    kept = {name: getattr(env, name).copy() for name in ("agents", "items", "status", "ranks")}
+    expected = copy.deepcopy(env).step(np.array([1, 2, 3]))
+
+    def change(key: str, index: Any, value: Any) -> dict[str, np.ndarray]:
+        state = env.get_state()
+        state["returns"] += 1
+        state[key][index] = value
+        return state
+
+    damaged = {
+        "an action too high": change("actions", (1, 7), 46),
+        "a rank too high": change("forced", (0, 1), 50),
+        "a task too high": change("forced", (3, 1), 5),
+        "a rank too low": change("forced", (1, 0), -2),
+        "a length below 0": change("lengths", 2, -1),
+        "a length above the limit": change("lengths", 2, 201),
+        "an episode that should have ended": change("lengths", 2, 200),
+        "an episode that never began": change("seeded", 1, False),
+        "a key too few": {k: v for k, v in before.items() if k != "began"},
+        "actions of another limit": {**before, "actions": before["actions"][:, :18]},
+    }
+    for state in damaged.values():
+        with pytest.raises(ValueError, match="state"):
+            env.set_state(state)
+        np.testing.assert_equal(env.get_state(), before)
+        for name, value in kept.items():
+            np.testing.assert_array_equal(getattr(env, name), value)
+    np.testing.assert_equal(env.step(np.array([1, 2, 3])), expected)
+
+
+@pytest.mark.parametrize("level", ["lift/lift_shape_zipf4", "put/put_on_bed_tray_rare"])
+def test_states_that_never_were_but_could_have_been_are_played(level: str) -> None:
+    """Whatever is in range: other streams, ranks that a level never draws, ends played over."""
+    env = played(level, 10)
+    rng = np.random.default_rng(2)
+    for fill in (0, None, np.iinfo(np.uint64).max):
+        state = env.get_state()
+        for key in ("streams", "began"):
+            state[key][:] = (
+                rng.integers(2**64, size=(3, 4), dtype=np.uint64) if fill is None else fill
+            )
+        state["forced"][:] = np.array([0, 0, 49, 4])[: len(state["forced"]), None]
+        state["actions"][:] = rng.integers(46, size=state["actions"].shape)
+        state["lengths"][:] = 199, 0, 120
+        env.set_state(state)
+        np.testing.assert_array_equal(env.ranks, [[0, 0, 49]] * 3)
+        *_, truncated, _ = env.step(np.zeros(3, np.int64))
+        assert truncated[0]
+        assert np.isfinite(env.items).all()
+
+
+def test_worlds_that_never_began_may_be_seen() -> None:
+    env = PlayroomVectorEnv(3, "put/put_on_bed_tray_all", autoreset_mode="Disabled", **SMALL)
+    mask = np.array([False, True, False])
+    observation, info = env.reset(seed=0, options={"reset_mask": mask})
+    assert (info["instruction"] != "").tolist() == mask.tolist()
+    other = PlayroomVectorEnv(3, "put/put_on_bed_tray_all", autoreset_mode="Disabled", **SMALL)
+    other.set_state(env.get_state())
+    np.testing.assert_equal(other.observations(), observation)
+    np.testing.assert_equal(pickle.loads(pickle.dumps(env)).observations(), observation)
+
+
+# Watching.
+
+
+def test_frames_are_larger_and_say_the_instruction() -> None:
+    batch = PlayroomVectorEnv(2, "put/put_on_bed_tray_all", render_mode="rgb_array", **SMALL)
+    batch.reset(seed=4)
+    frames = batch.render()
+    assert frames is not None
+    for i, frame in enumerate(frames):
+        assert frame.dtype == np.uint8
+        assert frame.shape == (288, 384, 3)
+        assert len(np.unique(frame[240:])) > 2
+        single = PlayroomEnv("put/put_on_bed_tray_all", render_mode="rgb_array", **SMALL)
+        single.reset(seed=4 + i)
+        np.testing.assert_array_equal(single.render(), frame)
+    assert (frames[0] != frames[1]).any()
+
+
+def test_what_is_seen_does_not_change_what_happens() -> None:
+    sizes = [(1, 1), (5, 3), (72, 96)]
+    envs = [PlayroomVectorEnv(4, "put/lift_shape_uniform", image_size=size) for size in sizes]
+    for env in envs:
+        env.reset(seed=1)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        actions = rng.integers(46, size=4)
+        results = [env.step(actions)[1:] for env in envs]
+        for env, result in zip(envs[1:], results[1:], strict=True):
+            np.testing.assert_equal(result[:3], results[0][:3])
+            np.testing.assert_array_equal(env.items, envs[0].items)

@@ -1,0 +1,325 @@
+"""The hand, and what happens to what it takes, holds, throws and lets go."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from playroom_worlds import BED, TRAY, act, arrange, look_at, playroom
+
+from zipf.envs.playroom import kernels
+from zipf.envs.playroom.actions import ACTIONS, CONTROL_TABLE
+from zipf.envs.playroom.kernels import X, Y, Z
+from zipf.envs.playroom.vector import PlayroomVectorEnv
+
+FREE = "put/put_on_bed_tray_all"  # where lifting ends nothing
+
+
+def held(env: PlayroomVectorEnv) -> int:
+    """The object in the hand, or -1; everything that says so must agree."""
+    item = int(env.hands[0])
+    np.testing.assert_array_equal(
+        np.flatnonzero(env.status[0] == kernels.HELD), [item] if item >= 0 else []
+    )
+    return item
+
+
+def gap(env: PlayroomVectorEnv, item: int, piece: int) -> float:
+    """From an object's middle to a piece of furniture, 0 over it."""
+    x, y = env.items[0, item, :2]
+    return kernels.rectangle_gap(env.furniture[0, piece], kernels.FURNITURE_SIZE[piece], x, y)
+
+
+def distances(env: PlayroomVectorEnv) -> np.ndarray:
+    """Of the objects from the agent."""
+    return np.linalg.norm(env.items[0, :, :2] - env.agents[0, :2], axis=1)
+
+
+# Taking.
+
+
+@pytest.mark.parametrize(("distance", "taken"), [(0.7, True), (1.7, True), (2.1, False)])
+def test_the_hand_reaches_two_metres(distance: float, taken: bool) -> None:
+    env = playroom()
+    arrange(env, (-1.5, 0, 0, 0), {0: (-1.5 + distance, 0)})
+    look_at(env, 0)
+    act(env, "GRAB")
+    assert held(env) == (0 if taken else -1)
+
+
+def test_the_hand_takes_what_it_points_at() -> None:
+    env = playroom()
+    poses = {0: (1.0, 0.4), 1: (1.0, -0.4), 2: (0.9, 0.0)}
+    for item in range(3):
+        arrange(env, items=poses)
+        look_at(env, item)
+        act(env, "GRAB")
+        assert held(env) == item
+    arrange(env, (0, 0, 0, 0), poses)
+    act(env, "GRAB")  # at the wall
+    assert held(env) == -1
+
+
+@pytest.mark.parametrize(("aside", "taken"), [(0.1, True), (0.16, False)])
+def test_the_hand_may_point_a_little_beside(aside: float, taken: bool) -> None:
+    env = playroom()
+    arrange(env, items={0: (1.0, 0.0)}, names=("bottle", "dice", "robot"))
+    look_at(env, 0)
+    env.agents[0, kernels.YAW] += aside
+    act(env, "GRAB")
+    assert held(env) == (0 if taken else -1)
+
+
+@pytest.mark.parametrize("distance", [1.15, 2.0])
+def test_what_is_nearer_is_taken(distance: float) -> None:
+    env = playroom()
+    arrange(env, items={0: (1.5, 0), 1: (distance, 0)}, names=("bottle", "dice", "robot"))
+    look_at(env, 0)
+    act(env, "GRAB")
+    assert held(env) == (1 if distance < 1.5 else 0)
+
+
+@pytest.mark.parametrize("level", ["lift/lift_shape_uniform", FREE])
+def test_what_is_behind_the_bed_is_not_taken(level: str) -> None:
+    env = playroom(level)
+    arrange(env, (-1.2, 1.1, 0, 0), {0: (-1.2, -0.6)})
+    look_at(env, 0)
+    act(env, "GRAB")
+    assert held(env) == (-1 if env.level.furnished else 0)
+
+
+@pytest.mark.parametrize(("place", "height"), [(BED, 0.35), (TRAY, 0.03)])
+def test_what_lies_on_a_support_is_taken(place: Any, height: float) -> None:
+    env = playroom(FREE)
+    arrange(env, items={0: (0.8 * place[0], 0.9 * place[1], 0, height)}, task="on bed")
+    look_at(env, 0)
+    act(env, "GRAB")
+    assert held(env) == 0
+
+
+# Holding.
+
+
+def test_gripping_on_keeps_the_object() -> None:
+    env = playroom(FREE)
+    arrange(env, items={0: (1.0, 0.3), 1: (1.0, -0.3)}, task="on bed")
+    look_at(env, 0)
+    for _ in range(4):
+        act(env, "GRAB")
+        assert held(env) == 0
+    for _ in range(6):  # across the other one
+        act(env, "GRAB_AND_LOOK_RIGHT_MID")
+        assert held(env) == 0
+
+
+@pytest.mark.parametrize("action", np.flatnonzero(CONTROL_TABLE[:, -1] == 0))
+def test_the_first_action_that_does_not_grip_lets_go(action: int) -> None:
+    env = playroom(FREE)
+    arrange(env, items={0: (1.0, 0.0)}, task="on bed")
+    look_at(env, 0)
+    act(env, "GRAB", *["GRAB_AND_LOOK_UP_FULL"] * 3)
+    height = env.items[0, 0, Z]
+    assert height > 0.3
+    act(env, int(action))
+    assert held(env) == -1, ACTIONS[action]
+    assert env.items[0, 0, Z] < height
+
+
+@pytest.mark.parametrize("action", np.flatnonzero(CONTROL_TABLE[:, -1] == 1))
+def test_every_gripping_action_holds(action: int) -> None:
+    env = playroom(FREE)
+    arrange(env, items={0: (1.0, 0.0)}, task="on bed")
+    look_at(env, 0)
+    act(env, "GRAB", int(action), int(action))
+    assert held(env) == 0, ACTIONS[action]
+
+
+def test_looking_up_at_arms_length_reaches_the_ceiling_and_no_farther() -> None:
+    env = playroom(FREE)
+    arrange(env, items={0: (1.2, 0.0)}, task="on bed")
+    look_at(env, 0)
+    act(env, "GRAB", *["GRAB_AND_PUSH_AWAY_FULL"] * 6, *["GRAB_AND_LOOK_UP_FULL"] * 9)
+    top = env.items[0, 0, Z] + env.extents[env.ranks[0, 0], 2]
+    assert top == pytest.approx(kernels.CEILING)
+    act(env, *["GRAB_AND_LOOK_DOWN_FULL"] * 14)
+    assert env.items[0, 0, Z] == 0
+
+
+@pytest.mark.parametrize("yaw", np.linspace(-3, 3, 7))
+def test_what_is_held_stays_in_the_room(yaw: float) -> None:
+    env = playroom(FREE)
+    place = 0.9 * math.cos(yaw), 0.9 * math.sin(yaw)
+    arrange(env, (0, 0, yaw, 0), {0: place}, ("dice", "candle", "robot"), task="on bed",
+            furniture=((-1.2, 1.5, 0.0), (1.2, 1.5, 0.0)))  # fmt: skip
+    look_at(env, 0)
+    act(env, "GRAB")
+    rng = np.random.default_rng(0)
+    for action in rng.choice([18, 18, 18, 20, 22, 23, 24, 25, 41], size=150).tolist():
+        act(env, int(action))
+        assert held(env) == 0
+        assert np.abs(env.items[0, 0, :2]).max() < kernels.ROOM / 2 - 0.15
+    assert np.abs(env.items[0, 0, :2]).max() > 1.2
+
+
+@pytest.mark.parametrize("height", [0.0, 0.05, 0.12, 0.2])
+@pytest.mark.parametrize("move", ["MOVE_FORWARD_FULL", "PUSH_AWAY_FULL"])
+def test_what_is_held_low_does_not_enter_the_bed(height: float, move: str) -> None:
+    env = playroom(FREE)
+    arrange(env, (0.9, 0.05, math.pi, 0), {0: (-0.2, 0.05)}, task="on tray",
+            furniture=(BED, (1.2, 1.5, 0.0)))  # fmt: skip
+    look_at(env, 0)
+    act(env, "GRAB")
+    for _ in range(25):
+        # Held at this height, whatever the distance.
+        agent = env.agents[0]
+        below = height + env.extents[env.ranks[0, 0], 2] / 2 - kernels.EYE
+        agent[kernels.PITCH] = math.asin(max(below / agent[kernels.HOLD], -0.95))
+        act(env, f"GRAB_AND_{move}")
+        assert held(env) == 0
+        assert gap(env, 0, 0) > 0.02
+    assert gap(env, 0, 0) < 0.25
+
+
+def test_what_is_held_high_goes_over_the_bed() -> None:
+    env = playroom(FREE)
+    arrange(env, (0.4, 0, math.pi, 0), {0: (-0.3, 0)}, task="on tray",
+            furniture=(BED, (1.2, 1.5, 0.0)))  # fmt: skip
+    look_at(env, 0)
+    act(env, "GRAB", *["GRAB_AND_LOOK_UP_FULL"] * 2, *["GRAB_AND_MOVE_FORWARD_FULL"] * 8)
+    assert gap(env, 0, 0) == 0
+    # It cannot be pressed into the mattress.
+    act(env, *["GRAB_AND_LOOK_DOWN_FULL"] * 4)
+    assert env.items[0, 0, Z] == 0.35
+
+
+# Letting go.
+
+
+def test_what_is_let_go_falls_to_the_floor() -> None:
+    env = playroom(FREE)
+    arrange(env, items={0: (1.0, 0.0, 0.0, 1.0)}, task="on bed")
+    heights = [1.0]
+    while heights[-1] > 0:
+        act(env, "NOOP")
+        heights.append(env.items[0, 0, Z])
+    # By g t^2 / 2 it takes 0.45 s, between three and four actions.
+    assert len(heights) == 5
+    assert (np.diff(heights[:4], 2) < 0).all()
+    assert env.status[0, 0] == kernels.FLOOR
+    act(env, *["NOOP"] * 5)
+    assert env.items[0, 0].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("place", "height", "where"),
+    [(BED, 0.35, kernels.ON_BED), (TRAY, 0.03, kernels.ON_TRAY)],
+)
+def test_what_is_let_go_over_a_support_lands_on_it(place: Any, height: float, where: int) -> None:
+    env = playroom(FREE)
+    spot = place[0] + 0.1, place[1] - 0.1
+    arrange(env, (0, -1.2, 0, 0), {1: (*spot, 0.0, 1.2)}, task="on bed")
+    act(env, *["NOOP"] * 8)
+    assert env.items[0, 1, Z] == height
+    assert env.status[0, 1] == where
+    np.testing.assert_allclose(env.items[0, 1, :2], spot)
+
+
+@pytest.mark.parametrize("side", [0.02, 0.1, 0.2])
+def test_what_falls_beside_the_bed_comes_to_lie_beside_it(side: float) -> None:
+    env = playroom(FREE)
+    names = ("dice", "candle", "robot")
+    arrange(env, (1.0, 0, 0, 0), {0: (-0.5 + side, 0.0, 0.0, 1.0)}, names, task="on bed")
+    act(env, *["NOOP"] * 20)
+    assert env.items[0, 0, Z] == 0
+    assert env.status[0, 0] == kernels.FLOOR
+    assert gap(env, 0, 0) > 0.17  # half its width
+
+
+def test_a_throw_keeps_its_momentum() -> None:
+    env = playroom(FREE)
+    arrange(env, (-1.0, -1.0, 0, 0), {0: (0.0, -1.0)}, task="on bed",
+            furniture=((0, 1.5, 0.0), (-1.2, 1.5, 0.0)))  # fmt: skip
+    look_at(env, 0)
+    act(env, "GRAB", "GRAB_AND_LOOK_UP_FULL", *["GRAB_AND_LOOK_LEFT_FULL"] * 3)
+    before = env.items[0, 0, :3].copy()
+    places = []
+    for _ in range(5):
+        act(env, "NOOP")
+        places.append(env.items[0, 0, :2].copy())
+    flight = places[0] - before[:2]
+    tangent = np.array(
+        [-math.sin(env.agents[0, kernels.YAW]), math.cos(env.agents[0, kernels.YAW])]
+    )
+    assert np.linalg.norm(flight) > 0.1
+    assert flight @ tangent > 0.8 * np.linalg.norm(flight)  # where the hand was going
+    moves = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert (np.diff(moves) < 0).all()
+
+
+def test_what_was_spun_stands_up_again() -> None:
+    env = playroom(FREE)
+    for spins in (["SPIN_UP"] * 7, ["SPIN_FORWARD"] * 4, ["SPIN_RIGHT"] * 3, ["SPIN_DOWN"] * 4):
+        arrange(env, items={0: (1.0, 0.0)}, task="on bed")
+        look_at(env, 0)
+        act(env, "GRAB", "GRAB_AND_LOOK_UP_FULL", *[f"GRAB_AND_{spin}" for spin in spins])
+        act(env, *["NOOP"] * 12)
+        np.testing.assert_allclose(env.orientation[0, 0, :, 2], [0, 0, 1], atol=1e-12)
+        angle = env.items[0, 0, kernels.ANGLE]
+        np.testing.assert_allclose(env.orientation[0, 0, :2, 0], [math.cos(angle), math.sin(angle)])
+        if spins[0] == "SPIN_RIGHT":
+            assert math.degrees(angle) == pytest.approx(-72)
+
+
+def test_what_is_let_go_on_another_object_comes_to_lie_beside_it() -> None:
+    env = playroom()
+    arrange(env, items={0: (1.0, 0.0, 0.0, 1.0), 1: (1.05, 0.02)}, names=("dice", "dice", "ball"))
+    act(env, *["NOOP"] * 30)
+    assert env.items[0, :, Z].tolist() == [0, 0, 0]
+    assert np.linalg.norm(env.items[0, 0, :2] - env.items[0, 1, :2]) > 0.39
+
+
+def test_what_falls_on_the_agent_comes_to_lie_beside_it() -> None:
+    env = playroom()
+    arrange(env, items={0: (0.01, 0.0, 0.0, 2.0)}, names=("dice", "dice", "ball"))
+    act(env, *["NOOP"] * 30)
+    assert env.items[0, 0, Z] == 0
+    assert np.linalg.norm(env.items[0, 0, :2] - env.agents[0, :2]) > kernels.AGENT_RADIUS + 0.17
+
+
+# Pushing with the body.
+
+
+def test_the_body_pushes_what_is_loose() -> None:
+    env = playroom()
+    arrange(env, (-1.5, 0, 0, 0), {0: (-0.7, 0.0), 1: (0.3, 0.05)}, ("dice", "dice", "ball"))
+    act(env, *["MOVE_FORWARD_FULL"] * 9)
+    x = env.items[0, :2, X]
+    assert x[0] > 0.0
+    assert x[1] > 0.6
+    assert env.items[0, :2, Z].tolist() == [0, 0]
+    assert (np.abs(env.items[0, :, :2]) < kernels.ROOM / 2 - 0.05).all()
+    np.testing.assert_array_less(kernels.AGENT_RADIUS, distances(env))
+
+
+@pytest.mark.parametrize("place", [BED, TRAY])
+def test_furniture_stands_firm(place: Any) -> None:
+    env = playroom(FREE)
+    arrange(
+        env, (0.0, 0, math.pi if place[0] < 0 else 0, 0), {0: (place[0] * 0.3, 0.0)}, task="on bed"
+    )
+    before = env.furniture.copy()
+    act(env, *["MOVE_FORWARD_FULL"] * 25)
+    np.testing.assert_array_equal(env.furniture, before)
+    piece = 0 if place is BED else 1
+    x, y = env.agents[0, :2]
+    pose, size = env.furniture[0, piece], kernels.FURNITURE_SIZE[piece]
+    assert kernels.rectangle_gap(pose, size, x, y) > kernels.AGENT_RADIUS - 0.02
+    assert gap(env, 0, piece) > 0.05
+    assert env.items[0, 0, Z] == 0
+
+
+def test_what_lies_on_the_bed_is_not_pushed_by_the_body() -> None:
+    env = playroom(FREE)
+    arrange(env, (0.5, 0, math.pi, 0), {0: (-0.55, 0.0, 0.0, 0.35)}, task="on bed")
+    act(env, *["MOVE_FORWARD_FULL"] * 15)
+    np.testing.assert_allclose(env.items[0, 0, [X, Y, Z]], [-0.55, 0, 0.35])

@@ -1,0 +1,212 @@
+"""Whatever is done, nothing leaves the room, gets lost, goes through things or becomes NaN."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from zipf.envs.playroom import kernels
+from zipf.envs.playroom.actions import ACTIONS, GRAB
+from zipf.envs.playroom.kernels import AX, AY, BASE, HOLD, PITCH, YAW, Z
+from zipf.envs.playroom.vector import PlayroomVectorEnv
+
+LEVELS = ("lift/lift_shape_uniform", "put/put_on_bed_tray_all", "put/lift_shape_many_zipf1")
+N = 3
+OVERLAP = 0.15
+"""How deep what hits or is squeezed may be in a wall or in furniture for a moment, metres: in one
+frame the agent comes 0.09 m far."""
+
+
+class Endless(PlayroomVectorEnv):
+    """Episodes go on whatever happens, so that everything may happen in them."""
+
+    def _advance(self, actions: NDArray[np.int64]) -> tuple:
+        reward, terminated, truncated, success = super()._advance(actions)
+        assert ((reward == 0) | (reward == 1)).all()
+        assert (success == (reward == 1)).all()
+        assert not (terminated & truncated).any()
+        return reward, np.zeros_like(terminated), truncated, success
+
+
+def inside(pose: NDArray, size: NDArray, x: float, y: float) -> float:
+    """How deep a point is in a rectangle, 0 outside."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    dx, dy = x - pose[0], y - pose[1]
+    depth = min(size[0] - abs(cos * dx + sin * dy), size[1] - abs(cos * dy - sin * dx))
+    return max(depth, 0.0)
+
+
+def check(env: PlayroomVectorEnv, ranks: NDArray[np.int64], overlap: float = OVERLAP) -> None:
+    """Raises unless the worlds are whole."""
+    half = kernels.ROOM / 2
+    np.testing.assert_array_equal(env.ranks, ranks)  # nothing is lost or becomes something else
+    for values in (env.agents, env.items, env.orientation):
+        assert np.isfinite(values).all()
+    # In the room.
+    assert (np.abs(env.agents[:, [AX, AY]]) <= half - kernels.AGENT_RADIUS + overlap).all()
+    width = env.extents[env.ranks, :2].min(-1) / 2
+    assert (np.abs(env.items[:, :, :2]).max(-1) <= half - width + overlap).all()
+    heights, tops = env.items[:, :, Z], env.extents[env.ranks, 2]
+    assert (heights >= 0).all()
+    assert (heights + tops <= kernels.CEILING + 1e-9).all()
+    # Angles and the hand.
+    assert (np.abs(env.agents[:, YAW]) <= np.pi).all()
+    assert (env.agents[:, PITCH] >= kernels.LOWEST).all()
+    assert (env.agents[:, PITCH] <= kernels.HIGHEST).all()
+    held = env.status == kernels.HELD
+    assert (held.sum(1) == (env.hands >= 0)).all()
+    for i in np.flatnonzero(env.hands >= 0):
+        assert held[i, env.hands[i]]
+        assert kernels.NEAREST_HOLD <= env.agents[i, HOLD] <= kernels.REACH
+        assert env.agents[i, BASE] >= 0
+    product = np.einsum("njrk,njrl->njkl", env.orientation, env.orientation)
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(env.orientation), 1, atol=1e-9)
+    # Where things are said to be, they are.
+    top = np.array([0, 0, 0, kernels.FURNITURE_SIZE[0, 2], kernels.FURNITURE_SIZE[1, 2]])
+    resting = (env.status != kernels.AIR) & ~held
+    np.testing.assert_array_equal(heights[resting], top[env.status][resting])
+    assert (env.still <= kernels.STILL_STEPS).all()
+    if not env.level.furnished:
+        assert (env.status <= kernels.HELD).all()
+        return
+    for i in range(env.num_envs):
+        pieces = list(zip(env.furniture[i], kernels.FURNITURE_SIZE, strict=True))
+        for k, (pose, size) in enumerate(pieces):
+            # A held object slides onto the tray; nobody goes into the bed but from above.
+            assert inside(pose, size, *env.agents[i, :2]) == 0
+            for j in range(env.items.shape[1]):
+                depth = inside(pose, size, *env.items[i, j, :2])
+                low = held[i, j] and k == 0 and env.items[i, j, Z] < 0.25
+                if env.status[i, j] == kernels.ON_BED + k:
+                    assert depth > 0
+                elif low or env.status[i, j] == kernels.FLOOR:
+                    assert depth <= overlap
+
+
+def play(env: PlayroomVectorEnv, actions: NDArray[np.int64]) -> None:
+    ranks = env.ranks.copy()
+    for row in actions:
+        env.step(row)
+        check(env, ranks)
+    for _ in range(15):
+        env.step(np.zeros(N, np.int64))
+    check(env, ranks, 0.03)
+
+
+def moods(rng: np.random.Generator, steps: int) -> NDArray[np.int64]:
+    """Actions that are kept up for a while, the hand open or closed: random ones stay in place."""
+    actions = np.empty((steps, N), np.int64)
+    for i in range(N):
+        t = 0
+        while t < steps:
+            length = int(rng.integers(1, 12))
+            closed = GRAB * (rng.random() < 0.6)
+            usual = rng.random() < 0.5
+            action = closed + int(rng.integers(0, 9)) if usual else int(rng.integers(46))
+            actions[t : t + length, i] = action
+            t += length
+    return actions
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@given(seed=st.integers(0, 2**32), kept_up=st.booleans())
+@settings(max_examples=12, deadline=None)
+def test_whatever_is_done_the_world_stays_whole(level: str, seed: int, kept_up: bool) -> None:
+    env = Endless(N, level, image_size=(1, 1))
+    env.reset(seed=seed)
+    rng = np.random.default_rng(seed)
+    play(env, moods(rng, 120) if kept_up else rng.integers(46, size=(120, N)))
+
+
+@given(actions=st.lists(st.integers(0, 45), min_size=1, max_size=60), seed=st.integers(0, 1000))
+@settings(max_examples=25, deadline=None)
+def test_the_same_actions_give_the_same_episode(actions: list[int], seed: int) -> None:
+    """Whatever was played before, and whoever plays beside."""
+    options = {"image_size": (3, 4), "autoreset_mode": "Disabled"}
+    env, other = (PlayroomVectorEnv(n, LEVELS[1], **options) for n in (1, 2))
+    other.reset(seed=77)
+    other.step(np.array([1, 24]))
+    first, second = env.reset(seed=seed)[0], other.reset(seed=[5, seed])[0]
+    for action in actions:
+        np.testing.assert_array_equal(first["image"][0], second["image"][1])
+        np.testing.assert_array_equal(env.items[0], other.items[1])
+        if not (env._running.all() and other._running.all()):
+            break
+        first, *ends, _ = env.step(np.array([action]))
+        second, *others, _ = other.step(np.array([0, action]))
+        np.testing.assert_array_equal([end[0] for end in ends], [end[1] for end in others])
+
+
+def test_a_state_goes_on_from_any_step() -> None:
+    rng = np.random.default_rng(0)
+    env = Endless(N, LEVELS[1], image_size=(1, 1))
+    env.reset(seed=0)
+    actions = moods(rng, 240)
+    for t in range(0, 240, 40):
+        other = Endless(N, LEVELS[1], image_size=(1, 1))
+        other.set_state(env.get_state())
+        for row in actions[t : t + 40]:
+            np.testing.assert_equal(other.step(row)[:4], env.step(row)[:4])
+        for name in ("agents", "items", "orientation", "status", "hands", "still", "lifted"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(env, name))
+
+
+# Tight corners.
+
+
+def test_pushing_into_corners_for_minutes() -> None:
+    """Each world drives about with full force, turning now and then."""
+    env = Endless(N, LEVELS[2], image_size=(1, 1))
+    for seed in range(2):
+        env.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        actions = np.repeat(rng.choice([1, 1, 1, 2, 3, 4, 5, 6], size=(60, N)), 9, axis=0)
+        play(env, actions)
+
+
+def test_throwing_at_walls_and_furniture() -> None:
+    env = Endless(N, LEVELS[1], image_size=(1, 1))
+    rng = np.random.default_rng(0)
+    turn, up, far = (
+        ACTIONS.index(f"GRAB_AND_{name}")
+        for name in ("LOOK_LEFT_FULL", "LOOK_UP_FULL", "PUSH_AWAY_FULL")
+    )
+    flying = 0
+    for seed in range(12):
+        env.reset(seed=seed)
+        for i in range(N):  # in the hand from the start, wherever it was
+            env.hands[i], env.status[i, 0] = 0, kernels.HELD
+            env.agents[i, HOLD] = 1.5
+        ranks = env.ranks.copy()
+        swing = [turn] * int(rng.integers(3, 9)) + [up] * int(rng.integers(4)) + [far] * 2 + [turn]
+        for action in [*swing, *[0] * 12]:
+            before = env.items[:, 0, :2].copy()
+            env.step(np.full(N, action))
+            check(env, ranks)
+            moved = np.linalg.norm(env.items[:, 0, :2] - before, axis=1)
+            flying += int(((env.status[:, 0] == kernels.AIR) & (moved > 0.1)).sum())
+    assert flying > 20
+
+
+def test_a_heap_comes_apart() -> None:
+    """Six objects in one place, in a corner."""
+    for corner in (1.75, 1.0):
+        env = Endless(N, LEVELS[2], image_size=(1, 1))
+        env.reset(seed=0)
+        for i in range(N):
+            room = env.rooms[i]
+            assert room is not None
+            for j, body in enumerate(room.objects):
+                sign = np.sign(-env.furniture[i, 0, :2] - env.furniture[i, 1, :2])
+                body.position = tuple(sign * (corner - 0.01 * j))
+                room.space.reindex_shapes_for_body(body)
+        for _ in range(60):
+            env.step(np.zeros(N, np.int64))
+        assert np.isfinite(env.items).all()
+        assert (np.abs(env.items[:, :, :2]) < kernels.ROOM / 2).all()
+        for i in range(N):
+            for j in range(1, 6):
+                gaps = np.linalg.norm(env.items[i, :j, :2] - env.items[i, j, :2], axis=1)
+                assert gaps.min() > 0.05

@@ -1,0 +1,265 @@
+"""What is rewarded, what ends an episode and what does neither."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from playroom_worlds import (
+    DONE,
+    FAILED,
+    RUNS,
+    TIMEOUT,
+    act,
+    arrange,
+    look_at,
+    outcome,
+    playroom,
+    wait,
+)
+
+from zipf.envs.playroom import kernels
+from zipf.envs.playroom.kernels import X, Y, Z
+from zipf.envs.playroom.vector import PlayroomVectorEnv
+
+# Lifting.
+
+
+@pytest.mark.parametrize("level", ["lift/lift_shape_zipf3", "put/lift_shape_many_zipf1"])
+@pytest.mark.parametrize(("item", "end"), [(0, DONE), (1, FAILED), (2, FAILED)])
+def test_lifting(level: str, item: int, end: Any) -> None:
+    env = playroom(level)
+    arrange(env, items={item: (1.0, 0.0)}, task="lift" if level.startswith("put") else None)
+    look_at(env, item)
+    assert outcome(act(env, "GRAB")) == RUNS
+    result = act(env, "GRAB_AND_LOOK_UP_FULL")
+    assert env.items[0, item, Z] >= 0.15
+    assert outcome(result) == end
+
+
+def test_lifting_takes_fifteen_centimetres() -> None:
+    env = playroom()
+    arrange(env, items={0: (1.0, 0.0)})
+    look_at(env, 0)
+    result = act(env, "GRAB")
+    while env.items[0, 0, Z] < 0.15:
+        assert outcome(result) == RUNS
+        result = act(env, "GRAB_AND_LOOK_UP_MID")
+    assert outcome(result) == DONE
+
+
+def test_lifting_counts_from_where_it_lay() -> None:
+    env = playroom("put/lift_shape_uniform")
+    arrange(env, items={0: (-0.7, 0.0, 0.0, 0.35)}, task="lift")
+    look_at(env, 0)
+    result = act(env, "GRAB")
+    while env.items[0, 0, Z] < 0.5:
+        assert outcome(result) == RUNS
+        result = act(env, "GRAB_AND_LOOK_UP_MID")
+    assert outcome(result) == DONE
+
+
+def test_another_object_of_the_same_name_is_as_good() -> None:
+    env = playroom()
+    arrange(env, items={2: (1.0, 0.0)}, names=("bottle", "candle", "bottle"))
+    look_at(env, 2)
+    act(env, "GRAB")
+    assert outcome(act(env, *["GRAB_AND_LOOK_UP_FULL"])) == DONE
+
+
+def test_what_is_only_pushed_about_is_not_lifted() -> None:
+    env = playroom()
+    arrange(env, (-1, 0, 0, 0), items={0: (0.0, 0.0)})
+    assert outcome(act(env, *["MOVE_FORWARD_FULL"] * 30)) == RUNS
+    assert env.items[0, 0, X] > 0.3
+    assert not env.lifted.any()
+
+
+# Putting.
+
+PLACES = {
+    "on bed": (-0.8, 0.1, 0.0, 0.35),
+    "on tray": (0.75, 1.15, 0.0, 0.03),
+    "near bed": (-1.1, -0.85),
+    "near tray": (0.8, 0.7),
+    "far away": (1.0, -1.2),
+}
+
+
+def put(env: PlayroomVectorEnv, item: int, place: str, task: str, lifted: bool = True) -> None:
+    """An object comes to rest somewhere, for the first time since it was lifted."""
+    arrange(env, (0.2, -0.2, 0, 0), {item: PLACES[place]}, task=task)
+    env.lifted[0, item] = lifted
+
+
+@pytest.mark.parametrize("item", [0, 1, 2])
+@pytest.mark.parametrize("place", list(PLACES))
+@pytest.mark.parametrize("task", ["on bed", "on tray", "near bed", "near tray"])
+def test_putting(task: str, place: str, item: int) -> None:
+    relation, support = task.split()
+    where, what = place.split()
+    if place == "far away" or (relation == "on" and where == "near"):
+        expected = RUNS
+    elif item == 0 and what == support:
+        expected = DONE  # near a support, on counts, too
+    else:
+        expected = FAILED
+    env = playroom(f"put/put_{relation}_bed_tray_frequent")
+    put(env, item, place, task)
+    assert outcome(act(env, "NOOP")) == RUNS  # at rest takes two actions
+    result = act(env, "NOOP")
+    assert outcome(result) == expected
+    if expected == RUNS:
+        assert outcome(act(env, *["NOOP"] * 5)) == RUNS
+
+
+@pytest.mark.parametrize("task", ["on bed", "on tray", "near bed", "near tray"])
+@pytest.mark.parametrize("place", list(PLACES))
+def test_what_was_never_lifted_does_not_count(task: str, place: str) -> None:
+    env = playroom("put/put_on_bed_tray_all")
+    put(env, 0, place, task, lifted=False)
+    assert outcome(act(env, *["NOOP"] * 6)) == RUNS
+
+
+@pytest.mark.parametrize(("gap", "near"), [(0.49, True), (0.51, False)])
+@pytest.mark.parametrize("corner", [False, True])
+def test_near_is_half_a_metre_from_the_edge(gap: float, near: bool, corner: bool) -> None:
+    env = playroom("put/put_near_bed_tray_frequent")
+    aside = gap / math.sqrt(2)
+    place = (-0.5 + aside, -0.45 - aside) if corner else (-1.2, -0.45 - gap)
+    arrange(env, (1.0, 0, 0, 0), {0: place}, task="near bed")
+    env.lifted[0, 0] = True
+    assert outcome(act(env, "NOOP", "NOOP")) == (DONE if near else RUNS)
+
+
+def test_what_is_held_has_not_been_put() -> None:
+    env = playroom("put/put_near_bed_tray_frequent")
+    arrange(env, (-1.1, -1.6, 0, 0), {0: (-1.1, -0.85)}, task="near bed")
+    env.lifted[0, 0] = True
+    look_at(env, 0)
+    assert outcome(act(env, *["GRAB"] * 8)) == RUNS
+    assert wait(env) == DONE
+
+
+def test_what_still_moves_has_not_been_put() -> None:
+    env = playroom("put/put_near_bed_tray_frequent")
+    put(env, 0, "near bed", "near bed")
+    env.rooms[0].objects[0].velocity = 0.6, 0.0
+    steps = 0
+    result = act(env, "NOOP")
+    while outcome(result) == RUNS:
+        motion = env.items[0, 0, X]
+        result = act(env, "NOOP")
+        motion = env.items[0, 0, X] - motion
+        steps += 1
+    assert outcome(result) == DONE
+    assert steps >= 4
+    assert motion < kernels.STILL_MOTION
+
+
+def test_what_falls_onto_the_support_counts_when_it_lies() -> None:
+    env = playroom("put/put_on_bed_tray_all")
+    arrange(env, (0.5, 0, 0, 0), {0: (-0.8, 0.1, 0.0, 1.2)}, task="on bed")
+    env.lifted[0, 0] = True
+    heights = []
+    result = act(env, "NOOP")
+    while outcome(result) == RUNS:
+        heights.append(env.items[0, 0, Z])
+        result = act(env, "NOOP")
+    assert outcome(result) == DONE
+    assert min(heights) == 0.35
+    # It moves in none of the two actions, but lies only in the last.
+    assert 3 <= len(heights) <= 6
+
+
+def test_an_object_pushed_against_a_support_does_not_count() -> None:
+    for piece, agent, item in (
+        (0, (0.4, 0.0, math.pi, 0.0), (-0.1, 0.0)),
+        (1, (0.8, 0.0, math.pi / 2, 0.0), (0.8, 0.5)),
+    ):
+        env = playroom("put/put_near_bed_tray_frequent")
+        arrange(env, agent, {0: item}, task=("near bed", "near tray")[piece])
+        assert outcome(act(env, *["MOVE_FORWARD_FULL"] * 6)) == RUNS
+        assert wait(env) == RUNS
+        x, y = env.items[0, 0, [X, Y]]
+        size = kernels.FURNITURE_SIZE[piece]
+        assert kernels.rectangle_gap(env.furniture[0, piece], size, x, y) < 0.3
+
+
+def test_what_was_dropped_elsewhere_may_be_taken_again() -> None:
+    env = playroom("put/put_on_bed_tray_all")
+    put(env, 0, "far away", "on bed")
+    assert wait(env) == RUNS
+    look_at(env, 0)
+    act(env, "GRAB")
+    assert env.hands[0] == 0
+    env.items[0, 0, :4] = PLACES["on bed"]
+    env.rooms[0].objects[0].position = PLACES["on bed"][:2]
+    assert wait(env) == DONE
+
+
+def test_putting_by_hand() -> None:
+    """From taking the object to letting go over the bed, by actions alone."""
+    for item, end in ((0, DONE), (1, FAILED)):
+        env = playroom("put/put_on_bed_tray_all")
+        arrange(env, (0.9, 0, math.pi, 0), {item: (-0.1, 0.0)}, task="on bed")
+        look_at(env, item)
+        raised = ["GRAB", *["GRAB_AND_LOOK_UP_FULL"] * 2, *["GRAB_AND_MOVE_FORWARD_FULL"] * 7]
+        assert outcome(act(env, *raised, *["GRAB"] * 4)) == RUNS
+        assert wait(env) == end
+        assert env.status[0, item] == kernels.ON_BED
+
+
+# Finding.
+
+
+def find(env: PlayroomVectorEnv, names: tuple[str, str], item: int) -> Any:
+    """Walks to one of two objects."""
+    arrange(env, (0, 0, 0, 0), {0: (0.8, 0.8), 1: (0.8, -0.8)}, names)
+    look_at(env, item)
+    result = act(env, "MOVE_FORWARD_FULL")
+    while outcome(result) == RUNS:
+        before = env.agents.copy()
+        result = act(env, "MOVE_FORWARD_FULL")
+    gaps = [np.linalg.norm(env.items[0, item, :2] - a[0, :2]) for a in (before, env.agents)]
+    assert gaps[1] < 0.7 <= gaps[0]
+    return result
+
+
+@pytest.mark.parametrize(("item", "end"), [(0, DONE), (1, FAILED)])
+def test_finding(item: int, end: Any) -> None:
+    env = playroom("supervised/find_shape_uniform")
+    assert outcome(find(env, ("duck", "book"), item)) == end
+    assert outcome(find(playroom("supervised/find_shape_zipf2"), ("duck", "duck"), item)) == DONE
+
+
+# Time.
+
+
+@pytest.mark.parametrize("level", ["lift/lift_shape_zipf3", "put/put_on_bed_tray_all"])
+def test_time_runs_out_after_900_actions(level: str) -> None:
+    env = playroom(level)
+    env.reset(seed=0)
+    for _ in range(899):
+        assert outcome(act(env, "NOOP")) == RUNS
+    result = act(env, "NOOP")
+    assert outcome(result) == TIMEOUT
+    assert result[4]["length"].tolist() == [900]
+    assert result[4]["return"].tolist() == [0.0]
+
+
+@pytest.mark.parametrize(("max_steps", "end"), [(1, TIMEOUT), (2, DONE), (3, DONE)])
+def test_success_at_the_last_action_counts(max_steps: int, end: Any) -> None:
+    env = playroom("put/put_on_bed_tray_all", max_steps=max_steps)
+    put(env, 0, "on bed", "on bed")
+    results = [outcome(act(env, "NOOP"))]
+    while results[-1] == RUNS:
+        results.append(outcome(act(env, "NOOP")))
+    assert results[-1] == end
+    assert len(results) == min(max_steps, 2)
+
+
+def test_failure_at_the_last_action_is_no_timeout() -> None:
+    env = playroom("put/put_on_bed_tray_all", max_steps=2)
+    put(env, 1, "on tray", "on bed")
+    assert outcome(act(env, "NOOP", "NOOP")) == FAILED
