@@ -267,7 +267,7 @@ class R2D2:
         if o.storage == "memmap":
             where = f"disk, in {self.replay_folder}"
         else:
-            where = "memory and in every checkpoint, and as much again while one is read"
+            where = "memory, as much in every checkpoint, and again while one is read"
         return [
             f"replay: {o.replay_capacity} sequences of {rows} rows, {in_words(self.replay.bytes)} "
             f"of {where}",

@@ -1,0 +1,641 @@
+"""R2D2: its update against the definition written out step by step, its exploration, its resume."""
+
+import shutil
+from copy import deepcopy
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from omegaconf import OmegaConf
+from recall import Recall
+from tensordict import TensorDict
+from test_train import TINY, assert_equal, learned, untimed
+
+from zipf.agents import r2d2, replay
+from zipf.agents.encoders import CompactOptions
+from zipf.agents.memory import LSTMOptions, MLPOptions
+from zipf.agents.network import Inputs
+from zipf.agents.r2d2 import R2D2, R2D2Options
+from zipf.agents.returns import lambda_returns, rescale, unrescale
+from zipf.agents.unroll import Unroll
+from zipf.envs import levels
+from zipf.experiments import checkpoint, command_line, run_folder, runner
+from zipf.experiments.collector import Collector
+from zipf.experiments.config import Config
+from zipf.experiments.errors import UserError
+from zipf.experiments.evaluator import AgentPolicy, play
+
+ACTIONS, STEPS, WORLDS, BURN_IN = 3, 6, 4, 2
+OPTIONS = R2D2Options(
+    name="r2d2",
+    learning_rate=1e-3,
+    adam_beta1=0.9,
+    adam_beta2=0.999,
+    adam_epsilon=1e-8,
+    weight_decay=1e-4,
+    max_gradient_norm=1e9,
+    discount=0.9,
+    trace_lambda=0.7,
+    target_period=3,
+    epsilon=0.3,
+    epsilon_ladder=False,
+    burn_in=BURN_IN,
+    samples_per_insert=1.0,
+    replay_capacity=20,
+    replay_min=8,
+    storage="memory",
+    priority_exponent=0.9,
+    importance_exponent=0.6,
+    priority_max_weight=0.8,
+)
+NETWORK = CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=8)
+LSTM = LSTMOptions(name="lstm", size=16)
+
+
+def agent(memory=LSTM, worlds=WORLDS, **changes):
+    made = R2D2(
+        gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
+        gym.spaces.Discrete(ACTIONS),
+        OPTIONS.model_copy(update=changes),
+        NETWORK,
+        memory,
+        num_envs=worlds,
+        unroll_length=STEPS,
+        seed=0,
+    )
+    made.begin_learning()
+    # Else Q is so small that rescaling does nothing, and target and online network agree.
+    with torch.no_grad():
+        for parameter in made.network.parameters():
+            parameter *= 1.5
+        for parameter in made.target.parameters():
+            parameter += 0.1 * torch.randn(parameter.shape, generator=torch.Generator())
+    return made
+
+
+def random_steps(rows, batch, seed=0):
+    rng = np.random.default_rng(seed)
+    shape = (rows, batch)
+    ended = torch.tensor(rng.random(shape) < 0.3)
+    cut = torch.tensor(rng.random(shape) < 0.5)
+    floats = {
+        name: torch.tensor(3 * rng.normal(size=shape), dtype=torch.float32)
+        for name in ("previous_reward", "reward", "truncation_value")
+    }
+    images = rng.integers(256, size=(*shape, 9, 9, 3))
+    return TensorDict(
+        {
+            **floats,
+            "bonus": floats["reward"].abs() / 3,
+            "previous_action": torch.tensor(rng.integers(ACTIONS, size=shape)),
+            "is_first": torch.cat([torch.zeros(1, batch, dtype=torch.bool), ended[:-1]]),
+            "action": torch.tensor(rng.integers(ACTIONS, size=shape)),
+            "terminated": ended & ~cut,
+            "truncated": ended & cut,
+            "observation": TensorDict(
+                {"image": torch.tensor(images, dtype=torch.uint8)}, batch_size=shape
+            ),
+        },
+        batch_size=shape,
+    )
+
+
+def random_memory(batch, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    return {part: torch.randn(batch, 16, generator=generator) for part in ("hidden", "cell")}
+
+
+def sequences(batch, seed=0):
+    steps = random_steps(BURN_IN + STEPS + 1, batch, seed)
+    memory = TensorDict(random_memory(batch, seed), [batch])
+    return TensorDict({"steps": steps.transpose(0, 1), "memory": memory}, [batch])
+
+
+def unrolls(count, seed=0):
+    """Unrolls as a collector's: row T is the next one's first row, and memories follow."""
+    steps = random_steps(count * STEPS + 1, WORLDS, seed)
+    for i in range(count):
+        rows = steps[i * STEPS : (i + 1) * STEPS + 1].clone()
+        yield Unroll(rows, random_memory(WORLDS, 2 * i), random_memory(WORLDS, 2 * i + 1))
+
+
+# Rescaling and returns
+
+
+def h(x):
+    return np.sign(x) * (np.sqrt(abs(x) + 1) - 1) + 1e-3 * x
+
+
+def test_rescaling_is_the_definitions_and_unrescaling_its_inverse():
+    x = np.concatenate([np.logspace(-6, 6, 100), -np.logspace(-6, 6, 100), [0.0]])
+    tensor = torch.tensor(x, dtype=torch.float32)
+    np.testing.assert_allclose(rescale(tensor), h(x), rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(unrescale(torch.tensor(h(x)).float()), x, rtol=1e-5, atol=1e-12)
+    values = pytest.importorskip("torchrl.modules")
+    theirs = values.SignedHyperbolicValueTransform(epsilon=1e-3)
+    torch.testing.assert_close(rescale(tensor), theirs(tensor), rtol=1e-3, atol=1e-5)
+
+
+def returns_by_hand(x, discount, lambda_):
+    """The average of n-step returns with weights (1 - lambda) lambda^(n-1), the longest with what
+    is left (Sutton and Barto 2018, equation 12.3), for every step on its own."""
+    x = {name: tensor.double().numpy() for name, tensor in x.items()}
+    steps, batch = x["rewards"].shape
+    returns = np.zeros((steps, batch))
+    for b in range(batch):
+        for t in range(steps):
+            rewards, weight = 0.0, 1.0
+            for n in range(1, steps - t + 1):
+                last = t + n - 1
+                rewards += discount ** (n - 1) * x["rewards"][last, b]
+                value = x["values"][last, b]
+                if x["terminated"][last, b]:
+                    value = 0.0
+                if x["truncated"][last, b]:
+                    value = x["truncation_values"][last, b]
+                is_longest = (
+                    last == steps - 1 or x["terminated"][last, b] or x["truncated"][last, b]
+                )
+                share = weight if is_longest else weight * (1 - lambda_)
+                returns[t, b] += share * (rewards + discount**n * value)
+                weight *= lambda_
+                if is_longest:
+                    break
+    return returns
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("lambda_", [0.0, 0.3, 0.8, 1.0])
+def test_lambda_returns_are_averages_of_n_step_returns(seed, lambda_):
+    rng = np.random.default_rng(seed)
+    shape = (12, 5)
+    ended, cut = rng.random(shape) < 0.2, rng.random(shape) < 0.5
+    floats = [torch.tensor(rng.normal(size=shape), dtype=torch.float32) for _ in range(3)]
+    x = {
+        "rewards": floats[0],
+        "values": floats[1],
+        "truncation_values": floats[2],
+        "terminated": torch.tensor(ended & ~cut),
+        "truncated": torch.tensor(ended & cut),
+    }
+    assert x["terminated"].any()
+    assert x["truncated"].any()
+    result = lambda_returns(**x, discount=0.9, lambda_=lambda_)
+    np.testing.assert_allclose(result, returns_by_hand(x, 0.9, lambda_), rtol=1e-4, atol=1e-5)
+
+
+# One update
+
+
+def by_hand(made, items, weights):
+    """The loss of the definition, with gradients, and the new priorities: one sequence and one
+    frame at a time."""
+    o = made.options
+    loss, priorities, actions_differ = 0.0, [], 0
+    for b in range(len(items)):
+        steps = items["steps"][b]
+        memory = {name: items["memory"][name][b : b + 1] for name in ("hidden", "cell")}
+        q, target_q = [], []
+        online, target = memory, memory
+        for t in range(len(steps)):
+            frame = Inputs.of(steps[t : t + 1].unsqueeze(1))
+            with torch.set_grad_enabled(t >= BURN_IN):
+                values, online = made.network(frame, online)
+            with torch.no_grad():
+                target_values, target = made.target(frame, target)
+            if t >= BURN_IN:
+                q.append(values[0, 0])
+                target_q.append(target_values[0, 0].double().numpy())
+        rows = {name: steps[name][BURN_IN:] for name in steps.keys() if name != "observation"}
+        following = 0.0
+        errors = [None] * STEPS
+        for t in reversed(range(STEPS)):
+            best = int(q[t + 1].argmax())
+            actions_differ += best != int(target_q[t + 1].argmax())
+            y = target_q[t + 1][best]
+            value = np.sign(y) * (((np.sqrt(1 + 4e-3 * (abs(y) + 1 + 1e-3)) - 1) / 2e-3) ** 2 - 1)
+            if t == STEPS - 1:
+                following = value
+            following = (1 - o.trace_lambda) * value + o.trace_lambda * following
+            if rows["truncated"][t]:
+                following = float(rows["truncation_value"][t])
+            if rows["terminated"][t]:
+                following = 0.0
+            following = float(rows["reward"][t]) + o.discount * following
+            errors[t] = h(following) - q[t][rows["action"][t]]
+        loss = loss + weights[b] * 0.5 * sum(error**2 for error in errors) / len(items)
+        sizes = [abs(float(error.detach())) for error in errors]
+        eta = o.priority_max_weight
+        priorities.append(eta * max(sizes) + (1 - eta) * sum(sizes) / STEPS)
+    assert actions_differ > 0  # else double Q-learning is not put to the test
+    return loss, priorities
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_update_is_the_definitions(seed):
+    made, items = agent(), sequences(5, seed)
+    learned = items["steps"][:, BURN_IN:-1]
+    assert learned["terminated"].any()
+    assert learned["truncated"].any()
+    assert items["steps"]["is_first"][:, 1:BURN_IN].any()
+    weights = torch.tensor([1.0, 0.2, 0.7, 0.5, 0.9])
+    loss, expected = by_hand(made, items, weights)
+    gradients = torch.autograd.grad(loss, list(made.network.parameters()))
+    before = deepcopy(made.network.state_dict())
+    metrics, priorities = made._learn(items, weights)
+    assert metrics["loss"] == pytest.approx(loss.item(), rel=1e-4)
+    np.testing.assert_allclose(priorities, expected, rtol=1e-4)
+    norm = torch.stack([g.norm() for g in gradients]).norm().item()
+    assert metrics["gradient_norm"] == pytest.approx(norm, rel=1e-4)
+    for (name, parameter), gradient in zip(made.network.named_parameters(), gradients, strict=True):
+        torch.testing.assert_close(parameter.grad, gradient, rtol=1e-3, atol=1e-5)
+        # AdamW's first step: its size whatever the gradient's, and the decay of the weight.
+        step = 1e-3 * (gradient / (gradient.abs() + 1e-8) + 1e-4 * before[name])
+        moved = before[name] - parameter
+        certain = gradient.abs() > 1e-4
+        torch.testing.assert_close(moved[certain], step[certain], rtol=1e-2, atol=1e-6)
+
+
+def test_what_was_learned_is_closer():
+    made, items = agent(learning_rate=3e-3, target_period=1000), sequences(5)
+    losses = [made._learn(items, torch.ones(5))[0]["loss"] for _ in range(100)]
+    assert losses[-1] < 0.1 * losses[0]
+
+
+def test_gradients_are_clipped():
+    made = agent(max_gradient_norm=1e-3)
+    metrics, _ = made._learn(sequences(3), torch.ones(3))
+    norms = [p.grad.norm() for p in made.network.parameters()]
+    assert metrics["gradient_norm"] > 1e-3
+    assert torch.stack(norms).norm().item() == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_divergence_changes_no_weights():
+    made, items = agent(), sequences(3)
+    items["steps"]["reward"][0, BURN_IN] = float("inf")
+    before = {name: p.detach().clone() for name, p in made.network.named_parameters()}
+    with pytest.raises(FloatingPointError):
+        made._learn(items, torch.ones(3))
+    for name, parameter in made.network.named_parameters():
+        assert torch.equal(parameter, before[name])
+
+
+def test_the_target_network_follows_every_so_many_steps():
+    made = agent(target_period=3)
+
+    def same():
+        pairs = zip(made.network.parameters(), made.target.parameters(), strict=True)
+        return all(torch.equal(one, other) for one, other in pairs)
+
+    followed = []
+    for seed in range(7):
+        made._learn(sequences(2, seed), torch.ones(2))
+        followed.append(same())
+    assert followed == [False, False, True, False, False, True, False]
+
+
+# Replay
+
+
+@pytest.mark.parametrize("burn_in", [0, BURN_IN, STEPS])
+def test_replay_holds_unrolls_with_the_rows_before_them(burn_in):
+    made = agent(burn_in=burn_in, replay_min=20)
+    collected = list(unrolls(3))
+    history = torch.cat([*(unroll.steps[:-1] for unroll in collected), collected[-1].steps[-1:]])
+    for unroll in collected:
+        reused = unroll.steps.clone()
+        made.update(Unroll(reused, unroll.memory, unroll.late_memory))
+        reused.zero_()  # as the collector writes over it
+    without = 1 if burn_in else 0
+    assert len(made.replay) == (3 - without) * WORLDS
+    items, _, _ = made.replay.sample(64)
+    assert set(items["number"].tolist()) == set(range(len(made.replay)))
+    for item in items:
+        which, world = divmod(int(item["number"]), WORLDS)
+        first = (which + without) * STEPS - burn_in
+        expected = history[first : first + burn_in + STEPS + 1, world]
+        for name in ("action", "is_first", "truncation_value", ("observation", "image")):
+            assert torch.equal(item["steps"][name], expected[name])
+        assert torch.equal(item["steps"]["reward"], expected["reward"] + expected["bonus"])
+        memory = collected[which].late_memory if burn_in else collected[which].memory
+        for name, part in memory.items():
+            assert torch.equal(item["memory"][name], part[world])
+
+
+def test_nothing_is_learned_before_there_is_enough():
+    made = agent(replay_min=8, replay_capacity=16)
+    learned, sizes = [], []
+    for unroll in unrolls(6):
+        metrics = made.update(unroll)
+        learned.append(not np.isnan(metrics["loss"]))
+        sizes.append(metrics["replay_sequences"])
+        assert list(metrics) == [*r2d2.METRICS, "replay_sequences", "samples_per_insert"]
+        assert made.steps == sum(learned)
+    assert sizes == [0, 4, 8, 12, 16, 16]
+    assert learned == [False, False, True, True, True, True]
+
+
+def test_priorities_follow_what_was_learned():
+    made = agent(replay_min=8, samples_per_insert=0.5)
+    for unroll in unrolls(3):
+        made.update(unroll)
+    before = made.replay._buffer.sampler.tree.leaves.copy()
+    batches = []
+    sample, learn = made.replay.sample, made._learn
+    made.replay.sample = lambda size: batches.append(sample(size)) or batches[-1]
+    made._learn = lambda *batch: batches.append(learn(*batch)) or batches[-1]
+    made.update(next(unrolls(1, seed=1)))
+    (_, index, _), (_, priorities) = batches
+    assert len(index) == 2
+    after = made.replay._buffer.sampler.tree.leaves
+    np.testing.assert_allclose(after[index], priorities.numpy() ** 0.9, rtol=1e-5)
+    others = np.setdiff1d(np.arange(8), index)  # what was there, and was not drawn
+    np.testing.assert_array_equal(after[others], before[others])
+
+
+@pytest.mark.parametrize("memory", [LSTM, MLPOptions(name="mlp", size=16, layers=1)])
+def test_after_the_burn_in_memory_is_what_it_was(memory):
+    """With weights that stay: Q of what is replayed is Q of the whole history from its start."""
+    env = Recall(WORLDS, 3)
+    made = R2D2(
+        env.single_observation_space,
+        env.single_action_space,
+        OPTIONS.model_copy(update={"replay_min": 20}),
+        NETWORK,
+        memory,
+        num_envs=WORLDS,
+        unroll_length=STEPS,
+        seed=0,
+    )
+    made.begin_learning()
+    collector = Collector(env, made, unroll_length=STEPS, seed=0)
+    history = []
+    for _ in range(4):
+        unroll = collector.collect()
+        history.append(unroll.steps[:-1].clone())
+        made.update(unroll)
+    history = torch.cat([*history, unroll.steps[-1:]])
+    with torch.no_grad():
+        whole, _ = made.network(Inputs.of(history), made.initial_memory(WORLDS))
+        for item in made.replay.sample(32)[0]:
+            which, world = divmod(int(item["number"]), WORLDS)
+            steps = item["steps"].unsqueeze(1)
+            state = {name: part.unsqueeze(0) for name, part in item["memory"].items()}
+            _, state = made.network(Inputs.of(steps[:BURN_IN]), state)
+            q, _ = made.network(Inputs.of(steps[BURN_IN:]), state)
+            first = (which + 1) * STEPS
+            expected = whole[first : first + STEPS + 1, world]
+            torch.testing.assert_close(q[:, 0], expected, rtol=1e-4, atol=1e-5)
+
+
+# Acting
+
+
+def frames(n):
+    return Inputs(
+        {"image": torch.full((n, 9, 9, 3), 200, dtype=torch.uint8)},
+        torch.full((n,), -1),
+        torch.zeros(n),
+        torch.ones(n, dtype=torch.bool),
+    )
+
+
+def test_exploration_is_as_often_as_epsilon_says_and_absent_when_scored():
+    n = 3000
+    made = agent(worlds=n, epsilon=0.3, replay_capacity=n)
+    generator = torch.Generator().manual_seed(0)
+    memory = made.initial_memory(n)
+    action, _, _ = made.act(frames(n), memory, generator, training=False)
+    q, _ = made.network(frames(n).unsqueeze(), memory)
+    assert (action == q[0].argmax(-1)).all()
+    greedy = int(action[0])
+    action, _, nothing = made.act(frames(n), memory, generator)
+    assert nothing == {}
+    expected = np.full(ACTIONS, 0.3 / ACTIONS)
+    expected[greedy] += 0.7
+    frequencies = np.bincount(action, minlength=ACTIONS) / n
+    sigma = np.sqrt(expected * (1 - expected) / n)
+    assert (abs(frequencies - expected) < 4 * sigma).all()
+
+
+def test_the_ladder():
+    worlds = 8
+    made = agent(worlds=worlds, epsilon=0.4, epsilon_ladder=True)
+    expected = [0.4 ** (1 + 7 * i / (worlds - 1)) for i in range(worlds)]
+    np.testing.assert_allclose(made.epsilon, expected)
+    generator = torch.Generator().manual_seed(0)
+    memory = made.initial_memory(worlds)
+    greedy, _, _ = made.act(frames(worlds), memory, generator, training=False)
+    other = np.zeros(worlds)
+    for _ in range(2000):
+        other += (made.act(frames(worlds), memory, generator)[0] != greedy).numpy() / 2000
+    probability = np.array(expected) * (ACTIONS - 1) / ACTIONS
+    assert (abs(other - probability) < 4 * np.sqrt(probability * (1 - probability) / 2000)).all()
+    assert agent(worlds=1, epsilon_ladder=True, epsilon=0.4).epsilon.tolist() == [0.4]
+
+
+def test_values_are_in_the_rewards_units():
+    made = agent()
+    value = made.value(frames(2), made.initial_memory(2))
+    q, _ = made.network(frames(2).unsqueeze(), made.initial_memory(2))
+    torch.testing.assert_close(value, unrescale(q[0].max(-1).values))
+
+
+def test_advantages_have_no_mean():
+    made = agent()
+    with torch.no_grad():
+        _, core, _ = made.network.remember(frames(2).unsqueeze(), made.initial_memory(2))
+        q, _ = made.network(frames(2).unsqueeze(), made.initial_memory(2))
+        torch.testing.assert_close(q.mean(-1), made.network.value(core).squeeze(-1))
+
+
+# Options
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"samples_per_insert": 0.3}, "agent.samples_per_insert=0.3"),
+        ({"samples_per_insert": 0.1}, "0.4 sequences a batch"),
+        ({"burn_in": 7}, "agent.burn_in=7: should be at most collector.unroll_length=6"),
+        ({"replay_capacity": 3, "replay_min": 1}, "agent.replay_capacity=3: should be at least"),
+        ({"replay_min": 21}, "agent.replay_min=21: should be at most agent.replay_capacity=20"),
+    ],
+)
+def test_impossible_options_are_refused(changes, told):
+    with pytest.raises(ValueError, match=told.replace(".", r"\.")):
+        agent(**changes)
+
+
+def test_the_papers_values():
+    """Its table for the playroom, lifting tasks."""
+    options = R2D2Options.model_validate(
+        OmegaConf.to_container(OmegaConf.load(command_line.CONFIG_DIR / "agent" / "r2d2.yaml"))
+    )
+    assert options.importance_exponent == 0.6
+    assert options.priority_max_weight == 0.5
+    assert options.epsilon == 0.125
+    assert not options.epsilon_ladder
+    assert options.discount == 0.99
+    assert options.trace_lambda == 0.8
+    assert options.learning_rate == 5e-4
+    assert options.adam_epsilon == 1.25e-6
+    assert options.weight_decay == 1e-4
+    assert options.max_gradient_norm == 0.5
+    assert options.target_period == 400
+    assert options.burn_in == 20
+    assert options.replay_capacity == 10**5
+    assert options.samples_per_insert * 32 == 32  # minibatch, with 32 worlds
+
+
+# Runs
+
+
+def config(root, *overrides, **changes):
+    """A tiny run of R2D2."""
+    values = command_line.load([*TINY, "updates=12", f"run_root={root}", *overrides]).model_dump()
+    values["agent"] = (
+        OPTIONS.model_dump()
+        | {"replay_capacity": 24, "replay_min": 12, "target_period": 2}
+        | changes
+    )
+    return Config.model_validate(values | {"condition": "r2d2"})
+
+
+def train_until_killed(options, update):
+    """A run that is gone after an update, whatever its last checkpoint."""
+    run_folder.make(options.folder)
+    run = runner.Run(options)
+    run.evaluate()
+    run.save()
+    while run.update < update:
+        unroll = run.collector.collect()
+        metrics = run.learn(unroll)
+        run.update += 1
+        run.log(unroll, metrics)
+        if run.update % options.schedule.checkpoint_every == 0:
+            run.save()
+    run.close()
+
+
+@pytest.mark.parametrize("storage", ["memory", "memmap"])
+def test_a_killed_run_goes_on_to_the_last_bit(storage, tmp_path):
+    """Killed four updates after a checkpoint; replay was full before, and had begun again."""
+    whole = config(tmp_path / "whole", storage=storage)
+    cut = config(tmp_path / "cut", storage=storage)
+    assert runner.train(whole) == 0
+    train_until_killed(cut, 9)
+    assert checkpoint.load(cut.folder / "checkpoint.pt")["update"] == 5
+    assert runner.train(cut) == 0
+    assert_equal(learned(whole.folder), learned(cut.folder))
+    for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
+        tables = (untimed(run.folder / name) for run in (whole, cut))
+        one, other = (table[table["update"] > 5].reset_index(drop=True) for table in tables)
+        pd.testing.assert_frame_equal(one, other)
+    assert list(one["update"].unique()) == [8, 12]
+
+
+def test_a_run_without_its_replays_files_is_not_gone_on_with(tmp_path):
+    options = config(tmp_path, storage="memmap")
+    train_until_killed(options, 5)
+    seldom = options.model_copy(
+        update={"schedule": options.schedule.model_copy(update={"checkpoint_every": 6})}
+    )
+    with pytest.raises(UserError, match=r"replay: has room for 30 items .* and 36 would come"):
+        runner.train(seldom)
+    shutil.rmtree(options.folder / "replay")
+    with pytest.raises(UserError, match="replay: the replay's files cannot be read"):
+        runner.train(options)
+
+
+def test_what_replay_takes_is_said_and_refused_where_there_is_less(tmp_path, monkeypatch):
+    options = config(tmp_path, storage="memory")
+    train_until_killed(options, 3)
+    log = (options.folder / "train.log").read_text()
+    assert "replay: 24 sequences of 8 rows, " in log
+    assert "replay: 1 samples per insert, batches of 6; learning begins with 12 sequences" in log
+    monkeypatch.setattr(replay, "free_memory", lambda: 1_000_000)
+    with pytest.raises(UserError, match=r"and 1\.0 MB are free: agent\.replay_capacity="):
+        runner.train(config(tmp_path / "other", storage="memory"))
+    assert not (tmp_path / "other" / "demo" / "r2d2" / "seed0" / "checkpoint.pt").exists()
+    # Scoring needs no replay.
+    trained = runner.load_agent(options.folder, "cpu")
+    assert trained.agent.replay is None
+    saved = checkpoint.load(options.folder / "checkpoint.pt")["agent"]["network"]
+    assert_equal(dict(trained.agent.network.state_dict()), dict(saved))
+
+
+# Learning
+
+LEARNER = OPTIONS.model_copy(
+    update={
+        "learning_rate": 2e-3,
+        "max_gradient_norm": 10.0,
+        "discount": 0.95,
+        "trace_lambda": 0.8,
+        "target_period": 20,
+        "epsilon": 0.2,
+        "burn_in": 3,
+        "replay_capacity": 2000,
+        "replay_min": 100,
+        "priority_max_weight": 0.9,
+    }
+)
+
+
+def trained(env, network, memory, *, unroll_length, updates, seed):
+    torch.set_num_threads(1)
+    made = R2D2(
+        env.single_observation_space,
+        env.single_action_space,
+        LEARNER,
+        network,
+        memory,
+        num_envs=env.num_envs,
+        unroll_length=unroll_length,
+        seed=seed,
+    )
+    made.begin_learning()
+    collector = Collector(env, made, unroll_length=unroll_length, seed=seed)
+    for _ in range(updates):
+        made.update(collector.collect())
+    return AgentPolicy(made, seed=seed, device="cpu")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_learns_to_find_three_goals_in_a_room(seed):
+    """Touching any of them is worth a third by chance; the one that is asked for, always 1."""
+    options = {
+        "num_maps": 1,
+        "num_rooms": [1, 1],
+        "room_size": [5, 5],
+        "num_objects": 3,
+        "max_steps": 20,
+        "observation": "tiles",
+    }
+    policy = trained(
+        levels.make_vec("gridworld/uniform", 16, **options),
+        CompactOptions(name="compact", patch=None, channels=16, size=64, head_size=0),
+        MLPOptions(name="mlp", size=64, layers=1),
+        unroll_length=10,
+        updates=450,
+        seed=seed,
+    )
+    env = levels.make_vec("gridworld/uniform", 100, **options)
+    assert play(policy, env, episodes=300, seed=2)["success"].mean() >= 0.95
+
+
+def test_it_learns_to_recall():
+    """What was seen four steps ago, across the bounds of its sequences; a guess is right in 1/4."""
+    delay = 4
+    policy = trained(
+        Recall(32, delay),
+        CompactOptions(name="compact", patch=9, channels=16, size=16, head_size=0),
+        LSTMOptions(name="lstm", size=32),
+        unroll_length=2 * (delay + 1),
+        updates=350,
+        seed=0,
+    )
+    assert play(policy, Recall(100, delay), episodes=300, seed=2)["success"].mean() >= 0.95
