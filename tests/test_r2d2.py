@@ -15,6 +15,7 @@ from test_train import TINY, assert_equal, learned, untimed
 
 from zipf.agents import r2d2, replay
 from zipf.agents.encoders import CompactOptions
+from zipf.agents.gtrxl import GTrXLOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.r2d2 import R2D2, R2D2Options
@@ -355,19 +356,31 @@ def test_priorities_follow_what_was_learned():
     np.testing.assert_array_equal(after[others], before[others])
 
 
-@pytest.mark.parametrize("memory", [LSTM, MLPOptions(name="mlp", size=16, layers=1)])
-def test_after_the_burn_in_memory_is_what_it_was(memory):
+MEMORIES = [
+    LSTM,
+    LSTMOptions(name="lstm", size=16, layers=2),
+    MLPOptions(name="mlp", size=16, layers=1),
+    GTrXLOptions(
+        name="gtrxl", size=16, layers=2, heads=2, memory_length=4, mlp_size=16, gate_bias=2.0
+    ),
+]
+
+
+@pytest.mark.parametrize("memory", MEMORIES, ids=["lstm", "lstm2", "mlp", "gtrxl"])
+@pytest.mark.parametrize("storage", ["memory", "memmap"])
+def test_after_the_burn_in_memory_is_what_it_was(memory, storage, tmp_path):
     """With weights that stay: Q of what is replayed is Q of the whole history from its start."""
     env = Recall(WORLDS, 3)
     made = R2D2(
         env.single_observation_space,
         env.single_action_space,
-        OPTIONS.model_copy(update={"replay_min": 20}),
+        OPTIONS.model_copy(update={"replay_min": 20, "storage": storage}),
         NETWORK,
         memory,
         num_envs=WORLDS,
         unroll_length=STEPS,
         seed=0,
+        replay_folder=tmp_path / "replay",
     )
     made.begin_learning()
     collector = Collector(env, made, unroll_length=STEPS, seed=0)
@@ -388,6 +401,20 @@ def test_after_the_burn_in_memory_is_what_it_was(memory):
             first = (which + 1) * STEPS
             expected = whole[first : first + STEPS + 1, world]
             torch.testing.assert_close(q[:, 0], expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_it_continues_from_its_state(precision):
+    one, other = agent(), agent()
+    one.precision = other.precision = precision
+    collected = list(unrolls(6))
+    for unroll in collected[:4]:
+        one.update(unroll)
+    other.load_state_dict(deepcopy(one.state_dict()))
+    for unroll in collected[4:]:
+        metrics = one.update(unroll)
+        assert other.update(unroll) == metrics
+        assert np.isfinite(metrics["loss"])
 
 
 # Acting
@@ -467,6 +494,17 @@ def test_advantages_have_no_mean():
 def test_impossible_options_are_refused(changes, told):
     with pytest.raises(ValueError, match=told.replace(".", r"\.")):
         agent(**changes)
+
+
+def test_impossible_options_are_told_before_a_run(tmp_path):
+    wrong = config(tmp_path, burn_in=7, samples_per_insert=0.25)
+    assert list(command_line._impossible(wrong)) == [
+        "agent.samples_per_insert=0.25: times collector.num_envs=6 is 1.5 sequences a batch; "
+        "should be a whole number",
+        "agent.burn_in=7: should be at most collector.unroll_length=5",
+    ]
+    with pytest.raises(ValueError, match="burn-in of 2 rows is longer than an unroll of 1"):
+        Collector(Recall(WORLDS, 3), agent(), unroll_length=1, seed=0)
 
 
 def test_the_papers_values():

@@ -1,5 +1,6 @@
 """Replay: what is drawn, how often, and that it goes on from its state wherever it is kept."""
 
+import errno
 from copy import deepcopy
 
 import numpy as np
@@ -242,6 +243,21 @@ def test_what_does_not_fit_is_refused_before_it_is_set_aside(tmp_path, monkeypat
     with pytest.raises(ValueError, match=r"room for 6 between checkpoints.*replay_capacity=10 "):
         build(tmp_path / "replay", capacity=11)
     assert not (tmp_path / "replay").exists()
+
+
+def test_the_disks_room_is_taken_at_once(tmp_path, monkeypatch):
+    kept = build(tmp_path / "replay", capacity=50_000)
+    kept.insert(items(0, 2))
+    taken = sum(p.stat().st_blocks * 512 for p in (tmp_path / "replay").rglob("*.memmap"))
+    assert taken >= kept.bytes
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.posix_fallocate", full)
+    with pytest.raises(OSError, match="other: cannot be written: No space left on device"):
+        build(tmp_path / "other").insert(items(0, 2))
+    assert not (tmp_path / "other").exists()
 
 
 def test_free_memory_and_disk(tmp_path):

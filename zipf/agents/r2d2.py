@@ -172,6 +172,8 @@ class R2D2:
         wrong = list(problems(options, num_envs, unroll_length))
         if wrong:
             raise ValueError("\n".join(wrong))
+        if options.storage == "memmap" and replay_folder is None:
+            raise ValueError("agent.storage=memmap: needs a replay_folder")
         self.options = options
         self.observation_space = observation_space
         self.num_envs = num_envs
@@ -283,6 +285,7 @@ class R2D2:
 
         Raises:
             FloatingPointError: learning has diverged; no weights were changed.
+            OSError: there is no room for the replay's files any more.
         """
         assert self.replay is not None, "begin_learning() comes first"
         self._insert(unroll)

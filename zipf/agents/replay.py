@@ -213,7 +213,11 @@ class Replay:
         return len(self._buffer.sampler) if self._buffer else 0
 
     def insert(self, items: TensorDict) -> None:
-        """Adds items [N], N <= capacity, with the largest priority yet; the oldest go."""
+        """Adds items [N], N <= capacity, with the largest priority yet; the oldest go.
+
+        Raises:
+            OSError: these are the first, and there is no room for the files any more.
+        """
         if self._buffer is None:
             self._open(self.capacity + self.spare, new=True)
             assert self._buffer is not None
@@ -244,7 +248,8 @@ class Replay:
         }
         if self.folder:
             for path in self.folder.rglob("*.memmap"):
-                _write_out(path)
+                with open(path, "r+b") as file:
+                    os.fsync(file.fileno())
         else:
             state["items"] = _leaves(self._items[: len(self)])
         return state
@@ -275,14 +280,28 @@ class Replay:
         if self.folder is None:
             self._items = torch.empty_like(self.item.expand(slots))
         elif new:
-            shutil.rmtree(self.folder, ignore_errors=True)
-            self._items = self.item.expand(slots).memmap_like(self.folder)
+            self._items = self._new_files(slots)
         else:
             self._items = self._existing_files(slots)
         self._buffer = TensorDictReplayBuffer(
             storage=TensorStorage(self._items),
             sampler=PrioritySampler(slots, self.capacity, **self.sampling),
         )
+
+    def _new_files(self, slots: int) -> TensorDict:
+        assert self.folder is not None
+        shutil.rmtree(self.folder, ignore_errors=True)
+        try:
+            items = self.item.expand(slots).memmap_like(self.folder)
+            # Files grow as they are filled; where the disk is full by then, the process is killed.
+            if hasattr(os, "posix_fallocate"):
+                for path in self.folder.rglob("*.memmap"):
+                    with open(path, "r+b") as file:
+                        os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+        except OSError as error:
+            shutil.rmtree(self.folder, ignore_errors=True)
+            raise OSError(f"{self.folder}: cannot be written: {error.strerror}") from None
+        return items
 
     def _existing_files(self, slots: int) -> TensorDict:
         if slots < self.capacity + self.spare:
@@ -370,14 +389,6 @@ def in_words(size: float) -> str:
     units = ("bytes", "kB", "MB", "GB", "TB")
     power = min(max(len(str(int(size))) - 1, 0) // 3, len(units) - 1)
     return f"{size / 1000**power:.{0 if power == 0 else 1}f} {units[power]}"
-
-
-def _write_out(path: Path) -> None:
-    file = os.open(path, os.O_RDWR)
-    try:
-        os.fsync(file)
-    finally:
-        os.close(file)
 
 
 def _leaves(items: TensorDict) -> dict[str, Tensor]:

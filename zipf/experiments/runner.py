@@ -145,7 +145,7 @@ class Run:
         """One update.
 
         Raises:
-            UserError: learning has diverged.
+            UserError: learning has diverged, or there is no room for what it needs.
         """
         try:
             with self.seconds("learning"):
@@ -155,6 +155,8 @@ class Run:
                 f"{self.folder}: learning diverged at update {self.update + 1} ({error}); the "
                 "checkpoint before it is kept; a smaller agent.learning_rate may help"
             ) from None
+        except OSError as error:
+            raise UserError(str(error)) from None
 
     def log(self, unroll: Unroll, metrics: dict[str, float]) -> None:
         """Writes a row of metrics."""
