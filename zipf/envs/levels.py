@@ -26,6 +26,7 @@ from zipf.envs.keys import Keys
 from zipf.envs.mixture import MixtureVectorEnv
 from zipf.envs.playroom import levels as playroom_levels
 from zipf.envs.playroom.expert import Expert as PlayroomExpert
+from zipf.envs.playroom.first_frame import FirstFrameVectorEnv
 from zipf.envs.playroom.keys import KEYS as PLAYROOM_KEYS
 from zipf.envs.playroom.single import PlayroomEnv
 from zipf.envs.playroom.vector import PlayroomVectorEnv
@@ -117,6 +118,41 @@ _FAMILIES = {
         PlayroomExpert,
     ),
 }
+
+
+@dataclass(frozen=True)
+class FirstFrames:
+    """A finding level of the playroom with its first frames as questions; see
+    `FirstFrameVectorEnv`. It has the level's own name."""
+
+    level: str
+
+    def __call__(self, num_envs: int, **options: Any) -> ZipfVectorEnv:
+        return FirstFrameVectorEnv(num_envs, self.level.partition("/")[2], **options)
+
+    def __str__(self) -> str:
+        return self.level
+
+
+def first_frames(split: Split) -> Split:
+    """A split whose levels ask about the first frame alone.
+
+    Raises:
+        ValueError: there are not two objects on the first frames, left and right.
+    """
+    for level in (level for kind in KINDS for level in split.levels(kind)):
+        family, _, name = str(level).partition("/")
+        if family != "playroom" or not playroom_levels.by_name(name).finding:
+            raise ValueError(
+                f"the first frame of {level} does not show two objects, left and right"
+            )
+    train = tuple(FirstFrames(str(level)) for level in split.levels("train"))
+    return Split(
+        split.name,
+        train if len(train) > 1 else train[0],
+        FirstFrames(str(split.uniform)),
+        FirstFrames(str(split.rare)),
+    )
 
 
 def split(name: str) -> Split:

@@ -31,6 +31,7 @@ from zipf.agents.auxiliary import NO_AUXILIARY, build_auxiliary
 from zipf.agents.impala import ImpalaOptions
 from zipf.agents.network import ActorCritic
 from zipf.agents.options import Options
+from zipf.agents.supervised import SupervisedOptions
 from zipf.agents.vmpo import VMPOOptions
 from zipf.envs import levels
 from zipf.experiments.config import (
@@ -68,10 +69,10 @@ def load(overrides: list[str]) -> Config:
     known, problems = _known(_parse(overrides))
     if not any(override.startswith("experiment=") for override in known):
         raise UserError("\n".join(problems))
-    composed = _compose(*known)
+    composed = _compose_condition(*known)
     values = dict(composed.values)
-    if values["condition"] is None:
-        values["condition"] = _condition(composed)
+    name = values.pop("name")
+    values["condition"] = _name(composed) if name is None else name
     try:
         config = Config.model_validate(values)
     except ValidationError as error:
@@ -168,6 +169,19 @@ def _compose(*overrides: str) -> _Composed:
     return _Composed({str(k): v for k, v in values.items()}, choices)
 
 
+def _compose_condition(*overrides: str) -> _Composed:
+    """As `_compose`; with visual reconstruction alone in the paper's gridworld row "Transformer+
+    vis+lang recon", as that world has no language."""
+    composed = _compose(*overrides)
+    if (
+        composed.choices["condition"] == "impala_transformer_vision_language"
+        and composed.values["environment"]["split"] == "gridworld"
+        and not any(override.startswith("auxiliary=") for override in overrides)
+    ):
+        composed = _compose(*overrides, "auxiliary=vision")
+    return composed
+
+
 def _parse(overrides: list[str]) -> list[Override]:
     parser = OverridesParser.create()
     parsed, problems = [], []
@@ -201,6 +215,7 @@ def _jobs(overrides: list[str]) -> Iterator[list[str]]:
 def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
     """The overrides of choices and options that exist, and a line about each that does not."""
     groups = [path.name for path in CONFIG_DIR.iterdir() if path.is_dir()]
+    groups.remove("values")  # they follow from the others
     known, problems, options = [], [], []
     for override in overrides:
         key, text = override.key_or_group, str(override.input_line)
@@ -211,7 +226,9 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
             if value in choices(key):
                 known.append(text)
             else:
-                problems.append(f"{key}={value}: no such {key}; {nearest(value, choices(key))}")
+                own = "; to name a row yourself, say name=<name>" if key == "condition" else ""
+                told = nearest(value, choices(key))
+                problems.append(f"{key}={value}: no such {key}; {told}{own}")
         else:
             options.append(override)
     if not any(override.key_or_group == "experiment" for override in overrides):
@@ -234,7 +251,7 @@ _IN_WORDS = {
     NAME_PATTERN: "should be usable as a folder's name (not empty, no '/', no leading '.')",
     DEVICE_PATTERN: "should be auto, cpu, cuda or cuda:<number>",
     "string_type": "should be text (quote it if it looks like a number)",
-    "string_too_long": "is too long for a folder's name; say condition=<name>",
+    "string_too_long": "is too long for a folder's name; say name=<name>",
 }
 
 
@@ -248,6 +265,8 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             path.append(str(part))
             node = node.get(part) if isinstance(node, dict) else node
         name = ".".join(path)
+        if name == "condition":  # chosen from files, so it is the user's own name that is wrong
+            name = "name"
         if problem["type"] == "missing" or problem["input"] == "???":
             yield f"{name}: is not set"
         elif problem["type"] == "union_tag_invalid":
@@ -290,8 +309,15 @@ def _impossible(config: Config) -> Iterator[str]:
         yield str(error)
     if any(path.exists() and not path.is_dir() for path in (config.folder, *config.folder.parents)):
         yield f"run_root={config.run_root}: should be a folder, and a file is in its way"
+    if isinstance(config.agent, SupervisedOptions) and config.exploration.name != "none":
+        yield (
+            f"exploration={config.exploration.name}: agent=supervised answers questions and "
+            "explores nothing; choose exploration=none"
+        )
     built = {name: value for name, value in config.model_dump().items() if name in _BUILT}
-    problem = _cannot_be_built(json.dumps(built, sort_keys=True), config)
+    problem = _cannot_be_built(
+        json.dumps({"agent": config.agent.name, **built}, sort_keys=True), config
+    )
     if problem:
         yield problem
 
@@ -305,7 +331,11 @@ def _cannot_be_built(key: str, config: Config) -> str | None:
     if key not in _buildable:
         _buildable[key] = None
         try:
-            split = levels.split(config.environment.split)
+            split = config.split
+        except ValueError as error:
+            _buildable[key] = f"agent={config.agent.name}: {error}; choose experiment=playroom_find"
+            return _buildable[key]
+        try:
             for level in (level for kind in levels.KINDS for level in split.levels(kind)):
                 env = levels.make_vec(level, 1, **config.level_options)
         except ValueError as error:
@@ -321,25 +351,35 @@ def _cannot_be_built(key: str, config: Config) -> str | None:
     return _buildable[key]
 
 
-def _condition(composed: _Composed) -> str:
-    """Names a row: agent, memory and auxiliary as the paper's rows, then whatever else differs.
+def _name(composed: _Composed) -> str:
+    """Names a row: the condition, or what it would be by agent, memory and auxiliary; then whatever
+    else differs.
 
     The paper's plain agent has an LSTM, so that goes without saying.
     """
     chosen = composed.choices
-    name = chosen["agent"]
-    for group, plain in (("memory", "lstm"), ("auxiliary", "none")):
-        if chosen[group] != plain:
-            name += f"_{chosen[group]}"
-    experiment = f"experiment={chosen['experiment']}"
-    usual = _compose(experiment).choices
-    base = flatten(_compose(experiment, *(f"{g}={chosen[g]}" for g in _GROUPS)).values)
-    for group in ("network", "exploration"):
+    name = chosen["condition"]
+    if name == "None":
+        name = chosen["agent"]
+        for group, plain in (("memory", "lstm"), ("auxiliary", "none")):
+            if chosen[group] != plain:
+                name += f"_{_IN_NAMES.get(chosen[group], chosen[group])}"
+    start = [f"experiment={chosen['experiment']}"]
+    groups = ["network", "exploration"]
+    if name in choices("condition"):
+        start.append(f"condition={name}")
+        groups += ["agent", "memory", "auxiliary"]
+    usual = _compose_condition(*start).choices
+    base = flatten(_compose_condition(*start, *(f"{g}={chosen[g]}" for g in _GROUPS)).values)
+    for group in groups:
         if chosen[group] != usual[group]:
             name += f",{group}={chosen[group]}"
     for option, value in flatten(composed.values).items():
-        if option.split(".")[0] in NOT_LEARNED | {"seed", "experiment"}:
+        if option.split(".")[0] in NOT_LEARNED | {"seed", "experiment", "name"}:
             continue
         if value != base.get(option):
             name += f",{option}={str(value).replace(' ', '').replace('/', '_')}"
     return name
+
+
+_IN_NAMES = {"gtrxl": "transformer"}  # the paper's word for it

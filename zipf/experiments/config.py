@@ -15,7 +15,9 @@ from zipf.agents.impala import ImpalaOptions
 from zipf.agents.memory import MemoryOptions
 from zipf.agents.options import Options
 from zipf.agents.r2d2 import R2D2Options
+from zipf.agents.supervised import SupervisedOptions
 from zipf.agents.vmpo import VMPOOptions
+from zipf.envs import levels
 from zipf.experiments.errors import UserError
 
 PositiveInt = Annotated[int, Field(ge=1)]
@@ -51,7 +53,9 @@ class PlayroomOptions(Options):
 EnvironmentOptions = Annotated[GridworldOptions | PlayroomOptions, Field(discriminator="split")]
 
 
-AgentOptions = Annotated[ImpalaOptions | VMPOOptions | R2D2Options, Field(discriminator="name")]
+AgentOptions = Annotated[
+    ImpalaOptions | VMPOOptions | R2D2Options | SupervisedOptions, Field(discriminator="name")
+]
 
 
 class CollectorOptions(Options):
@@ -110,6 +114,18 @@ class Config(Options):
         return (
             Path(self.run_root).expanduser() / self.experiment / self.condition / f"seed{self.seed}"
         )
+
+    @property
+    def split(self) -> levels.Split:
+        """The levels that are played; a classifier is asked about their first frames alone.
+
+        Raises:
+            ValueError: a classifier, and levels that it cannot be asked about.
+        """
+        split = levels.split(self.environment.split)
+        if isinstance(self.agent, SupervisedOptions):
+            return levels.first_frames(split)
+        return split
 
     @property
     def level_options(self) -> dict[str, Any]:

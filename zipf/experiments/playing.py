@@ -132,6 +132,8 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
     level_options = trained.config.level_options if trained else {}
     agent = None
     if trained and policy == "agent":
+        if trained.config.agent.name == "supervised":
+            raise UserError(f"run={options.run}: a classifier answers questions and does not act")
         actions = derive_seed(seed, "actions")
         agent = AgentPolicy(trained.agent, seed=actions, device=trained.config.torch_device)
     worlds = []
@@ -182,7 +184,7 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
 
 def _check_spaces(level: str, env: ZipfVectorEnv, trained: runner.Trained) -> None:
     # Its spaces are the training levels', which may be several.
-    known = levels.split(trained.config.environment.split).uniform
+    known = trained.config.split.uniform
     learned = levels.make_vec(known, 1, **trained.config.level_options)
     for space in ("single_observation_space", "single_action_space"):
         if getattr(env, space) != getattr(learned, space):

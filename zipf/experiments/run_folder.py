@@ -44,13 +44,13 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
                 raise UserError(
                     f"{config.folder / name}: holds results up to update {last}, and their "
                     "checkpoint is gone; bring it back, or remove the folder, or choose another "
-                    "run_root or condition"
+                    "run_root or name"
                 )
         return None
     if config.resume == "never":
         raise UserError(
             f"resume=never: {config.folder} holds a run already; remove it, or choose another "
-            "run_root or condition"
+            "run_root or name"
         )
     saved = checkpoint.load(path)
     check_options(path, saved, config)
@@ -73,7 +73,7 @@ def check_options(path: Path, saved: dict[str, Any], config: Config) -> None:
     if differing:
         raise UserError(
             f"{path}: was made with other options ({'; '.join(differing)}); choose another "
-            "run_root or condition, or the same options"
+            "run_root or name, or the same options"
         )
 
 

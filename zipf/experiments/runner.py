@@ -18,6 +18,7 @@ import torch
 from zipf.agents.exploration import build_exploration
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.r2d2 import R2D2, R2D2Options
+from zipf.agents.supervised import Supervised, SupervisedOptions
 from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import VMPO, VMPOOptions
 from zipf.envs import levels
@@ -77,8 +78,7 @@ class Run:
     def __init__(self, config: Config):
         self.config = config
         self.folder = config.folder
-        split = levels.split(config.environment.split)
-        env = levels.make_vec(split.train, config.collector.num_envs, **config.level_options)
+        env = levels.make_vec(config.split.train, config.collector.num_envs, **config.level_options)
         self.agent = build_agent(config, env)
         try:
             notes = self.agent.begin_learning()
@@ -258,6 +258,8 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
                     updates_between_checkpoints=config.schedule.checkpoint_every,
                     **common,
                 )
+            case SupervisedOptions():
+                return Supervised(*spaces, config.agent, config.network, config.memory, **common)
     except ValueError as error:
         raise UserError(str(error)) from None
 
@@ -268,7 +270,7 @@ def evaluate_agent(
     """Scores an agent on its split's levels; every draw comes from `seed`."""
     return evaluate(
         AgentPolicy(agent, seed=derive_seed(seed, "actions"), device=config.torch_device),
-        levels.split(config.environment.split),
+        config.split,
         episodes=episodes,
         num_envs=num_envs,
         seed=seed,
@@ -312,8 +314,7 @@ def load_agent(folder: Path, device: str) -> Trained:
     saved = checkpoint.load(folder / "checkpoint.pt")
     run_folder.check_options(folder / "checkpoint.pt", saved, config)
     # Its spaces are the training levels', which may be several.
-    level = levels.split(config.environment.split).uniform
-    env = levels.make_vec(level, 1, **config.level_options)
+    env = levels.make_vec(config.split.uniform, 1, **config.level_options)
     agent = build_agent(config, env)
     env.close()
     with run_folder.fits(folder / "checkpoint.pt"):

@@ -1,0 +1,168 @@
+"""The paper's supervised classifier: left or right, told by an episode's first frame.
+
+It is trained by cross-entropy and has the encoders of the agents that act. Its worlds ask one
+question an episode: the action is the answer, and the reward says whether that was right
+(`zipf.envs.playroom.first_frame`). In training it answers by tossing a coin. That costs nothing,
+and says which answer is right, as there are two of them. Where both are right, because both objects
+are the same, the label is the coin's toss: as in the paper, no side is wrong, and neither is taught.
+
+An update learns from num_envs x unroll_length first frames, each of an episode of its own: as many
+images as an update of the agents that act, so frames, updates and time compare; the paper does not
+say how many its classifier learned from at a time.
+"""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from typing import Annotated, Any, Literal
+
+import gymnasium as gym
+import torch
+import torch.nn.functional as F
+from pydantic import Field
+from torch import Tensor
+
+from zipf.agents.encoders import NetworkOptions
+from zipf.agents.memory import MemoryOptions, State
+from zipf.agents.network import Inputs, Torso, head
+from zipf.agents.options import Options
+from zipf.agents.unroll import Unroll
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, lt=1)]
+
+
+class SupervisedOptions(Options):
+    """What can be chosen; sources of the values are in `configs/agent/supervised.yaml`."""
+
+    name: Literal["supervised"]
+    learning_rate: Positive
+    adam_beta1: Fraction
+    adam_beta2: Fraction
+    adam_epsilon: Positive
+    max_gradient_norm: Positive
+
+
+class Classifier(Torso):
+    """An acting agent's network, asked for one of two answers at an episode's first frame."""
+
+    def __init__(
+        self,
+        observation_space: gym.spaces.Dict,
+        action_space: gym.spaces.Discrete,
+        network: NetworkOptions,
+        memory: MemoryOptions,
+    ):
+        super().__init__(observation_space, action_space, network, memory)
+        self.answer = head(self.memory.size, network.head_size, self.actions)
+
+    def forward(self, inputs: Inputs, state: State) -> Tensor:
+        """Logits of the answers, float32 [T, B, 2]."""
+        _, core, _ = self.remember(inputs, state)
+        return self.answer(core).float()
+
+
+class Supervised:
+    """The classifier, as an agent: answers batches of questions and learns from unrolls of them.
+
+    Args:
+        observation_space, action_space: of one world.
+        seed: of the network's initial weights.
+        precision: "float32", or "bfloat16" for automatic mixed precision.
+
+    Raises:
+        ValueError: there are not two answers.
+    """
+
+    burn_in = 0
+
+    def __init__(
+        self,
+        observation_space: gym.spaces.Dict,
+        action_space: gym.spaces.Discrete,
+        options: SupervisedOptions,
+        network: NetworkOptions,
+        memory: MemoryOptions,
+        *,
+        seed: int,
+        device: str = "cpu",
+        precision: str = "float32",
+    ):
+        if action_space.n != 2:
+            raise ValueError(f"a classifier chooses one of two answers, not of {action_space.n}")
+        self.options = options
+        self.device = device
+        self.precision = precision
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.network = Classifier(observation_space, action_space, network, memory)
+        self.network.to(device)
+        self.optimiser = torch.optim.Adam(
+            self.network.parameters(),
+            lr=options.learning_rate,
+            betas=(options.adam_beta1, options.adam_beta2),
+            eps=options.adam_epsilon,
+            fused=True,
+        )
+
+    def initial_memory(self, batch: int) -> State:
+        """The memory before the first frame of `batch` worlds; it is also that after it."""
+        return self.network.memory.initial_state(batch)
+
+    @torch.no_grad()
+    def act(
+        self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
+    ) -> tuple[Tensor, State, dict[str, Tensor]]:
+        """Answers in each of B worlds, int64 [B]: tosses of a coin in training, else its best."""
+        batch = len(inputs.is_first)
+        if training:
+            return torch.randint(2, (batch,), generator=generator), memory, {}
+        with self._autocast():
+            logits = self.network(inputs.unsqueeze(), memory)
+        return logits[0].argmax(-1), memory, {}
+
+    def value(self, inputs: Inputs, memory: State) -> Tensor:
+        """What is expected after a question was cut short, [B]: nothing, as that never happens."""
+        return torch.zeros(len(inputs.is_first), device=self.device)
+
+    def begin_learning(self) -> list[str]:
+        """There is nothing to set aside for learning, and nothing to say about it."""
+        return []
+
+    def update(self, unroll: Unroll) -> dict[str, float]:
+        """One optimiser step on the unroll's first T rows; `accuracy` is by their labels, which are
+        tosses of a coin where both objects are the same.
+
+        Raises:
+            FloatingPointError: learning has diverged; nothing was changed.
+        """
+        steps = unroll.steps[:-1]
+        label = torch.where(steps["reward"] > 0, steps["action"], 1 - steps["action"])
+        with self._autocast():
+            logits = self.network(Inputs.of(steps), unroll.memory)
+        loss = F.cross_entropy(logits.flatten(0, 1), label.flatten())
+
+        self.optimiser.zero_grad()
+        loss.backward()
+        parameters = self.network.parameters()
+        norm = torch.nn.utils.clip_grad_norm_(parameters, self.options.max_gradient_norm)
+        if not norm.isfinite():
+            raise FloatingPointError(f"the gradient's norm is {norm.item()}")
+        self.optimiser.step()
+        accuracy = (logits.argmax(-1) == label).float().mean()
+        metrics = {"loss": loss, "accuracy": accuracy, "gradient_norm": norm}
+        return {name: metric.item() for name, metric in metrics.items()}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that `update` changes."""
+        return {"network": self.network.state_dict(), "optimiser": self.optimiser.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continues from `state_dict()`."""
+        self.network.load_state_dict(state["network"])
+        self.optimiser.load_state_dict(state["optimiser"])
+
+    def _autocast(self) -> Any:
+        if self.precision == "float32":
+            return nullcontext()
+        return torch.autocast(torch.device(self.device).type, torch.bfloat16)
