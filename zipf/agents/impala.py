@@ -192,7 +192,8 @@ class Impala:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
         self.network.load_state_dict(state["network"])
-        self.auxiliary.load_state_dict(state["auxiliary"])
+        if "auxiliary" in state:  # it is younger than the first runs, which had no such loss
+            self.auxiliary.load_state_dict(state["auxiliary"])
         self.optimiser.load_state_dict(state["optimiser"])
 
     def _autocast(self) -> Any:

@@ -1,0 +1,698 @@
+"""Auxiliary losses against their definitions, written out, and what they teach a memory."""
+
+import math
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+import torch.nn.functional as F
+from tensordict import TensorDict
+
+from zipf.agents import auxiliary as aux
+from zipf.agents.encoders import CompactOptions, ResNetOptions, ShallowOptions
+from zipf.agents.impala import Impala, ImpalaOptions
+from zipf.agents.memory import LSTMOptions, MLPOptions
+from zipf.agents.network import ActorCritic, Inputs
+from zipf.agents.unroll import Unroll
+from zipf.agents.vmpo import VMPO, VMPOOptions
+from zipf.envs import levels
+from zipf.experiments import checkpoint, command_line, runner
+from zipf.experiments.errors import UserError
+
+ACTIONS, STEPS, BATCH, WORDS, LENGTH = 3, 7, 4, 6, 5
+COMPACT = CompactOptions(name="compact", patch=None, channels=8, size=16, head_size=0)
+RESNET = ResNetOptions(name="resnet", channels=[4, 6, 5], blocks=2, head_size=0)
+SHALLOW = ShallowOptions(
+    name="shallow", channels=[4, 6], kernels=[6, 3], strides=[3, 2], size=16, head_size=0
+)
+NETWORKS = {"compact": COMPACT, "resnet": RESNET, "shallow": SHALLOW}
+MEMORIES = {
+    "mlp": MLPOptions(name="mlp", size=16, layers=1),
+    "lstm": LSTMOptions(name="lstm", size=16, layers=1),
+}
+
+VISION = aux.VisionOptions(name="vision", vision_weight=0.7, fraction=1.0)
+VISION_LANGUAGE = aux.VisionLanguageOptions(
+    name="vision_language", vision_weight=0.7, language_weight=0.3, fraction=1.0
+)
+SIZES = {
+    "weight": 0.6,
+    "fraction": 1.0,
+    "target_rate": 0.9,
+    "forward_hidden": 10,
+    "projection_hidden": 12,
+    "prediction_hidden": 9,
+    "projection_size": 8,
+}
+BYOL = aux.BYOLOptions(name="byol", **SIZES)
+HORIZON = aux.BYOLHorizonOptions(name="byol_horizon", horizon=3, shift=0, unshifted=0, **SIZES)
+OPTIONS = {o.name: o for o in (VISION, VISION_LANGUAGE, BYOL, HORIZON)}
+
+
+def space(height=27, width=18):
+    return gym.spaces.Dict(
+        image=gym.spaces.Box(0, 255, (height, width, 3), np.uint8),
+        instruction=gym.spaces.Box(0, WORDS - 1, (LENGTH,), np.int64),
+    )
+
+
+def build(options, network=COMPACT, memory="lstm", shape=(27, 18), seed=0):
+    """An actor-critic and its auxiliary loss."""
+    torch.manual_seed(0)
+    actor = ActorCritic(space(*shape), gym.spaces.Discrete(ACTIONS), network, MEMORIES[memory])
+    return actor, aux.build_auxiliary(options, space(*shape), network, actor, seed=seed)
+
+
+def inputs(seed=0, shape=(27, 18)):
+    """Rows of several short episodes, with instructions of all lengths."""
+    rng = np.random.default_rng(seed)
+    rows = (STEPS + 1, BATCH)
+    words = rng.integers(1, WORDS, size=(*rows, LENGTH))
+    words[np.arange(LENGTH) >= rng.integers(LENGTH + 1, size=(*rows, 1))] = 0
+    is_first = rng.random(rows) < 0.25
+    actions = np.where(is_first, -1, rng.integers(ACTIONS, size=rows))
+    return Inputs(
+        {
+            "image": torch.tensor(rng.integers(256, size=(*rows, *shape, 3)), dtype=torch.uint8),
+            "instruction": torch.tensor(words),
+        },
+        torch.tensor(actions),
+        torch.zeros(rows),
+        torch.tensor(is_first),
+    )
+
+
+def cores(seed=0):
+    return torch.tensor(
+        np.random.default_rng(seed).normal(size=(STEPS + 1, BATCH, 16)), dtype=torch.float32
+    )
+
+
+# The losses
+
+
+def test_the_image_loss_is_the_definition():
+    _, loss_of = build(VISION)
+    data, core = inputs(), cores()
+    images = data.observation["image"][:STEPS].reshape(STEPS * BATCH, -1)
+    start = []  # the mean image, within 1 and 99 percent
+    for column in images.T.tolist():
+        mean = min(max(sum(column) / len(column) / 255, 0.01), 0.99)
+        start.append(math.log(mean / (1 - mean)))
+    total, channels = 0.0, 0
+    for t in range(STEPS):
+        for b in range(BATCH):
+            logits = loss_of.image(core[t, b][None])[0].flatten().tolist()
+            pixels = data.observation["image"][t, b].flatten().tolist()
+            for mean, logit, pixel in zip(start, logits, pixels, strict=True):
+                p = 1 / (1 + math.exp(-mean - logit))
+                y = pixel / 255
+                total -= y * math.log(p) + (1 - y) * math.log(1 - p)
+                channels += 1
+    loss, metrics = loss_of(data, core)
+    assert metrics.keys() == {"auxiliary_vision"}
+    assert metrics["auxiliary_vision"].item() == pytest.approx(total / channels, rel=1e-5)
+    assert loss.item() == pytest.approx(0.7 * total / channels, rel=1e-5)
+
+
+def test_the_language_loss_is_the_definition():
+    """An LSTM of textbooks, told the true words so far, one word at a time."""
+    _, loss_of = build(VISION_LANGUAGE)
+    data, core = inputs(), cores()
+    decoder = loss_of.instruction
+    w_in, w_hidden, b_in, b_hidden = decoder.lstm.parameters()
+    total, words = 0.0, 0
+    with torch.no_grad():
+        for t in range(STEPS):
+            for b in range(BATCH):
+                hidden, cell = decoder.state(core[t, b]).chunk(2)
+                before = 0
+                for word in data.observation["instruction"][t, b].tolist():
+                    gates = w_in @ decoder.embedding.weight[before] + b_in
+                    enter, forget, new, leave = (gates + w_hidden @ hidden + b_hidden).chunk(4)
+                    cell = forget.sigmoid() * cell + enter.sigmoid() * new.tanh()
+                    hidden = leave.sigmoid() * cell.tanh()
+                    if word != 0:
+                        total -= decoder.words(hidden).log_softmax(-1)[word].item()
+                        words += 1
+                    before = word
+    assert 0 < words < STEPS * BATCH * LENGTH
+    loss, metrics = loss_of(data, core)
+    assert metrics.keys() == {"auxiliary_vision", "auxiliary_language"}
+    assert metrics["auxiliary_language"].item() == pytest.approx(total / words, rel=1e-5)
+    vision = metrics["auxiliary_vision"].item()
+    assert loss.item() == pytest.approx(0.7 * vision + 0.3 * total / words, rel=1e-5)
+
+
+def test_a_level_without_words_has_no_language_loss():
+    _, loss_of = build(VISION_LANGUAGE)
+    data = inputs()
+    data.observation["instruction"].zero_()
+    _, metrics = loss_of(data, cores())
+    assert metrics["auxiliary_language"] == 0
+
+
+def mlp_by_hand(mlp, rows):
+    """Linear, batch normalisation over these rows, ReLU, linear: [N, inputs] -> [N, outputs]."""
+    hidden = torch.stack([mlp.enter(row) for row in rows])
+    columns = []
+    for i, column in enumerate(hidden.T):
+        deviation = math.sqrt(column.var(unbiased=False).item() + 1e-5)
+        columns.append(mlp.scale[i] * (column - column.mean()) / deviation + mlp.offset[i])
+    return torch.stack([mlp.leave(row.relu()) for row in torch.stack(columns).T])
+
+
+@pytest.mark.parametrize(("options", "horizon"), [(BYOL, 1), (HORIZON, 3)])
+def test_the_byol_loss_is_the_definition(options, horizon):
+    """One world, one row and one distance at a time, but for what is normalised over all rows."""
+    _, loss_of = build(options)
+    data, core = inputs(), cores()
+    with torch.no_grad():  # as after some updates
+        for name, parameter in loss_of.named_parameters():
+            if name.endswith(("scale", "offset")):
+                parameter.add_(torch.randn(parameter.shape))
+    forward_map = loss_of.forward_map
+
+    def encoded(t, b):
+        seen = {name: part[t, b][None] for name, part in data.observation.items()}
+        return loss_of.target_encoder(seen)[0]
+
+    with torch.no_grad():
+        places = [
+            (t, b) for t in range(1, STEPS + 1) for b in range(BATCH) if not data.is_first[t, b]
+        ]
+        codes = mlp_by_hand(loss_of.target_projector, [encoded(t, b) for t, b in places])
+        target = dict(zip(places, codes, strict=True))
+
+        features = {k: {} for k in range(1, horizon + 1)}
+        for b in range(BATCH):
+            for t in range(STEPS):
+                state = None
+                for k in range(1, horizon + 1):
+                    if t + k > STEPS or data.is_first[t + k, b]:
+                        break
+                    action = F.one_hot(data.previous_action[t + k, b], ACTIONS).float()
+                    if horizon == 1:
+                        now = forward_map.layers(torch.cat([core[t, b], action]))
+                    else:
+                        state = forward_map.begin(core[t, b]).tanh() if state is None else state
+                        state = forward_map.gru(action, state)
+                        now = forward_map.end(state)
+                    features[k][t + k, b] = now
+
+        total, pairs = 0.0, 0
+        for at in features.values():
+            predicted = mlp_by_hand(
+                loss_of.predictor, mlp_by_hand(loss_of.projector, list(at.values()))
+            )
+            for code, place in zip(predicted, at, strict=True):
+                cosine = code @ target[place] / (code.norm() * target[place].norm())
+                total += 2 - 2 * cosine.item()
+                pairs += 1
+        directions = [code / code.norm() for code in codes]
+        mean = sum(directions) / len(directions)
+        spread = math.sqrt(sum((d - mean).square().sum().item() for d in directions) / len(codes))
+    assert 0 < pairs < STEPS * BATCH * horizon
+    loss, metrics = loss_of(data, core)
+    assert metrics.keys() == {"auxiliary_byol", "auxiliary_byol_spread"}
+    assert metrics["auxiliary_byol"].item() == pytest.approx(total / pairs, rel=1e-4)
+    assert metrics["auxiliary_byol_spread"].item() == pytest.approx(spread, rel=1e-4)
+    assert loss.item() == pytest.approx(0.6 * total / pairs, rel=1e-4)
+
+
+@pytest.mark.parametrize("options", [BYOL, HORIZON], ids=lambda o: o.name)
+def test_the_next_episode_is_not_predicted(options):
+    """With the memory's outputs held fixed, frames matter as targets alone."""
+    _, loss_of = build(options)
+    core = cores()
+    loss, _ = loss_of(inputs(), core)
+    for b in range(BATCH):
+        for row in range(STEPS + 1):
+            data = inputs()
+            data.observation["image"][row, b] ^= 255
+            changed = loss_of(data, core)[0] != loss
+            assert changed == (row > 0 and not data.is_first[row, b]), (row, b)
+
+
+def test_episodes_of_one_frame_have_nothing_to_predict():
+    _, loss_of = build(HORIZON)
+    data = inputs()
+    data.is_first.fill_(True)
+    loss, _ = loss_of(data, cores())
+    assert loss == 0
+
+
+@pytest.mark.parametrize("options", [VISION, VISION_LANGUAGE], ids=lambda o: o.name)
+def test_the_next_unrolls_first_row_is_left_to_it(options):
+    _, loss_of = build(options)
+    core = cores()
+    loss, _ = loss_of(inputs(), core)
+    for row in range(STEPS + 1):
+        data = inputs()
+        data.observation["image"][row, 1] ^= 255
+        assert (loss_of(data, core)[0] != loss) == (row < STEPS)
+
+
+@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
+def test_bfloat16_computes_the_same(options):
+    actor, loss_of = build(options)
+    data = inputs()
+    losses = []
+    for enabled in (False, True):
+        with torch.autocast("cpu", torch.bfloat16, enabled=enabled):
+            outputs = actor(data, actor.memory.initial_state(BATCH))
+            loss, metrics = loss_of(data, outputs.core)
+        loss.backward()
+        assert loss.dtype == torch.float32
+        assert all(metric.dtype == torch.float32 for metric in metrics.values())
+        losses.append(loss.item())
+    assert losses[0] == pytest.approx(losses[1], rel=0.05)
+    assert losses[0] != losses[1]
+
+
+# What they are made of
+
+
+@pytest.mark.parametrize("shape", [(63, 63), (72, 96), (36, 48), (64, 45)])
+@pytest.mark.parametrize("network", NETWORKS.values(), ids=NETWORKS)
+def test_every_network_has_a_mirror_image(network, shape):
+    actor, loss_of = build(VISION, network, shape=shape)
+    assert loss_of.image(torch.zeros(2, 16)).shape == (2, *shape, 3)
+    decoder, encoder = loss_of.image, actor.encoder.image
+    if network is COMPACT:
+        assert decoder.patch == encoder.patch
+        assert decoder.unembed.weight.shape == encoder.embed.weight.T.shape
+        assert decoder.unmix.out_features == encoder.mix.in_features
+        return
+
+    def filters(module):
+        layers = torch.nn.Conv2d, torch.nn.ConvTranspose2d
+        return [layer.weight.shape for layer in module.modules() if isinstance(layer, layers)]
+
+    assert filters(decoder) == filters(encoder)[::-1]
+    assert len(filters(decoder)) == (15 if network is RESNET else 2)
+
+
+def test_a_patch_is_put_back_where_it_was():
+    """Against the transposed convolution that the products stand for."""
+    _, loss_of = build(VISION)
+    decoder = loss_of.image
+    core = cores()[0]
+    embedded = decoder.unmix(core).relu().view(BATCH, 3, 2, 8).permute(0, 3, 1, 2)
+    kernel = decoder.unembed.weight.view(9, 9, 3, 8).permute(3, 2, 0, 1)
+    expected = F.conv_transpose2d(embedded, kernel, stride=9).permute(0, 2, 3, 1)
+    expected = expected + decoder.unembed.bias.view(9, 9, 3).repeat(3, 2, 1)
+    torch.testing.assert_close(decoder(core), expected)
+
+
+@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
+@pytest.mark.parametrize("memory", MEMORIES)
+@pytest.mark.parametrize("network", NETWORKS.values(), ids=NETWORKS)
+def test_gradients_reach_memory_and_encoder(options, memory, network):
+    actor, loss_of = build(options, network, memory)
+    data = inputs()
+    outputs = actor(data, actor.memory.initial_state(BATCH))
+    loss_of(data, outputs.core)[0].backward()
+    for name, parameter in actor.named_parameters():
+        if name.startswith(("encoder", "memory")):
+            assert parameter.grad.abs().sum() > 0, name
+        else:
+            assert parameter.grad is None, name
+    for name, parameter in loss_of.named_parameters():
+        assert (parameter.grad is None) == name.startswith("target"), name
+    slow = [p for name, p in loss_of.named_parameters() if name.startswith("target")]
+    assert bool(slow) == ("byol" in options.name)
+    assert len(loss_of.learned()) == len(list(loss_of.parameters())) - len(slow)
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.9, 0.99, 1.0])
+def test_the_target_follows_slowly(rate):
+    actor, loss_of = build(BYOL.model_copy(update={"target_rate": rate}))
+    online = [*actor.encoder.parameters(), *loss_of.projector.parameters()]
+    target = [*loss_of.target_encoder.parameters(), *loss_of.target_projector.parameters()]
+    for slow, fast in zip(target, online, strict=True):
+        assert torch.equal(slow, fast)  # it begins there
+    with torch.no_grad():
+        for parameter in online:
+            parameter.add_(torch.randn(parameter.shape))
+    before = [slow.clone() for slow in target]
+    loss_of.after_update(actor.encoder)
+    for slow, was, fast in zip(target, before, online, strict=True):
+        expected = rate * was + (1 - rate) * fast.detach()
+        torch.testing.assert_close(slow, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_the_mean_image_is_the_first_updates():
+    actor, loss_of = build(VISION)
+    loss_of(inputs(0), cores())
+    first = loss_of.mean_image.clone()
+    assert first.shape == (27, 18, 3)
+    loss_of.after_update(actor.encoder)
+    loss_of(inputs(1), cores())
+    assert torch.equal(loss_of.mean_image, first)
+
+
+# The shift
+
+
+def test_an_image_is_shifted_and_its_cue_is_not():
+    """Pixel by pixel: what is shifted away from, over or out of the cue's square."""
+    most, cue, n, height, width = 4, 9, 200, 15, 17
+    rng = np.random.default_rng(0)
+    images = rng.integers(200, size=(n, height, width, 3), dtype=np.uint8)
+    images[:, :cue, :cue] += 56  # the cue's channels are not the others'
+    images[:, :cue, :cue] |= 1 << 7
+    images[:, cue:] &= 127
+    images[:, :, cue:] &= 127
+    draws = torch.Generator().manual_seed(3)
+    down, right = torch.randint(0, 2 * most + 1, (2, n), generator=draws).numpy() - most
+    assert set(zip(down.tolist(), right.tolist(), strict=True)) >= {(0, 0), (4, -4), (-4, 4)}
+
+    shifted = aux.random_shift(
+        torch.from_numpy(images), most, cue, torch.Generator().manual_seed(3)
+    ).numpy()
+    for i in range(n):
+        for y in range(height):
+            for x in range(width):
+                from_y = min(max(y + down[i], 0), height - 1)
+                from_x = min(max(x + right[i], 0), width - 1)
+                if (y < cue and x < cue) or (from_y < cue and from_x < cue):
+                    from_y, from_x = y, x
+                assert (shifted[i, y, x] == images[i, from_y, from_x]).all()
+    is_cue = shifted >= 128
+    assert is_cue[:, :cue, :cue].all()
+    assert is_cue.sum() == n * cue * cue * 3
+    assert (shifted != images).any((1, 2, 3)).sum() > 0.9 * n
+
+
+# What is drawn at random
+
+
+def test_a_fraction_of_the_frames_is_read():
+    """Others every update, and the same again in a run that goes on."""
+    half = VISION.model_copy(update={"fraction": 0.5})
+    actor, loss_of = build(half)
+    data, core = inputs(), cores().requires_grad_()
+
+    def frames_read(module):
+        core.grad = None
+        module(data, core)[0].backward()
+        return core.grad.abs().sum(-1) > 0
+
+    first = frames_read(loss_of)
+    assert first.sum() == STEPS * BATCH / 2
+    assert not first[STEPS].any()
+    assert torch.equal(frames_read(loss_of), first)
+    loss_of.after_update(actor.encoder)
+    second = frames_read(loss_of)
+    assert not torch.equal(second, first)
+    _, again = build(half)
+    again.load_state_dict(loss_of.state_dict())
+    assert torch.equal(frames_read(again), second)
+    _, other = build(half, seed=1)
+    assert not torch.equal(frames_read(other), first)
+
+    _, loss_of = build(BYOL.model_copy(update={"fraction": 0.5}))
+    assert frames_read(loss_of).any(0).sum() == BATCH / 2
+
+
+def test_targets_are_shifted_anew_every_update():
+    actor, loss_of = build(HORIZON.model_copy(update={"shift": 4, "unshifted": 9}))
+    data = inputs()
+    before = {name: part.clone() for name, part in data.observation.items()}
+    first = loss_of.targets(data, loss_of.generator())
+    assert torch.equal(loss_of.targets(data, loss_of.generator()), first)
+    loss_of.after_update(actor.encoder)
+    assert not torch.equal(loss_of.targets(data, loss_of.generator()), first)
+    for name, part in data.observation.items():
+        assert torch.equal(part, before[name])
+
+
+# In the agents
+
+IMPALA = ImpalaOptions(
+    name="impala",
+    learning_rate=1e-3,
+    adam_beta1=0.9,
+    adam_beta2=0.999,
+    adam_epsilon=1e-8,
+    max_gradient_norm=0.01,
+    discount=0.9,
+    baseline_cost=0.6,
+    entropy_cost=0.05,
+    clip_rho=1.0,
+    clip_pg_rho=1.0,
+    clip_c=1.0,
+    trace_lambda=1.0,
+)
+V_MPO = VMPOOptions(
+    name="vmpo",
+    learning_rate=1e-3,
+    dual_learning_rate=0.1,
+    adam_beta1=0.9,
+    adam_beta2=0.999,
+    adam_epsilon=1e-8,
+    max_gradient_norm=0.01,
+    discount=0.9,
+    target_period=2,
+    top_fraction=0.5,
+    epsilon_eta=0.1,
+    epsilon_alpha=0.2,
+    initial_eta=0.7,
+    initial_alpha=1.5,
+)
+DRAWING = {
+    "vision": VISION.model_copy(update={"fraction": 0.5}),
+    "vision_language": VISION_LANGUAGE.model_copy(update={"fraction": 0.5}),
+    "byol": BYOL,
+    "byol_horizon": HORIZON.model_copy(update={"fraction": 0.5, "shift": 4, "unshifted": 9}),
+}
+
+
+def agent(kind, options, seed=0):
+    build_agent, agent_options = {"impala": (Impala, IMPALA), "vmpo": (VMPO, V_MPO)}[kind]
+    return build_agent(
+        space(),
+        gym.spaces.Discrete(ACTIONS),
+        agent_options,
+        COMPACT,
+        MEMORIES["lstm"],
+        options,
+        seed=seed,
+    )
+
+
+def unroll(seed=0):
+    rng = np.random.default_rng(seed)
+    data, rows = inputs(seed), (STEPS + 1, BATCH)
+    ends = torch.cat([data.is_first[1:], torch.zeros(1, BATCH, dtype=torch.bool)])
+
+    def floats(*tail):
+        return torch.tensor(rng.normal(size=(*rows, *tail)), dtype=torch.float32)
+
+    steps = TensorDict(
+        {
+            "observation": TensorDict(data.observation, batch_size=rows),
+            "previous_action": data.previous_action,
+            "previous_reward": data.previous_reward,
+            "is_first": data.is_first,
+            "action": torch.tensor(rng.integers(ACTIONS, size=rows)),
+            "reward": floats(),
+            "bonus": floats(),
+            "terminated": ends,
+            "truncated": torch.zeros(rows, dtype=torch.bool),
+            "truncation_value": torch.zeros(rows),
+            "logits": floats(ACTIONS),
+        },
+        batch_size=rows,
+    )
+    return Unroll(steps, {part: torch.zeros(BATCH, 16) for part in ("hidden", "cell")})
+
+
+@pytest.mark.parametrize("options", DRAWING.values(), ids=DRAWING)
+@pytest.mark.parametrize("kind", ["impala", "vmpo"])
+def test_an_agent_learns_both(kind, options):
+    plain, both = agent(kind, aux.NO_AUXILIARY), agent(kind, options)
+    for one, other in zip(plain.network.parameters(), both.network.parameters(), strict=True):
+        assert torch.equal(one, other)  # the same weights, with and without
+    data = unroll()
+    loss, metrics = both.auxiliary(
+        Inputs.of(data.steps), both.network(Inputs.of(data.steps), data.memory).core
+    )
+    before = [p.detach().clone() for p in both.learned]
+    without, told = plain.update(data), both.update(data)
+    assert told.keys() == without.keys() | metrics.keys()
+    for name, metric in metrics.items():
+        assert told[name] == pytest.approx(metric.item(), rel=1e-5)
+    assert told["loss"] == pytest.approx(without["loss"] + loss.item(), rel=1e-5)
+    norms = torch.stack([p.grad.norm() for p in both.learned])
+    assert norms.norm().item() == pytest.approx(0.01, rel=1e-3)  # clipped together
+    changed = [not torch.equal(p, was) for p, was in zip(both.learned, before, strict=True)]
+    assert all(changed)
+
+
+@pytest.mark.parametrize("options", DRAWING.values(), ids=DRAWING)
+@pytest.mark.parametrize("kind", ["impala", "vmpo"])
+def test_it_goes_on_bit_for_bit(kind, options, tmp_path):
+    whole = agent(kind, options)
+    for seed in range(3):
+        whole.update(unroll(seed))
+    checkpoint.save(tmp_path / "checkpoint.pt", whole.state_dict())
+    resumed = agent(kind, options, seed=0)
+    resumed.load_state_dict(checkpoint.load(tmp_path / "checkpoint.pt"))
+    for seed in range(3, 6):
+        assert whole.update(unroll(seed)) == resumed.update(unroll(seed))
+    for one, other in zip(whole.learned, resumed.learned, strict=True):
+        assert torch.equal(one, other)
+    one, other = whole.auxiliary.state_dict(), resumed.auxiliary.state_dict()
+    assert one.keys() == other.keys()
+    assert one.pop("_extra_state") == other.pop("_extra_state") == 6
+    for name, value in one.items():
+        assert torch.equal(value, other[name]), name
+
+
+def test_checkpoints_from_before_auxiliary_losses_load():
+    old, new = agent("impala", aux.NO_AUXILIARY), agent("impala", aux.NO_AUXILIARY, seed=1)
+    state = old.state_dict()
+    del state["auxiliary"]
+    new.load_state_dict(state)
+    assert old.update(unroll()) == new.update(unroll())
+
+
+@pytest.mark.parametrize("experiment", command_line.choices("experiment"))
+@pytest.mark.parametrize("auxiliary", command_line.choices("auxiliary"))
+def test_every_auxiliary_loss_composes(experiment, auxiliary):
+    overrides = [f"experiment={experiment}", f"auxiliary={auxiliary}"]
+    if auxiliary == "vision_language" and not experiment.startswith("playroom"):
+        with pytest.raises(UserError, match="auxiliary=vision_language needs an instruction"):
+            command_line.load(overrides)
+    else:
+        assert command_line.load(overrides).auxiliary.name == auxiliary
+
+
+def test_the_papers_sizes():
+    paper = command_line.load(["experiment=playroom_lift", "auxiliary=byol"]).auxiliary
+    assert (paper.forward_hidden, paper.projection_hidden) == (100, 200)
+    assert (paper.prediction_hidden, paper.projection_size) == (100, 50)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (
+            ["auxiliary=vision_language"],
+            ["needs an instruction", "only image", "auxiliary=vision reconstructs the image alone"],
+        ),
+        (
+            ["auxiliary=vision", "environment.observation=tiles"],
+            ["auxiliary=vision needs an image", "only cue, tiles"],
+        ),
+        (
+            ["auxiliary=vision_language", "environment.observation=tiles"],
+            ["needs an image and an instruction"],
+        ),
+        (
+            ["auxiliary=byol_horizon", "environment.observation=tiles"],
+            ["auxiliary=byol_horizon needs an image"],
+        ),
+        (["auxiliary=byol", "auxiliary.horizon=5"], ["auxiliary.horizon", "no such option"]),
+        (["auxiliary=vision", "auxiliary.fraction=0.0"], ["auxiliary.fraction=0.0", "greater"]),
+        (["auxiliary=bootstrap"], ["auxiliary=bootstrap", "byol_horizon"]),
+        (["agent=r2d2", "auxiliary=byol"], ["auxiliary=byol: agent=r2d2 has no auxiliary losses"]),
+    ],
+)
+def test_what_cannot_be_is_one_clear_line(overrides, told):
+    with pytest.raises(UserError) as error:
+        command_line.load(["experiment=gridworld_compact", *overrides])
+    message = str(error.value)
+    assert len(message.splitlines()) == 1
+    for words in told:
+        assert words in message
+
+
+def test_byol_reads_tiles():
+    command_line.load(
+        ["experiment=gridworld_compact", "auxiliary=byol", "environment.observation=tiles"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("experiment", "auxiliary", "kind"),
+    [
+        ("demo", "vision", "impala"),
+        ("demo", "byol", "vmpo"),
+        ("demo", "byol_horizon", "impala"),
+        ("playroom_lift_compact", "vision_language", "vmpo"),
+        ("playroom_lift_compact", "byol_horizon", "impala"),
+    ],
+)
+def test_runs_train_and_go_on(experiment, auxiliary, kind, tmp_path):
+    tiny = [
+        f"experiment={experiment}",
+        f"auxiliary={auxiliary}",
+        f"agent={kind}",
+        "collector.num_envs=4",
+        "collector.unroll_length=6",
+        "evaluation.episodes=2",
+        "schedule.log_every=1",
+        "environment.max_steps=5",
+        "memory.size=8",
+        "network.size=8",
+        "device=cpu",
+    ]
+    whole = command_line.load([*tiny, "updates=2", f"run_root={tmp_path / 'whole'}"])
+    cut = [*tiny, f"run_root={tmp_path / 'cut'}"]
+    assert runner.train(whole) == 0
+    for updates in (1, 2):
+        resumed = command_line.load([*cut, f"updates={updates}"])
+        assert runner.train(resumed) == 0
+    one, other = (
+        checkpoint.load(c.folder / "checkpoint.pt")["agent"]["auxiliary"] for c in (whole, resumed)
+    )
+    assert one.pop("_extra_state") == other.pop("_extra_state") == 2
+    assert one.keys() == other.keys()
+    for name, value in one.items():
+        assert torch.equal(value, other[name]), name
+    metrics = pd.read_csv(whole.folder / "metrics.csv")
+    told = [name for name in metrics.columns if name.startswith("auxiliary")]
+    assert (
+        told
+        == {
+            "vision": ["auxiliary_vision"],
+            "vision_language": ["auxiliary_vision", "auxiliary_language"],
+            "byol": ["auxiliary_byol", "auxiliary_byol_spread"],
+            "byol_horizon": ["auxiliary_byol", "auxiliary_byol_spread"],
+        }[auxiliary]
+    )
+    assert metrics[told].notna().all(None)
+
+
+# What they teach
+
+
+def learn(actor, loss_of, batches, learning_rate=3e-3):
+    """Optimises the loss alone over the batches; returns what it tells of each."""
+    learned = [*actor.encoder.parameters(), *actor.memory.parameters(), *loss_of.learned()]
+    optimiser = torch.optim.Adam(learned, lr=learning_rate, fused=True)
+    told = []
+    for data in batches:
+        state = actor.memory.initial_state(data.is_first.shape[1])
+        loss, metrics = loss_of(data, actor(data, state).core)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        loss_of.after_update(actor.encoder)
+        told.append({name: metric.item() for name, metric in metrics.items()})
+    return told
+
+
+def test_reconstructions_of_a_few_frames_become_right():
+    actor, loss_of = build(VISION_LANGUAGE)
+    data = inputs()
+    image = data.observation["image"]
+    image[:] = (image > 127) * 255  # whose cross-entropy can become 0
+    told = learn(actor, loss_of, [data] * 150, learning_rate=1e-2)
+    assert told[-1]["auxiliary_vision"] < 0.75 * told[0]["auxiliary_vision"]
+    assert told[-1]["auxiliary_language"] < 0.2 * told[0]["auxiliary_language"]
