@@ -6,27 +6,121 @@ import pytest
 
 from zipf.agents.encoders import Encoder
 from zipf.envs import levels
-from zipf.experiments import command_line, config
+from zipf.experiments import command_line, config, paper
 from zipf.experiments.errors import UserError
 
+EXPERIMENTS = command_line.choices("experiment")
+GROUPS = ("memory", "network", "auxiliary", "exploration")
+CHOICES = [(group, choice) for group in GROUPS for choice in command_line.choices(group)]
 
-@pytest.mark.parametrize("experiment", command_line.choices("experiment"))
-@pytest.mark.parametrize("memory", command_line.choices("memory"))
-@pytest.mark.parametrize("network", command_line.choices("network"))
-@pytest.mark.parametrize("exploration", command_line.choices("exploration"))
-def test_every_combination_composes(experiment, memory, network, exploration):
-    loaded = command_line.load(
-        [
-            f"experiment={experiment}",
-            f"memory={memory}",
-            f"network={network}",
-            f"exploration={exploration}",
-        ]
-    )
+
+def needs(experiment, condition="impala", auxiliary="none"):
+    """What worlds of this experiment lack for it, in the words of the message; None for nothing."""
+    finding, talking = experiment == "playroom_find", experiment.startswith("playroom")
+    if condition == "supervised" and not finding:
+        return "choose experiment=playroom_find"
+    if "vision_language" in (condition.removeprefix("impala_"), auxiliary) and not talking:
+        return "needs an instruction"
+    return None
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize(("group", "choice"), CHOICES)
+def test_every_choice_goes_with_every_experiment(experiment, group, choice):
+    """Its network is built, too, without weights."""
+    overrides = [f"experiment={experiment}", f"{group}={choice}"]
+    if lacking := needs(experiment, **({group: choice} if group == "auxiliary" else {})):
+        with pytest.raises(UserError, match=lacking):
+            command_line.load(overrides)
+        return
+    loaded = command_line.load(overrides)
     assert loaded.experiment == experiment
-    assert loaded.memory.name == memory
-    assert loaded.network.name == network
-    assert loaded.exploration.name == exploration
+    assert getattr(loaded, group).name == choice
+
+
+ROWS = {  # agent, memory, auxiliary
+    "impala": ("impala", "lstm", "none"),
+    "vmpo": ("vmpo", "lstm", "none"),
+    "r2d2": ("r2d2", "lstm", "none"),
+    "r2d2_uniform_replay": ("r2d2", "lstm", "none"),
+    "impala_vision": ("impala", "lstm", "vision"),
+    "impala_vision_language": ("impala", "lstm", "vision_language"),
+    "impala_byol": ("impala", "lstm", "byol"),
+    "impala_mlp": ("impala", "mlp", "none"),
+    "impala_transformer": ("impala", "gtrxl", "none"),
+    "impala_transformer_vision_language": ("impala", "gtrxl", "vision_language"),
+    "supervised": ("supervised", "mlp", "none"),
+}
+
+
+def test_conditions_are_the_rows_of_the_report():
+    assert command_line.choices("condition") == sorted(paper.CONDITION_NAMES) == sorted(ROWS)
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize("condition", ROWS)
+def test_every_condition_goes_with_every_experiment(experiment, condition):
+    """And where it cannot, one line says why and what can be."""
+    overrides = [f"experiment={experiment}", f"condition={condition}"]
+    if lacking := needs(experiment, condition):
+        with pytest.raises(UserError, match=lacking) as error:
+            command_line.load(overrides)
+        assert len(str(error.value).splitlines()) == 1
+        return
+    loaded = command_line.load(overrides)
+    agent, memory, auxiliary = ROWS[condition]
+    if auxiliary == "vision_language" and not experiment.startswith("playroom"):
+        auxiliary = "vision"  # the paper's row has words where there are none
+    assert loaded.condition == condition
+    assert (loaded.agent.name, loaded.memory.name, loaded.auxiliary.name) == (
+        agent,
+        memory,
+        auxiliary,
+    )
+    plain = command_line.load([f"experiment={experiment}", "condition=impala"])
+    for part in ("environment", "collector", "evaluation", "schedule", "network"):
+        assert getattr(loaded, part) == getattr(plain, part)
+    if agent == "impala":
+        assert loaded.agent == plain.agent
+
+
+@pytest.mark.parametrize(
+    ("experiment", "condition", "options"),
+    [
+        # learning_rate, discount, trace_lambda, target_period, epsilon, burn_in, max weight
+        ("playroom_lift", "r2d2", (5e-4, 0.99, 0.8, 400, 0.125, 20, 0.5)),
+        ("playroom_put", "r2d2", (5e-5, 0.99, 0.8, 400, 0.15, 20, 0.9)),
+        ("gridworld", "r2d2", (3e-4, 0.9, 0.3, 10, 0.1, 3, 0.9)),
+        ("gridworld", "r2d2_uniform_replay", (3e-4, 0.9, 0.3, 10, 0.1, 3, 0.9)),
+    ],
+)
+def test_the_papers_values_of_r2d2(experiment, condition, options):
+    """Its tables, as printed."""
+    agent = command_line.load([f"experiment={experiment}", f"condition={condition}"]).agent
+    assert (
+        agent.learning_rate,
+        agent.discount,
+        agent.trace_lambda,
+        agent.target_period,
+        agent.epsilon,
+        agent.burn_in,
+        agent.priority_max_weight,
+    ) == options
+    uniform = condition == "r2d2_uniform_replay"
+    assert (agent.priority_exponent, agent.importance_exponent) == (
+        (0, 0) if uniform else (0.9, 0.6)
+    )
+
+
+@pytest.mark.parametrize("experiment", ["gridworld", "playroom_lift", "playroom_put"])
+def test_the_papers_values_of_vmpo(experiment):
+    """Its table, as printed."""
+    loaded = command_line.load([f"experiment={experiment}", "condition=vmpo"])
+    assert loaded.memory.layers == 2
+    assert loaded.agent.discount == 0.995
+    assert loaded.agent.learning_rate == 3e-5
+    assert loaded.agent.dual_learning_rate == 3e-3
+    assert loaded.agent.epsilon_eta == loaded.agent.epsilon_alpha == 0.1
 
 
 def test_the_papers_values():
@@ -107,10 +201,18 @@ MISTAKES = [
     (["experiment=demo", "environment.num_objects=90"], ["num_objects = 90", "at most 25"]),
     (["experiment=demo", "environment.num_rooms=[2]"], ["environment.num_rooms"]),
     (["experiment=demo", "schedule.window=[3,1]"], ["schedule.window", "begin before"]),
-    (["experiment=demo", "condition=a/b"], ["condition=a/b", "folder"]),
-    (["experiment=demo", "condition=''"], ["condition=", "folder"]),
-    (["experiment=demo", "condition=1"], ["condition=1", "quote"]),
-    (["experiment=demo", f"condition={'x' * 300}"], ["too long", "condition=<name>"]),
+    (["experiment=demo", "name=a/b"], ["name=a/b", "folder"]),
+    (["experiment=demo", "name=''"], ["name=", "folder"]),
+    (["experiment=demo", "name=1"], ["name=1", "quote"]),
+    (["experiment=demo", f"name={'x' * 300}"], ["too long", "name=<name>"]),
+    (["experiment=demo", "condition=impla"], ["condition=impla", "impala", "name=<name>"]),
+    (["experiment=demo", "values=demo"], ["values", "no such option"]),
+    (["experiment=demo", "condition=supervised"], ["agent=supervised", "experiment=playroom_find"]),
+    (
+        ["experiment=playroom_find", "condition=supervised", "exploration=count"],
+        ["exploration=count", "exploration=none"],
+    ),
+    (["experiment=demo", "condition=vmpo", "agent=r2d2", "auxiliary=byol"], ["auxiliary=byol"]),
     (["experiment=demo", "seed=100000000000000000000"], ["seed=1", "less than"]),
     (["experiment=demo", "agent.learning_rate=inf"], ["agent.learning_rate=inf", "finite"]),
     (["experiment=demo", "network.patch=8"], ["network.patch=8", "63 x 63", "resnet"]),
@@ -163,7 +265,24 @@ CONDITIONS = [
     (["experiment=gridworld", "agent.discount=0.9"], "impala,agent.discount=0.9"),
     (["experiment=gridworld", "agent.discount=0.99"], "impala"),
     (["experiment=gridworld", "seed=3", "updates=7", "evaluation.every=2", "device=cpu"], "impala"),
-    (["experiment=gridworld", "condition=mine", "agent.discount=0.9"], "mine"),
+    (["experiment=gridworld", "name=mine", "agent.discount=0.9"], "mine"),
+    (["experiment=gridworld", "condition=r2d2", "name=mine"], "mine"),
+    (["experiment=gridworld", "memory=gtrxl"], "impala_transformer"),
+    (["experiment=gridworld", "auxiliary=byol_horizon"], "impala_byol_horizon"),
+    (["experiment=gridworld", "agent=vmpo"], "vmpo,memory.layers=1"),
+    (["experiment=gridworld", "agent=vmpo", "memory.layers=2"], "vmpo"),
+    (["experiment=gridworld", "condition=r2d2", "agent.epsilon=0.2"], "r2d2,agent.epsilon=0.2"),
+    (["experiment=gridworld", "condition=r2d2", "memory=mlp"], "r2d2,memory=mlp"),
+    (
+        ["experiment=gridworld", "agent=r2d2", "agent.priority_exponent=0.0"],
+        "r2d2,agent.priority_exponent=0.0",
+    ),
+    (["experiment=demo", "condition=impala_mlp"], "impala_mlp"),
+    (["experiment=demo", "condition=impala", "network=resnet"], "impala,network=resnet"),
+    (
+        ["experiment=demo", "condition=impala_mlp", "agent.discount=0.9"],
+        "impala_mlp,agent.discount=0.9",
+    ),
 ]
 
 
@@ -185,7 +304,7 @@ def test_the_shipped_environment_is_the_released_benchmark():
 
 
 def test_every_number_has_a_source():
-    for path in command_line.CONFIG_DIR.glob("*/*.yaml"):
+    for path in command_line.CONFIG_DIR.rglob("*.yaml"):
         for number, line in enumerate(path.read_text().splitlines(), 1):
             setting = line.split("#")[0]
             if re.search(r"\b\d", setting):  # a number; r2d2 is a name

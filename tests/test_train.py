@@ -14,6 +14,7 @@ import torch
 from zipf import evaluate
 from zipf.envs import levels
 from zipf.experiments import checkpoint, command_line, run_folder, runner
+from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
 
 TINY = [
@@ -75,44 +76,91 @@ def untimed(path: Path) -> pd.DataFrame:
     return table.drop(columns=timed)
 
 
-@pytest.mark.parametrize("experiment", command_line.choices("experiment"))
-@pytest.mark.parametrize("memory", command_line.choices("memory"))
-def test_every_experiment_trains_two_updates(experiment, memory, tmp_path):
-    loaded = command_line.load(
-        [
-            f"experiment={experiment}",
-            f"memory={memory}",
-            f"run_root={tmp_path}",
-            "updates=2",
-            "collector.num_envs=3",
-            "collector.unroll_length=4",
-            "evaluation.episodes=5",
-            "schedule.log_every=1",
-            "memory.size=8",
-            "environment.max_steps=8",
-        ]
-    )
-    assert runner.train(loaded) == 0
-    metrics = pd.read_csv(loaded.folder / "metrics.csv")
+TRAINED = [  # every experiment and every condition; those with values or networks of their own
+    *(("demo", condition) for condition in command_line.choices("condition")),
+    ("playroom_find", "impala_vision_language"),
+    ("playroom_find", "supervised"),
+    ("gridworld", "r2d2"),
+    ("gridworld_compact", "impala_transformer"),
+    ("playroom_lift", "vmpo"),
+    ("playroom_put", "impala_byol"),
+    ("playroom_lift_compact", "impala_transformer_vision_language"),
+]
+TRAINED.remove(("demo", "impala_vision_language"))  # there is no language
+TRAINED.remove(("demo", "supervised"))  # there is nothing to find
+
+
+@pytest.mark.parametrize(("experiment", "condition"), TRAINED)
+def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path):
+    """Two updates; the same from a checkpoint after the first, bit for bit; a score of the last."""
+    arguments = [
+        f"experiment={experiment}",
+        f"condition={condition}",
+        f"name={condition}",
+        "updates=2",
+        "device=cpu",
+        "collector.num_envs=3",
+        "collector.unroll_length=4",
+        "evaluation.episodes=4",
+        "schedule.log_every=1",
+        "memory.size=8",
+        "environment.max_steps=6",
+    ]
+    if condition.startswith("r2d2"):
+        arguments += ["agent.burn_in=2", "agent.replay_min=3", "agent.replay_capacity=6"]
+        arguments += ["agent.storage=memory"]
+    if "transformer" in condition:
+        arguments += ["memory.heads=2", "memory.mlp_size=8", "memory.memory_length=6"]
+    whole = command_line.load([*arguments, f"run_root={tmp_path / 'whole'}"])
+    cut = command_line.load([*arguments, f"run_root={tmp_path / 'cut'}"])
+    assert runner.train(whole) == 0
+    train_until_gone(cut, update=1)
+    assert runner.train(cut) == 0
+    assert_equal(learned(whole.folder), learned(cut.folder))
+    for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
+        one, other = (untimed(run.folder / name) for run in (whole, cut))
+        pd.testing.assert_frame_equal(last(one), last(other))
+
+    assert run_folder.read_config(whole.folder) == whole
+    metrics = pd.read_csv(whole.folder / "metrics.csv")
     assert list(metrics["update"]) == [1, 2]
     assert list(metrics["frames"]) == [12, 24]
-    assert metrics["loss"].notna().all()
-    split = levels.split(loaded.environment.split)
+    assert metrics["loss"].notna().iloc[-1]
+    split = levels.split(whole.environment.split)
     scored = [(kind, level) for kind in levels.KINDS for level in split.levels(kind)]
-    evaluations = pd.read_csv(loaded.folder / "evaluations.csv")
+    evaluations = pd.read_csv(whole.folder / "evaluations.csv")
     assert list(evaluations["update"]) == [0] * len(scored) + [2] * len(scored)
     assert list(zip(evaluations["level_kind"], evaluations["level"], strict=True)) == scored * 2
-    assert (evaluations["episodes"] == 5).all()
-    situations = pd.read_csv(loaded.folder / "situations.csv")
+    assert (evaluations["episodes"] == 4).all()
+    situations = pd.read_csv(whole.folder / "situations.csv")
     played = situations.groupby(["update", "level_kind"])["episodes"].sum()
     for (_, kind), episodes in played.items():
-        assert episodes == 5 * len(split.levels(kind))
-    description = run_folder.read_description(loaded.folder)
+        assert episodes == 4 * len(split.levels(kind))
+    description = run_folder.read_description(whole.folder)
     assert [(one["level_kind"], one["level"]) for one in description["levels"]] == scored
     assert description["experiment"] == experiment
+    assert description["condition"] == condition
     assert description["chance"].keys() == {"train", "uniform", "rare"}
-    assert run_folder.read_config(loaded.folder) == loaded
-    assert list((loaded.folder / "tensorboard").iterdir())
+    assert list((whole.folder / "tensorboard").iterdir())
+
+    update, results = runner.evaluate_run(EvaluateOptions(run=str(cut.folder), episodes=2))
+    assert update == 2
+    assert [(result.kind, result.level) for result in results] == scored
+
+
+def train_until_gone(config, update):
+    """A run with a checkpoint after an update, and nothing of what came later."""
+    run_folder.make(config.folder)
+    run = runner.Run(config)
+    while run.update < update:
+        run.learn(run.collector.collect())
+        run.update += 1
+    run.save()
+    run.close()
+
+
+def last(table):
+    return table[table["update"] == table["update"].max()].reset_index(drop=True)
 
 
 def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
@@ -251,7 +299,7 @@ def test_a_checkpoint_of_another_configuration_is_refused(trained):
     before = (folder / "checkpoint.pt").read_bytes()
     with pytest.raises(UserError, match=r"agent\.discount=0\.99 there, 0\.5 here"):
         runner.train(
-            command_line.load([*trained, "agent.discount=0.5", f"condition='{folder.parent.name}'"])
+            command_line.load([*trained, "agent.discount=0.5", f"name='{folder.parent.name}'"])
         )
     assert (folder / "checkpoint.pt").read_bytes() == before
 
@@ -268,7 +316,7 @@ def test_a_run_from_before_an_option_goes_on(trained):
     assert runner.load_agent(folder, "cpu").update == 2
     with pytest.raises(UserError, match=r"memory\.layers=None there, 2 here"):
         runner.train(
-            command_line.load([*trained, "memory.layers=2", f"condition='{folder.parent.name}'"])
+            command_line.load([*trained, "memory.layers=2", f"name='{folder.parent.name}'"])
         )
     assert runner.train(command_line.load([*trained, "resume=must", "updates=3"])) == 0
 
@@ -415,6 +463,7 @@ def test_divergence_is_an_error_and_the_checkpoint_is_kept(trained):
 FULL_DISK = """
 import resource, sys
 from zipf.experiments import command_line, runner
+from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))

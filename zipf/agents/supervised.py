@@ -1,10 +1,10 @@
 """The paper's supervised classifier: left or right, told by an episode's first frame.
 
 It is trained by cross-entropy and has the encoders of the agents that act. Its worlds ask one
-question an episode: the action is the answer, and the reward says whether that was right
-(`zipf.envs.playroom.first_frame`). In training it answers by tossing a coin. That costs nothing,
-and says which answer is right, as there are two of them. Where both are right, because both objects
-are the same, the label is the coin's toss: as in the paper, no side is wrong, and neither is taught.
+question an episode: the action is the answer, and the reward says whether that was right. In
+training it answers by tossing a coin, which costs nothing and tells the label as well as any
+answer, as there are only two. Where both are right, because the two objects are the same, the label
+is the coin's toss: like the side that was drawn, it teaches neither.
 
 An update learns from num_envs x unroll_length first frames, each of an episode of its own: as many
 images as an update of the agents that act, so frames, updates and time compare; the paper does not

@@ -1,0 +1,201 @@
+"""The supervised classifier: its questions, its labels, its update, and that it learns."""
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+
+from zipf.agents.encoders import CompactOptions
+from zipf.agents.memory import LSTMOptions, MLPOptions
+from zipf.agents.network import Inputs
+from zipf.agents.supervised import Supervised, SupervisedOptions
+from zipf.envs import levels
+from zipf.envs.check import check_vector_env
+from zipf.envs.playroom.first_frame import LEFT, RIGHT, FirstFrameVectorEnv
+from zipf.envs.single import SingleWorld
+from zipf.experiments.collector import Collector
+from zipf.experiments.evaluator import AgentPolicy, play
+
+OPTIONS = SupervisedOptions(
+    name="supervised",
+    learning_rate=1e-3,
+    adam_beta1=0.9,
+    adam_beta2=0.999,
+    adam_epsilon=1e-8,
+    max_gradient_norm=1.0,
+)
+NETWORK = CompactOptions(name="compact", patch=12, channels=8, size=16, head_size=8)
+MLP = MLPOptions(name="mlp", size=16, layers=1)
+LEVEL = "supervised/find_shape_zipf3"
+
+
+def classifier(env, memory=MLP, network=NETWORK, **changes):
+    return Supervised(
+        env.single_observation_space,
+        env.single_action_space,
+        OPTIONS.model_copy(update=changes),
+        network,
+        memory,
+        seed=0,
+    )
+
+
+# Questions
+
+
+def test_it_keeps_the_contract():
+    check_vector_env(
+        lambda n=1, **options: FirstFrameVectorEnv(n, LEVEL, image_size=(18, 24), **options),
+        lambda: SingleWorld(
+            lambda n=1, **options: FirstFrameVectorEnv(n, LEVEL, image_size=(18, 24), **options)
+        ),
+        steps=30,
+    )
+
+
+def test_the_side_is_that_of_the_object_on_the_first_frame_of_the_level():
+    asked = levels.make_vec(levels.first_frames(levels.split("playroom_find")).uniform, 60)
+    played = levels.make_vec("playroom/supervised/find_shape_uniform", 60)
+    frames, info = asked.reset(seed=3)
+    others, there = played.reset(seed=3)
+    for name in frames:
+        np.testing.assert_array_equal(frames[name], others[name])
+    side = there["side"]
+    assert set(side) == {LEFT, RIGHT}
+    alike = there["target"] == there["other"]
+    _, reward, terminated, truncated, step = asked.step(side)
+    assert reward.all()
+    assert terminated.all()
+    assert not truncated.any()
+    assert step["final_info"]["success"].all()
+    asked.reset(seed=3)
+    _, reward, *_ = asked.step(1 - side)
+    np.testing.assert_array_equal(reward > 0, alike)
+    # After an episode comes the next of the world's stream, as in the level itself.
+    assert (step["target"] != info["target"]).any()
+
+
+def test_of_two_that_are_the_same_either_answer_is_right():
+    env = FirstFrameVectorEnv(20, LEVEL)
+    for answer in (LEFT, RIGHT):
+        env.reset(seed=0, options={"target": 7, "other": 7})
+        _, reward, *_ = env.step(np.full(20, answer))
+        assert reward.all()
+
+
+def test_levels_without_sides_are_refused():
+    with pytest.raises(ValueError, match="no object on the left and on the right"):
+        FirstFrameVectorEnv(1, "lift/lift_shape_zipf3")
+    for name in ("gridworld", "playroom_lift", "playroom_put"):
+        with pytest.raises(ValueError, match="does not show two objects, left and right"):
+            levels.first_frames(levels.split(name))
+    found = levels.first_frames(levels.split("playroom_find"))
+    assert [str(level) for kind in levels.KINDS for level in found.levels(kind)] == [
+        str(level) for kind in levels.KINDS for level in levels.split("playroom_find").levels(kind)
+    ]
+
+
+def test_it_chooses_one_of_two():
+    with pytest.raises(ValueError, match="one of two answers, not of 46"):
+        classifier(levels.make_vec(f"playroom/{LEVEL}", 1))
+
+
+# Learning
+
+
+def test_an_update_is_one_step_of_adam_on_the_cross_entropy_of_the_sides():
+    env = FirstFrameVectorEnv(4, "supervised/find_shape_uniform")
+    made = classifier(env, max_gradient_norm=1e9)
+    unroll = Collector(env, made, unroll_length=3, seed=1).collect()
+
+    frames, info = env.reset(seed=1)
+    sides, alike = [], []
+    for t in range(3):
+        for name in frames:
+            np.testing.assert_array_equal(unroll.steps["observation", name][t], frames[name])
+        sides.append(info["side"])
+        alike.append(info["target"] == info["other"])
+        frames, *_, info = env.step(np.zeros(4, np.int64))
+    sides = torch.from_numpy(np.where(alike, unroll.steps["action"][:3], sides))
+
+    reference = classifier(env)
+    optimiser = torch.optim.Adam(reference.network.parameters(), lr=1e-3)
+    loss = torch.zeros(())
+    for t in range(3):
+        for world in range(4):
+            steps = unroll.steps[t : t + 1, world : world + 1]
+            logits = reference.network(Inputs.of(steps), {})[0, 0]
+            loss = loss + F.cross_entropy(logits, sides[t, world]) / 12
+    loss.backward()
+    optimiser.step()
+    metrics = made.update(unroll)
+    assert metrics["loss"] == pytest.approx(loss.item(), rel=1e-5)
+    for one, other in zip(made.network.parameters(), reference.network.parameters(), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-6)
+
+
+def test_it_tosses_coins_in_training_and_answers_when_it_is_scored():
+    env = FirstFrameVectorEnv(200, "supervised/find_shape_uniform", image_size=(18, 24))
+    made = classifier(env, network=NETWORK.model_copy(update={"patch": 6}))
+    policy = AgentPolicy(made, seed=0, device="cpu")
+    seen, _ = env.reset(seed=0)
+    first = np.ones(200, np.bool_)
+    policy.start(200)
+    answers = policy(seen, np.zeros(200, np.float32), first)
+    np.testing.assert_array_equal(answers, policy(seen, np.zeros(200, np.float32), first))
+    collector = Collector(env, made, unroll_length=20, seed=0)
+    tosses = collector.collect().steps["action"][:-1].float()
+    assert 0.47 < tosses.mean() < 0.53
+    assert abs(np.corrcoef(tosses[:-1].flatten(), tosses[1:].flatten())[0, 1]) < 0.05
+
+
+def test_a_memory_is_that_of_a_first_frame():
+    """An LSTM has seen nothing before, in whatever row of an unroll."""
+    env = FirstFrameVectorEnv(3, LEVEL)
+    made = classifier(env, memory=LSTMOptions(name="lstm", size=8))
+    unroll = Collector(env, made, unroll_length=4, seed=1).collect()
+    inputs = Inputs.of(unroll.steps[:-1])
+    together = made.network(inputs, made.initial_memory(3))
+    for t in range(4):
+        row = Inputs.of(unroll.steps[t : t + 1])
+        alone = made.network(row, made.initial_memory(3))
+        torch.testing.assert_close(together[t : t + 1], alone)
+
+
+class Squares(FirstFrameVectorEnv):
+    """A white square is on the left or on the right of the picture; words say black or white."""
+
+    def __init__(self, num_envs, **options):
+        super().__init__(num_envs, "supervised/find_shape_uniform", image_size=(12, 24), **options)
+
+    def _observe(self, out, mask):
+        told = self._instructions[mask]
+        black = self.ranks[mask, 0] % 2
+        image = np.zeros((len(told), 12, 24, 3), np.uint8)
+        white_is_right = self._side[mask] ^ black
+        image[white_is_right == LEFT, :, :12] = 255
+        image[white_is_right == RIGHT, :, 12:] = 255
+        out["image"][mask] = image
+        out["instruction"][mask] = told
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_learns_which_side_the_words_name(seed):
+    """Fifty words stand for two colours; neither picture nor words alone tell the side."""
+    env = Squares(32)
+    made = Supervised(
+        env.single_observation_space,
+        env.single_action_space,
+        OPTIONS.model_copy(update={"learning_rate": 5e-3}),
+        NETWORK.model_copy(update={"head_size": 32}),
+        MLP.model_copy(update={"size": 64}),
+        seed=seed,
+    )
+    collector = Collector(env, made, unroll_length=4, seed=seed)
+    for _ in range(150):
+        metrics = made.update(collector.collect())
+    assert metrics["accuracy"] >= 0.9
+    policy = AgentPolicy(made, seed=0, device="cpu")
+    episodes = play(policy, Squares(100), episodes=300, seed=10_000)
+    assert (episodes["length"] == 1).all()
+    assert episodes["success"].mean() >= 0.95
