@@ -153,8 +153,10 @@ def train_until_gone(config, update):
     run_folder.make(config.folder)
     run = runner.Run(config)
     while run.update < update:
-        run.learn(run.collector.collect())
+        unroll = run.collector.collect()
+        metrics = run.learn(unroll)
         run.update += 1
+        run.log(unroll, metrics)
     run.save()
     run.close()
 
