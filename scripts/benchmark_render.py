@@ -11,6 +11,7 @@ import argparse
 import os
 import resource
 import statistics
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -228,6 +229,8 @@ def doom(vizdoom: Any, scenario: str) -> Row:
     game.set_screen_resolution(vizdoom.ScreenResolution.RES_160X120)
     game.set_screen_format(vizdoom.ScreenFormat.RGB24)
     game.set_window_visible(False)
+    # Or the engine leaves its settings in the current folder.
+    game.set_doom_config_path(os.path.join(tempfile.gettempdir(), "_vizdoom.ini"))
     game.init()
     buttons = game.get_available_buttons_size()
     actions = np.random.default_rng(0).integers(2, size=(256, buttons)).tolist()
