@@ -595,6 +595,11 @@ def test_a_signal_leaves_the_terminal_as_it_was(person, monkeypatch, number):
             signal.signal(n, handler)
 
 
+def at_a_terminal() -> None:
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # which background jobs of a shell ignore
+
+
 def test_ctrl_c_leaves_the_terminal_and_keeps_the_recording(tmp_path):
     person = Person()
     process = subprocess.Popen(
@@ -605,7 +610,7 @@ def test_ctrl_c_leaves_the_terminal_and_keeps_the_recording(tmp_path):
         **dict.fromkeys(("stdin", "stdout", "stderr"), person.slave),
         cwd=tmp_path,
         start_new_session=True,
-        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        preexec_fn=at_a_terminal,
     )
 
     def script():
