@@ -135,7 +135,9 @@ def test_the_options_of_the_table_exist():
             assert name in annotation.model_fields, option
 
 
-@pytest.mark.parametrize("group", ["experiment", "agent", "memory", "network", "exploration"])
+@pytest.mark.parametrize(
+    "group", ["experiment", "agent", "memory", "network", "auxiliary", "exploration"]
+)
 def test_the_table_names_every_choice(group):
     row = re.search(rf"^\| `{group}` \|(.*)$", README, re.M)
     assert row

@@ -156,7 +156,7 @@ class Reconstruction(Auxiliary):
 
     What decodes the image adds to the mean image of the first update. Without that the mean is the
     first thing it learns, and learns by driving memory and encoder to saturation: what they know
-    of a frame is lost for hundreds of updates.
+    of a frame is lost for a hundred updates or more.
     """
 
     mean_image: Tensor
@@ -397,8 +397,9 @@ class BYOL(Auxiliary):
             total = total + distance.masked_fill(~same_episode, 0.0).sum()
             pairs = pairs + same_episode.sum()
         loss = total / pairs.clamp(min=1)
-        targets = targets[~inputs.is_first[1:]]
-        spread = (targets - targets.mean(0)).square().sum(-1).mean().sqrt()
+        later = ~inputs.is_first[1:]
+        mean = (targets * later.unsqueeze(-1)).sum((0, 1)) / later.sum().clamp(min=1)
+        spread = (1 - mean.square().sum()).clamp(min=0).sqrt()  # as directions have length 1
         metrics = {"auxiliary_byol": loss.detach(), "auxiliary_byol_spread": spread.detach()}
         return self.options.weight * loss, metrics
 
