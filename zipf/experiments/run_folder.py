@@ -128,9 +128,15 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         "paper": TABLE_OF_SPLIT[split] if config.is_released_benchmark else None,
         **how,
     }
+    files = {
+        "config.yaml": OmegaConf.to_yaml(config.model_dump()),
+        "run.json": json.dumps(description, indent=2) + "\n",
+    }
     try:
-        (config.folder / "config.yaml").write_text(OmegaConf.to_yaml(config.model_dump()))
-        (config.folder / "run.json").write_text(json.dumps(description, indent=2) + "\n")
+        for name, text in files.items():
+            replacement = config.folder / f"{name}.new"  # a full disk leaves the one before
+            replacement.write_text(text)
+            replacement.replace(config.folder / name)
     except OSError as error:
         raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
 
