@@ -125,7 +125,7 @@ def test_the_map_of_the_code_is_true():
 def test_the_options_of_the_table_exist():
     rows = re.findall(r"^\| (`[^|]+`) \|", section("Configuration").split("| File |")[0], re.M)
     named = {option for row in rows for option in re.findall(r"`([^`]+)`", row)}
-    known = set(Config.model_fields)
+    known = {*Config.model_fields, "name"}  # which becomes the condition's
     assert {option.split(".")[0] for option in named} == known
     for option in named:
         group, _, name = option.partition(".")
@@ -146,3 +146,8 @@ def test_the_table_names_every_choice(group):
 
 def test_the_picture_is_small():
     assert (ROOT / "docs" / "gridworld.png").stat().st_size < 300_000
+
+
+def test_every_condition_is_named():
+    section = README.split("### Conditions")[1].split("###")[0]
+    assert all(f"`{condition}`" in section for condition in command_line.choices("condition"))
