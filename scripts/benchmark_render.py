@@ -11,6 +11,7 @@ import argparse
 import os
 import resource
 import statistics
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -24,7 +25,7 @@ from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textur
 
 WORLDS = 256
 CELLS = 21
-GOALS = {"maze": 40_000, "room + 5 objects": 15_000}
+GOALS = {"maze": 40_000, "room + 5 objects": 15_000, "hills": 8_000}
 PITCH = np.radians(25.0)
 
 
@@ -158,6 +159,40 @@ def room(*, objects: int, pitched: bool, seed: int = 0) -> Scenes:
     return scenes
 
 
+def hills(*, pitched: bool, seed: int = 0) -> Scenes:
+    """Hills of 63 x 63 cells of 0.33 m, 0.4 to 1.4 m high (a standard deviation)."""
+    rng = np.random.default_rng(seed)
+    scenes = Scenes(WORLDS, terrain=(63, 63))
+    place = np.arange(64) / 63
+    for world in range(WORLDS):
+        heights = np.zeros((64, 64))
+        for octave in (3, 6, 12, 24):
+            knots = rng.normal(size=(octave + 1, octave + 1)) / octave
+            for axis in (0, 1):
+                low = np.minimum((place * octave).astype(int), octave - 1)
+                share = place * octave - low
+                share = (share * share * (3 - 2 * share)).reshape((-1, 1) if axis == 0 else (1, -1))
+                below, above = np.take(knots, low, axis), np.take(knots, low + 1, axis)
+                knots = below * (1 - share) + above * share
+            heights += knots
+        heights *= rng.uniform(0.4, 1.4) / heights.std()
+        scenes.set_terrain(
+            world, (0, 0), 0.33, heights, textures.index("carpet"), repeat=1,
+            tint=(255, 240, 200),
+        )  # fmt: skip
+        row, column = rng.integers(2, 61, 2)
+        pitch = rng.uniform(-PITCH, PITCH) if pitched else 0.0
+        eye = heights[row, column] + 0.5
+        scenes.camera[world] = (
+            0.33 * column,
+            0.33 * row,
+            eye,
+            rng.uniform(-np.pi, np.pi),
+            pitch,
+        )
+    return scenes
+
+
 def row(name: str, scenes: Scenes, size: tuple[int, int] = (96, 72)) -> Row:
     width, height = size
     renderer = Renderer(load_meshes(), textures.stack(), width=width, height=height)
@@ -194,6 +229,8 @@ def doom(vizdoom: Any, scenario: str) -> Row:
     game.set_screen_resolution(vizdoom.ScreenResolution.RES_160X120)
     game.set_screen_format(vizdoom.ScreenFormat.RGB24)
     game.set_window_visible(False)
+    # Or the engine leaves its settings in the current folder.
+    game.set_doom_config_path(os.path.join(tempfile.gettempdir(), "_vizdoom.ini"))
     game.init()
     buttons = game.get_available_buttons_size()
     actions = np.random.default_rng(0).integers(2, size=(256, buttons)).tolist()
@@ -224,6 +261,8 @@ def main() -> None:
         row("room, pitch 0", room(objects=0, pitched=False)),
         row("room + 5 objects", room(objects=5, pitched=True)),
         row("room + 5 objects, pitch 0", room(objects=5, pitched=False)),
+        row("hills", hills(pitched=True)),
+        row("hills, pitch 0", hills(pitched=False)),
         row("maze 160 x 120", maze_sky, (160, 120)),
     ]
     try:

@@ -6,13 +6,15 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from zipf.envs import SPLITS, ZipfVectorEnv, chance, make, make_vec, split
+from zipf.envs.levels import KINDS
 
 
 @pytest.mark.parametrize("name", list(SPLITS))
 def test_every_level_of_every_split_can_be_made(name: str) -> None:
     levels = split(name)
     assert levels.name == name
-    for level in (levels.train, levels.uniform, levels.rare):
+    for level in (one for kind in KINDS for one in levels.levels(kind)):
+        assert isinstance(level, str)
         batch, single = make_vec(level, 2), make(level)
         assert isinstance(batch, ZipfVectorEnv)
         assert batch.single_observation_space == single.observation_space

@@ -1,17 +1,16 @@
 """Playing, watching and recording: keys, experts, files, screens, and what is said of mistakes."""
 
+import codecs
 import fcntl
 import math
 import os
 import pty
 import re
-import select
 import signal
 import subprocess
 import sys
 import termios
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -430,20 +429,32 @@ class Person:
         termios.tcsetwinsize(self.slave, (30, 90))
         self.before = termios.tcgetattr(self.slave)
         self.output = ""
+        self.new = threading.Condition()
+        threading.Thread(target=self._watch, args=[os.dup(self.master)], daemon=True).start()
 
     def type(self, keys: str) -> None:
         os.write(self.master, keys.encode())
 
+    def _watch(self, terminal: int) -> None:
+        """Reads all the time, as terminals do: a program blocks when nobody does."""
+        decoder = codecs.getincrementaldecoder("utf-8")()
+        while True:
+            try:
+                some = os.read(terminal, 65536)
+            except OSError:  # everybody has left
+                os.close(terminal)
+                return
+            with self.new:
+                self.output += decoder.decode(some)
+                self.new.notify_all()
+
     def sees(self, text: str) -> str:
         """Waits until it is shown, after what was waited for before; returns what is between."""
-        ends = time.monotonic() + PATIENCE
-        while text not in self.output:
-            if time.monotonic() > ends:
+        with self.new:
+            if not self.new.wait_for(lambda: text in self.output, PATIENCE):
                 raise AssertionError(f"no {text!r} in {self.output[-2000:]!r}")
-            if select.select([self.master], [], [], 0.1)[0]:
-                self.output += os.read(self.master, 65536).decode(errors="replace")
-        before, _, self.output = self.output.partition(text)
-        return before
+            before, _, self.output = self.output.partition(text)
+            return before
 
     @contextmanager
     def doing(self, script: Callable[[], None]) -> Iterator[None]:
@@ -584,6 +595,11 @@ def test_a_signal_leaves_the_terminal_as_it_was(person, monkeypatch, number):
             signal.signal(n, handler)
 
 
+def at_a_terminal() -> None:
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # which background jobs of a shell ignore
+
+
 def test_ctrl_c_leaves_the_terminal_and_keeps_the_recording(tmp_path):
     person = Person()
     process = subprocess.Popen(
@@ -594,7 +610,7 @@ def test_ctrl_c_leaves_the_terminal_and_keeps_the_recording(tmp_path):
         **dict.fromkeys(("stdin", "stdout", "stderr"), person.slave),
         cwd=tmp_path,
         start_new_session=True,
-        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        preexec_fn=at_a_terminal,
     )
 
     def script():

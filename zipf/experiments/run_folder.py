@@ -128,17 +128,18 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         "paper": TABLE_OF_SPLIT[split] if config.is_released_benchmark else None,
         **how,
     }
-    files = {
+    texts = {
         "config.yaml": OmegaConf.to_yaml(config.model_dump()),
         "run.json": json.dumps(description, indent=2) + "\n",
     }
-    try:
-        for name, text in files.items():
-            replacement = config.folder / f"{name}.new"  # a full disk leaves the one before
+    for name, text in texts.items():
+        replacement = config.folder / f"{name}.new"
+        try:
             replacement.write_text(text)
             replacement.replace(config.folder / name)
-    except OSError as error:
-        raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
+        except OSError as error:
+            replacement.unlink(missing_ok=True)
+            raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
 
 
 def _describe_levels(config: Config) -> list[dict[str, Any]]:

@@ -55,7 +55,10 @@ class Expert:
             return actions.GRAB
         _aim(agent, env.items[i, 0], env.extents[env.ranks[i, 0]])
         if self._points_at(i, agent) == 0:
-            return self._face(i, agent[YAW], agent[PITCH], closed=False)
+            action = self._face(i, agent[YAW], agent[PITCH], closed=False)
+            if action != actions.NOOP:
+                return action
+            # It already points there as well as it can: something narrowly hides the target.
         goals = _viewpoints(
             agent, env.level.furnished, env.ranks[i], env.extents, env.furniture[i],
             env.items[i], env.orientation[i],
@@ -91,7 +94,10 @@ class Expert:
         gap = kernels.rectangle_gap(pose, size, agent[AX], agent[AY])
         # Where to let go: inside the support, or on the floor beside it.
         inset = 0.15 if not near else -(radius + 0.1)
-        spot = _inside(pose, size, inset, agent)
+        spot = _inside(pose, size, max(inset, 0.0), agent)
+        if near:
+            share = -inset / max(gap, -inset)
+            spot = tuple(s + share * (a - s) for s, a in zip(spot, agent[:2].tolist(), strict=True))
         distance = math.hypot(spot[0] - agent[AX], spot[1] - agent[AY])
         if distance > 1.1 or distance < closest or gap < 0.3:
             goals = _beside(pose, size, inset, closest)
@@ -99,7 +105,10 @@ class Expert:
         top = 0.0 if near else float(size[2])
         height = max(top + 0.12, 0.2) + extent[2] / 2 - kernels.EYE
         if math.hypot(item[0] - spot[0], item[1] - spot[1]) < 0.1 and item[3] < top + 0.25:
-            return actions.NOOP
+            room = env.rooms[i]
+            assert room is not None
+            swinging = room.objects[0].velocity.length > 0.3
+            return actions.GRAB if swinging else actions.NOOP
         yaw = math.atan2(spot[1] - agent[AY], spot[0] - agent[AX])
         hold = min(max(math.hypot(distance, height), kernels.NEAREST_HOLD), kernels.REACH)
         if abs(hold - agent[HOLD]) > 0.07:

@@ -7,192 +7,34 @@ computed, and a mask says which are kept. Lines of the buffers therefore have a 
 The functions decorated with `intrinsic` are called from compiled code with addresses and numbers.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import njit
 from numba.extending import intrinsic as _intrinsic
+
+from zipf.envs.render3d.lanes import (
+    ADDRESS,
+    BYTE,
+    F32,
+    FLOAT,
+    I32,
+    INT,
+    LANES,
+    Code,
+    written,
+)
 
 intrinsic: Any = _intrinsic  # its annotations do not know what it makes of a function
 
-LANES = 16
 
-_INT = ir.IntType(32)
-_FLOAT = ir.FloatType()
-_BYTE = ir.IntType(8)
-_ADDRESS, _I, _F = types.intp, types.int32, types.float32
-_CONTRACT = ("contract",)  # a * b + c may be rounded once
-
-
-class _Vector:
-    """A vector of floats, of 32-bit integers or of truth values, while code is being written."""
-
-    def __init__(self, builder: Any, value: Any) -> None:
-        self.builder = builder
-        self.value = value
-        self.floats = value.type.element == _FLOAT
-
-    def _like(self, other: Any) -> Any:
-        if isinstance(other, _Vector):
-            return other.value
-        return ir.Constant(self.value.type, [other] * self.value.type.count)
-
-    def _make(self, floating: str, integer: str, other: Any) -> "_Vector":
-        if self.floats:
-            make = getattr(self.builder, floating)
-            return _Vector(self.builder, make(self.value, self._like(other), flags=_CONTRACT))
-        return _Vector(self.builder, getattr(self.builder, integer)(self.value, self._like(other)))
-
-    def _compare(self, operator: str, other: Any) -> "_Vector":
-        compare = self.builder.fcmp_ordered if self.floats else self.builder.icmp_signed
-        return _Vector(self.builder, compare(operator, self.value, self._like(other)))
-
-    def __add__(self, other: Any) -> "_Vector":
-        return self._make("fadd", "add", other)
-
-    def __sub__(self, other: Any) -> "_Vector":
-        return self._make("fsub", "sub", other)
-
-    def __mul__(self, other: Any) -> "_Vector":
-        return self._make("fmul", "mul", other)
-
-    def __truediv__(self, other: Any) -> "_Vector":
-        return self._make("fdiv", "sdiv", other)
-
-    def __and__(self, other: Any) -> "_Vector":
-        return self._make("", "and_", other)
-
-    def __or__(self, other: Any) -> "_Vector":
-        return self._make("", "or_", other)
-
-    def __lshift__(self, other: Any) -> "_Vector":
-        return self._make("", "shl", other)
-
-    def __rshift__(self, other: Any) -> "_Vector":
-        return self._make("", "ashr", other)
-
-    def __lt__(self, other: Any) -> "_Vector":
-        return self._compare("<", other)
-
-    def __le__(self, other: Any) -> "_Vector":
-        return self._compare("<=", other)
-
-    def __gt__(self, other: Any) -> "_Vector":
-        return self._compare(">", other)
-
-    def __ge__(self, other: Any) -> "_Vector":
-        return self._compare(">=", other)
-
-    def like(self, number: float) -> "_Vector":
-        """`number` in every lane."""
-        return _Vector(self.builder, self._like(number))
-
-    def choose(self, yes: "_Vector", no: "_Vector") -> "_Vector":
-        return _Vector(self.builder, self.builder.select(self.value, yes.value, no.value))
-
-    def least(self, other: Any) -> "_Vector":
-        other = _Vector(self.builder, self._like(other))
-        return (self < other).choose(self, other)
-
-    def most(self, other: Any) -> "_Vector":
-        other = _Vector(self.builder, self._like(other))
-        return (self > other).choose(self, other)
-
-    def floats_(self) -> "_Vector":
-        kind = ir.VectorType(_FLOAT, self.value.type.count)
-        return _Vector(self.builder, self.builder.sitofp(self.value, kind))
-
-    def truncated(self) -> "_Vector":
-        kind = ir.VectorType(_INT, self.value.type.count)
-        return _Vector(self.builder, self.builder.fptosi(self.value, kind))
-
-    def bits(self) -> "_Vector":
-        kind = ir.VectorType(_INT, self.value.type.count)
-        return _Vector(self.builder, self.builder.bitcast(self.value, kind))
-
-    def any(self) -> Any:
-        kind = ir.IntType(self.value.type.count)
-        return self.builder.icmp_unsigned(
-            "!=", self.builder.bitcast(self.value, kind), ir.Constant(kind, 0)
-        )
-
-
-class _Code:
-    """Writes code that works on so many pixels from column `x` of a line on."""
-
-    def __init__(self, builder: Any, lanes: int = LANES) -> None:
-        self.builder = builder
-        self.lanes = lanes
-
-    def splat(self, value: Any) -> _Vector:
-        kind = ir.VectorType(value.type, self.lanes)
-        first = self.builder.insert_element(
-            ir.Constant(kind, ir.Undefined), value, ir.Constant(_INT, 0)
-        )
-        zeros = ir.Constant(ir.VectorType(_INT, self.lanes), [0] * self.lanes)
-        return _Vector(self.builder, self.builder.shuffle_vector(first, first, zeros))
-
-    def columns(self, x: Any) -> _Vector:
-        kind = ir.VectorType(_INT, self.lanes)
-        return self.splat(x) + _Vector(self.builder, ir.Constant(kind, list(range(self.lanes))))
-
-    def _pointer(self, address: Any, kind: Any) -> Any:
-        return self.builder.inttoptr(address, kind.as_pointer())
-
-    def load(self, address: Any, element: Any) -> _Vector:
-        pointer = self._pointer(address, ir.VectorType(element, self.lanes))
-        return _Vector(self.builder, self.builder.load(pointer, align=4))
-
-    def store(self, vector: _Vector, address: Any) -> None:
-        pointer = self._pointer(address, vector.value.type)
-        self.builder.store(vector.value, pointer, align=4)
-
-    def look_up(self, address: Any, indices: _Vector, element: Any) -> _Vector:
-        """The elements at `indices` of an array, widened to 32 bits with their sign."""
-        start = self._pointer(address, element)
-        found = ir.Constant(ir.VectorType(_INT, self.lanes), ir.Undefined)
-        # Taken out two at a time: that is the slow part.
-        pairs = self.builder.bitcast(indices.value, ir.VectorType(ir.IntType(64), self.lanes // 2))
-        for lane in range(self.lanes):
-            place = ir.Constant(_INT, lane)
-            pair = self.builder.extract_element(pairs, ir.Constant(_INT, lane // 2))
-            if lane % 2:
-                index = self.builder.lshr(pair, ir.Constant(pair.type, 32))
-            else:
-                index = self.builder.zext(self.builder.trunc(pair, _INT), pair.type)
-            value = self.builder.load(self.builder.gep(start, [index]))
-            if element.width < 32:
-                value = self.builder.sext(value, _INT)
-            found = self.builder.insert_element(found, value, place)
-        return _Vector(self.builder, found)
-
-    def shade(self, texels: _Vector, light: Sequence[_Vector]) -> _Vector:
-        """Colours 0x00BBGGRR times three factors of at most 1."""
-        colour = None
-        for channel, factor in enumerate(light):
-            part = ((texels >> 8 * channel) & 255).floats_() * factor
-            bits = part.truncated() << 8 * channel
-            colour = bits if colour is None else colour | bits
-        assert colour is not None
-        return colour
-
-    def keep(self, mask: _Vector, inverse: _Vector, depth: Any, paint: _Vector, color: Any) -> None:
-        """Writes the pixels of `mask` to both buffers."""
-        # Loaded before the first store, or LLVM makes masked stores of them: slow on some CPUs.
-        old_inverse, old_paint = self.load(depth, _FLOAT), self.load(color, _INT)
-        self.store(mask.choose(inverse, old_inverse), depth)
-        self.store(mask.choose(paint, old_paint), color)
-
-
-def _written(kinds: Sequence[Any], write: Callable[..., None]) -> Any:
-    """What an intrinsic returns: the types of its arguments and what writes its code."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        write(builder, *args)
-        return context.get_dummy_value()
-
-    return types.void(*kinds), codegen
+@njit(nogil=True, cache=True)
+def address(array):
+    """Where an array begins."""
+    # Signed: numba adds unsigned and signed integers as floats.
+    return np.intp(array.ctypes.data)
 
 
 @intrinsic
@@ -208,41 +50,32 @@ def wall_block(
 
     def write(builder, color, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, red,
               green, blue, solid):  # fmt: skip
-        code = _Code(builder)
+        code = Code(builder)
         splat = code.splat
         column = code.columns(x)
         place = column.floats_()
         inverse = splat(z) + splat(dz) * place
-        mask = (column <= splat(last)) & (inverse > code.load(depth, _FLOAT))
+        mask = (column <= splat(last)) & (inverse > code.load(depth, FLOAT))
         with builder.if_then(mask.any()):
-            # t and the light of one division: 1/t**2 + fade is the denominator of both.
-            square = inverse * inverse
-            lit = square + splat(fade)
-            both = lit.like(1.0) / (inverse * lit)
-            t = lit * both
-            dim = square * inverse * both
-            # Half of the exponent of the texels in a pixel, which is from bit 23 on, less 127.
-            texels_each = (splat(area) * (t * t * t)).most(1.0).least(4096.0)
-            level = (texels_each.bits() - (127 << 23)) >> 24
-            iu = ((splat(u) + splat(du) * place) * t).truncated() & 63
-            iv = ((splat(v) + splat(dv) * place) * t).truncated() & 63
-            index = ((iv >> level) << 7) + (iu >> level) + 128 - (level.like(128) >> level)
-            texel = code.look_up(texels, index, _INT)
+            t, dim = code.distance(inverse, fade)
+            iu, iv = ((splat(a) + splat(da) * place) * t for a, da in ((u, du), (v, dv)))
+            index = code.texel(splat(area) * (t * t * t), iu, iv)
+            texel = code.look_up(texels, index, INT)
             mask = mask & ((texel | splat(solid)) < 0)
             paint = code.shade(texel, [dim * splat(c) for c in (red, green, blue)])
             code.keep(mask, inverse, depth, paint, color)
 
-    return _written([_ADDRESS] * 3 + [_I] * 2 + [_F] * 11 + [_I], write)
+    return written([ADDRESS] * 3 + [I32] * 2 + [F32] * 11 + [I32], write)
 
 
 def _flat(patchwork: bool) -> Callable[..., Any]:
     def write(builder, color, depth, texels, x, last, z, u, du, v, dv, level, red, green,
               blue, solid, tiles, c, dc, columns, r, dr, rows):  # fmt: skip
-        code = _Code(builder)
+        code = Code(builder)
         splat = code.splat
         column = code.columns(x)
         place = column.floats_()
-        mask = (column <= splat(last)) & (splat(z) > code.load(depth, _FLOAT))
+        mask = (column <= splat(last)) & (splat(z) > code.load(depth, FLOAT))
         with builder.if_then(mask.any()):
             iu = (splat(u) + splat(du) * place).truncated() & 63
             iv = (splat(v) + splat(dv) * place).truncated() & 63
@@ -254,7 +87,7 @@ def _flat(patchwork: bool) -> Callable[..., Any]:
                 tile = code.look_up(tiles, ir_ * splat(columns) + ic, ir.IntType(16))
                 mask = mask & (tile >= 0)
                 index = index + (tile.most(0) << 13)
-            texel = code.look_up(texels, index, _INT)
+            texel = code.look_up(texels, index, INT)
             mask = mask & ((texel | splat(solid)) < 0)
             paint = code.shade(texel, [splat(factor) for factor in (red, green, blue)])
             code.keep(mask, splat(z), depth, paint, color)
@@ -262,7 +95,7 @@ def _flat(patchwork: bool) -> Callable[..., Any]:
     return write
 
 
-_FLAT = [_ADDRESS] * 3 + [_I] * 2 + [_F] * 5 + [_I] + [_F] * 3 + [_I]
+_FLAT = [ADDRESS] * 3 + [I32] * 2 + [F32] * 5 + [I32] + [F32] * 3 + [I32]
 
 
 @intrinsic
@@ -275,7 +108,7 @@ def flat_block(
     1/t, the light and the size of texels are the same along a line, texel coordinates are affine.
     """
     write = _flat(patchwork=False)
-    return _written(_FLAT, lambda builder, *args: write(builder, *args, *[None] * 7))
+    return written(_FLAT, lambda builder, *args: write(builder, *args, *[None] * 7))
 
 
 @intrinsic
@@ -284,7 +117,7 @@ def patchwork_block(
     solid, tiles, c, dc, columns, r, dr, rows,
 ):  # fmt: skip
     """Like `flat_block`; the texture is found in `tiles` [rows, columns] at affine coordinates."""
-    return _written(_FLAT + [_ADDRESS, _F, _F, _I, _F, _F, _I], _flat(patchwork=True))
+    return written(_FLAT + [ADDRESS, F32, F32, I32, F32, F32, I32], _flat(patchwork=True))
 
 
 @intrinsic
@@ -300,13 +133,13 @@ def vertex_block(
 
     def write(builder, vertices, vertex_line, seen, seen_line, xx, xy, xz, xw, yx, yy, yz, yw, zx,
               zy, zz, zw, focal, middle_x, middle_y):  # fmt: skip
-        code = _Code(builder)
+        code = Code(builder)
         splat = code.splat
 
         def line(start: Any, step: Any, number: int) -> Any:
             return builder.add(start, builder.mul(step, ir.Constant(step.type, number)))
 
-        x, y, z = (code.load(line(vertices, vertex_line, k), _FLOAT) for k in range(3))
+        x, y, z = (code.load(line(vertices, vertex_line, k), FLOAT) for k in range(3))
         right, up, ahead = (
             splat(a) * x + splat(b) * y + splat(c) * z + splat(d)
             for a, b, c, d in ((xx, xy, xz, xw), (yx, yy, yz, yw), (zx, zy, zz, zw))
@@ -318,7 +151,7 @@ def vertex_block(
         for k, value in enumerate((right, up, ahead, across, down, inverse)):
             code.store(value, line(seen, seen_line, k))
 
-    return _written([_ADDRESS] * 4 + [_F] * 15, write)
+    return written([ADDRESS] * 4 + [F32] * 15, write)
 
 
 @intrinsic
@@ -331,10 +164,10 @@ def light_block(
     """
 
     def write(builder, normals, line, lit, eye_x, eye_y, eye_z, sun_x, sun_y, sun_z, base, slope):
-        code = _Code(builder)
+        code = Code(builder)
         splat = code.splat
         x, y, z, plane = (
-            code.load(builder.add(normals, builder.mul(line, ir.Constant(line.type, k))), _FLOAT)
+            code.load(builder.add(normals, builder.mul(line, ir.Constant(line.type, k))), FLOAT)
             for k in range(4)
         )
         front = splat(eye_x) * x + splat(eye_y) * y + splat(eye_z) * z > plane
@@ -342,7 +175,7 @@ def light_block(
         light = splat(base) + splat(slope) * light
         code.store(front.choose(light, light.like(0.0)), lit)
 
-    return _written([_ADDRESS] * 3 + [_F] * 8, write)
+    return written([ADDRESS] * 3 + [F32] * 8, write)
 
 
 TRIANGLE_LANES = 8
@@ -355,17 +188,97 @@ def triangle_block(
     """Pixels x .. x + 7 of a triangle: those where a, b and c are positive."""
 
     def write(builder, color, depth, x, paint, z, dz, a, da, b, db, c, dc):
-        code = _Code(builder, TRIANGLE_LANES)
+        code = Code(builder, TRIANGLE_LANES)
         splat = code.splat
         place = code.columns(x).floats_()
         inverse = splat(z) + splat(dz) * place
-        mask = inverse > code.load(depth, _FLOAT)
+        mask = inverse > code.load(depth, FLOAT)
         for start, step in ((a, da), (b, db), (c, dc)):
             mask = mask & (splat(start) + splat(step) * place > 0.0)
         code.keep(mask, inverse, depth, splat(paint), color)
 
-    kinds = [_ADDRESS, _ADDRESS, _I, _I] + [_F] * 8
-    return _written(kinds, write)
+    kinds = [ADDRESS, ADDRESS, I32, I32] + [F32] * 8
+    return written(kinds, write)
+
+
+@intrinsic
+def cell_block(typingctx, south, north, line, kinds, right, bottom, near, side):
+    """Tells which of 16 cells of a terrain may be seen.
+
+    `south` and `north` are where two lines of corners lie in what `vertex_block` wrote, whose lines
+    are so many bytes apart. `right` and `bottom` are the last column and row of the image, `side`
+    is how far it reaches to either side at a depth of 1. Writes 0 for cells that show at no pixel,
+    2 for those that the near plane cuts and 1 for the others.
+    """
+
+    def write(builder, south, north, line, kinds, right, bottom, near, side):
+        code = Code(builder)
+        splat = code.splat
+
+        def corners(number: int) -> list[Any]:
+            start = builder.mul(line, ir.Constant(line.type, number))
+            first = [builder.add(start, row) for row in (south, north)]
+            return [
+                code.load(builder.add(at, ir.Constant(at.type, 4 * k)), FLOAT)
+                for at in first
+                for k in (0, 1)
+            ]
+
+        def bounds(values: Any) -> Any:
+            a, b, c, d = values
+            return a.least(b).least(c.least(d)), a.most(b).most(c.most(d))
+
+        def holds_a_pixel(values: Any, last: Any) -> Any:
+            low, high = bounds(values)
+            low, high = low.most(0.0), high.least(splat(last)).most(-1.0)
+            return (high >= 0.0) & (high.truncated().floats_() >= low)
+
+        aside, ahead = corners(0), corners(2)
+        nearest, farthest = bounds(ahead)
+        leftmost, _ = bounds([a - splat(side) * b for a, b in zip(aside, ahead, strict=True)])
+        _, rightmost = bounds([a + splat(side) * b for a, b in zip(aside, ahead, strict=True)])
+        cut = (farthest > splat(near)) & (leftmost < 0.0) & (rightmost > 0.0)
+        whole = holds_a_pixel(corners(3), right) & holds_a_pixel(corners(4), bottom)
+        two, one, none = (nearest.truncated().like(k) for k in (2, 1, 0))
+        before = nearest > splat(near)
+        code.store(before.choose(whole.choose(one, none), cut.choose(two, none)), kinds)
+
+    return written([ADDRESS] * 4 + [F32] * 4, write)
+
+
+@intrinsic
+def terrain_block(
+    typingctx, color, depth, texels, x, light, area, looks, u, u_ray, du_ray, v, v_ray, dv_ray,
+    fade, red, green, blue,
+):  # fmt: skip
+    """Paints the pixels x .. x + 15 of a terrain, whose colours are triangles' numbers as yet.
+
+    At a depth of t texel coordinates are u + (u_ray + du_ray * x) * t. `light` and `area` (a pixel
+    covers area * t**3 texels) are those of the triangles; `looks` are the textures of every two.
+    """
+
+    def write(builder, color, depth, texels, x, light, area, looks, u, u_ray, du_ray, v, v_ray,
+              dv_ray, fade, red, green, blue):  # fmt: skip
+        code = Code(builder)
+        splat = code.splat
+        place = code.columns(x).floats_()
+        inverse, number = code.load(depth, FLOAT), code.load(color, INT)
+        mask = inverse > 0.0
+        with builder.if_then(mask.any()):
+            triangle = mask.choose(number, number.like(0))
+            t, dim = code.distance(inverse, fade)
+            iu, iv = (
+                splat(a) + (splat(b) + splat(db) * place) * t
+                for a, b, db in ((u, u_ray, du_ray), (v, v_ray, dv_ray))
+            )
+            lit = code.look_up(light, triangle, INT).as_floats() * dim
+            each = code.look_up(area, triangle, INT).as_floats() * (t * t * t)
+            look = code.look_up(looks, triangle >> 1, ir.IntType(16)).most(0)
+            texel = code.look_up(texels, code.texel(each, iu, iv) + (look << 13), INT)
+            paint = code.shade(texel, [lit * splat(c) for c in (red, green, blue)])
+            code.store(mask.choose(paint, number), color)
+
+    return written([ADDRESS] * 3 + [I32] + [ADDRESS] * 3 + [F32] * 10, write)
 
 
 @intrinsic
@@ -373,11 +286,11 @@ def pack_block(typingctx, color, out):
     """Writes 16 colours 0x00BBGGRR as 48 bytes."""
 
     def write(builder, color, out):
-        pointer = builder.inttoptr(color, ir.VectorType(_BYTE, 4 * LANES).as_pointer())
+        pointer = builder.inttoptr(color, ir.VectorType(BYTE, 4 * LANES).as_pointer())
         colours = builder.load(pointer, align=4)
         order = [4 * pixel + channel for pixel in range(LANES) for channel in range(3)]
-        chosen = ir.Constant(ir.VectorType(_INT, len(order)), order)
+        chosen = ir.Constant(ir.VectorType(INT, len(order)), order)
         packed = builder.shuffle_vector(colours, colours, chosen)
         builder.store(packed, builder.inttoptr(out, packed.type.as_pointer()), align=1)
 
-    return _written([_ADDRESS, _ADDRESS], write)
+    return written([ADDRESS, ADDRESS], write)

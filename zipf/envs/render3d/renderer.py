@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.render3d import kernels
-from zipf.envs.render3d.blocks import LANES
+from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.meshes import MeshAtlas
 from zipf.envs.render3d.scene import Scenes
+from zipf.envs.render3d.terrain import terrain_scratch
 from zipf.envs.render3d.textures import SIZE
 
 FIXED_COLORS = np.array(
@@ -63,7 +64,7 @@ class Renderer:
         self._meshes = _prepare(meshes)
         self._texels = pack_textures(textures)
         self._focal = width / 2 / math.tan(math.radians(fov) / 2)
-        self._grid = (0, 0)
+        self._sizes = ((0, 0), (0, 0))
         self._scratch = [self._allocate() for _ in range(threads)]
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
@@ -88,8 +89,9 @@ class Renderer:
         elif mask.shape != (n,) or mask.dtype != np.bool_:
             raise ValueError(f"mask must be bool {(n,)}, not {mask.dtype} {mask.shape}")
 
-        if scenes.solid.shape[1:] != self._grid:
-            self._grid = scenes.solid.shape[1:]
+        sizes = (scenes.solid.shape[1:], scenes.terrain_looks.shape[1:])
+        if sizes != self._sizes:
+            self._sizes = sizes
             self._scratch = [self._allocate() for _ in range(self.threads)]
 
         def draw(thread: int, start: int, stop: int) -> int:
@@ -98,9 +100,9 @@ class Renderer:
                 start, stop, mask, s.camera, s.walls, s.wall_looks, s.wall_repeat, s.wall_tint,
                 s.wall_face, s.wall_count, s.flats, s.flat_looks, s.flat_tiles, s.flat_repeat,
                 s.flat_tint, s.flat_count, s.tiles, s.mesh, s.position, s.rotation, s.scale,
-                s.colors, s.sky, s.screen, s.overlays, s.overlay_colors,
-                s.overlay_count, s.solid, s.grid, self._meshes, FIXED_COLORS, self._texels,
-                self._focal, *self._scratch[thread], out,
+                s.colors, s.sky, s.screen, s.overlays, s.overlay_colors, s.overlay_count, s.solid,
+                s.grid, s.heights, s.terrain, s.terrain_looks, s.terrain_tint, self._meshes,
+                FIXED_COLORS, self._texels, self._focal, *self._scratch[thread], out,
             )  # fmt: skip
 
         if self._pool is None:
@@ -115,10 +117,10 @@ class Renderer:
                 f"{len(self._meshes[-1])} on, or a screen without Scenes(screen=...)"
             )
 
-    def _allocate(self) -> tuple[NDArray[Any], ...]:
+    def _allocate(self) -> tuple[Any, ...]:
         stride = -(-self.width // LANES) * LANES + LANES
         vertices, triangles = (int(np.diff(ends).max(initial=0)) for ends in self._meshes[4:6])
-        rows, columns = self._grid
+        (rows, columns), terrain = self._sizes
         return (
             np.zeros((self.height, stride), np.uint32),
             np.zeros((self.height, stride), np.float32),
@@ -130,6 +132,7 @@ class Renderer:
             np.zeros(triangles + 1, np.int32),
             np.zeros(rows * columns * 4, np.bool_),
             np.zeros((4, rows * columns + 2)),
+            terrain_scratch(*terrain),
         )
 
 

@@ -62,6 +62,15 @@ class Scenes:
       lies outside the grid counts as solid. A camera in a solid cell sees every wall.
     - `grid` float32 [N, 3]: x, y of the grid's south-west corner and the size of a cell; a size
       of 0, the start, means that there is no grid
+    - `heights` float32 [N, rows + 1, columns + 1]: of a terrain, at the corners of its cells, rows
+      growing with y and columns with x. A cell is two triangles that meet on the line from its
+      south-west to its north-east corner, lit by their slopes. It is seen from above only
+    - `terrain` float32 [N, 4]: x, y of its south-west corner; the size of a cell (0, the start:
+      there is no terrain); metres per repeat of textures, seen from above (0: once over each cell)
+    - `terrain_looks` int16 [N, rows, columns]: textures of its cells (negative, the start: a hole)
+    - `terrain_tint` uint8 [N, 3]
+
+    Raises ValueError for a terrain that has rows and no columns, or the reverse.
     """
 
     def __init__(
@@ -75,7 +84,10 @@ class Scenes:
         grid: tuple[int, int] = (0, 0),
         screen: tuple[int, int] = (0, 0),
         overlays: int = 0,
+        terrain: tuple[int, int] = (0, 0),
     ) -> None:
+        if min(terrain) < 0 or (min(terrain) == 0) != (max(terrain) == 0):
+            raise ValueError(f"terrain must be rows and columns of 1 or more, not {terrain}")
         n = num_worlds
         self.num_worlds = n
         self.camera = np.zeros((n, 5), np.float32)
@@ -104,6 +116,10 @@ class Scenes:
         self.overlay_count = np.zeros(n, np.int32)
         self.solid = np.zeros((n, *grid), np.bool_)
         self.grid = np.zeros((n, 3), np.float32)
+        self.heights = np.zeros((n, terrain[0] + 1, terrain[1] + 1), np.float32)
+        self.terrain = np.zeros((n, 4), np.float32)
+        self.terrain_looks = np.full((n, *terrain), -1, np.int16)
+        self.terrain_tint = np.full((n, 3), 255, np.uint8)
 
     def add_wall(
         self,
@@ -162,6 +178,36 @@ class Scenes:
             self.tiles[world, first_tile:end] = tiles.reshape(-1)
             self.flat_tiles[world, index] = first_tile, *tiles.shape
         return index
+
+    def set_terrain(
+        self,
+        world: int,
+        corner: tuple[float, float],
+        size: float,
+        heights: NDArray[np.floating],
+        textures: ArrayLike,
+        *,
+        repeat: float = 0.0,
+        tint: ArrayLike = 255,
+    ) -> None:
+        """Lays a terrain of `heights` [rows + 1, columns + 1] from its south-west `corner` on.
+
+        `textures`, one or [rows, columns], are those of its cells of `size` metres. Raises
+        ValueError for other shapes and a size that is not positive.
+        """
+        if heights.shape != self.heights.shape[1:]:
+            raise ValueError(f"heights must be {self.heights.shape[1:]}, not {heights.shape}")
+        looks = np.asarray(textures)
+        if looks.ndim and looks.shape != self.terrain_looks.shape[1:]:
+            raise ValueError(
+                f"textures must be one or {self.terrain_looks.shape[1:]}, not {looks.shape}"
+            )
+        if size <= 0:
+            raise ValueError(f"size must be positive, not {size}")
+        self.heights[world] = heights
+        self.terrain[world] = *corner, size, repeat
+        self.terrain_looks[world] = looks
+        self.terrain_tint[world] = tint
 
 
 def _take(counts: NDArray[np.int32], world: int, room: int, what: str) -> int:

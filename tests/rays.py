@@ -1,0 +1,270 @@
+"""Rays cast one surface at a time, slowly: what the renderer should draw."""
+
+import math
+
+import numpy as np
+
+from zipf.envs.render3d import (
+    FACES_DOWN,
+    SEE_THROUGH,
+    TWO_SIDED,
+    MeshAtlas,
+    Renderer,
+    Scenes,
+    kernels,
+    optics,
+    textures,
+)
+from zipf.envs.render3d.renderer import FIXED_COLORS, pack_textures
+
+CORNERS = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 2), (1, -1, 2), (1, 1, 2)] + [
+    (-1, 1, 2)
+]
+SQUARES = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+BOX = [t for a, b, c, d in SQUARES for t in ((a, b, c), (a, c, d))]
+PEAK = [(-1, -1, 0), (1, -1, 0), (0, 1, 0), (0, 0, 2)]
+SIDES = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)]
+ATLAS = MeshAtlas(
+    names=("box", "peak"),
+    vertices=np.array(CORNERS + PEAK, np.float32) * np.float32(0.2),
+    triangles=np.array(BOX + [(a + 8, b + 8, c + 8) for a, b, c in SIDES], np.int32),
+    parts=np.array([0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 0, 1, 2, 3], np.uint8),
+    first_vertex=np.array([0, 8, 12], np.int32),
+    first_triangle=np.array([0, 12, 16], np.int32),
+    extent=np.full((2, 3), 0.4, np.float32),
+)
+STACK = textures.stack()
+WIDTH, HEIGHT = 64, 48
+
+
+def plain(*colors):
+    """A stack of textures of one colour each."""
+    stack = np.full((len(colors), 64, 64, 4), 255, np.uint8)
+    for image, color in zip(stack, colors, strict=True):
+        image[..., :3] = color
+    return stack
+
+
+def view(scenes, stack=STACK, width=WIDTH, height=HEIGHT, **options):
+    renderer = Renderer(ATLAS, stack, width=width, height=height, **options)
+    out = np.zeros((scenes.num_worlds, height, width, 3), np.uint8)
+    renderer.render(scenes, out)
+    return out
+
+
+def sun_on(normal, dark, sun):
+    direction = np.array(optics.SUN) / np.linalg.norm(optics.SUN)
+    return dark + sun * (0.5 + 0.5 * np.asarray(normal) @ direction)
+
+
+def shaded(color, light, t):
+    return color * np.asarray(light / (1 + (t / optics.FADE) ** 2))[..., None]
+
+
+def texel(packed, texture, u, v, area):
+    """The colours and alphas of a texture at texels u, v for pixels that cover `area` texels."""
+    level = np.clip(np.floor(np.log2(np.maximum(area, 1e-9)) / 2), 0, 6).astype(int)
+    u, v = np.floor(u).astype(int) % 64, np.floor(v).astype(int) % 64
+    value = packed[texture, (v >> level) * 128 + 128 - (128 >> level) + (u >> level)]
+    return np.stack([value >> 8 * k & 255 for k in range(4)], -1).astype(float)
+
+
+def within(distance, size):
+    return (distance >= -kernels.GROW) & (distance <= size + kernels.GROW)
+
+
+def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
+    """An image [H, W, 3] of floats, and which surface each pixel shows (0: the sky)."""
+    packed = pack_textures(stack)
+    eye, (yaw, pitch) = (
+        scenes.camera[world, :3].astype(float),
+        scenes.camera[world, 3:].astype(float),
+    )
+    focal = width / 2
+    y, x = np.mgrid[:height, :width]
+    right = np.array([math.sin(yaw), -math.cos(yaw), 0])
+    ahead = np.array([math.cos(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw)])
+    ahead = np.append(ahead, math.sin(pitch))
+    up = np.cross(right, ahead)
+    rays = (
+        ahead
+        + ((x - (width - 1) / 2) / focal)[..., None] * right
+        + (((height - 1) / 2 - y) / focal)[..., None] * up
+    )
+    low, high = scenes.sky[world].astype(float)
+    share = np.clip((pitch + np.arctan(((height - 1) / 2 - y) / focal)) / (math.pi / 2), 0, 1)
+    image = low + share[..., None] * (high - low)
+    depth = np.full((height, width), np.inf)
+    shown = np.zeros((height, width), int)
+    surfaces = 0
+
+    def put(t, where, color):
+        nonlocal surfaces
+        surfaces += 1
+        with np.errstate(invalid="ignore"):
+            where = where & (t >= optics.NEAR) & (t < depth)
+        depth[where], shown[where], image[where] = t[where], surfaces, color[where]
+
+    with np.errstate(all="ignore"):
+        for k in range(scenes.wall_count[world]):
+            x0, y0, x1, y1, z0, z1 = scenes.walls[world, k].astype(float)
+            texture, flags = scenes.wall_looks[world, k]
+            along = np.array([x0 - x1, y0 - y1, 0])
+            length = np.linalg.norm(along)
+            along /= length
+            normal = np.array([-(y1 - y0), x1 - x0, 0]) / length  # left of the way
+            distance = (eye - (x0, y0, 0)) @ normal
+            if texture < 0 or (distance < 0 and not flags & TWO_SIDED):
+                continue
+            t = -distance / (rays @ normal)
+            hit = eye + t[..., None] * rays
+            u, v = (hit - (x1, y1, 0)) @ along, z1 - hit[..., 2]
+            inside = within(u, length) & within(v, z1 - z0)
+            per = [
+                64 / (r or whole)
+                for r, whole in zip(scenes.wall_repeat[world, k], (length, z1 - z0), strict=True)
+            ]
+            area = per[0] * per[1] * t**3 / focal**2 / abs(distance)
+            found = texel(
+                packed, texture, np.nan_to_num(u * per[0]), np.nan_to_num(v * per[1]), area
+            )
+            if flags & SEE_THROUGH:
+                inside &= found[..., 3] >= 128
+            light = sun_on(normal * np.sign(distance), optics.SURFACE_DARK, optics.SURFACE_SUN)
+            put(t, inside, shaded(found[..., :3] * scenes.wall_tint[world, k] / 255, light, t))
+        for k in range(scenes.flat_count[world]):
+            x0, y0, x1, y1, z = scenes.flats[world, k].astype(float)
+            texture, flags = scenes.flat_looks[world, k]
+            first, rows, columns = scenes.flat_tiles[world, k]
+            above = eye[2] > z
+            if not flags & TWO_SIDED and above == bool(flags & FACES_DOWN):
+                continue
+            t = (z - eye[2]) / rays[..., 2]
+            hit = eye + t[..., None] * rays
+            u, v = np.nan_to_num(hit[..., 0] - x0), np.nan_to_num(hit[..., 1] - y0)
+            inside = within(u, x1 - x0) & within(v, y1 - y0)
+            which = np.full(u.shape, texture)
+            if rows:
+                column = np.clip(u * columns / (x1 - x0), 0, columns - 1).astype(int)
+                row = np.clip(v * rows / (y1 - y0), 0, rows - 1).astype(int)
+                which = scenes.tiles[world, first + row * columns + column]
+                inside &= which >= 0
+            repeat = scenes.flat_repeat[world, k]
+            per_u = 64 / (repeat or (x1 - x0) / max(columns, 1))
+            per_v = 64 / (repeat or (y1 - y0) / max(rows, 1))
+            area = per_u * per_v * t**3 / focal**2 / abs(z - eye[2])
+            found = texel(packed, which, u * per_u, v * per_v, area)
+            if flags & SEE_THROUGH:
+                inside &= found[..., 3] >= 128
+            light = sun_on((0, 0, 1 if above else -1), optics.SURFACE_DARK, optics.SURFACE_SUN)
+            put(t, inside, shaded(found[..., :3] * scenes.flat_tint[world, k] / 255, light, t))
+        for k, mesh in enumerate(scenes.mesh[world]):
+            if mesh < 0:
+                continue
+            scale, rotation = float(scenes.scale[world, k]), scenes.rotation[world, k].astype(float)
+            position = scenes.position[world, k].astype(float)
+            colors = np.concatenate([scenes.colors[world, k], FIXED_COLORS]).astype(float)
+            fade = max((position - eye) @ ahead, 0.0)
+            for triangle in range(*ATLAS.first_triangle[mesh : mesh + 2]):
+                corners = ATLAS.vertices[ATLAS.triangles[triangle] + ATLAS.first_vertex[mesh] * 0]
+                a, b, c = scale * corners.astype(float) @ rotation.T + position
+                normal = np.cross(b - a, c - a)
+                normal /= np.linalg.norm(normal)
+                if (eye - a) @ normal <= 0:
+                    continue
+                t = (a - eye) @ normal / (rays @ normal)
+                hit = eye + t[..., None] * rays
+                inside = np.ones(t.shape, bool)
+                for p, q in ((a, b), (b, c), (c, a)):
+                    inside &= np.cross(q - p, hit - p) @ normal >= 0
+                light = sun_on(normal, optics.MESH_DARK, optics.MESH_SUN)
+                color = shaded(colors[ATLAS.parts[triangle]], light, fade)
+                put(t, inside, np.broadcast_to(color, (height, width, 3)))
+        if scenes.terrain[world, 2] > 0:
+            cast_terrain(scenes, world, packed, eye, rays, focal, put)
+    return image, shown
+
+
+def cast_terrain(scenes, world, packed, eye, rays, focal, put):
+    west, south, size, repeat = scenes.terrain[world].astype(float)
+    per = 64 / (repeat or size)
+    for row, column in np.argwhere(scenes.terrain_looks[world] >= 0):
+        sw, se, nw, ne = (
+            np.array([west + size * c, south + size * r, scenes.heights[world, r, c]])
+            for r in (row, row + 1)
+            for c in (column, column + 1)
+        )
+        for a, b, c in ((sw, se, ne), (sw, ne, nw)):
+            normal = np.cross(b - a, c - a)
+            normal /= np.linalg.norm(normal)
+            above = (eye - a) @ normal / normal[2]
+            if above <= 0:
+                continue
+            t = (a - eye) @ normal / (rays @ normal)
+            hit = eye + t[..., None] * rays
+            inside = np.ones(t.shape, bool)
+            for p, q in ((a, b), (b, c), (c, a)):
+                inside &= np.cross(q - p, hit - p) @ normal >= 0
+            u, v = np.nan_to_num(hit[..., 0] - west), np.nan_to_num(hit[..., 1] - south)
+            look = scenes.terrain_looks[world, row, column]
+            found = texel(packed, look, u * per, v * per, per**2 * t**3 / focal**2 / above)
+            light = sun_on(normal, optics.MESH_DARK, optics.MESH_SUN)
+            color = found[..., :3] * scenes.terrain_tint[world] / 255
+            put(t, inside, shaded(color, light, t))
+
+
+def inner(shown):
+    """Pixels whose eight neighbours show the same surface; the image's border is none."""
+    same = np.zeros(shown.shape, bool)
+    same[1:-1, 1:-1] = True
+    h, w = shown.shape
+    for down in range(3):
+        for across in range(3):
+            there = shown[down : h - 2 + down, across : w - 2 + across]
+            same[1:-1, 1:-1] &= there == shown[1:-1, 1:-1]
+    return same
+
+
+def random_rotation(rng):
+    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+    q *= np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q))
+
+
+def random_scenes(seed, worlds=6, **more):
+    """Rooms with walls across, a hole in a patchwork floor, shelves, a fence and things."""
+    rng = np.random.default_rng(seed)
+    scenes = Scenes(worlds, walls=10, flats=4, instances=5, tile_cells=12, **more)
+    corners = ((0, 0), (5, 0), (5, 4), (0, 4))
+    for world in range(worlds):
+        for k in range(4):
+            repeat = ((1, 1), (0, 0), (1.5, 0), (0, 0.7))[k]
+            ends = corners[k] + corners[(k + 1) % 4]
+            scenes.add_wall(world, ends, (0, 2.5), int(rng.integers(len(STACK))), repeat=repeat)
+        for k in range(5):
+            scenes.add_wall(
+                world, rng.uniform((0, 0, 0, 0), (5, 4, 5, 4)), (rng.uniform(0, 1), 1.5),
+                int(rng.integers(len(STACK))), flags=TWO_SIDED * (k % 2), repeat=(1, 1),
+                tint=rng.integers(100, 256, 3),
+            )  # fmt: skip
+        scenes.add_wall(
+            world, rng.uniform((0, 0, 0, 0), (5, 4, 5, 4)), (0, 1), textures.index("fence"),
+            flags=TWO_SIDED | SEE_THROUGH,
+        )  # fmt: skip
+        tiles = rng.integers(0, len(STACK), (3, 4))
+        tiles[1, 1] = -1
+        scenes.add_flat(world, (0, 0, 5, 4), 0, 0, tiles=tiles)
+        scenes.add_flat(world, (0, 0, 5, 4), 2.5, 1, flags=FACES_DOWN, repeat=1.0)
+        scenes.add_flat(world, (1, 1, 2, 3), 0.7, 2, flags=TWO_SIDED, tint=(255, 90, 40))
+        scenes.add_flat(world, (3, 1, 4, 2), 0.4, textures.index("fence"), flags=SEE_THROUGH)
+        for k in range(5):
+            scenes.mesh[world, k] = rng.integers(-1, 2)
+            scenes.position[world, k] = rng.uniform((0, 0, 0), (5, 4, 2))
+            scenes.rotation[world, k] = random_rotation(rng)
+            scenes.scale[world, k] = rng.uniform(0.5, 2)
+        scenes.colors[world] = rng.integers(0, 256, (5, 2, 3))
+        scenes.camera[world] = (
+            *rng.uniform((0.3, 0.3, 0.3), (4.7, 3.7, 2.2)),
+            *rng.uniform((-math.pi, -0.9), (math.pi, 0.9)),
+        )
+    return scenes

@@ -1,0 +1,268 @@
+"""Terrains against rays cast at one triangle at a time, and what their arrays mean."""
+
+import math
+
+import numpy as np
+import pytest
+from rays import ATLAS, HEIGHT, STACK, WIDTH, cast, inner, plain, random_scenes, view
+
+from zipf.envs.render3d import Renderer, Scenes, optics
+
+ROWS, COLUMNS = 7, 19
+
+
+def hills(rng, rows=ROWS, columns=COLUMNS, rough=0.25):
+    """Waves with some noise, float32 [rows + 1, columns + 1]."""
+    y, x = np.mgrid[: rows + 1, : columns + 1]
+    waves = np.sin(x * rng.uniform(0.3, 0.8) + rng.uniform(0, 6))
+    waves = waves + np.cos(y * rng.uniform(0.3, 0.8) + rng.uniform(0, 6))
+    return (0.4 * waves + rough * rng.uniform(-1, 1, x.shape)).astype(np.float32)
+
+
+def over(scenes, world, x, y):
+    """How high the ground is at x, y."""
+    west, south, size, _ = scenes.terrain[world]
+    c, r = (x - west) / size, (y - south) / size
+    column, row = int(c), int(r)
+    c, r = c - column, r - row
+    (sw, se), (nw, ne) = scenes.heights[world, row : row + 2, column : column + 2].astype(float)
+    if c > r:
+        return sw + c * (se - sw) + r * (ne - se)
+    return sw + r * (nw - sw) + c * (ne - nw)
+
+
+def add_terrain(scenes, rng, looks=None, eye=(0.1, 1.5), pitch=0.8):
+    """Hills with some holes, under every world's camera and before it."""
+    shape = scenes.terrain_looks.shape[1:]
+    for world in range(scenes.num_worlds):
+        cells = rng.integers(len(STACK), size=shape) if looks is None else looks[world]
+        cells = np.where(rng.random(shape) < 0.05, -1, cells)
+        corner, size = rng.uniform(-3, 0, 2), rng.uniform(0.3, 0.6)
+        scenes.set_terrain(
+            world, corner, size, hills(rng, *shape), cells, repeat=rng.choice([0, 0.7]),
+            tint=rng.integers(150, 256, 3),
+        )  # fmt: skip
+        x, y = corner + size * rng.uniform((0, 0), shape[::-1])
+        north, east = corner[::-1] + size * np.array(shape) / 2 - (y, x)
+        scenes.camera[world] = (
+            x,
+            y,
+            over(scenes, world, x, y) + rng.uniform(*eye),
+            math.atan2(north, east) + rng.uniform(-1, 1),
+            rng.uniform(-pitch, pitch),
+        )
+
+
+def furnished(seed, worlds=3):
+    """Random scenes whose room stands in hills."""
+    scenes = random_scenes(seed, worlds, terrain=(ROWS, COLUMNS))
+    add_terrain(scenes, np.random.default_rng(seed))
+    return scenes
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_matches_rays(seed):
+    """Among walls, floors and things; texels may differ where two meet."""
+    scenes = furnished(seed)
+    images = view(scenes).astype(float)
+    for world in range(scenes.num_worlds):
+        image, shown = cast(scenes, world, STACK)
+        off = abs(images[world] - image).max(-1)
+        assert (off[inner(shown)] > 1.5).mean() < 0.02
+        assert (off > 1.5).mean() < 0.04
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_shows_the_right_triangles(seed):
+    """Every cell has its colour, and pixels within one of its triangles are of it."""
+    rng = np.random.default_rng(seed)
+    scenes = Scenes(4, terrain=(ROWS, COLUMNS))
+    stack = plain(*rng.integers(30, 256, (ROWS * COLUMNS, 3)))
+    add_terrain(scenes, rng, looks=np.arange(ROWS * COLUMNS).reshape(1, ROWS, COLUMNS).repeat(4, 0))
+    images = view(scenes, stack).astype(float)
+    ground = 0
+    for world in range(4):
+        image, shown = cast(scenes, world, stack)
+        off = abs(images[world] - image).max(-1)
+        assert off[inner(shown)].max() <= 1.5
+        assert (off > 1.5).mean() < 0.02
+        ground += (shown > 0).mean() / 4
+    assert ground > 0.2
+
+
+@pytest.mark.parametrize("size", [(1, 1), (7, 5), (33, 20), (130, 90)])
+def test_any_size(size):
+    scenes = furnished(9, worlds=2)
+    images = view(scenes, width=size[0], height=size[1]).astype(float)
+    for world in range(2):
+        image, _ = cast(scenes, world, STACK, *size)
+        off = abs(images[world] - image).max(-1)
+        assert (off > 1.5).mean() <= 0.06
+
+
+def test_ground_around_the_eye():
+    """Just above the ground, steep slopes reach behind the near plane and are cut there."""
+    rng = np.random.default_rng(5)
+    scenes = Scenes(12, terrain=(ROWS, COLUMNS))
+    stack = plain(*rng.integers(30, 256, (ROWS * COLUMNS, 3)))
+    looks = np.arange(ROWS * COLUMNS).reshape(1, ROWS, COLUMNS).repeat(12, 0)
+    add_terrain(scenes, rng, looks, eye=(0.005, 0.05), pitch=1.5)
+    images = view(scenes, stack).astype(float)
+    near = 0
+    for world in range(12):
+        image, shown = cast(scenes, world, stack)
+        off = abs(images[world] - image).max(-1)
+        assert off[inner(shown)].max(initial=0) <= 1.5
+        assert (off > 1.5).mean() < 0.03
+        near += (shown[-1] > 0).any()
+    assert near > 5
+
+
+def test_looking_up_from_a_valley():
+    stack = plain((240, 240, 240))
+    scenes = Scenes(3, terrain=(8, 8))
+    scenes.sky[:] = 255, 0, 255
+    y, x = np.mgrid[:9, :9]
+    for world, pitch in enumerate((math.pi / 2, 0.7, 0.0)):
+        scenes.set_terrain(world, (-4, -4), 1, np.float32(0.3 * ((x - 4) ** 2 + (y - 4) ** 2)), 0)
+        scenes.camera[world] = 0, 0, 0.5, 0.4, pitch
+    up, slope, level = view(scenes, stack)
+    sky = [(image == (255, 0, 255)).all(-1) for image in (up, slope, level)]
+    assert sky[0][12:-12, 20:-20].all()
+    assert sky[1][0, 20:-20].all()
+    assert not sky[1][-1].any()
+    assert not sky[2][HEIGHT // 2 :].any()
+    for world, image in enumerate((up, slope, level)):
+        expected, shown = cast(scenes, world, stack)
+        assert abs(image - expected)[inner(shown)].max() <= 1.5
+
+
+def test_level_ground_is_a_flat():
+    rng = np.random.default_rng(1)
+    for repeat in (0.0, 1.5):
+        ground = Scenes(8, terrain=(6, 9))
+        floor = Scenes(8, flats=1)
+        for world in range(8):
+            ground.set_terrain(world, (-3, -2), 0.8, np.full((7, 10), 0.3), 4, repeat=repeat)
+            floor.add_flat(world, (-3, -2, 4.2, 2.8), 0.3, 4, repeat=repeat or 0.8)
+            place = rng.uniform((-3, -2, 0.4, -4, -1), (4, 2.5, 2, 4, 0.3))
+            ground.camera[world] = floor.camera[world] = place
+        sun = np.array(optics.SUN)[2] * 0.5 + 0.5
+        darker = (optics.MESH_DARK + optics.MESH_SUN * sun) / (
+            optics.SURFACE_DARK + optics.SURFACE_SUN * sun
+        )
+        hills, flat = view(ground).astype(float), view(floor).astype(float)
+        is_sky = flat[..., 2] > 180
+        flat[~is_sky] *= darker
+        assert (~is_sky).mean() > 0.2
+        assert (abs(hills - flat).max(-1) > 2).mean() < 0.01
+
+
+def test_holes_show_what_is_below():
+    scenes = Scenes(1, flats=1, terrain=(4, 6))
+    looks = np.arange(24).reshape(4, 6) % 2 - 1
+    scenes.set_terrain(0, (-3, -2), 1, np.full((5, 7), 0.01), looks)
+    scenes.add_flat(0, (-3, -2, 3, 2), 0, 1)
+    scenes.camera[0] = 0, 0, 1.5, math.pi / 2, -math.pi / 2  # from above, north on top
+    image = view(scenes, plain((250, 0, 0), (0, 250, 0)), 60, 60)[0]
+    assert (image[10, [5, 20, 40, 55], 0] > 100).tolist() == [True, False, True, False]
+    assert (image[10, [5, 20, 40, 55], 1] > 100).tolist() == [False, True, False, True]
+    scenes.flat_count[0] = 0
+    assert (view(scenes, plain((250, 0, 0)), 60, 60)[0, 10, 20] == scenes.sky[0, 0]).all()
+
+
+def test_rows_run_north_and_columns_east():
+    scenes = Scenes(1, terrain=(2, 2))
+    scenes.set_terrain(0, (-1, -1), 1, np.zeros((3, 3)), [[0, 1], [2, -1]])
+    scenes.sky[:] = 0
+    scenes.camera[0] = 0, 0, 1, math.pi / 2, -math.pi / 2  # from above, north on top
+    image = view(scenes, plain((250, 0, 0), (0, 250, 0), (0, 0, 250)), 40, 40)[0]
+    assert [int(image[r, c].argmax()) for r, c in ((30, 10), (30, 30), (10, 10))] == [0, 1, 2]
+    assert not image[10, 30].any()
+
+
+def test_slopes_to_the_sun_are_brighter():
+    scenes = Scenes(3, terrain=(1, 1))
+    scenes.sky[:] = 0
+    for world, slope in enumerate((-0.5, 0, 0.5)):
+        heights = slope * np.array([[-0.5, 0.5], [-0.5, 0.5]])
+        scenes.set_terrain(world, (-0.5, -0.5), 1, heights, 0)
+    scenes.camera[:, 2:] = 2, 0, -math.pi / 2
+    middle = view(scenes, plain((250, 250, 250)))[:, HEIGHT // 2, WIDTH // 2, 0].astype(int)
+    assert middle[0] > middle[1] + 5 > middle[2] + 20
+
+
+def test_not_seen_from_below():
+    scenes = Scenes(1, terrain=(2, 2))
+    scenes.set_terrain(0, (-1, -1), 1, np.zeros((3, 3)), 0)
+    scenes.camera[0] = 0, 0, -1, 0, 1
+    below = view(scenes)
+    scenes.terrain[:] = 0
+    assert (below == view(scenes)).all()
+
+
+def test_no_background_between_cells():
+    """From inside a bowl as wide as the view, no sky shows through the ground."""
+    rng = np.random.default_rng(3)
+    worlds = 300
+    scenes = Scenes(worlds, terrain=(24, 24))
+    scenes.sky[:] = 255, 0, 255
+    y, x = np.mgrid[:25, :25]
+    rim = np.maximum(abs(x - 12), abs(y - 12)) == 12
+    for world in range(worlds):
+        heights = np.where(rim, 30, rng.uniform(0, 0.3, x.shape))
+        scenes.set_terrain(world, (0, 0), 0.33, heights, 0)
+        x0, y0 = rng.uniform(1, 7, 2)
+        z = over(scenes, world, x0, y0) + rng.uniform(0.05, 1)
+        scenes.camera[world] = x0, y0, z, *rng.uniform(-1.5, (1.5, 0))
+    images = view(scenes, plain((200, 200, 200)))
+    assert (images[..., 0] == images[..., 1]).all()
+
+
+def test_same_pixels_in_any_company():
+    scenes = furnished(1, worlds=7)
+    renderer = Renderer(ATLAS, STACK, width=50, height=20)
+    out = np.zeros((7, 20, 50, 3), np.uint8)
+    renderer.render(scenes, out)
+    threaded = np.zeros_like(out)
+    Renderer(ATLAS, STACK, width=50, height=20, threads=3).render(scenes, threaded)
+    assert (out == threaded).all()
+    some = np.full_like(out, 7)
+    mask = np.array([True, False, False, True, False, True, False])
+    renderer.render(scenes, some, mask)
+    assert (some[mask] == out[mask]).all()
+    assert (some[~mask] == 7).all()
+    bare = np.zeros((6, 20, 50, 3), np.uint8)
+    alone = Scenes(1, walls=10, flats=4, instances=5, tile_cells=12, terrain=(ROWS, COLUMNS))
+    for world in range(7):
+        renderer.render(random_scenes(world), bare)
+        for name, array in vars(alone).items():
+            if isinstance(array, np.ndarray):
+                array[:] = getattr(scenes, name)[world]
+        one = np.zeros((1, 20, 50, 3), np.uint8)
+        renderer.render(alone, one)
+        assert (one[0] == out[world]).all()
+
+
+@pytest.mark.parametrize("terrain", [(0, 3), (3, 0), (-1, 4), (-1, -1)])
+def test_bad_sizes(terrain):
+    with pytest.raises(ValueError, match="terrain must be rows and columns of 1 or more"):
+        Scenes(1, terrain=terrain)
+
+
+def test_bad_terrains():
+    scenes = Scenes(1, terrain=(2, 3))
+    heights = np.zeros((3, 4))
+    for wrong in (heights.T, heights[:2], heights[0]):
+        with pytest.raises(ValueError, match=r"heights must be \(3, 4\), not"):
+            scenes.set_terrain(0, (0, 0), 1, wrong, 0)
+    with pytest.raises(ValueError, match=r"textures must be one or \(2, 3\), not \(3, 2\)"):
+        scenes.set_terrain(0, (0, 0), 1, heights, np.zeros((3, 2), int))
+    for size in (0, -1):
+        with pytest.raises(ValueError, match="size must be positive"):
+            scenes.set_terrain(0, (0, 0), size, heights, 0)
+    with pytest.raises(ValueError, match=r"heights must be \(1, 1\), not"):
+        Scenes(1).set_terrain(0, (0, 0), 1, heights, 0)
+    scenes.set_terrain(0, (0, 0), 1, heights, len(STACK))
+    with pytest.raises(ValueError, match="world 0 shows a texture from 20 on"):
+        view(scenes)

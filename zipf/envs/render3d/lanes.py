@@ -1,0 +1,205 @@
+"""Writes instructions on vectors of sixteen numbers, which `blocks.py` is made of."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+
+LANES = 16
+
+INT = ir.IntType(32)
+FLOAT = ir.FloatType()
+BYTE = ir.IntType(8)
+ADDRESS, I32, F32 = types.intp, types.int32, types.float32
+_CONTRACT = ("contract",)  # a * b + c may be rounded once
+
+
+class Vector:
+    """A vector of floats, of 32-bit integers or of truth values, while code is being written."""
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder = builder
+        self.value = value
+        self.floats = value.type.element == FLOAT
+
+    def _like(self, other: Any) -> Any:
+        if isinstance(other, Vector):
+            return other.value
+        return ir.Constant(self.value.type, [other] * self.value.type.count)
+
+    def _make(self, floating: str, integer: str, other: Any) -> "Vector":
+        if self.floats:
+            make = getattr(self.builder, floating)
+            return Vector(self.builder, make(self.value, self._like(other), flags=_CONTRACT))
+        return Vector(self.builder, getattr(self.builder, integer)(self.value, self._like(other)))
+
+    def _compare(self, operator: str, other: Any) -> "Vector":
+        compare = self.builder.fcmp_ordered if self.floats else self.builder.icmp_signed
+        return Vector(self.builder, compare(operator, self.value, self._like(other)))
+
+    def __add__(self, other: Any) -> "Vector":
+        return self._make("fadd", "add", other)
+
+    def __sub__(self, other: Any) -> "Vector":
+        return self._make("fsub", "sub", other)
+
+    def __mul__(self, other: Any) -> "Vector":
+        return self._make("fmul", "mul", other)
+
+    def __truediv__(self, other: Any) -> "Vector":
+        return self._make("fdiv", "sdiv", other)
+
+    def __and__(self, other: Any) -> "Vector":
+        return self._make("", "and_", other)
+
+    def __or__(self, other: Any) -> "Vector":
+        return self._make("", "or_", other)
+
+    def __lshift__(self, other: Any) -> "Vector":
+        return self._make("", "shl", other)
+
+    def __rshift__(self, other: Any) -> "Vector":
+        return self._make("", "ashr", other)
+
+    def __lt__(self, other: Any) -> "Vector":
+        return self._compare("<", other)
+
+    def __le__(self, other: Any) -> "Vector":
+        return self._compare("<=", other)
+
+    def __gt__(self, other: Any) -> "Vector":
+        return self._compare(">", other)
+
+    def __ge__(self, other: Any) -> "Vector":
+        return self._compare(">=", other)
+
+    def like(self, number: float) -> "Vector":
+        """`number` in every lane."""
+        return Vector(self.builder, self._like(number))
+
+    def choose(self, yes: "Vector", no: "Vector") -> "Vector":
+        return Vector(self.builder, self.builder.select(self.value, yes.value, no.value))
+
+    def least(self, other: Any) -> "Vector":
+        other = Vector(self.builder, self._like(other))
+        return (self < other).choose(self, other)
+
+    def most(self, other: Any) -> "Vector":
+        other = Vector(self.builder, self._like(other))
+        return (self > other).choose(self, other)
+
+    def floats_(self) -> "Vector":
+        kind = ir.VectorType(FLOAT, self.value.type.count)
+        return Vector(self.builder, self.builder.sitofp(self.value, kind))
+
+    def truncated(self) -> "Vector":
+        kind = ir.VectorType(INT, self.value.type.count)
+        return Vector(self.builder, self.builder.fptosi(self.value, kind))
+
+    def bits(self) -> "Vector":
+        kind = ir.VectorType(INT, self.value.type.count)
+        return Vector(self.builder, self.builder.bitcast(self.value, kind))
+
+    def as_floats(self) -> "Vector":
+        kind = ir.VectorType(FLOAT, self.value.type.count)
+        return Vector(self.builder, self.builder.bitcast(self.value, kind))
+
+    def any(self) -> Any:
+        kind = ir.IntType(self.value.type.count)
+        return self.builder.icmp_unsigned(
+            "!=", self.builder.bitcast(self.value, kind), ir.Constant(kind, 0)
+        )
+
+
+class Code:
+    """Writes code that works on so many pixels from column `x` of a line on."""
+
+    def __init__(self, builder: Any, lanes: int = LANES) -> None:
+        self.builder = builder
+        self.lanes = lanes
+
+    def splat(self, value: Any) -> Vector:
+        kind = ir.VectorType(value.type, self.lanes)
+        first = self.builder.insert_element(
+            ir.Constant(kind, ir.Undefined), value, ir.Constant(INT, 0)
+        )
+        zeros = ir.Constant(ir.VectorType(INT, self.lanes), [0] * self.lanes)
+        return Vector(self.builder, self.builder.shuffle_vector(first, first, zeros))
+
+    def columns(self, x: Any) -> Vector:
+        kind = ir.VectorType(INT, self.lanes)
+        return self.splat(x) + Vector(self.builder, ir.Constant(kind, list(range(self.lanes))))
+
+    def _pointer(self, address: Any, kind: Any) -> Any:
+        return self.builder.inttoptr(address, kind.as_pointer())
+
+    def load(self, address: Any, element: Any) -> Vector:
+        pointer = self._pointer(address, ir.VectorType(element, self.lanes))
+        return Vector(self.builder, self.builder.load(pointer, align=4))
+
+    def store(self, vector: Vector, address: Any) -> None:
+        pointer = self._pointer(address, vector.value.type)
+        self.builder.store(vector.value, pointer, align=4)
+
+    def look_up(self, address: Any, indices: Vector, element: Any) -> Vector:
+        """The elements at `indices` of an array, widened to 32 bits with their sign."""
+        start = self._pointer(address, element)
+        found = ir.Constant(ir.VectorType(INT, self.lanes), ir.Undefined)
+        # Taken out two at a time: that is the slow part.
+        pairs = self.builder.bitcast(indices.value, ir.VectorType(ir.IntType(64), self.lanes // 2))
+        for lane in range(self.lanes):
+            place = ir.Constant(INT, lane)
+            pair = self.builder.extract_element(pairs, ir.Constant(INT, lane // 2))
+            if lane % 2:
+                index = self.builder.lshr(pair, ir.Constant(pair.type, 32))
+            else:
+                index = self.builder.zext(self.builder.trunc(pair, INT), pair.type)
+            value = self.builder.load(self.builder.gep(start, [index]))
+            if element.width < 32:
+                value = self.builder.sext(value, INT)
+            found = self.builder.insert_element(found, value, place)
+        return Vector(self.builder, found)
+
+    def distance(self, inverse: Vector, fade: Any) -> tuple[Vector, Vector]:
+        """t and 1 / (1 + fade * t**2), the light that is left of 1, where 1/t is `inverse`."""
+        # Of one division: 1/t**2 + fade is the denominator of both.
+        square = inverse * inverse
+        lit = square + self.splat(fade)
+        both = lit.like(1.0) / (inverse * lit)
+        return lit * both, square * inverse * both
+
+    def texel(self, texels_each: Vector, u: Vector, v: Vector) -> Vector:
+        """Where the texel u, v lies from a texture's start, for pixels of so many texels."""
+        # Half of the exponent of the texels in a pixel, which is from bit 23 on, less 127.
+        level = (texels_each.most(1.0).least(4096.0).bits() - (127 << 23)) >> 24
+        iu = u.truncated() & 63
+        iv = v.truncated() & 63
+        return ((iv >> level) << 7) + (iu >> level) + 128 - (level.like(128) >> level)
+
+    def shade(self, texels: Vector, light: Sequence[Vector]) -> Vector:
+        """Colours 0x00BBGGRR times three factors of at most 1."""
+        colour = None
+        for channel, factor in enumerate(light):
+            part = ((texels >> 8 * channel) & 255).floats_() * factor
+            bits = part.truncated() << 8 * channel
+            colour = bits if colour is None else colour | bits
+        assert colour is not None
+        return colour
+
+    def keep(self, mask: Vector, inverse: Vector, depth: Any, paint: Vector, color: Any) -> None:
+        """Writes the pixels of `mask` to both buffers."""
+        # Loaded before the first store, or LLVM makes masked stores of them: slow on some CPUs.
+        old_inverse, old_paint = self.load(depth, FLOAT), self.load(color, INT)
+        self.store(mask.choose(inverse, old_inverse), depth)
+        self.store(mask.choose(paint, old_paint), color)
+
+
+def written(kinds: Sequence[Any], write: Callable[..., None]) -> Any:
+    """What an intrinsic returns: the types of its arguments and what writes its code."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        write(builder, *args)
+        return context.get_dummy_value()
+
+    return types.void(*kinds), codegen
