@@ -3,7 +3,8 @@
     python scripts/keep_results.py runs/gridworld_compact/impala_mlp/seed0 ...
     make results
 
-Checkpoints, TensorBoard's files and the situations met outside the experiment's window stay behind.
+Checkpoints, TensorBoard's files and the situations met outside the experiment's window stay behind,
+and so does `run_root`, which changes nothing and says where somebody keeps their runs.
 """
 
 from __future__ import annotations
@@ -24,8 +25,12 @@ def keep(run: Path) -> Path:
     target = RESULTS / description["experiment"] / description["condition"]
     target /= f"seed{description['seed']}"
     target.mkdir(parents=True, exist_ok=True)
-    for name in ("run.json", "config.yaml", "evaluations.csv", "metrics.csv"):
+    for name in ("config.yaml", "evaluations.csv", "metrics.csv"):
         shutil.copy(run / name, target / name)
+    for start_of in (description, *description.get("resumed", [])):
+        words = start_of["command"].split()
+        start_of["command"] = " ".join(w for w in words if not w.startswith("run_root="))
+    (target / "run.json").write_text(json.dumps(description, indent=2) + "\n")
     start, end = description["window"]
     situations = pd.read_csv(run / "situations.csv")
     situations = situations[situations["update"].between(start, end)]
