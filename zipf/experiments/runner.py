@@ -378,9 +378,8 @@ def keep_memory() -> None:
     """Tells glibc to keep freed memory: returning activations to the kernel after every update
     costs a fifth to a third of a CPU's learning speed."""
     if platform.libc_ver()[0] == "glibc":
-        trim_threshold, top_pad, mmap_threshold = -1, -2, -3
+        trim_threshold, top_pad, mmap_max = -1, -2, -4
         libc = ctypes.CDLL(None)
-        if not libc.mallopt(mmap_threshold, 2**30):  # before glibc 2.35 it was bounded
-            libc.mallopt(mmap_threshold, 2**25)
-        libc.mallopt(trim_threshold, 2**31 - 1)
+        libc.mallopt(mmap_max, 0)
+        libc.mallopt(trim_threshold, -1)  # never
         libc.mallopt(top_pad, 2**26)
