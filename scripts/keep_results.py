@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -25,8 +26,10 @@ def keep(run: Path) -> Path:
     target = RESULTS / description["experiment"] / description["condition"]
     target /= f"seed{description['seed']}"
     target.mkdir(parents=True, exist_ok=True)
-    for name in ("config.yaml", "evaluations.csv", "metrics.csv"):
+    for name in ("evaluations.csv", "metrics.csv"):
         shutil.copy(run / name, target / name)
+    options = (run / "config.yaml").read_text()
+    (target / "config.yaml").write_text(re.sub("(?m)^run_root: .*", "run_root: runs", options))
     for start_of in (description, *description.get("resumed", [])):
         words = start_of["command"].split()
         start_of["command"] = " ".join(w for w in words if not w.startswith("run_root="))
