@@ -4,11 +4,20 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint types wheel results clean
+CONDITIONS := vmpo,r2d2,r2d2_uniform_replay,impala,impala_vision,impala_byol,impala_mlp,$\
+  impala_transformer,impala_transformer_vision_language
+
+.PHONY: demo conditions test lint types wheel results clean
 
 demo: $(VENV)/.installed  ## train on a small gridworld for a few minutes, then print the scores
 	$(BIN)/python -m zipf.train experiment=demo
 	$(BIN)/python -m zipf.report runs/demo
+
+conditions: $(VENV)/.installed  ## every agent on the same gridworld, three seeds each: an hour on 2 cores
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[sweep]"
+	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=demo_conditions \
+	  condition=$(CONDITIONS) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
+	$(BIN)/python -m zipf.report runs/demo_conditions
 
 test: $(VENV)/.installed  ## run all tests
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2

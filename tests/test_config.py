@@ -78,8 +78,12 @@ def test_every_condition_goes_with_every_experiment(experiment, condition):
         auxiliary,
     )
     plain = command_line.load([f"experiment={experiment}", "condition=impala"])
-    for part in ("environment", "collector", "evaluation", "schedule", "network"):
+    for part in ("environment", "evaluation", "schedule", "network"):
         assert getattr(loaded, part) == getattr(plain, part)
+    collector = plain.collector
+    if agent == "r2d2" and experiment.startswith("demo"):  # its replay is small
+        collector = collector.model_copy(update={"num_envs": 64})
+    assert loaded.collector == collector
     if agent == "impala":
         assert loaded.agent == plain.agent
 
