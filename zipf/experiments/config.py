@@ -83,7 +83,7 @@ class ScheduleOptions(Options):
 
 # What does not change what is learned: no condition is named after it, no checkpoint tied to it.
 NOT_LEARNED = frozenset(
-    ["condition", "updates", "run_root", "device", "resume", "evaluation", "schedule"]
+    ["condition", "updates", "run_root", "device", "compile", "resume", "evaluation", "schedule"]
 )
 
 
@@ -97,6 +97,7 @@ class Config(Options):
     run_root: Annotated[str, Field(min_length=1)]
     device: Device
     precision: Literal["float32", "bfloat16"]
+    compile: bool = False  # what runs had before it was an option
     resume: Literal["auto", "must", "never"]
     agent: AgentOptions
     memory: MemoryOptions

@@ -25,7 +25,7 @@ from zipf.experiments.paper import LEVEL_KINDS, condition_order
 
 # Differences between two seeds of a condition that cannot change what was learned.
 BOOKKEEPING = frozenset(
-    {"seed", "condition", "updates", "run_root", "device", "resume", "schedule"}
+    {"seed", "condition", "updates", "run_root", "device", "compile", "resume", "schedule"}
 )
 
 

@@ -17,6 +17,7 @@ import torch
 
 from zipf.agents.exploration import build_exploration
 from zipf.agents.impala import Impala, ImpalaOptions
+from zipf.agents.network import Torso
 from zipf.agents.r2d2 import R2D2, R2D2Options
 from zipf.agents.supervised import Supervised, SupervisedOptions
 from zipf.agents.unroll import Unroll
@@ -43,6 +44,11 @@ def train(config: Config) -> int:
     with run_folder.lock(config.folder):
         try:
             return _train(Run(config))
+        except RuntimeError as error:
+            if not config.compile or not isinstance(error, torch._dynamo.exc.TorchDynamoException):
+                raise
+            first = str(error).strip().splitlines()[0]
+            raise UserError(f"compile=true: {first}; choose compile=false") from None
         except MemoryError as error:
             raise UserError(
                 f"not enough memory ({error}); collector.num_envs and collector.unroll_length say "
@@ -214,12 +220,22 @@ class Run:
 
 
 def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
-    """The agent that the configuration names, for these worlds, with weights from its seed.
+    """The agent that the configuration names, for these worlds, with weights from its seed; what
+    sees is compiled, where that is asked for.
 
     Raises:
         UserError: the network cannot read these observations, or they lack what the auxiliary loss
             is about.
     """
+    agent = _build_agent(config, env)
+    if config.compile:
+        for network in vars(agent).values():  # and its target, if it has one
+            if isinstance(network, Torso):
+                network.encoder.image.compile()
+    return agent
+
+
+def _build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
     spaces = env.single_observation_space, env.single_action_space
     common: dict[str, Any] = {
         "seed": derive_seed(config.seed, "weights"),
