@@ -183,7 +183,7 @@ def record(tables: Sequence[ScoreTable], command: str) -> str:
         lines = [_RUN_COLUMNS, [":--", "--:", "--:", "--:", "--:", ":--", ":--", ":--", ":--"]]
         lines += [_run_cells(run) for run in table.runs]
         parts.append("\n".join(f"| {' | '.join(cells)} |" for cells in lines) + "\n")
-        commands = "\n".join(run.description.command for run in table.runs)
+        commands = "\n".join(dict.fromkeys(run.description.command for run in table.runs))
         parts.append(f"```\n{commands}\n```\n")
     parts += [markdown_side_by_side(beside) for beside in side_by_side(tables)]
     return "\n".join(parts)
