@@ -270,7 +270,7 @@ def main() -> None:
             measured[experiment, variant].append(one)
             speed = f"{one['frames_per_second']:,.0f} frames/s"
             print(f"{EXPERIMENTS[experiment]}: {variant}: {speed}", file=sys.stderr)
-    console = Console(width=150)
+    console = Console(width=160)
     for experiment in dict.fromkeys(experiment for experiment, _ in rows):
         show(console, experiment, {v: m for (e, v), m in measured.items() if e == experiment})
     where = torch.cuda.get_device_name() if device != "cpu" else f"{arguments.threads} threads"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import gymnasium as gym
@@ -49,6 +51,14 @@ def head(inputs: int, hidden: int, outputs: int) -> nn.Module:
     if hidden == 0:
         return nn.Linear(inputs, outputs)
     return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, outputs))
+
+
+@contextmanager
+def in_full(core: Tensor) -> Iterator[Tensor]:
+    """The memory's output in float32, without autocast: what heads compute is compared in its last
+    digits, of which bfloat16 has two or three, and costs little."""
+    with torch.autocast(core.device.type, enabled=False):
+        yield core.float()
 
 
 class Torso(nn.Module):
@@ -109,6 +119,5 @@ class ActorCritic(Torso):
     def forward(self, inputs: Inputs, state: State) -> Outputs:
         """Unrolls `[T, B]` frames from the memory's `state`."""
         _, core, state = self.remember(inputs, state)
-        return Outputs(
-            self.policy(core).float(), self.baseline(core).squeeze(-1).float(), core, state
-        )
+        with in_full(core) as exact:
+            return Outputs(self.policy(exact), self.baseline(exact).squeeze(-1), core, state)

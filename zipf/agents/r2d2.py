@@ -31,7 +31,7 @@ from torch import Tensor
 
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
-from zipf.agents.network import Inputs, Torso, head
+from zipf.agents.network import Inputs, Torso, head, in_full
 from zipf.agents.options import Options
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.unroll import Unroll
@@ -130,8 +130,9 @@ class DuelingQ(Torso):
     def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, State]:
         """Rescaled Q, float32 [T, B, actions], and the memory's state after the last frame."""
         _, core, state = self.remember(inputs, state)
-        advantage = self.advantage(core).float()
-        return self.value(core).float() + advantage - advantage.mean(-1, keepdim=True), state
+        with in_full(core) as exact:
+            value, advantage = self.value(exact), self.advantage(exact)
+        return value + advantage - advantage.mean(-1, keepdim=True), state
 
 
 class R2D2:

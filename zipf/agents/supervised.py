@@ -24,7 +24,7 @@ from torch import Tensor
 
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
-from zipf.agents.network import Inputs, Torso, head
+from zipf.agents.network import Inputs, Torso, head, in_full
 from zipf.agents.options import Options
 from zipf.agents.unroll import Unroll
 
@@ -59,7 +59,8 @@ class Classifier(Torso):
     def forward(self, inputs: Inputs, state: State) -> Tensor:
         """Logits of the answers, float32 [T, B, 2]."""
         _, core, _ = self.remember(inputs, state)
-        return self.answer(core).float()
+        with in_full(core) as exact:
+            return self.answer(exact)
 
 
 class Supervised:
