@@ -228,3 +228,14 @@ def test_it_continues_from_its_state(precision):
     one.update(unroll(0))
     other.load_state_dict(one.state_dict())
     assert one.update(unroll(1)) == other.update(unroll(1))
+
+
+def test_under_bfloat16_heads_compute_in_float32():
+    impala = agent()
+    impala.precision = "bfloat16"
+    steps = unroll(0).steps
+    with impala._autocast():
+        outputs = impala.network(Inputs.of(steps), impala.initial_memory(steps.shape[1]))
+    for exact in (outputs.logits, outputs.value):
+        assert exact.dtype == torch.float32
+        assert (exact.bfloat16().float() != exact).any()
