@@ -6,6 +6,7 @@ import torch
 from recall import CUES, Recall
 
 from zipf.agents.encoders import CompactOptions
+from zipf.agents.gtrxl import GTrXLOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.experiments.collector import Collector
@@ -30,27 +31,43 @@ IMPALA = ImpalaOptions(
 NETWORK = CompactOptions(name="compact", patch=9, channels=16, size=16, head_size=0)
 
 
-def trained(memory, updates):
+def trained(memory, updates, seed=0, **changes):
     """Episodes played after that many updates."""
     torch.set_num_threads(1)
     env = Recall(64, DELAY)
     agent = Impala(
         env.single_observation_space,
         env.single_action_space,
-        IMPALA,
+        IMPALA.model_copy(update=changes),
         NETWORK,
         memory,
-        seed=0,
+        seed=seed,
     )
-    collector = Collector(env, agent, unroll_length=2 * (DELAY + 1), seed=0)
+    collector = Collector(env, agent, unroll_length=2 * (DELAY + 1), seed=seed)
     for _ in range(updates):
         agent.update(collector.collect())
     policy = AgentPolicy(agent, seed=1, device="cpu")
     return play(policy, Recall(100, DELAY), episodes=1000, seed=2)
 
 
-def test_an_lstm_recalls():
-    episodes = trained(LSTMOptions(name="lstm", size=32), updates=750)
+GTRXL = GTrXLOptions(
+    name="gtrxl", size=32, layers=1, heads=2, memory_length=DELAY, mlp_size=32, gate_bias=2.0
+)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("memory", "learning_rate"),
+    [
+        (LSTMOptions(name="lstm", size=32), 5e-3),
+        (LSTMOptions(name="lstm", size=32, layers=2), 5e-3),
+        (GTRXL, 2e-3),
+    ],
+    ids=["lstm", "lstm of two layers", "gtrxl"],
+)
+def test_memories_recall(memory, learning_rate, seed):
+    options = {"learning_rate": learning_rate, "entropy_cost": 0.03, "adam_beta2": 0.95}
+    episodes = trained(memory, updates=600, seed=seed, **options)
     assert episodes["success"].mean() >= 0.95
 
 
