@@ -3,18 +3,16 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+import tiny_gridworld
 import torch
 from tensordict import TensorDict
 
 from zipf.agents.encoders import CompactOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
-from zipf.agents.network import Inputs
+from zipf.agents.network import Inputs, autocast
 from zipf.agents.returns import vtrace
 from zipf.agents.unroll import Unroll
-from zipf.envs import levels
-from zipf.experiments.collector import Collector
-from zipf.experiments.evaluator import AgentPolicy, play
 
 ACTIONS, STEPS, BATCH = 3, 6, 4
 OPTIONS = ImpalaOptions(
@@ -237,7 +235,7 @@ def test_under_bfloat16_heads_compute_in_float32():
     impala = agent()
     impala.precision = "bfloat16"
     steps = unroll(0).steps
-    with impala._autocast():
+    with autocast(impala.device, impala.precision):
         outputs = impala.network(Inputs.of(steps), impala.initial_memory(steps.shape[1]))
     for exact in (outputs.logits, outputs.value):
         assert exact.dtype == torch.float32
@@ -246,36 +244,18 @@ def test_under_bfloat16_heads_compute_in_float32():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_it_learns_a_tiny_gridworld(seed):
-    """One room, three objects: two steps lead to any of them. Chance is a third."""
-    torch.set_num_threads(1)
-    worlds = {
-        "num_maps": 1,
-        "num_rooms": [1, 1],
-        "num_objects": 3,
-        "max_steps": 20,
-        "observation": "tiles",
-    }
-    env = levels.make_vec("gridworld/uniform", 64, **worlds)
-    impala = Impala(
-        env.single_observation_space,
-        env.single_action_space,
-        OPTIONS.model_copy(
-            update={
-                "learning_rate": 5e-3,
-                "max_gradient_norm": 1.0,
-                "discount": 0.95,
-                "entropy_cost": 0.01,
-            }
-        ),
-        CompactOptions(name="compact", patch=9, channels=16, size=64, head_size=0),
-        MLPOptions(name="mlp", size=32, layers=1),
-        seed=seed,
+    options = OPTIONS.model_copy(
+        update={
+            "learning_rate": 5e-3,
+            "max_gradient_norm": 1.0,
+            "discount": 0.95,
+            "entropy_cost": 0.01,
+        }
     )
-    collector = Collector(env, impala, unroll_length=8, seed=seed)
-    for _ in range(250):
-        impala.update(collector.collect())
-    policy = AgentPolicy(impala, seed=1, device="cpu")
-    test = levels.make_vec("gridworld/uniform", 100, **worlds)
-    episodes = play(policy, test, episodes=1000, seed=2)
+    network = CompactOptions(name="compact", patch=9, channels=16, size=64, head_size=0)
+    memory = MLPOptions(name="mlp", size=32, layers=1)
+    episodes = tiny_gridworld.after_learning(
+        lambda *spaces: Impala(*spaces, options, network, memory, seed=seed), seed
+    )
     assert episodes["success"].mean() >= 0.95
     assert episodes["length"].mean() <= 2.2

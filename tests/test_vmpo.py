@@ -5,6 +5,7 @@ import copy
 import gymnasium as gym
 import numpy as np
 import pytest
+import tiny_gridworld
 import torch
 import yaml
 from tensordict import TensorDict
@@ -14,10 +15,7 @@ from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import SMALLEST_DUAL, VMPO, VMPOOptions, is_top, vmpo_losses
-from zipf.envs import levels
 from zipf.experiments import checkpoint, command_line, run_folder
-from zipf.experiments.collector import Collector
-from zipf.experiments.evaluator import AgentPolicy, play
 from zipf.experiments.runner import Run
 
 ACTIONS, STEPS, BATCH = 3, 5, 5
@@ -482,40 +480,22 @@ def test_a_run_goes_on_bit_for_bit(tmp_path):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_it_learns_a_tiny_gridworld(seed):
-    """One room, three objects: two steps lead to any of them. Chance is a third."""
-    torch.set_num_threads(1)
-    worlds = {
-        "num_maps": 1,
-        "num_rooms": [1, 1],
-        "num_objects": 3,
-        "max_steps": 20,
-        "observation": "tiles",
-    }
-    env = levels.make_vec("gridworld/uniform", 64, **worlds)
-    vmpo = VMPO(
-        env.single_observation_space,
-        env.single_action_space,
-        OPTIONS.model_copy(
-            update={
-                "learning_rate": 2e-3,
-                "dual_learning_rate": 1e-2,
-                "max_gradient_norm": 1.0,
-                "discount": 0.95,
-                "target_period": 10,
-                "epsilon_alpha": 0.01,
-                "initial_eta": 0.3,
-                "initial_alpha": 1.0,
-            }
-        ),
-        CompactOptions(name="compact", patch=9, channels=16, size=64, head_size=0),
-        MLPOptions(name="mlp", size=32, layers=1),
-        seed=seed,
+    options = OPTIONS.model_copy(
+        update={
+            "learning_rate": 2e-3,
+            "dual_learning_rate": 1e-2,
+            "max_gradient_norm": 1.0,
+            "discount": 0.95,
+            "target_period": 10,
+            "epsilon_alpha": 0.01,
+            "initial_eta": 0.3,
+            "initial_alpha": 1.0,
+        }
     )
-    collector = Collector(env, vmpo, unroll_length=8, seed=seed)
-    for _ in range(250):
-        vmpo.update(collector.collect())
-    policy = AgentPolicy(vmpo, seed=1, device="cpu")
-    test = levels.make_vec("gridworld/uniform", 100, **worlds)
-    episodes = play(policy, test, episodes=1000, seed=2)
+    network = CompactOptions(name="compact", patch=9, channels=16, size=64, head_size=0)
+    memory = MLPOptions(name="mlp", size=32, layers=1)
+    episodes = tiny_gridworld.after_learning(
+        lambda *spaces: VMPO(*spaces, options, network, memory, seed=seed), seed
+    )
     assert episodes["success"].mean() >= 0.95
     assert episodes["length"].mean() <= 2.2

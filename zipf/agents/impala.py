@@ -10,7 +10,6 @@ over the unroll; where a source sums, divide its gradient clip and Adam's epsilo
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import Annotated, Any, Literal
 
 import gymnasium as gym
@@ -21,7 +20,7 @@ from torch import Tensor
 from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions, build_auxiliary
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
-from zipf.agents.network import ActorCritic, Inputs
+from zipf.agents.network import ActorCritic, Inputs, autocast
 from zipf.agents.options import Options
 from zipf.agents.returns import vtrace
 from zipf.agents.unroll import Unroll
@@ -108,7 +107,7 @@ class Impala:
         Returns actions int64 [B], the memory after this frame, and what `update` will want to know
         of the behaviour policy: `logits` float32 [B, actions].
         """
-        with self._autocast():
+        with autocast(self.device, self.precision):
             outputs = self.network(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
         # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
@@ -119,7 +118,7 @@ class Impala:
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
         """V of each of B worlds, float32 [B]."""
-        with self._autocast():
+        with autocast(self.device, self.precision):
             return self.network(inputs.unsqueeze(), memory).value[0]
 
     def begin_learning(self) -> list[str]:
@@ -135,7 +134,7 @@ class Impala:
         o = self.options
         steps = unroll.steps
         inputs = Inputs.of(steps)
-        with self._autocast():
+        with autocast(self.device, self.precision):
             outputs = self.network(inputs, unroll.memory)
             auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, outputs.core)
 
@@ -195,11 +194,6 @@ class Impala:
         if "auxiliary" in state:  # it is younger than the first runs, which had no such loss
             self.auxiliary.load_state_dict(state["auxiliary"])
         self.optimiser.load_state_dict(state["optimiser"])
-
-    def _autocast(self) -> Any:
-        if self.precision == "float32":
-            return nullcontext()
-        return torch.autocast(torch.device(self.device).type, torch.bfloat16)
 
 
 def action_log_probability(log_policy: Tensor, action: Tensor) -> Tensor:

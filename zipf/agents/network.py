@@ -53,6 +53,12 @@ def head(inputs: int, hidden: int, outputs: int) -> nn.Module:
     return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, outputs))
 
 
+def autocast(device: str, precision: str) -> torch.autocast:
+    """Automatic mixed precision where `precision` is "bfloat16"; with "float32" nothing changes."""
+    kind = torch.device(device).type
+    return torch.autocast(kind, torch.bfloat16, enabled=precision == "bfloat16")
+
+
 @contextmanager
 def in_full(core: Tensor) -> Iterator[Tensor]:
     """The memory's output in float32, without autocast: what heads compute is compared in its last

@@ -17,7 +17,6 @@ The loss sums over time as Acme's does: the paper's bound on the gradient's norm
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import nullcontext
 from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -31,7 +30,7 @@ from torch import Tensor
 
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
-from zipf.agents.network import Inputs, Torso, head, in_full
+from zipf.agents.network import Inputs, Torso, autocast, head, in_full
 from zipf.agents.options import Options
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.unroll import Unroll
@@ -223,7 +222,7 @@ class R2D2:
 
         Returns actions int64 [B], the memory after this frame, and nothing more.
         """
-        with self._autocast():
+        with autocast(self.device, self.precision):
             q, memory = self.network(inputs.unsqueeze(), memory)
         action = q[0].argmax(-1)
         if training:
@@ -235,7 +234,7 @@ class R2D2:
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
         """max_a h^-1(Q) of each of B worlds, float32 [B]."""
-        with self._autocast():
+        with autocast(self.device, self.precision):
             q, _ = self.network(inputs.unsqueeze(), memory)
         return unrescale(q[0].amax(-1))
 
@@ -328,12 +327,12 @@ class R2D2:
         memory = {name: items["memory"][name] for name in items["memory"].keys()}
         prefix, steps = steps[: self.burn_in], steps[self.burn_in :]
         target_memory = memory
-        with torch.no_grad(), self._autocast():
+        with torch.no_grad(), autocast(self.device, self.precision):
             if self.burn_in:
                 _, target_memory = self.target(Inputs.of(prefix), memory)
                 _, memory = self.network(Inputs.of(prefix), memory)
             target_q, _ = self.target(Inputs.of(steps), target_memory)
-        with self._autocast():
+        with autocast(self.device, self.precision):
             q, _ = self.network(Inputs.of(steps), memory)
 
         chosen = q.detach()[1:].argmax(-1, keepdim=True)
@@ -412,8 +411,3 @@ class R2D2:
             memory = state["prefix"]["memory"]
             self._prefix_memory = {k: v.to(self.device) for k, v in memory.items()}
         self.replay.load_state_dict(state["replay"])
-
-    def _autocast(self) -> Any:
-        if self.precision == "float32":
-            return nullcontext()
-        return torch.autocast(torch.device(self.device).type, torch.bfloat16)

@@ -13,7 +13,6 @@ say how many its classifier learned from at a time.
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import Annotated, Any, Literal
 
 import gymnasium as gym
@@ -24,7 +23,7 @@ from torch import Tensor
 
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
-from zipf.agents.network import Inputs, Torso, head, in_full
+from zipf.agents.network import Inputs, Torso, autocast, head, in_full
 from zipf.agents.options import Options
 from zipf.agents.unroll import Unroll
 
@@ -118,7 +117,7 @@ class Supervised:
         batch = len(inputs.is_first)
         if training:
             return torch.randint(2, (batch,), generator=generator), memory, {}
-        with self._autocast():
+        with autocast(self.device, self.precision):
             logits = self.network(inputs.unsqueeze(), memory)
         return logits[0].argmax(-1), memory, {}
 
@@ -139,7 +138,7 @@ class Supervised:
         """
         steps = unroll.steps[:-1]
         label = torch.where(steps["reward"] > 0, steps["action"], 1 - steps["action"])
-        with self._autocast():
+        with autocast(self.device, self.precision):
             logits = self.network(Inputs.of(steps), unroll.memory)
         loss = F.cross_entropy(logits.flatten(0, 1), label.flatten())
 
@@ -162,8 +161,3 @@ class Supervised:
         """Continues from `state_dict()`."""
         self.network.load_state_dict(state["network"])
         self.optimiser.load_state_dict(state["optimiser"])
-
-    def _autocast(self) -> Any:
-        if self.precision == "float32":
-            return nullcontext()
-        return torch.autocast(torch.device(self.device).type, torch.bfloat16)

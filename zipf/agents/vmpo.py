@@ -17,7 +17,6 @@ by an optimiser of their own, and projected to be positive after each of its ste
 from __future__ import annotations
 
 import math
-from contextlib import nullcontext
 from copy import deepcopy
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -29,7 +28,7 @@ from torch import Tensor, nn
 from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions, build_auxiliary
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
-from zipf.agents.network import ActorCritic, Inputs
+from zipf.agents.network import ActorCritic, Inputs, autocast
 from zipf.agents.options import Options
 from zipf.agents.returns import bootstrapped_returns
 from zipf.agents.unroll import Unroll
@@ -127,7 +126,7 @@ class VMPO:
         Returns actions int64 [B], the memory after this frame, and what `update` will want to know
         of the target policy: `logits` float32 [B, actions].
         """
-        with self._autocast():
+        with autocast(self.device, self.precision):
             outputs = self.target(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
         # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
@@ -138,7 +137,7 @@ class VMPO:
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
         """The target network's V of each of B worlds, float32 [B]; the memory is the target's."""
-        with self._autocast():
+        with autocast(self.device, self.precision):
             return self.target(inputs.unsqueeze(), memory).value[0]
 
     def begin_learning(self) -> list[str]:
@@ -154,7 +153,7 @@ class VMPO:
         o = self.options
         steps = unroll.steps
         inputs = Inputs.of(steps)
-        with self._autocast():
+        with autocast(self.device, self.precision):
             outputs = self.network(inputs, unroll.memory)
             auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, outputs.core)
 
@@ -236,11 +235,6 @@ class VMPO:
         self.optimiser.load_state_dict(state["optimiser"])
         self.dual_optimiser.load_state_dict(state["dual_optimiser"])
         self.updates = state["updates"]
-
-    def _autocast(self) -> Any:
-        if self.precision == "float32":
-            return nullcontext()
-        return torch.autocast(torch.device(self.device).type, torch.bfloat16)
 
 
 class VMPOLosses(NamedTuple):

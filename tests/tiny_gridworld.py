@@ -1,0 +1,28 @@
+"""One room, three objects: two steps lead to any of them. Chance is a third."""
+
+import torch
+
+from zipf.envs import levels
+from zipf.experiments.collector import Collector
+from zipf.experiments.evaluator import AgentPolicy, play
+
+WORLDS = {
+    "num_maps": 1,
+    "num_rooms": [1, 1],
+    "num_objects": 3,
+    "max_steps": 20,
+    "observation": "tiles",
+}
+
+
+def after_learning(build, seed):
+    """A thousand episodes of what `build`, called with the spaces, is after 250 updates."""
+    torch.set_num_threads(1)
+    env = levels.make_vec("gridworld/uniform", 64, **WORLDS)
+    agent = build(env.single_observation_space, env.single_action_space)
+    collector = Collector(env, agent, unroll_length=8, seed=seed)
+    for _ in range(250):
+        agent.update(collector.collect())
+    policy = AgentPolicy(agent, seed=1, device="cpu")
+    test = levels.make_vec("gridworld/uniform", 100, **WORLDS)
+    return play(policy, test, episodes=1000, seed=2)
