@@ -43,7 +43,7 @@ from zipf.agents.unroll import Unroll
 from zipf.envs import levels
 from zipf.experiments import command_line
 from zipf.experiments.config import find_device
-from zipf.experiments.runner import build_agent, keep_memory
+from zipf.experiments.running.runner import build_agent, keep_memory
 
 EXPERIMENTS = {
     "gridworld": "the paper's network, 63 x 63",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import zipf.envs.playroom
 from zipf.envs import make_vec
 from zipf.envs.playroom.levels import LEVELS
-from zipf.experiments.evaluator import play
+from zipf.experiments.running.evaluator import play
 
 MEASURED = [(level, 900) for level in LEVELS] + [
     (f"lift/lift_shape_{name}", 100) for name in ("zipf3", "uniform", "uniform_rare")

@@ -35,7 +35,7 @@ class Recall(ZipfVectorEnv):
             self.cue[i] = int(pcg64.next_double(self._streams[i]) * CUES)
         self.waited[mask] = True
 
-    def _advance(self, actions):
+    def _advance(self, actions, mask):
         asked = self._lengths > self.delay
         self.waited &= asked | (actions == WAIT)
         success = asked & self.waited & (actions == self.cue)

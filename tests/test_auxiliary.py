@@ -18,8 +18,9 @@ from zipf.agents.network import ActorCritic, Inputs
 from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import VMPO, VMPOOptions
 from zipf.envs import levels
-from zipf.experiments import checkpoint, command_line, runner
+from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
+from zipf.experiments.running import checkpoint, runner
 
 ACTIONS, STEPS, BATCH, WORDS, LENGTH = 3, 7, 4, 6, 5
 COMPACT = CompactOptions(name="compact", patch=None, channels=8, size=16, head_size=0)

@@ -9,8 +9,9 @@ import torch
 from zipf.agents.exploration import CountBonus, CountOptions
 from zipf.agents.network import Inputs
 from zipf.envs import levels
-from zipf.experiments import command_line, runner
-from zipf.experiments.collector import Collector
+from zipf.experiments import command_line
+from zipf.experiments.running import runner
+from zipf.experiments.running.collector import Collector
 
 WORLDS, STEPS = 6, 9
 SMALL = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5, "max_steps": 7}

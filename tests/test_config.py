@@ -6,8 +6,9 @@ import pytest
 
 from zipf.agents.encoders import Encoder
 from zipf.envs import levels
-from zipf.experiments import command_line, config, paper
+from zipf.experiments import command_line, config
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting import paper
 
 EXPERIMENTS = command_line.choices("experiment")
 GROUPS = ("memory", "network", "auxiliary", "exploration")

@@ -60,7 +60,7 @@ class Bandit(ZipfVectorEnv):
             drawn = pcg64.choice(self._streams[i], self.cdf)
             self.arms[i] = drawn if forced[0, i] < 0 else forced[0, i]
 
-    def _advance(self, actions: Any) -> Any:
+    def _advance(self, actions: Any, mask: Any) -> Any:
         success = actions == self.arms
         return success.astype(np.float64), success, ~success & (self._lengths >= 3), success
 

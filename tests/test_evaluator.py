@@ -8,7 +8,7 @@ import pytest
 
 from zipf import evaluate
 from zipf.envs import levels
-from zipf.experiments import evaluator
+from zipf.experiments.running import evaluator
 
 SMALL = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
 

@@ -25,10 +25,12 @@ from zipf.envs import SPLITS, levels
 from zipf.envs.gridworld import looks
 from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.keys import LEAVE, NEXT, Binding, Keys, Toggle
-from zipf.experiments import command_line, playing, runner, screens
+from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
-from zipf.experiments.playing import PlayOptions
-from zipf.experiments.recording import Recording
+from zipf.experiments.playing import playing, screens
+from zipf.experiments.playing.playing import PlayOptions
+from zipf.experiments.playing.recording import Recording
+from zipf.experiments.running import runner
 
 PATIENCE = 120.0  # seconds, on a machine busy with other things
 FAMILIES = {split.rare.partition("/")[0]: split.rare for split in SPLITS.values()}
@@ -326,8 +328,8 @@ def test_a_run_plays_its_levels(run, level, played, tmp_path):
 
 
 def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
-    from zipf.experiments.evaluator import AgentPolicy, derive_seed
-    from zipf.experiments.evaluator import play as score
+    from zipf.experiments.running.evaluator import AgentPolicy, derive_seed
+    from zipf.experiments.running.evaluator import play as score
 
     said = play(f"run={run}", "episodes=1", "seed=7", f"record={tmp_path}/out.gif")
     trained = runner.load_agent(run, "cpu")

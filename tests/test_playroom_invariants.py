@@ -21,8 +21,8 @@ frame the agent comes 0.09 m far."""
 class Endless(PlayroomVectorEnv):
     """Episodes go on whatever happens, so that everything may happen in them."""
 
-    def _advance(self, actions: NDArray[np.int64]) -> tuple:
-        reward, terminated, truncated, success = super()._advance(actions)
+    def _advance(self, actions: NDArray[np.int64], mask: NDArray[np.bool_]) -> tuple:
+        reward, terminated, truncated, success = super()._advance(actions, mask)
         assert ((reward == 0) | (reward == 1)).all()
         assert (success == (reward == 1)).all()
         assert not (terminated & truncated).any()

@@ -22,11 +22,12 @@ from zipf.agents.r2d2 import R2D2, R2D2Options
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.unroll import Unroll
 from zipf.envs import levels
-from zipf.experiments import checkpoint, command_line, run_folder, runner
-from zipf.experiments.collector import Collector
+from zipf.experiments import command_line
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
-from zipf.experiments.evaluator import AgentPolicy, play
+from zipf.experiments.running import checkpoint, run_folder, runner
+from zipf.experiments.running.collector import Collector
+from zipf.experiments.running.evaluator import AgentPolicy, play
 
 ACTIONS, STEPS, WORLDS, BURN_IN = 3, 6, 4, 2
 OPTIONS = R2D2Options(

@@ -13,7 +13,7 @@ import zipf.report
 from zipf.envs import levels
 from zipf.experiments import command_line
 from zipf.experiments.config import Config, EvaluateOptions
-from zipf.experiments.playing import PlayOptions
+from zipf.experiments.playing.playing import PlayOptions
 
 ROOT = Path(__file__).parent.parent
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
@@ -80,7 +80,7 @@ def test_report_commands_are_accepted(arguments, monkeypatch):
     calls = []
 
     def report(folders, output, window, *, record):
-        from zipf.experiments.tables import parse_window
+        from zipf.experiments.reporting.tables import parse_window
 
         calls.append((folders, output, window and parse_window(window), record))
 

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 
 from zipf.agents import replay
 from zipf.agents.replay import PrioritySampler, Replay, SumTree
-from zipf.experiments import checkpoint
+from zipf.experiments.running import checkpoint
 
 ITEM = TensorDict(
     {

@@ -27,8 +27,8 @@ from rich.console import Console
 
 from zipf import report
 from zipf.envs import levels
-from zipf.experiments import paper, plots, rendering, results, tables
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting import figures, paper, rendering, results, tables
 
 GOLDEN = Path(__file__).parent / "golden" / "report"
 CHANCE = {"train": 0.0324, "uniform": 0.0477, "rare": 0.0859}
@@ -540,8 +540,8 @@ def test_ranks_that_the_rare_level_does_not_choose_by_are_not_marked(tmp_path: P
     sizes = {"target": 50, "task": 5}
     write_run(tmp_path, constant(0.5), situations=(header, *cells), situation=sizes)
     table = only_table(tmp_path)
-    assert plots._rare_ranks(table, "target") == list(range(40, 50))
-    assert plots._rare_ranks(table, "task") == []
+    assert figures._rare_ranks(table, "target") == list(range(40, 50))
+    assert figures._rare_ranks(table, "task") == []
 
 
 # --- damaged files ---------------------------------------------------------------------------
@@ -821,11 +821,11 @@ def test_figures_keep_their_text_inside(tmp_path: Path) -> None:
     for condition in [*paper.CONDITION_NAMES, "impala_mlp,agent.learning_rate=0.001,network=wide"]:
         write_run(tmp_path, constant(0.5), condition=condition, situations=(header, *cells))
     table = only_table(tmp_path)
-    styles = plots.line_styles(set(table.conditions))
-    with matplotlib.rc_context(plots.STYLE):
-        assert_text_is_inside(plots.learning_curves(table, styles))
-        assert_text_is_inside(plots.success_against_rank(table, styles))
-        assert_text_is_inside(plots.success_by_situation(table))
+    styles = figures.line_styles(set(table.conditions))
+    with matplotlib.rc_context(figures.STYLE):
+        assert_text_is_inside(figures.learning_curves(table, styles))
+        assert_text_is_inside(figures.success_against_rank(table, styles))
+        assert_text_is_inside(figures.success_by_situation(table))
 
 
 @pytest.mark.parametrize("count", [1, 2, 4, 5])
@@ -841,8 +841,8 @@ def test_a_heat_map_makes_room_for_its_titles(tmp_path: Path, count: int) -> Non
             condition=f"impala_mlp,number={number}{settings if number else ''}",
             situations=(header, *cells),
         )
-    with matplotlib.rc_context(plots.STYLE):
-        figure = plots.success_by_situation(only_table(tmp_path))
+    with matplotlib.rc_context(figures.STYLE):
+        figure = figures.success_by_situation(only_table(tmp_path))
         assert_text_is_inside(figure)
     assert figure is not None
     panel = figure.axes[0].get_window_extent()
@@ -867,7 +867,7 @@ def assert_text_is_inside(figure: Figure | None) -> None:
 def test_few_updates_have_whole_ticks(tmp_path: Path) -> None:
     write_run(tmp_path, {0: (0.1, 0.1, 0.1), 1: (0.2, 0.2, 0.2)}, window=[0, 1], num_updates=1)
     table = only_table(tmp_path)
-    figure = plots.learning_curves(table, plots.line_styles(set(table.conditions)))
+    figure = figures.learning_curves(table, figures.line_styles(set(table.conditions)))
     assert figure is not None
     figure.draw_without_rendering()
     axis = figure.axes[0].xaxis
@@ -884,8 +884,8 @@ def test_the_run_tells_which_ranks_there_are(tmp_path: Path) -> None:
 
     def drawn(folder: str) -> tuple[tuple[int, ...], list[float], list[tuple[float, float]]]:
         table = only_table(tmp_path / folder)
-        heat_map = plots.success_by_situation(table)
-        ranks = plots.success_against_rank(table, plots.line_styles(set(table.conditions)))
+        heat_map = figures.success_by_situation(table)
+        ranks = figures.success_against_rank(table, figures.line_styles(set(table.conditions)))
         assert heat_map is not None
         assert ranks is not None
         panel = heat_map.axes[0]
@@ -946,7 +946,7 @@ def test_only_the_plots_of_the_earlier_report_are_removed(tmp_path: Path) -> Non
 
 
 def test_a_condition_looks_the_same_in_any_company() -> None:
-    alone = plots.line_styles({"impala_mlp"})
-    everyone = plots.line_styles({*paper.CONDITION_NAMES, "a", "b"})
+    alone = figures.line_styles({"impala_mlp"})
+    everyone = figures.line_styles({*paper.CONDITION_NAMES, "a", "b"})
     assert alone["impala_mlp"] == everyone["impala_mlp"]
     assert len(set(everyone.values())) == len(everyone)

@@ -13,8 +13,8 @@ from zipf.envs import levels
 from zipf.envs.check import check_vector_env
 from zipf.envs.playroom.first_frame import LEFT, RIGHT, FirstFrameVectorEnv
 from zipf.envs.single import SingleWorld
-from zipf.experiments.collector import Collector
-from zipf.experiments.evaluator import AgentPolicy, play
+from zipf.experiments.running.collector import Collector
+from zipf.experiments.running.evaluator import AgentPolicy, play
 
 OPTIONS = SupervisedOptions(
     name="supervised",

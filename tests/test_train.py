@@ -16,9 +16,10 @@ import torch
 
 from zipf import evaluate
 from zipf.envs import levels
-from zipf.experiments import checkpoint, command_line, run_folder, runner
+from zipf.experiments import command_line
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
+from zipf.experiments.running import checkpoint, run_folder, runner
 
 TINY = [
     "experiment=demo",
@@ -512,7 +513,8 @@ def test_what_cannot_be_compiled_is_one_line(trained, monkeypatch):
 
 FULL_DISK = """
 import resource, sys
-from zipf.experiments import command_line, runner
+from zipf.experiments import command_line
+from zipf.experiments.running import runner
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
 

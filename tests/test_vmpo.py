@@ -15,8 +15,9 @@ from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import SMALLEST_DUAL, VMPO, VMPOOptions, is_top, vmpo_losses
-from zipf.experiments import checkpoint, command_line, run_folder
-from zipf.experiments.runner import Run
+from zipf.experiments import command_line
+from zipf.experiments.running import checkpoint, run_folder
+from zipf.experiments.running.runner import Run
 
 ACTIONS, STEPS, BATCH = 3, 5, 5
 OPTIONS = VMPOOptions(

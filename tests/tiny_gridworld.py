@@ -3,8 +3,8 @@
 import torch
 
 from zipf.envs import levels
-from zipf.experiments.collector import Collector
-from zipf.experiments.evaluator import AgentPolicy, play
+from zipf.experiments.running.collector import Collector
+from zipf.experiments.running.evaluator import AgentPolicy, play
 
 WORLDS = {
     "num_maps": 1,

@@ -8,12 +8,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from zipf.experiments import run_folder, runner
 from zipf.experiments.command_line import read_options
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
-from zipf.experiments.evaluator import score, scores
-from zipf.experiments.logger import write_results
+from zipf.experiments.running import run_folder, runner
+from zipf.experiments.running.evaluator import score, scores
+from zipf.experiments.running.logger import write_results
 
 __all__ = ["main", "score"]
 

@@ -7,7 +7,7 @@ import sys
 
 from zipf.experiments.command_line import read_options
 from zipf.experiments.errors import UserError
-from zipf.experiments.playing import PlayOptions, play
+from zipf.experiments.playing.playing import PlayOptions, play
 
 __all__ = ["main"]
 

@@ -18,7 +18,7 @@ from zipf.experiments.errors import UserError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from zipf.experiments.tables import ScoreTable
+    from zipf.experiments.reporting.tables import ScoreTable
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def report(
     """
     from rich.console import Console
 
-    from zipf.experiments import plots, rendering, results, side_by_side, tables
+    from zipf.experiments.reporting import figures, rendering, results, side_by_side, tables
 
     chosen = tables.parse_window(window) if window is not None else None
     found = tables.score_tables(results.load_runs(folders), chosen)
@@ -70,7 +70,7 @@ def report(
     try:
         target.mkdir(parents=True, exist_ok=True)
         _remove_earlier_plots(target)
-        drawn = plots.draw(found, target)
+        drawn = figures.draw(found, target)
         texts = {
             target / "report.md": rendering.markdown_report(found, drawn),
             target / "report.tex": rendering.latex_report(found),
@@ -91,7 +91,7 @@ def report(
 
 def _remove_earlier_plots(folder: Path) -> None:
     """Remove the plots that the report in `folder`, if there is one, says are its own."""
-    from zipf.experiments import rendering
+    from zipf.experiments.reporting import rendering
 
     earlier = folder / "report.md"
     if earlier.is_file():

@@ -11,8 +11,9 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from zipf.experiments import command_line, run_folder, runner
+from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
+from zipf.experiments.running import run_folder, runner
 
 _command_process = os.getpid()
 _failed: list[UserError] = []

@@ -31,7 +31,7 @@ from zipf.agents.encoders import (
     largest_patch,
 )
 from zipf.agents.network import Inputs, Torso, head
-from zipf.agents.options import Options
+from zipf.options import Options
 
 Size = Annotated[int, Field(ge=1)]
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]

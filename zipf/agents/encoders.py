@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.options import Options
+from zipf.options import Options
 
 Size = Annotated[int, Field(ge=1)]
 

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from zipf.agents.options import Options
+from zipf.options import Options
 
 
 class NoExplorationOptions(Options):

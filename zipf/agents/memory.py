@@ -14,7 +14,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.gtrxl import GTrXLMemory, GTrXLOptions
-from zipf.agents.options import Options
+from zipf.options import Options
 
 State = dict[str, Tensor]
 

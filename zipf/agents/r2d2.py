@@ -31,9 +31,9 @@ from torch import Tensor
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
-from zipf.agents.options import Options
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.unroll import Unroll
+from zipf.options import Options
 
 if TYPE_CHECKING:  # imported where learning begins: it brings TorchRL, which takes a second
     from zipf.agents.replay import Replay

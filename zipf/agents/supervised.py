@@ -24,8 +24,8 @@ from torch import Tensor
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
-from zipf.agents.options import Options
 from zipf.agents.unroll import Unroll
+from zipf.options import Options
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, lt=1)]

@@ -29,9 +29,9 @@ from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions, build_auxiliar
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import ActorCritic, Inputs, autocast
-from zipf.agents.options import Options
 from zipf.agents.returns import bootstrapped_returns
 from zipf.agents.unroll import Unroll
+from zipf.options import Options
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, lt=1)]

@@ -111,10 +111,10 @@ class MixtureVectorEnv(ZipfVectorEnv):
             batch._begin(mask[block], np.ascontiguousarray(forced[:, block]))
 
     def _advance(
-        self, actions: NDArray[np.int64]
+        self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
         steps = [
-            batch._advance(actions[block])
+            batch._advance(actions[block], mask[block])
             for batch, block in zip(self.batches, self._blocks, strict=True)
         ]
         reward, terminated, truncated, success = map(np.concatenate, zip(*steps, strict=True))

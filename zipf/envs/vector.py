@@ -139,11 +139,14 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     @abstractmethod
     def _advance(
-        self, actions: NDArray[np.int64]
+        self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-        """Steps every world, without autoreset: reward, terminated, truncated, success [N].
+        """Steps the worlds of `mask`, without autoreset.
 
-        `self._lengths` counts this step already. Success matters only where an episode ends.
+        Returns reward, terminated, truncated and success [N].
+
+        What is returned for other worlds is not read. `self._lengths` counts this step already.
+        Success matters only where an episode ends.
         """
 
     @abstractmethod
@@ -250,7 +253,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
         before = self._running_info()
         self._lengths += 1
-        reward, terminated, truncated, success = self._advance(actions)
+        reward, terminated, truncated, success = self._advance(actions, self._everywhere)
         self._returns += reward
         done = terminated | truncated
         info: Info = before

@@ -30,7 +30,6 @@ from zipf.agents import r2d2
 from zipf.agents.auxiliary import NO_AUXILIARY, build_auxiliary
 from zipf.agents.impala import ImpalaOptions
 from zipf.agents.network import ActorCritic
-from zipf.agents.options import Options
 from zipf.agents.supervised import SupervisedOptions
 from zipf.agents.vmpo import VMPOOptions
 from zipf.envs import levels
@@ -43,6 +42,7 @@ from zipf.experiments.config import (
     flatten,
 )
 from zipf.experiments.errors import UserError
+from zipf.options import Options
 
 _PACKAGE = Path(zipf.__file__).parent
 # In the wheel `configs/` lies inside the package; in a checkout it lies beside it.

@@ -13,12 +13,12 @@ from zipf.agents.encoders import NetworkOptions
 from zipf.agents.exploration import ExplorationOptions
 from zipf.agents.impala import ImpalaOptions
 from zipf.agents.memory import MemoryOptions
-from zipf.agents.options import Options
 from zipf.agents.r2d2 import R2D2Options
 from zipf.agents.supervised import SupervisedOptions
 from zipf.agents.vmpo import VMPOOptions
 from zipf.envs import levels
 from zipf.experiments.errors import UserError
+from zipf.options import Options
 
 PositiveInt = Annotated[int, Field(ge=1)]
 Pair = Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]

@@ -82,6 +82,7 @@ def destinations(maps: Maps) -> NDArray[np.int64]:
     moved = worlds[inside]
     n = len(moved)
     kernels.move(
+        np.ones(n, dtype=np.bool_),
         action[inside],
         maps.codes,
         maps.cells,

@@ -76,9 +76,11 @@ def begin(mask, forced, map_cdf, target_cdf, cells, streams, worlds):
 
 
 @njit(nogil=True, cache=True)
-def move(actions, codes, cells, max_steps, lengths, worlds, reward, terminated, truncated):
-    """Moves every agent and says which episodes end. `lengths` counts this step already."""
+def move(mask, actions, codes, cells, max_steps, lengths, worlds, reward, terminated, truncated):
+    """Moves the agents of `mask`, says which episodes end. `lengths` counts this step already."""
     for i in range(len(worlds)):
+        if not mask[i]:
+            continue
         map, row, column = worlds[i, MAP], worlds[i, ROW] + PAD, worlds[i, COLUMN] + PAD
         down, right = _MOVES[actions[i], 0], _MOVES[actions[i], 1]
         blocked = codes[map, row + down, column + right] == WALL

@@ -69,12 +69,13 @@ class GridworldVectorEnv(ZipfVectorEnv):
         )
 
     def _advance(
-        self, actions: NDArray[np.int64]
+        self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
         reward = np.empty(self.num_envs)
         terminated = np.empty(self.num_envs, dtype=np.bool_)
         truncated = np.empty(self.num_envs, dtype=np.bool_)
         kernels.move(
+            mask,
             actions,
             self.level.maps.codes,
             self.level.maps.cells,

@@ -33,7 +33,7 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
 
     def _advance(
-        self, actions: NDArray[np.int64]
+        self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
         right = (actions == self._side) | (self.ranks[:, 0] == self.ranks[:, 1])
         ended = np.ones(self.num_envs, np.bool_)

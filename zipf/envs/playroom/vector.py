@@ -175,10 +175,11 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._view.begin(mask, self)
 
     def _advance(
-        self, actions: NDArray[np.int64]
+        self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-        self._actions[np.arange(self.num_envs), self._lengths - 1] = actions
-        reward, terminated, success = self._play(self._everywhere, actions)
+        rows = np.flatnonzero(mask)
+        self._actions[rows, self._lengths[rows] - 1] = actions[rows]
+        reward, terminated, success = self._play(mask, actions)
         truncated = ~terminated & (self._lengths >= self.max_steps)
         return reward, terminated, truncated, success
 

@@ -21,10 +21,10 @@ from yaml import YAMLError
 
 import zipf
 from zipf.envs import levels
-from zipf.experiments import checkpoint
 from zipf.experiments.config import Config, flatten
 from zipf.experiments.errors import UserError
-from zipf.experiments.paper import TABLE_OF_SPLIT
+from zipf.experiments.reporting.paper import TABLE_OF_SPLIT
+from zipf.experiments.running import checkpoint
 
 
 def find_checkpoint(config: Config) -> dict[str, Any] | None:

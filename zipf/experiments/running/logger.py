@@ -23,7 +23,7 @@ from tensorboard.summary.writer.record_writer import RecordWriter
 
 from zipf.envs.levels import KINDS
 from zipf.experiments.errors import UserError
-from zipf.experiments.evaluator import Result, scores, situations
+from zipf.experiments.running.evaluator import Result, scores, situations
 
 
 class Logger:

@@ -16,10 +16,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from zipf.experiments.paper import condition_name
-from zipf.experiments.results import Run
-from zipf.experiments.side_by_side import SideBySide, side_by_side
-from zipf.experiments.tables import (
+from zipf.experiments.reporting.paper import condition_name
+from zipf.experiments.reporting.results import Run
+from zipf.experiments.reporting.side_by_side import SideBySide, side_by_side
+from zipf.experiments.reporting.tables import (
     PROTOCOL_SEEDS,
     ScoreTable,
     UpdateWindow,

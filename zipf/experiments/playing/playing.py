@@ -17,16 +17,16 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pydantic import Field
 
-from zipf.agents.options import Options
 from zipf.envs import levels
 from zipf.envs.keys import LEAVE, NEXT, Keys
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments import runner
 from zipf.experiments.config import PositiveInt, Seed
 from zipf.experiments.errors import UserError
-from zipf.experiments.evaluator import AgentPolicy, Policy, derive_seed
-from zipf.experiments.recording import Recording
-from zipf.experiments.screens import Screen, Text, enlarge, open_screen
+from zipf.experiments.playing.recording import Recording
+from zipf.experiments.playing.screens import Screen, Text, enlarge, open_screen
+from zipf.experiments.running import runner
+from zipf.experiments.running.evaluator import AgentPolicy, Policy, derive_seed
+from zipf.options import Options
 
 _PAUSE = 1.0  # seconds on the last frame of an episode
 _LOW = 288  # pixels; lower pictures are enlarged

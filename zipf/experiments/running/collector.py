@@ -18,7 +18,7 @@ from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.envs.mixture import MixtureVectorEnv
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.checkpoint import arrays
+from zipf.experiments.running.checkpoint import arrays
 
 _OUTCOMES = ("return", "length", "success")
 

@@ -22,9 +22,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
-from zipf.experiments.paper import LEVEL_KINDS, condition_name, condition_order
-from zipf.experiments.rendering import LEVEL_NAMES, PLOT_KINDS
-from zipf.experiments.tables import ScoreTable, UpdateWindow, success_rates
+from zipf.experiments.reporting.paper import LEVEL_KINDS, condition_name, condition_order
+from zipf.experiments.reporting.rendering import LEVEL_NAMES, PLOT_KINDS
+from zipf.experiments.reporting.tables import ScoreTable, UpdateWindow, success_rates
 
 # Okabe and Ito (2008): told apart with any colour vision. Yellow is left out (too light for lines)
 # and grey is kept for chance.

@@ -24,12 +24,12 @@ from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import VMPO, VMPOOptions
 from zipf.envs import levels
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments import checkpoint, run_folder
-from zipf.experiments.collector import Agent, Collector
 from zipf.experiments.config import Config, EvaluateOptions
 from zipf.experiments.errors import UserError
-from zipf.experiments.evaluator import AgentPolicy, Result, derive_seed, evaluate, scores
-from zipf.experiments.logger import Display, Logger
+from zipf.experiments.running import checkpoint, run_folder
+from zipf.experiments.running.collector import Agent, Collector
+from zipf.experiments.running.evaluator import AgentPolicy, Result, derive_seed, evaluate, scores
+from zipf.experiments.running.logger import Display, Logger
 
 
 def train(config: Config) -> int:

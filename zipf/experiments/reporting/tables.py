@@ -30,14 +30,14 @@ import numpy as np
 import pandas as pd
 
 from zipf.experiments.errors import UserError
-from zipf.experiments.paper import (
+from zipf.experiments.reporting.paper import (
     LEVEL_KINDS,
     PaperTable,
     condition_name,
     condition_order,
     paper_table,
 )
-from zipf.experiments.results import Run
+from zipf.experiments.reporting.results import Run
 
 PROTOCOL_SEEDS = 3  # the paper trains three replicas per condition
 

@@ -78,7 +78,7 @@ class PaperTable:
 
 @functools.cache
 def _tables() -> Mapping[str, PaperTable]:
-    file = resources.files("zipf.experiments").joinpath("paper_tables.json")
+    file = resources.files("zipf.experiments.reporting").joinpath("paper_tables.json")
     data = json.loads(file.read_text(encoding="utf-8"))
     return {
         experiment: PaperTable(

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from zipf.experiments.paper import condition_order
-from zipf.experiments.tables import ScoreTable
+from zipf.experiments.reporting.paper import condition_order
+from zipf.experiments.reporting.tables import ScoreTable
 
 # Title, and for each column the paper's experiment, by our key, and its level kind or group of
 # train levels there.
@@ -43,7 +43,7 @@ class SideBySide:
     Attributes:
         name: unique among those of a report.
         parts: for each table its title, its columns and, for these in the place of level kinds, the
-            rows of `zipf.experiments.tables.score_table`.
+            rows of `zipf.experiments.reporting.tables.score_table`.
         caption: where the columns come from.
         chance_is_measured: rather than exact.
     """

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from zipf.agents.network import Inputs
 from zipf.envs import levels
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.collector import Agent
+from zipf.experiments.running.collector import Agent
 
 
 class Policy(Protocol):

@@ -21,7 +21,7 @@ from omegaconf import OmegaConf
 from pydantic import BaseModel, ConfigDict, PositiveInt, ValidationError, model_validator
 
 from zipf.experiments.errors import UserError
-from zipf.experiments.paper import LEVEL_KINDS, condition_order
+from zipf.experiments.reporting.paper import LEVEL_KINDS, condition_order
 
 # Differences between two seeds of a condition that cannot change what was learned.
 BOOKKEEPING = frozenset(

@@ -1,0 +1,1 @@
+"""Playing and watching levels, on a screen or in a recording."""

@@ -1,0 +1,1 @@
+"""Reports: from result files to tables and figures. Reads files and nothing else."""

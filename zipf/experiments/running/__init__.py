@@ -1,0 +1,1 @@
+"""Training and evaluation: everything that writes a run's files."""
