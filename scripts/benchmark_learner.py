@@ -36,11 +36,11 @@ from rich.table import Table
 from tensordict import TensorDict
 from torch.utils.flop_counter import FlopCounterMode
 
+from zipf import envs
 from zipf.agents.encoders import ResNet
 from zipf.agents.impala import Impala
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
-from zipf.envs import levels
 from zipf.experiments import command_line
 from zipf.experiments.config import find_device
 from zipf.experiments.running.runner import build_agent, keep_memory
@@ -140,7 +140,7 @@ def measure(
     config = command_line.load(
         [f"experiment={experiment}", f"precision={variant.precision}", f"device={device}"]
     )
-    env = levels.make_vec(levels.split(config.environment.split).uniform, 1, **config.level_options)
+    env = envs.make_vec(envs.split(config.environment.split).uniform[0], 1, **config.level_options)
     agent = build_agent(config, env)
     assert isinstance(agent, Impala)
     spaces = dict(env.single_observation_space.spaces)

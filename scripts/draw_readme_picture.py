@@ -19,10 +19,10 @@ from matplotlib.colors import LogNorm
 from matplotlib.patches import ConnectionPatch, Rectangle
 from numpy.typing import NDArray
 
-from zipf.envs import SPLITS, distributions, make
+from zipf.envs import distributions, make, split
 
 OUTPUT = Path(__file__).parent.parent / "docs" / "gridworld.png"
-SPLIT = SPLITS["gridworld"]
+SPLIT = split("gridworld")
 SITUATION = {"map": 0, "target": 0}
 VIEW = 7  # cells, each way
 MARGIN = 27  # pixels around the board in the environment's frames
@@ -64,7 +64,9 @@ def probabilities(level: str) -> NDArray[np.float64]:
 
 def draw_distributions(figure: plt.Figure) -> None:
     """The three levels side by side, on one scale."""
-    tables = {kind: probabilities(getattr(SPLIT, kind)) for kind in ("train", "uniform", "rare")}
+    tables = {
+        kind: probabilities(SPLIT.levels(kind)[0].name) for kind in ("train", "uniform", "rare")
+    }
     train = tables["train"]
     norm = LogNorm(train.min(), train.max())
     seldom = train[tables["rare"] > 0]
@@ -121,7 +123,7 @@ def note(axes: Axes, text: str, cell: tuple[float, float], at: tuple[float, floa
 
 def draw_world(figure: plt.Figure) -> None:
     """The most frequent situation: the map with the agent's window marked, and what it shows."""
-    env = make(SPLIT.train, render_mode="rgb_array")
+    env = make(SPLIT.train[0].name, render_mode="rgb_array")
     observation, _ = env.reset(seed=0, options=SITUATION)
     maps = env.get_wrapper_attr("level").maps
     goal_row, goal_column = maps.cells[SITUATION["map"], SITUATION["target"]].tolist()

@@ -10,6 +10,7 @@ import torch
 import torch.nn.functional as F
 from tensordict import TensorDict
 
+from zipf import envs
 from zipf.agents import auxiliary as aux
 from zipf.agents.encoders import CompactOptions, ResNetOptions, ShallowOptions
 from zipf.agents.impala import Impala, ImpalaOptions
@@ -17,7 +18,6 @@ from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs
 from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import VMPO, VMPOOptions
-from zipf.envs import levels
 from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, runner
@@ -706,7 +706,7 @@ GOALS = 6
 
 def walks(worlds, seed):
     """Three frames of random walks on one map of the gridworld, and the goal that the cue shows."""
-    env = levels.make_vec("gridworld/uniform", worlds, num_maps=1, num_objects=GOALS)
+    env = envs.make_vec("gridworld/uniform", worlds, num_maps=1, num_objects=GOALS)
     rng = np.random.default_rng(seed)
     seen, info = env.reset(seed=seed)
     ended, action = np.ones(worlds, np.bool_), np.full(worlds, -1)
@@ -742,7 +742,7 @@ def share_decoded(actor, train, test):
 
 def test_reconstruction_teaches_a_memory_the_cue():
     """From an encoder that is blind where the cue is, so that nothing is decoded at first."""
-    env = levels.make_vec("gridworld/uniform", 1, num_maps=1, num_objects=GOALS)
+    env = envs.make_vec("gridworld/uniform", 1, num_maps=1, num_objects=GOALS)
     network = CompactOptions(name="compact", patch=9, channels=32, size=64, head_size=0)
     memory = LSTMOptions(name="lstm", size=64, layers=1)
     torch.manual_seed(0)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from zipf.envs.chance import Chance, measured
+from zipf.envs.random_play import Chance, measured
 
 
 def test_what_was_measured_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from zipf import envs
 from zipf.agents.exploration import CountBonus, CountOptions
 from zipf.agents.network import Inputs
-from zipf.envs import levels
 from zipf.experiments import command_line
 from zipf.experiments.running import runner
 from zipf.experiments.running.collector import Collector
@@ -27,7 +27,7 @@ def build(*overrides, exploration=None, seed=3):
             *overrides,
         ]
     )
-    env = levels.make_vec("gridworld/zipf_2", WORLDS, **SMALL)
+    env = envs.make_vec("gridworld/zipf_2", WORLDS, **SMALL)
     agent = runner.build_agent(options, env)
     collector = Collector(env, agent, unroll_length=STEPS, seed=seed, exploration=exploration)
     return agent, collector
@@ -36,7 +36,7 @@ def build(*overrides, exploration=None, seed=3):
 @pytest.mark.parametrize("memory", ["lstm", "mlp"])
 def test_an_unroll_is_what_single_worlds_would_have_been(memory):
     agent, collector = build(f"memory={memory}")
-    singles = [levels.make("gridworld/zipf_2", **SMALL) for _ in range(WORLDS)]
+    singles = [envs.make("gridworld/zipf_2", **SMALL) for _ in range(WORLDS)]
     first = [env.reset(seed=3 + i)[0]["image"] for i, env in enumerate(singles)]
     action = np.full(WORLDS, -1)
     reward = np.zeros(WORLDS)
@@ -125,7 +125,7 @@ def test_episodes_are_told_apart_by_level():
     """Against the ends of episodes that the unrolls show."""
     names = ["gridworld/zipf_2", "gridworld/rare"]
     agent, _ = build()
-    env = levels.make_vec(names, WORLDS, **SMALL)
+    env = envs.make_vec(names, WORLDS, **SMALL)
     collector = Collector(env, agent, unroll_length=STEPS, seed=3)
     assert collector.metric_names == [
         f"episode_{name}{level}"

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
+from zipf import envs
 from zipf.agents.encoders import Encoder
-from zipf.envs import levels
 from zipf.experiments import command_line, config
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import paper
@@ -175,7 +175,7 @@ def test_the_papers_values_in_the_playroom(experiment, window):
 @pytest.mark.parametrize(("experiment", "patch"), [("demo", 9), ("playroom_lift_compact", 12)])
 def test_the_compact_network_fits_every_family(experiment, patch):
     loaded = command_line.load([f"experiment={experiment}", "network=compact"])
-    env = levels.make_vec(levels.split(loaded.environment.split).uniform, 1)
+    env = envs.make_vec(envs.split(loaded.environment.split).uniform[0], 1)
     encoder = Encoder(env.single_observation_space, loaded.network)
     assert encoder.image.patch == patch
 

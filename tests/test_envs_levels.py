@@ -5,17 +5,16 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from zipf.envs import SPLITS, ZipfVectorEnv, chance, make, make_vec, split
-from zipf.envs.levels import KINDS
+from zipf.envs import ZipfVectorEnv, all_splits, chance, make, make_vec, split
 
 
-@pytest.mark.parametrize("name", list(SPLITS))
+@pytest.mark.parametrize("name", list(all_splits()))
 def test_every_level_of_every_split_can_be_made(name: str) -> None:
     levels = split(name)
     assert levels.name == name
-    for level in (one for kind in KINDS for one in levels.levels(kind)):
-        assert isinstance(level, str)
-        batch, single = make_vec(level, 2), make(level)
+    for level in levels.all_levels:
+        assert isinstance(level.level, str)
+        batch, single = make_vec(level, 2), make(level.level)
         assert isinstance(batch, ZipfVectorEnv)
         assert batch.single_observation_space == single.observation_space
         assert batch.autoreset_mode is AutoresetMode.SAME_STEP
@@ -23,9 +22,9 @@ def test_every_level_of_every_split_can_be_made(name: str) -> None:
 
 def test_the_gridworld_split() -> None:
     levels = split("gridworld")
-    assert levels.train == "gridworld/zipf_2"
-    assert levels.uniform == "gridworld/uniform"
-    assert levels.rare == "gridworld/rare"
+    assert [one.name for one in levels.train] == ["gridworld/zipf_2"]
+    assert [one.name for one in levels.uniform] == ["gridworld/uniform"]
+    assert [one.name for one in levels.rare] == ["gridworld/rare"]
 
 
 def test_other_names_of_the_same_level() -> None:

@@ -12,7 +12,8 @@ from gymnasium.utils.env_checker import check_env
 
 from zipf.envs import SingleWorld, make
 from zipf.envs.check import check_vector_env
-from zipf.envs.gridworld import GridworldEnv, GridworldVectorEnv
+from zipf.envs.gridworld.single import GridworldEnv
+from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 SMALL: dict[str, Any] = {"num_maps": 3, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 9}
 

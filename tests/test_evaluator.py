@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from zipf import evaluate
-from zipf.envs import levels
+from zipf import envs, evaluate
 from zipf.experiments.running import evaluator
 
 SMALL = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
@@ -28,13 +27,13 @@ def scripted(observation):
 def test_the_first_episodes_to_start_are_the_ones_scored(num_envs):
     """Against a loop that notes every episode with its start time, then sorts."""
     episodes = 40
-    env = levels.make_vec("gridworld/uniform", num_envs, **SMALL)
+    env = envs.make_vec("gridworld/uniform", num_envs, **SMALL)
     policy = evaluator._as_policy(scripted, batched=True)
     result = evaluator.play(policy, env, episodes=episodes, seed=5)
 
     records = []
     for i in range(num_envs):
-        world = levels.make("gridworld/uniform", **SMALL)
+        world = envs.make("gridworld/uniform", **SMALL)
         observation, info = world.reset(seed=5 + i)
         time = 0
         for _ in range(episodes):
@@ -58,9 +57,9 @@ def test_the_first_episodes_to_start_are_the_ones_scored(num_envs):
 
 def test_short_episodes_are_not_over_counted():
     """Random play on the small world scores what is known exactly, whatever the batch."""
-    chance = levels.chance("gridworld/uniform", **SMALL).score
+    chance = envs.chance("gridworld/uniform", **SMALL).score
     for num_envs in (7, 1000):
-        env = levels.make_vec("gridworld/uniform", num_envs, **SMALL)
+        env = envs.make_vec("gridworld/uniform", num_envs, **SMALL)
         policy = evaluator._as_policy(random_policy(0), batched=True)
         result = evaluator.play(policy, env, episodes=4000, seed=1)
         assert abs(result["return"].mean() - chance) < 4 * np.sqrt(chance * (1 - chance) / 4000)
@@ -108,14 +107,14 @@ def test_score_of_an_agent_for_one_environment():
     assert single == batch
 
 
-TWO = levels.Split(
+TWO = envs.Split(
     "two", ("gridworld/zipf_2", "gridworld/zipf_1"), "gridworld/uniform", "gridworld/rare"
 )
 
 
 def test_every_train_level_is_scored_apart():
     policy = evaluator._as_policy(scripted, batched=True)
-    one = evaluator.evaluate(policy, levels.split("gridworld"), episodes=50, seed=3, **SMALL)
+    one = evaluator.evaluate(policy, envs.split("gridworld"), episodes=50, seed=3, **SMALL)
     two = evaluator.evaluate(policy, TWO, episodes=50, seed=3, **SMALL)
     assert [(result.kind, result.level) for result in two] == [
         ("train", "gridworld/zipf_2"),
@@ -166,7 +165,7 @@ def test_bad_requests():
 def test_per_situation_results_add_up():
     results = evaluator.evaluate(
         evaluator._as_policy(scripted, batched=True),
-        levels.split("gridworld"),
+        envs.split("gridworld"),
         episodes=200,
         seed=0,
     )

@@ -15,8 +15,9 @@ from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
 
 import zipf.envs
-from zipf.envs.gridworld import GridworldEnv, GridworldVectorEnv
 from zipf.envs.gridworld.render import frame
+from zipf.envs.gridworld.single import GridworldEnv
+from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 ID = "zipf/Gridworld-v0"
 HAS_PYGAME = importlib.util.find_spec("pygame") is not None

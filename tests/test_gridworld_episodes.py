@@ -12,9 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 from zipf.envs import chance, distributions, make, make_vec
-from zipf.envs.gridworld import GridworldEnv, GridworldVectorEnv, looks, random_policy
-from zipf.envs.gridworld.chance import destinations
+from zipf.envs.gridworld import looks
+from zipf.envs.gridworld.chance import destinations, random_policy
 from zipf.envs.gridworld.maps import MOVES, PAD, Maps, build_maps
+from zipf.envs.gridworld.single import GridworldEnv
+from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 FACTS = json.loads((Path(__file__).parent / "data" / "gridworld_facts.json").read_text())
 NORTH, EAST, SOUTH, WEST = 0, 2, 4, 6

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 
 from zipf.envs import MixtureVectorEnv, Split, make, make_vec, split
 from zipf.envs.check import check_vector_env
-from zipf.envs.gridworld import GridworldVectorEnv
+from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 SMALL: dict[str, Any] = {
     "num_maps": 6,

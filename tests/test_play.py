@@ -21,10 +21,10 @@ import pytest
 from PIL import Image
 
 import zipf.play
-from zipf.envs import SPLITS, levels
+from zipf import envs
 from zipf.envs.gridworld import looks
 from zipf.envs.gridworld.maps import MOVES
-from zipf.envs.keys import LEAVE, NEXT, Binding, Keys, Toggle
+from zipf.envs.keyboard import LEAVE, NEXT, Binding, Keys, Toggle
 from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
 from zipf.experiments.playing import playing, screens
@@ -33,7 +33,7 @@ from zipf.experiments.playing.recording import Recording
 from zipf.experiments.running import runner
 
 PATIENCE = 120.0  # seconds, on a machine busy with other things
-FAMILIES = {split.rare.partition("/")[0]: split.rare for split in SPLITS.values()}
+FAMILIES = {name: family.splits[0].rare[0].name for name, family in envs.families().items()}
 NAMED = {"up", "down", "left", "right", "home", "end", "pageup", "pagedown"} | {
     *("space", "tab", "backspace")
 }
@@ -51,7 +51,7 @@ def play(*arguments: str) -> list[str]:
 
 @pytest.mark.parametrize("level", FAMILIES.values(), ids=FAMILIES)
 def test_the_keys_of_a_family_reach_every_action(level):
-    keys, env = levels.keys(level), levels.make_vec(level, 1)
+    keys, env = envs.keys(level), envs.make_vec(level, 1)
     assert keys is not None
     pressed = {
         keys.press(key, toggled)[0]
@@ -121,8 +121,8 @@ def shortest(board: np.ndarray, start: tuple[int, int], goal: tuple[int, int]) -
 
 
 def test_the_gridworld_expert_always_succeeds_by_the_shortest_way():
-    env = levels.make_vec("gridworld/uniform", 400)
-    expert = levels.expert("gridworld/uniform", env)
+    env = envs.make_vec("gridworld/uniform", 400)
+    expert = envs.expert("gridworld/uniform", env)
     assert expert is not None
     maps, targets = np.divmod(np.arange(400), 20)
     env.reset(seed=0, options={"map": maps, "target": targets})
@@ -240,7 +240,7 @@ def test_every_family_can_be_recorded(level, tmp_path):
     assert said[0] == f"{level}, seed 1"
     assert said[1].startswith("episode 1: ")
     steps = int(re.search(r"(\d+) steps?$", said[1])[1])
-    env = levels.make_vec(level, 1)
+    env = envs.make_vec(level, 1)
     fps = env.metadata["render_fps"]
     height, width, _ = env.single_observation_space["image"].shape
     scale = -(-288 // height)
@@ -258,8 +258,8 @@ def test_a_recording_shows_the_worlds_frames(tmp_path):
         *("level=gridworld/rare", "policy=expert", "seed=3", "episodes=2", "fps=10"),
         *(f"record={path}", "scale=1"),
     )
-    env = levels.make_vec("gridworld/rare", 1, autoreset_mode="Disabled", render_mode="rgb_array")
-    expert = levels.expert("gridworld/rare", env)
+    env = envs.make_vec("gridworld/rare", 1, autoreset_mode="Disabled", render_mode="rgb_array")
+    expert = envs.expert("gridworld/rare", env)
     frames, lasts = [], []
     for seed in (3, None):
         env.reset(seed=seed)
@@ -333,7 +333,7 @@ def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
 
     said = play(f"run={run}", "episodes=1", "seed=7", f"record={tmp_path}/out.gif")
     trained = runner.load_agent(run, "cpu")
-    env = levels.make_vec("gridworld/zipf_2", 1, **trained.config.level_options)
+    env = envs.make_vec("gridworld/zipf_2", 1, **trained.config.level_options)
     policy = AgentPolicy(trained.agent, seed=derive_seed(7, "actions"), device="cpu")
     episode = score(policy, env, episodes=1, seed=7).iloc[0]
     assert f"map {episode['map']}, target {episode['target']}:" in said[1]
@@ -388,7 +388,7 @@ def test_a_level_that_the_agent_cannot_play(run, tmp_path):
 
 def test_a_family_may_have_neither_keys_nor_an_expert(monkeypatch, tmp_path):
     for name in ("keys", "expert"):
-        monkeypatch.setattr(levels, name, lambda *_: None)
+        monkeypatch.setattr(envs, name, lambda *_: None)
     with pytest.raises(UserError, match="policy=expert: there is none for gridworld/rare"):
         play("level=gridworld/rare", "policy=expert", f"record={tmp_path}/x.gif")
     with pytest.raises(UserError, match="no keys for gridworld/rare"):
@@ -396,8 +396,8 @@ def test_a_family_may_have_neither_keys_nor_an_expert(monkeypatch, tmp_path):
 
 
 def test_the_agents_view_takes_an_image(monkeypatch, tmp_path):
-    make = levels.make_vec
-    monkeypatch.setattr(levels, "make_vec", lambda *a, **k: make(*a, observation="tiles", **k))
+    make = envs.make_vec
+    monkeypatch.setattr(envs, "make_vec", lambda *a, **k: make(*a, observation="tiles", **k))
     with pytest.raises(UserError, match="view=agent"):
         play("level=gridworld/rare", "policy=random", "view=agent", f"record={tmp_path}/x.gif")
 
@@ -500,9 +500,9 @@ def person(monkeypatch):
 
 
 def test_a_person_plays_in_a_terminal(person, tmp_path):
-    env = levels.make_vec("gridworld/zipf_2", 1, autoreset_mode="Disabled")
-    expert = levels.expert("gridworld/zipf_2", env)
-    keys = levels.keys("gridworld/zipf_2")
+    env = envs.make_vec("gridworld/zipf_2", 1, autoreset_mode="Disabled")
+    expert = envs.expert("gridworld/zipf_2", env)
+    keys = envs.keys("gridworld/zipf_2")
     _, info = env.reset(seed=5)
     typed = []
     ended = False
@@ -547,7 +547,7 @@ def test_a_person_plays_in_a_terminal(person, tmp_path):
 
 def test_toggles_are_shown(person, monkeypatch):
     keys = Keys((Binding(("a",), "go", (0, 4)),), (Toggle("space", "boots"),))
-    monkeypatch.setattr(levels, "keys", lambda level: keys)
+    monkeypatch.setattr(envs, "keys", lambda level: keys)
 
     def script():
         person.sees("boots off")
@@ -656,7 +656,7 @@ def test_a_person_plays_in_a_window(monkeypatch):
     assert said[-1].endswith("left after 3 steps")
     assert not pygame.display.get_init()
 
-    env = levels.make_vec("gridworld/zipf_2", 1, autoreset_mode="Disabled", render_mode="rgb_array")
+    env = envs.make_vec("gridworld/zipf_2", 1, autoreset_mode="Disabled", render_mode="rgb_array")
     env.reset(seed=6)
     for i, action in enumerate([2, 0, 6, None]):
         drawn, lines = shown[i]

@@ -13,6 +13,7 @@ from recall import Recall
 from tensordict import TensorDict
 from test_train import TINY, assert_equal, learned, untimed
 
+from zipf import envs
 from zipf.agents import r2d2, replay
 from zipf.agents.encoders import CompactOptions
 from zipf.agents.gtrxl import GTrXLOptions
@@ -21,7 +22,6 @@ from zipf.agents.network import Inputs
 from zipf.agents.r2d2 import R2D2, R2D2Options
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.unroll import Unroll
-from zipf.envs import levels
 from zipf.experiments import command_line
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
@@ -655,14 +655,14 @@ def test_it_learns_to_find_three_goals_in_a_room(seed):
         "observation": "tiles",
     }
     policy = trained(
-        levels.make_vec("gridworld/uniform", 16, **options),
+        envs.make_vec("gridworld/uniform", 16, **options),
         CompactOptions(name="compact", patch=None, channels=16, size=64, head_size=0),
         MLPOptions(name="mlp", size=64, layers=1),
         unroll_length=10,
         updates=450,
         seed=seed,
     )
-    env = levels.make_vec("gridworld/uniform", 100, **options)
+    env = envs.make_vec("gridworld/uniform", 100, **options)
     assert play(policy, env, episodes=300, seed=2)["success"].mean() >= 0.95
 
 

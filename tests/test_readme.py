@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import zipf.report
-from zipf.envs import levels
+from zipf import envs
 from zipf.experiments import command_line
 from zipf.experiments.config import Config, EvaluateOptions
 from zipf.experiments.playing.playing import PlayOptions
@@ -72,7 +72,7 @@ def test_evaluate_commands_are_accepted(arguments):
 def test_play_commands_are_accepted(arguments):
     if arguments != ["--help"]:
         options = command_line.read_options(PlayOptions, arguments)
-        assert options.run or levels.keys(options.level)
+        assert options.run or envs.keys(options.level)
 
 
 @pytest.mark.parametrize("arguments", commands("zipf.report"), ids=" ".join)

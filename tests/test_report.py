@@ -25,8 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from rich.console import Console
 
-from zipf import report
-from zipf.envs import levels
+from zipf import envs, report
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import figures, paper, rendering, results, tables
 
@@ -377,13 +376,13 @@ def test_disagreement_about_chance_is_noted(tmp_path: Path) -> None:
 
 # --- several train levels --------------------------------------------------------------------
 
-PUTTING = levels.split("playroom_put")
-LIFTING = levels.split("playroom_lift")
+PUTTING = envs.split("playroom_put")
+LIFTING = envs.split("playroom_lift")
 
 
 def write_playroom(
     root: Path,
-    split: levels.Split,
+    split: envs.Split,
     scores: Mapping[int, Sequence[float]],
     *,
     variant: str = "",
@@ -391,14 +390,14 @@ def write_playroom(
     **description: Any,
 ) -> Path:
     """A run of the playroom; `scores` are those of every level of its split, by update."""
-    every = [(kind, str(level)) for kind in levels.KINDS for level in split.levels(kind)]
+    every = [(kind, level.name) for kind in envs.KINDS for level in split.levels(kind)]
     described = [
         {"level_kind": kind, "level": level, "chance": score, "chance_episodes": 5000}
         for (kind, level), score in zip(every, chance, strict=False)
     ]
     of_kinds = {
         kind: [one["chance"] for one in described if one["level_kind"] == kind]
-        for kind in levels.KINDS
+        for kind in envs.KINDS
     }
     folder = write_run(
         root,
@@ -437,7 +436,7 @@ def test_the_train_score_is_the_mean_over_train_levels(tmp_path: Path) -> None:
         in rendering.caption(table)
     )
     scores = table.train_scores.set_index("level_kind")
-    near, on = PUTTING.levels("train")[1:]
+    near, on = (level.name for level in PUTTING.train[1:])
     assert list(scores.index) == ["Lifting (Zipf 2)", "Putting (frequent only)", near, on]
     # Putting at each update 0.45, 0.2, 0.85.
     assert scores["median"].tolist() == pytest.approx([0.9, 0.45, 0.6, 0.3])
@@ -494,7 +493,7 @@ def test_levels_of_no_published_experiment_stand_each_alone(tmp_path: Path) -> N
     described = json.loads((folder / "run.json").read_text()) | {"paper": None}
     (folder / "run.json").write_text(json.dumps(described))
     table = only_table(tmp_path)
-    assert list(table.train_groups) == list(PUTTING.levels("train"))
+    assert list(table.train_groups) == [level.name for level in PUTTING.train]
     assert "| Condition | Seeds | lift\\_shape\\_zipf2 |" in rendering.markdown(table)
 
 
@@ -787,10 +786,10 @@ def test_the_papers_tables_name_known_conditions_and_levels() -> None:
     )
     with pytest.raises(UserError, match="gridworld"):
         paper.paper_table("maze")
-    for split in levels.SPLITS.values():
+    for split in envs.all_splits().values():
         table = paper.paper_table(paper.TABLE_OF_SPLIT[split.name])
         for group in table.train_groups.values():
-            assert set(group) < set(split.levels("train"))
+            assert set(group) < {level.name for level in split.train}
 
 
 # --- situations and plots --------------------------------------------------------------------

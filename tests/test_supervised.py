@@ -5,11 +5,11 @@ import pytest
 import torch
 import torch.nn.functional as F
 
+from zipf import envs
 from zipf.agents.encoders import CompactOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.supervised import Supervised, SupervisedOptions
-from zipf.envs import levels
 from zipf.envs.check import check_vector_env
 from zipf.envs.playroom.first_frame import LEFT, RIGHT, FirstFrameVectorEnv
 from zipf.envs.single import SingleWorld
@@ -54,8 +54,8 @@ def test_it_keeps_the_contract():
 
 
 def test_the_side_is_that_of_the_object_on_the_first_frame_of_the_level():
-    asked = levels.make_vec(levels.first_frames(levels.split("playroom_find")).uniform, 60)
-    played = levels.make_vec("playroom/supervised/find_shape_uniform", 60)
+    asked = envs.make_vec(envs.questions(envs.split("playroom_find")).uniform[0], 60)
+    played = envs.make_vec("playroom/supervised/find_shape_uniform", 60)
     frames, info = asked.reset(seed=3)
     others, there = played.reset(seed=3)
     for name in frames:
@@ -87,17 +87,17 @@ def test_levels_without_sides_are_refused():
     with pytest.raises(ValueError, match="no object on the left and on the right"):
         FirstFrameVectorEnv(1, "lift/lift_shape_zipf3")
     for name in ("gridworld", "playroom_lift", "playroom_put"):
-        with pytest.raises(ValueError, match="does not show two objects, left and right"):
-            levels.first_frames(levels.split(name))
-    found = levels.first_frames(levels.split("playroom_find"))
-    assert [str(level) for kind in levels.KINDS for level in found.levels(kind)] == [
-        str(level) for kind in levels.KINDS for level in levels.split("playroom_find").levels(kind)
+        with pytest.raises(ValueError, match=r"left and right|no questions"):
+            envs.questions(envs.split(name))
+    found = envs.questions(envs.split("playroom_find"))
+    assert [level.name for level in found.all_levels] == [
+        level.name for level in envs.split("playroom_find").all_levels
     ]
 
 
 def test_it_chooses_one_of_two():
     with pytest.raises(ValueError, match="one of two answers, not of 46"):
-        classifier(levels.make_vec(f"playroom/{LEVEL}", 1))
+        classifier(envs.make_vec(f"playroom/{LEVEL}", 1))
 
 
 # Learning

@@ -1,5 +1,6 @@
 """Training as a user does it: every shipped configuration, resume, signals, errors."""
 
+import dataclasses
 import importlib
 import json
 import shutil
@@ -14,8 +15,8 @@ import pandas as pd
 import pytest
 import torch
 
-from zipf import evaluate
-from zipf.envs import levels
+import zipf.envs.family
+from zipf import envs, evaluate
 from zipf.experiments import command_line
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
@@ -130,8 +131,8 @@ def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path)
     assert list(metrics["update"]) == [1, 2]
     assert list(metrics["frames"]) == [12, 24]
     assert metrics["loss"].notna().iloc[-1]
-    split = levels.split(whole.environment.split)
-    scored = [(kind, level) for kind in levels.KINDS for level in split.levels(kind)]
+    split = envs.split(whole.environment.split)
+    scored = [(kind, level.name) for kind in envs.KINDS for level in split.levels(kind)]
     evaluations = pd.read_csv(whole.folder / "evaluations.csv")
     assert list(evaluations["update"]) == [0] * len(scored) + [2] * len(scored)
     assert list(zip(evaluations["level_kind"], evaluations["level"], strict=True)) == scored * 2
@@ -169,10 +170,16 @@ def last(table):
     return table[table["update"] == table["update"].max()].reset_index(drop=True)
 
 
+def use_train_levels(monkeypatch, train):
+    """Lets the gridworld's split train on these levels."""
+    split = envs.Split("gridworld", train, "gridworld/uniform", "gridworld/rare")
+    changed = dataclasses.replace(envs.find_family("gridworld"), splits=(split,))
+    monkeypatch.setitem(zipf.envs.family._FAMILIES, "gridworld", changed)
+
+
 def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
     train = ("gridworld/zipf_2", "gridworld/zipf_1")
-    split = levels.Split("gridworld", train, "gridworld/uniform", "gridworld/rare")
-    monkeypatch.setitem(levels.SPLITS, "gridworld", split)
+    use_train_levels(monkeypatch, train)
     arguments = [*TINY, "updates=6", f"run_root={tmp_path}"]
     assert runner.train(command_line.load(arguments)) == 0
     assert runner.train(command_line.load([*arguments, "updates=8", "resume=must"])) == 0
@@ -191,7 +198,11 @@ def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
     assert list(levels_of_train) == [*train] * 4  # at updates 0, 4, 6 and 8
 
     described = run_folder.read_description(folder)
-    assert [one["level"] for one in described["levels"]] == [*train, split.uniform, split.rare]
+    assert [one["level"] for one in described["levels"]] == [
+        *train,
+        "gridworld/uniform",
+        "gridworld/rare",
+    ]
     each = [one["chance"] for one in described["levels"]]
     assert described["chance"] == {
         "train": pytest.approx((each[0] + each[1]) / 2),
@@ -201,13 +212,12 @@ def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["zipf.evaluate", f"run={folder}", "episodes=5"])
     evaluate.main()
     shown = capsys.readouterr().out
-    assert all(f"│ {level} " in shown for level in (*train, split.rare))
+    assert all(f"│ {level} " in shown for level in (*train, "gridworld/rare"))
 
 
 def test_a_world_for_each_train_level(monkeypatch):
     train = ("gridworld/zipf_2", "gridworld/zipf_1", "gridworld/zipf_3")
-    split = levels.Split("gridworld", train, "gridworld/uniform", "gridworld/rare")
-    monkeypatch.setitem(levels.SPLITS, "gridworld", split)
+    use_train_levels(monkeypatch, train)
     with pytest.raises(UserError) as error:
         command_line.load([*TINY, "collector.num_envs=2"])
     assert str(error.value) == (
@@ -489,7 +499,7 @@ def test_what_is_compiled_learns_the_same(tmp_path):
         [*TINY, "agent=vmpo", "updates=3", "compile=true", f"run_root={tmp_path / 'compiled'}"]
     )
     assert plain.condition == compiled.condition
-    env = levels.make_vec(compiled.split.uniform, 1, **compiled.level_options)
+    env = envs.make_vec(compiled.split.uniform[0], 1, **compiled.level_options)
     agent = runner.build_agent(compiled, env)
     for network in (agent.network, agent.target):
         assert network.encoder.image._compiled_call_impl is not None

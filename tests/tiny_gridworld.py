@@ -2,7 +2,7 @@
 
 import torch
 
-from zipf.envs import levels
+from zipf import envs
 from zipf.experiments.running.collector import Collector
 from zipf.experiments.running.evaluator import AgentPolicy, play
 
@@ -18,11 +18,11 @@ WORLDS = {
 def after_learning(build, seed):
     """A thousand episodes of what `build`, called with the spaces, is after 250 updates."""
     torch.set_num_threads(1)
-    env = levels.make_vec("gridworld/uniform", 64, **WORLDS)
+    env = envs.make_vec("gridworld/uniform", 64, **WORLDS)
     agent = build(env.single_observation_space, env.single_action_space)
     collector = Collector(env, agent, unroll_length=8, seed=seed)
     for _ in range(250):
         agent.update(collector.collect())
     policy = AgentPolicy(agent, seed=1, device="cpu")
-    test = levels.make_vec("gridworld/uniform", 100, **WORLDS)
+    test = envs.make_vec("gridworld/uniform", 100, **WORLDS)
     return play(policy, test, episodes=1000, seed=2)

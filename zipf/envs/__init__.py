@@ -1,32 +1,73 @@
 """Zipfian environment families. Importing this registers them with Gymnasium."""
 
-import gymnasium
+from __future__ import annotations
 
-from zipf.envs.levels import SPLITS, Split, chance, make, make_vec, split
-from zipf.envs.mixture import MixtureVectorEnv
-from zipf.envs.single import SingleWorld
-from zipf.envs.vector import ZipfVectorEnv
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from zipf.envs.family import (
+    Family,
+    all_splits,
+    chance,
+    expert,
+    families,
+    family_of_split,
+    find_family,
+    find_level,
+    keys,
+    make,
+    make_train,
+    make_vec,
+    questions,
+    register,
+    split,
+)
+from zipf.envs.gridworld import FAMILY as _gridworld
+from zipf.envs.playroom import FAMILY as _playroom
+from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
+
+if TYPE_CHECKING:
+    from zipf.envs.mixture import MixtureVectorEnv
+    from zipf.envs.single import SingleWorld
+    from zipf.envs.vector import ZipfVectorEnv
+
+# Imported when first asked for: these bring numba, and `import zipf` is to be quick.
+_LAZY = {
+    "MixtureVectorEnv": "zipf.envs.mixture",
+    "SingleWorld": "zipf.envs.single",
+    "ZipfVectorEnv": "zipf.envs.vector",
+}
 
 __all__ = [
-    "SPLITS",
+    "KINDS",
+    "Family",
     "MixtureVectorEnv",
+    "Normalisation",
     "SingleWorld",
     "Split",
+    "SplitLevel",
     "ZipfVectorEnv",
+    "all_splits",
     "chance",
+    "expert",
+    "families",
+    "family_of_split",
+    "find_family",
+    "find_level",
+    "keys",
     "make",
+    "make_train",
     "make_vec",
+    "questions",
+    "register",
     "split",
 ]
 
-gymnasium.register(
-    id="zipf/Gridworld-v0",
-    entry_point="zipf.envs.gridworld.single:GridworldEnv",
-    vector_entry_point="zipf.envs.gridworld.vector:GridworldVectorEnv",
-)
+for _family in (_gridworld, _playroom):
+    register(_family)
 
-gymnasium.register(
-    id="zipf/Playroom-v0",
-    entry_point="zipf.envs.playroom.single:PlayroomEnv",
-    vector_entry_point="zipf.envs.playroom.vector:PlayroomVectorEnv",
-)
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_LAZY[name]), name)

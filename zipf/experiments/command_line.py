@@ -26,13 +26,13 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import ValidationError
 
 import zipf
+from zipf import envs
 from zipf.agents import r2d2
 from zipf.agents.auxiliary import NO_AUXILIARY, build_auxiliary
 from zipf.agents.impala import ImpalaOptions
 from zipf.agents.network import ActorCritic
 from zipf.agents.supervised import SupervisedOptions
 from zipf.agents.vmpo import VMPOOptions
-from zipf.envs import levels
 from zipf.experiments.config import (
     DEVICE_PATTERN,
     NAME_PATTERN,
@@ -286,7 +286,7 @@ def _impossible(config: Config) -> Iterator[str]:
     start, end = config.schedule.window
     if start > end:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"
-    split = levels.split(config.environment.split)
+    split = envs.split(config.environment.split)
     train = split.levels("train")
     if config.collector.num_envs < len(train):
         yield (
@@ -336,8 +336,8 @@ def _cannot_be_built(key: str, config: Config) -> str | None:
             _buildable[key] = f"agent={config.agent.name}: {error}; choose experiment=playroom_find"
             return _buildable[key]
         try:
-            for level in (level for kind in levels.KINDS for level in split.levels(kind)):
-                env = levels.make_vec(level, 1, **config.level_options)
+            for level in (level for kind in envs.KINDS for level in split.levels(kind)):
+                env = envs.make_vec(level, 1, **config.level_options)
         except ValueError as error:
             _buildable[key] = f"environment: {error}"
             return _buildable[key]

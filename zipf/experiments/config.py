@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import torch
 from pydantic import Field
 
+from zipf import envs
 from zipf.agents.auxiliary import AuxiliaryOptions
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.exploration import ExplorationOptions
@@ -16,7 +17,6 @@ from zipf.agents.memory import MemoryOptions
 from zipf.agents.r2d2 import R2D2Options
 from zipf.agents.supervised import SupervisedOptions
 from zipf.agents.vmpo import VMPOOptions
-from zipf.envs import levels
 from zipf.experiments.errors import UserError
 from zipf.options import Options
 
@@ -117,15 +117,15 @@ class Config(Options):
         )
 
     @property
-    def split(self) -> levels.Split:
+    def split(self) -> envs.Split:
         """The levels that are played; a classifier is asked about their first frames alone.
 
         Raises:
             ValueError: a classifier, and levels that it cannot be asked about.
         """
-        split = levels.split(self.environment.split)
+        split = envs.split(self.environment.split)
         if isinstance(self.agent, SupervisedOptions):
-            return levels.first_frames(split)
+            return envs.questions(split)
         return split
 
     @property

@@ -1,7 +1,48 @@
 """Zipf's Gridworld: find the cued object in one of 20 fixed maps of nine rooms."""
 
-from zipf.envs.gridworld.chance import random_policy, random_policy_success
-from zipf.envs.gridworld.single import GridworldEnv
-from zipf.envs.gridworld.vector import GridworldVectorEnv
+from typing import Annotated, Literal
 
-__all__ = ["GridworldEnv", "GridworldVectorEnv", "random_policy", "random_policy_success"]
+from pydantic import Field
+
+from zipf.envs.family import Family
+from zipf.envs.splits import Split
+from zipf.options import Options
+
+Size = Annotated[int, Field(ge=1)]
+Pair = Annotated[list[Size], Field(min_length=2, max_length=2)]
+
+
+class GridworldOptions(Options):
+    """Constructor options. Other values than these make other worlds than the paper's."""
+
+    num_maps: Size = 20  # paper
+    num_rooms: Pair = Field(default=[3, 3])  # paper: 3 x 3 rooms
+    room_size: Pair = Field(default=[3, 3])  # paper: of 3 x 3 squares
+    num_objects: Size = 20  # paper
+    max_steps: Size = 100  # paper
+    observation: Literal["image", "tiles"] = "image"  # paper: 63 x 63 pixels; tiles: 7 x 7 codes
+
+
+FAMILY = Family(
+    name="gridworld",
+    summary="find the cued object in one of 20 maps",
+    id="zipf/Gridworld-v0",
+    levels=("zipf_2", "uniform", "rare"),
+    check="zipf.envs.distributions:by_name",
+    options=GridworldOptions,
+    splits=(
+        Split(
+            "gridworld",
+            "gridworld/zipf_2",
+            "gridworld/uniform",
+            "gridworld/rare",
+            paper="gridworld",
+        ),
+    ),
+    make="zipf.envs.gridworld.single:GridworldEnv",
+    make_vec="zipf.envs.gridworld.vector:GridworldVectorEnv",
+    chance="zipf.envs.gridworld.chance:chance",
+    appearance=frozenset({"observation"}),
+    keys="zipf.envs.gridworld.keys:KEYS",
+    expert="zipf.envs.gridworld.expert:Expert",
+)

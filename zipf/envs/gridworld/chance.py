@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from zipf.envs import distributions
 from zipf.envs.gridworld import kernels, looks
 from zipf.envs.gridworld.maps import MOVES, Maps, build_maps
+from zipf.envs.random_play import Chance
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,11 @@ def random_policy_success(
 
 
 @lru_cache(maxsize=16)
+def chance(level: str, **options: Any) -> Chance:
+    """The score of uniformly random actions on a level, exact; see `random_policy_success`."""
+    return Chance(random_policy_success(level, **options))
+
+
 def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:
     """Follows the distribution over the cells of each map, which random actions make a Markov
     chain that objects absorb, up to the step limit."""

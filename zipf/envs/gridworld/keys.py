@@ -1,6 +1,6 @@
 """The gridworld's keys: arrows, the letters of roguelike games, and the numeric pad."""
 
-from zipf.envs.keys import Binding, Keys
+from zipf.envs.keyboard import Binding, Keys
 
 KEYS = Keys(
     (

@@ -1,0 +1,66 @@
+"""Zipf's Playroom: do as an instruction says with one of 50 toys, seen in the first person."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from zipf.envs.family import Family
+from zipf.envs.playroom.levels import LEVELS
+from zipf.envs.splits import Split
+from zipf.options import Options
+
+Size = Annotated[int, Field(ge=1)]
+
+
+class PlayroomOptions(Options):
+    """Constructor options. Other values than these make other worlds than the paper's."""
+
+    # paper: 96 x 72 pixels; here height, width
+    image_size: Annotated[list[Size], Field(min_length=2, max_length=2)] = Field(default=[72, 96])
+    # ours: the paper lists no objects; alternate has the same in another order
+    object_order: Literal["default", "alternate"] = "default"
+    max_steps: Size = 900  # released loader: 120 s; paper: 7.5 actions a second
+
+
+FAMILY = Family(
+    name="playroom",
+    summary="lift, put or find the named one of 50 toys, in the first person",
+    id="zipf/Playroom-v0",
+    levels=tuple(LEVELS),
+    check="zipf.envs.playroom.levels:by_name",
+    options=PlayroomOptions,
+    splits=(
+        Split(
+            "playroom_lift",
+            "playroom/lift/lift_shape_zipf3",
+            "playroom/lift/lift_shape_uniform",
+            "playroom/lift/lift_shape_uniform_rare",
+            paper="playroom_lifting",
+        ),
+        Split(
+            "playroom_put",
+            (
+                "playroom/put/lift_shape_zipf2",
+                "playroom/put/put_near_bed_tray_frequent",
+                "playroom/put/put_on_bed_tray_frequent",
+            ),
+            "playroom/put/put_on_bed_tray_all",
+            "playroom/put/put_on_bed_tray_rare",
+            paper="playroom_putting",
+        ),
+        Split(
+            "playroom_find",
+            "playroom/supervised/find_shape_zipf3",
+            "playroom/supervised/find_shape_uniform",
+            "playroom/supervised/find_shape_uniform_rare",
+            paper="playroom_finding",
+        ),
+    ),
+    make="zipf.envs.playroom.single:PlayroomEnv",
+    make_vec="zipf.envs.playroom.vector:PlayroomVectorEnv",
+    chance="zipf.envs.playroom.chance:chance",
+    appearance=frozenset({"image_size"}),
+    keys="zipf.envs.playroom.keys:KEYS",
+    expert="zipf.envs.playroom.expert:Expert",
+    questions="zipf.envs.playroom.first_frame:questions",
+)

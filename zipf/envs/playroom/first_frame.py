@@ -1,5 +1,6 @@
 """The finding levels' first frames as questions: left or right?"""
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,9 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from zipf.envs.playroom import levels
 from zipf.envs.playroom.vector import PlayroomVectorEnv
+from zipf.envs.splits import KINDS, Split
 
 LEFT, RIGHT = 0, 1
 
@@ -38,3 +41,34 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
         right = (actions == self._side) | (self.ranks[:, 0] == self.ranks[:, 1])
         ended = np.ones(self.num_envs, np.bool_)
         return right.astype(np.float64), ended, ~ended, right
+
+
+@dataclass(frozen=True)
+class FirstFrames:
+    """Makes a finding level whose episodes are questions; it has the level's own name."""
+
+    level: str
+
+    def __call__(self, num_envs: int, **options: Any) -> FirstFrameVectorEnv:
+        return FirstFrameVectorEnv(num_envs, self.level.partition("/")[2], **options)
+
+    def __str__(self) -> str:
+        return self.level
+
+
+def questions(split: Split) -> Split:
+    """A split of finding levels whose episodes are questions about their first frame.
+
+    Raises:
+        ValueError: a level does not show two objects, left and right.
+    """
+    for one in split.all_levels:
+        if not levels.by_name(one.name).finding:
+            raise ValueError(
+                f"the first frame of {one.name} does not show two objects, left and right"
+            )
+    asked: dict[str, Any] = {
+        kind: [replace(one, level=FirstFrames(one.name)) for one in split.levels(kind)]
+        for kind in KINDS
+    }
+    return replace(split, **asked)

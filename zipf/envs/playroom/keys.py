@@ -1,6 +1,6 @@
 """The playroom's keys: letters move, arrows look, the space bar grips until it is pressed again."""
 
-from zipf.envs.keys import Binding, Keys, Toggle
+from zipf.envs.keyboard import Binding, Keys, Toggle
 from zipf.envs.playroom.actions import ACTIONS, GRAB, NOOP
 
 

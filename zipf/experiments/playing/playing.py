@@ -17,8 +17,8 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pydantic import Field
 
-from zipf.envs import levels
-from zipf.envs.keys import LEAVE, NEXT, Keys
+from zipf import envs
+from zipf.envs.keyboard import LEAVE, NEXT, Keys
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.config import PositiveInt, Seed
 from zipf.experiments.errors import UserError
@@ -116,7 +116,7 @@ def _who_plays(options: PlayOptions) -> str:
             )
     if policy == "agent" and not options.run:
         problems.append("policy=agent: needs the agent of a run; add run=<a run's folder>")
-    if options.level in levels.KINDS and not options.run:
+    if options.level in envs.KINDS and not options.run:
         problems.append(
             f"level={options.level}: is one of a run's levels; add run=<a run's folder>, or give "
             "a level's full name"
@@ -143,7 +143,7 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
             _check_spaces(level, env, trained)
         if options.view == "agent" and not _has_image(env):
             raise UserError("view=agent: the agent sees no image in these worlds; use view=world")
-        keys = levels.keys(level)
+        keys = envs.keys(level)
         if policy == "keyboard" and keys is None:
             raise UserError(f"policy=keyboard: there are no keys for {level}")
         player: Policy | None = None
@@ -152,7 +152,7 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
         elif policy == "random":
             player = _Random(env, derive_seed(seed, "actions"))
         elif policy == "expert":
-            expert = levels.expert(level, env)
+            expert = envs.expert(level, env)
             if expert is None:
                 raise UserError(f"policy=expert: there is none for {level}; random is for all")
             player = _Scripted(expert)
@@ -161,15 +161,15 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
 
 
 def _levels(options: PlayOptions, trained: runner.Trained | None) -> list[str]:
-    if trained is None or options.level not in (None, *levels.KINDS):
+    if trained is None or options.level not in (None, *envs.KINDS):
         return [str(options.level)]
-    split = levels.split(trained.config.environment.split)
-    return [str(level) for level in split.levels(options.level or "train")]
+    split = envs.split(trained.config.environment.split)
+    return [level.name for level in split.levels(options.level or "train")]
 
 
 def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
     try:
-        return levels.make_vec(
+        return envs.make_vec(
             level,
             1,
             autoreset_mode=AutoresetMode.DISABLED,
@@ -184,8 +184,8 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
 
 def _check_spaces(level: str, env: ZipfVectorEnv, trained: runner.Trained) -> None:
     # Its spaces are the training levels', which may be several.
-    known = trained.config.split.uniform
-    learned = levels.make_vec(known, 1, **trained.config.level_options)
+    known = trained.config.split.uniform[0]
+    learned = envs.make_vec(known, 1, **trained.config.level_options)
     for space in ("single_observation_space", "single_action_space"):
         if getattr(env, space) != getattr(learned, space):
             raise UserError(f"level={level}: shows or takes something else than the run's levels")
@@ -210,7 +210,7 @@ class _Random:
 class _Scripted:
     """A player that knows the worlds' state."""
 
-    def __init__(self, expert: levels.Expert) -> None:
+    def __init__(self, expert: envs.Expert) -> None:
         self.expert = expert
 
     def start(self, num_envs: int) -> None: ...

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from zipf.envs.keys import LEAVE
+from zipf.envs.keyboard import LEAVE
 from zipf.envs.window import open_display
 from zipf.experiments.errors import UserError
 
@@ -62,7 +62,7 @@ class Screen(Protocol):
         """Shows a picture, uint8 [height, width, 3], and the text."""
 
     def key(self, timeout: float | None) -> str | None:
-        """The next key, by its name in `zipf.envs.keys`; `LEAVE` when the screen is closed.
+        """The next key, by its name in `zipf.envs.keyboard`; `LEAVE` when the screen is closed.
 
         Waits for so many seconds, without end where that is None; None if no key came.
         """

@@ -17,8 +17,8 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 
+from zipf import envs
 from zipf.agents.network import Inputs
-from zipf.envs import levels
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.running.collector import Agent
 
@@ -144,7 +144,7 @@ def play(policy: Policy, env: ZipfVectorEnv, *, episodes: int, seed: int) -> pd.
 
 def evaluate(
     policy: Policy,
-    split: levels.Split,
+    split: envs.Split,
     *,
     episodes: int = 1000,
     num_envs: int = 250,
@@ -161,12 +161,12 @@ def evaluate(
     if episodes < 1:
         raise ValueError(f"episodes={episodes}: should be at least 1")
     results = []
-    for index, kind in enumerate(levels.KINDS):
+    for index, kind in enumerate(envs.KINDS):
         for place, level in enumerate(split.levels(kind)):
-            env = levels.make_vec(level, min(num_envs, episodes), **level_options)
-            worlds = derive_seed(seed, "evaluation", index + place * len(levels.KINDS))
+            env = envs.make_vec(level, min(num_envs, episodes), **level_options)
+            worlds = derive_seed(seed, "evaluation", index + place * len(envs.KINDS))
             played = play(policy, env, episodes=episodes, seed=worlds)
-            results.append(Result(kind, str(level), played))
+            results.append(Result(kind, level.name, played))
             env.close()
     return results
 
@@ -188,7 +188,7 @@ def situations(results: Sequence[Result]) -> pd.DataFrame:
 
 def score(
     policy: Any,
-    split: str | levels.Split = "gridworld",
+    split: str | envs.Split = "gridworld",
     *,
     episodes: int = 1000,
     num_envs: int = 250,
@@ -220,7 +220,7 @@ def score(
     """
     results = evaluate(
         _as_policy(policy, batched),
-        levels.split(split) if isinstance(split, str) else split,
+        envs.split(split) if isinstance(split, str) else split,
         episodes=episodes,
         num_envs=num_envs if batched else 1,
         seed=seed,

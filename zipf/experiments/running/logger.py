@@ -21,7 +21,7 @@ from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.record_writer import RecordWriter
 
-from zipf.envs.levels import KINDS
+from zipf.envs import KINDS
 from zipf.experiments.errors import UserError
 from zipf.experiments.running.evaluator import Result, scores, situations
 

@@ -20,7 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 import zipf
-from zipf.envs import levels
+from zipf import envs
 from zipf.experiments.config import Config, flatten
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting.paper import TABLE_OF_SPLIT
@@ -120,7 +120,7 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         "num_updates": config.updates,
         "chance": {
             kind: _mean([level["chance"] for level in described if level["level_kind"] == kind])
-            for kind in levels.KINDS
+            for kind in envs.KINDS
         },
         "levels": described,
         "situation": situation,
@@ -144,15 +144,15 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
 
 def _describe_levels(config: Config) -> list[dict[str, Any]]:
     """The levels of a run, each with its chance, and over how many episodes that was measured."""
-    split = levels.split(config.environment.split)
+    split = envs.split(config.environment.split)
     described = []
-    for kind in levels.KINDS:
+    for kind in envs.KINDS:
         for level in split.levels(kind):
-            chance = levels.chance(level, **config.level_options)
+            chance = envs.chance(level, **config.level_options)
             described.append(
                 {
                     "level_kind": kind,
-                    "level": str(level),
+                    "level": level.name,
                     "chance": chance and chance.score,
                     "chance_episodes": chance and chance.episodes,
                 }

@@ -15,6 +15,7 @@ from typing import Any
 
 import torch
 
+from zipf import envs
 from zipf.agents.exploration import build_exploration
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.network import Torso
@@ -22,7 +23,6 @@ from zipf.agents.r2d2 import R2D2, R2D2Options
 from zipf.agents.supervised import Supervised, SupervisedOptions
 from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import VMPO, VMPOOptions
-from zipf.envs import levels
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.config import Config, EvaluateOptions
 from zipf.experiments.errors import UserError
@@ -84,7 +84,7 @@ class Run:
     def __init__(self, config: Config):
         self.config = config
         self.folder = config.folder
-        env = levels.make_vec(config.split.train, config.collector.num_envs, **config.level_options)
+        env = envs.make_train(config.split, config.collector.num_envs, **config.level_options)
         self.agent = build_agent(config, env)
         try:
             notes = self.agent.begin_learning()
@@ -330,7 +330,7 @@ def load_agent(folder: Path, device: str) -> Trained:
     saved = checkpoint.load(folder / "checkpoint.pt")
     run_folder.check_options(folder / "checkpoint.pt", saved, config)
     # Its spaces are the training levels', which may be several.
-    env = levels.make_vec(config.split.uniform, 1, **config.level_options)
+    env = envs.make_vec(config.split.uniform[0], 1, **config.level_options)
     agent = build_agent(config, env)
     env.close()
     with run_folder.fits(folder / "checkpoint.pt"):

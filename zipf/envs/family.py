@@ -1,0 +1,323 @@
+"""Families of levels, and the registry of all of them.
+
+A level is its family's name and its own, for instance `gridworld/zipf_2` or
+`playroom/lift/lift_shape_uniform`. Whatever walks all families, levels or splits asks here:
+
+    for family in zipf.envs.families().values():
+        for split in family.splits: ...
+
+A family of your own needs a batch of worlds (`ZipfVectorEnv`) and one call:
+
+    zipf.envs.register(Family(name="bandit", levels=("zipf_2", "uniform", "rare"), ...))
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+
+from zipf.envs.splits import Level, Split, SplitLevel
+from zipf.options import Options
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from zipf.envs.keyboard import Keys
+    from zipf.envs.random_play import Chance
+    from zipf.envs.vector import ZipfVectorEnv
+
+    Expert = Callable[[], NDArray[np.int64]]
+    """A scripted player of a batch of worlds: called, it gives actions [N] from their state."""
+
+
+class NoOptions(Options):
+    """A family without constructor options."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """Everything that the rest of the program asks of a family of levels.
+
+    Fields that are functions, classes or tables may also be given as `"module:attribute"`, which
+    is imported when it is first used: registering a family then costs nothing.
+
+    Attributes:
+        name: unique; levels are called `<name>/<level>`.
+        summary: what the worlds are, a few words for help and tables.
+        levels: names of the levels, without the family's; see `check`.
+        make_vec: makes a batch: `make_vec(num_envs, level=..., autoreset_mode=..., copy=...,
+            render_mode=..., **options)`, with the level's name without the family's.
+        options: class of the constructor options, with the benchmark's values as defaults.
+        splits: the benchmarks of the family.
+        make: makes one world: `make(level=..., render_mode=..., **options)`; None: a batch of one.
+        id: the Gymnasium id; None: the family is not registered with Gymnasium.
+        check: raises ValueError for a name that is not a level; None: those in `levels` are.
+        chance: `chance(level, **options)` is the score of uniformly random actions, a `Chance`, or
+            None where it is not known; None: it is known of no level.
+        appearance: names of options that change what is shown and nothing else; `chance` is not
+            told of them.
+        keys: what a keyboard's keys do, for `zipf.play`; None: nobody can play by hand.
+        expert: `expert(env)` is a scripted player of a batch; None: there is none.
+        questions: `questions(split)` is a variant of a split whose episodes are questions about
+            their first frame, for agents that answer and do not act (raises ValueError where there
+            is none); None: there is none.
+    """
+
+    name: str
+    summary: str
+    levels: tuple[str, ...]
+    make_vec: Callable[..., ZipfVectorEnv] | str
+    options: type[Options] | str = NoOptions
+    splits: tuple[Split, ...] = ()
+    make: Callable[..., gym.Env] | str | None = None
+    id: str | None = None
+    check: Callable[[str], object] | str | None = None
+    chance: Callable[..., Chance | None] | str | None = None
+    appearance: frozenset[str] = frozenset()
+    keys: Keys | str | None = None
+    expert: Callable[[Any], Expert] | str | None = None
+    questions: Callable[[Split], Split] | str | None = None
+
+    @cached_property
+    def options_class(self) -> type[Options]:
+        """The class of the constructor options."""
+        return _loaded(self.options)
+
+    def split(self, name: str) -> Split:
+        """The split of this name.
+
+        Raises:
+            ValueError: the family has no such split.
+        """
+        return _named("split", name, {split.name: split for split in self.splits})
+
+    def check_level(self, name: str) -> None:
+        """Raises ValueError if this name, without the family's, is not a level."""
+        if self.check is not None:
+            _loaded(self.check)(name)
+        elif name not in self.levels:
+            raise ValueError(_unknown(f"{self.name} level", name, self.levels))
+
+    def make_batch(self, level: str, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
+        """`num_envs` worlds of a level, named without the family's name."""
+        return _loaded(self.make_vec)(num_envs, level=level, **kwargs)
+
+    def make_single(self, level: str, **kwargs: Any) -> gym.Env:
+        """One world of a level, named without the family's name."""
+        if self.make is not None:
+            return _loaded(self.make)(level=level, **kwargs)
+        from zipf.envs.single import SingleWorld
+
+        return SingleWorld(_loaded(self.make_vec), level=level, **kwargs)
+
+    def register_with_gymnasium(self) -> None:
+        """Makes `gymnasium.make(id, level=...)` and `gymnasium.make_vec` work."""
+        if self.id is None:
+            return
+        make: Any = self.make or self.make_single
+        gym.register(id=self.id, entry_point=make, vector_entry_point=self.make_vec)
+
+
+_FAMILIES: dict[str, Family] = {}
+
+
+def register(family: Family) -> Family:
+    """Adds a family: its levels, its splits and its Gymnasium id; returns it.
+
+    Raises:
+        ValueError: a family or a split of that name is there already, or a name cannot be part of
+            a level's name.
+    """
+    if not family.name or "/" in family.name:
+        raise ValueError(f"a family's name must not be empty or hold '/', got {family.name!r}")
+    if family.name in _FAMILIES:
+        raise ValueError(f"there is a family {family.name!r} already")
+    for split in family.splits:
+        if split.name in all_splits():
+            raise ValueError(f"there is a split {split.name!r} already")
+    _FAMILIES[family.name] = family
+    family.register_with_gymnasium()
+    return family
+
+
+def families() -> Mapping[str, Family]:
+    """All families by name, in the order in which they were registered."""
+    return MappingProxyType(_FAMILIES)
+
+
+def find_family(name: str) -> Family:
+    """The family of this name. Raises ValueError for an unknown one."""
+    return _named("family", name, _FAMILIES)
+
+
+def all_splits() -> dict[str, Split]:
+    """All splits of all families by name."""
+    return {split.name: split for family in _FAMILIES.values() for split in family.splits}
+
+
+def split(name: str) -> Split:
+    """The split of this name. Raises ValueError for an unknown one."""
+    return _named("split", name, all_splits())
+
+
+def family_of_split(name: str) -> Family:
+    """The family that a split belongs to. Raises ValueError for an unknown split."""
+    split(name)
+    return next(f for f in _FAMILIES.values() if any(s.name == name for s in f.splits))
+
+
+def find_level(level: str) -> tuple[Family, str]:
+    """The family of a level's full name, and the level's name within it.
+
+    Raises:
+        ValueError: there is no such level; names the nearest.
+    """
+    prefix, _, name = level.partition("/")
+    if prefix not in _FAMILIES or not name:
+        known = [f"{one.name}/{name}" for one in _FAMILIES.values() for name in one.levels]
+        raise ValueError(_unknown("level", level, known))
+    found = _FAMILIES[prefix]
+    found.check_level(name)
+    return found, name
+
+
+def make(level: str, **kwargs: Any) -> gym.Env:
+    """One world of a level; `kwargs` are its family's constructor options and `render_mode`.
+
+    Raises:
+        ValueError: for an unknown level, or options out of range.
+    """
+    found, name = find_level(level)
+    return found.make_single(name, **kwargs)
+
+
+def make_vec(
+    level: Level | SplitLevel | Sequence[Level | SplitLevel], num_envs: int, **kwargs: Any
+) -> ZipfVectorEnv:
+    """`num_envs` worlds of a level that step together.
+
+    Args:
+        level: a full name, or what a `Split` may hold in a name's place. Several levels share the
+            worlds evenly, see `Mixture`.
+        num_envs: number of worlds N.
+        kwargs: `autoreset_mode`, `copy`, `render_mode` and constructor options; a `SplitLevel`'s
+            own options go before those.
+
+    Raises:
+        ValueError: for an unknown level, or options out of range.
+    """
+    if isinstance(level, str):
+        found, name = find_level(level)
+        return found.make_batch(name, num_envs, **kwargs)
+    if isinstance(level, SplitLevel):
+        return make_vec(level.level, num_envs, **{**kwargs, **level.options})
+    if callable(level):
+        return level(num_envs, **kwargs)
+    return _mixture(level, num_envs, **kwargs)
+
+
+def make_train(split: Split, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
+    """The worlds to train on, as the split shares them among its train levels.
+
+    Raises:
+        ValueError: options that a level cannot have, or fewer worlds than levels to share them.
+    """
+    if len(split.train) == 1:
+        return make_vec(split.train[0], num_envs, **kwargs)
+    return _mixture(split.train, num_envs, **kwargs)
+
+
+def _mixture(levels: Sequence[Level | SplitLevel], num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
+    from functools import partial
+
+    from zipf.envs.mixture import MixtureVectorEnv
+
+    makers = {
+        one.name if isinstance(one, SplitLevel) else str(one): partial(make_vec, one)
+        for one in levels
+    }
+    if len(makers) < len(levels):
+        raise ValueError(f"a mixture has every level once, got {', '.join(map(str, levels))}")
+    return MixtureVectorEnv(makers, num_envs, **kwargs)
+
+
+def chance(level: Level | SplitLevel, **kwargs: Any) -> Chance | None:
+    """The mean return of uniformly random actions on a level, exact or measured.
+
+    Args:
+        level: a full level name, or what a `Split` may hold in its place.
+        kwargs: constructor options as for `make` and `make_vec`.
+
+    Returns:
+        What is known, or None where nothing is known of a level with these options.
+    """
+    if isinstance(level, SplitLevel):
+        return chance(level.level, **{**kwargs, **level.options})
+    if not isinstance(level, str):
+        return None
+    found, name = find_level(level)
+    if found.chance is None:
+        return None
+    ignored = found.appearance | {"render_mode", "copy", "autoreset_mode"}
+    options = {key: value for key, value in kwargs.items() if key not in ignored}
+    return _loaded(found.chance)(name, **options)
+
+
+def keys(level: str) -> Keys | None:
+    """What a keyboard's keys do on a level; None in a family that has none.
+
+    Raises:
+        ValueError: for an unknown level.
+    """
+    found, _ = find_level(level)
+    return _loaded(found.keys)
+
+
+def expert(level: str, env: ZipfVectorEnv) -> Expert | None:
+    """A scripted player of worlds that `make_vec` made of a level; None in a family without one.
+
+    Raises:
+        ValueError: for an unknown level.
+    """
+    found, _ = find_level(level)
+    return None if found.expert is None else _loaded(found.expert)(env)
+
+
+def questions(split: Split) -> Split:
+    """The variant of a split whose episodes are questions about their first frame.
+
+    Raises:
+        ValueError: there is none.
+    """
+    found = family_of_split(split.name)
+    if found.questions is None:
+        raise ValueError(f"there are no questions about the first frames of {found.name}")
+    return _loaded(found.questions)(split)
+
+
+def _loaded(value: Any) -> Any:
+    """A field of a `Family`: itself, or what `"module:attribute"` names."""
+    if not isinstance(value, str):
+        return value
+    module, _, attribute = value.partition(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def _named(kind: str, name: str, known: Mapping[str, Any]) -> Any:
+    if name not in known:
+        raise ValueError(_unknown(kind, name, tuple(known)))
+    return known[name]
+
+
+def _unknown(kind: str, name: str, known: Sequence[str]) -> str:
+    nearest = difflib.get_close_matches(name, known, n=2, cutoff=0.4)
+    hint = f" (did you mean {' or '.join(map(repr, nearest))}?)" if nearest else ""
+    return f"unknown {kind} {name!r}{hint}: expected one of {', '.join(known)}"

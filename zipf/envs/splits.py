@@ -1,0 +1,150 @@
+"""Splits: which levels train and which test a benchmark, and how a level's returns are scored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+KINDS = ("train", "uniform", "rare")
+"""What levels are for: to train on (Zipfian), and to test on, uniformly and on the rarest fifth."""
+
+Level = str | Callable[..., Any]
+"""A level's full name (`"gridworld/rare"`), or a function that makes a batch of its worlds,
+called as `make(num_envs, autoreset_mode=..., **options)`."""
+
+
+@dataclass(frozen=True)
+class Normalisation:
+    """A return as a fraction of what a human scores above random actions.
+
+    `(return - random) / (human - random)`, at most `cap` where there is one.
+
+    Raises:
+        ValueError: `human` and `random` are equal.
+    """
+
+    random: float
+    human: float
+    cap: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.random == self.human:
+            raise ValueError(f"random and human must differ, both are {self.random}")
+
+    def __call__(self, mean_return: float) -> float:
+        score = (mean_return - self.random) / (self.human - self.random)
+        return score if self.cap is None else min(score, self.cap)
+
+
+@dataclass(frozen=True)
+class SplitLevel:
+    """A level in a split.
+
+    Attributes:
+        level: its full name, or a function that makes it.
+        weight: its share in the score of its kind and, where levels are drawn at resets, how
+            often it is played; relative to the others of its kind.
+        options: constructor options of this level alone, on top of those of the whole split.
+        normalisation: how its mean return becomes its score; None: the score is the mean return.
+
+    Raises:
+        ValueError: the weight is not positive and finite.
+    """
+
+    level: Level
+    weight: float = 1.0
+    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}), hash=False)
+    normalisation: Normalisation | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.weight) and self.weight > 0):
+            raise ValueError(f"the weight of {self.name} must be positive, got {self.weight}")
+
+    @property
+    def name(self) -> str:
+        """The level's name, in result files and tables."""
+        return str(self.level)
+
+    def normalised(self, mean_return: float) -> float:
+        """The score of a mean return."""
+        return mean_return if self.normalisation is None else self.normalisation(mean_return)
+
+    def score(self, returns: ArrayLike) -> float:
+        """The score of the returns of episodes [n]."""
+        return float(self.normalised(float(np.asarray(returns).mean())))
+
+
+Levels = Level | SplitLevel | Sequence[Level | SplitLevel]
+
+
+@dataclass(frozen=True)
+class Split:
+    """A benchmark: weighted levels to train on and to test on.
+
+    `train`, `uniform` and `rare` may be given as a level, a `SplitLevel` or a sequence of these;
+    they are kept as tuples of `SplitLevel`.
+
+    Attributes:
+        name: unique among all splits.
+        train, uniform, rare: the levels of each kind.
+        draw: how worlds share several train levels: "worlds": evenly, each world has one level for
+            good; "resets": at every reset a world draws its level in proportion to the weights.
+        episodes: of each level of a kind, in an evaluation that is not told otherwise.
+        spread: what the +- of a table is: "seeds": the median absolute deviation across seeds;
+            "tasks": the standard error across levels.
+        paper: which of the paper's experiments this repeats, a key of `paper_tables.json`, with
+            the options' defaults; None: none of them.
+
+    Raises:
+        ValueError: a kind has no level, or one level twice.
+    """
+
+    name: str
+    train: Any
+    uniform: Any
+    rare: Any
+    draw: Literal["worlds", "resets"] = "worlds"
+    episodes: Mapping[str, int] = field(
+        default_factory=lambda: MappingProxyType(dict.fromkeys(KINDS, 1000)),  # the paper's
+        hash=False,
+    )
+    spread: Literal["seeds", "tasks"] = "seeds"
+    paper: str | None = None
+
+    def __post_init__(self) -> None:
+        for kind in KINDS:
+            levels = _split_levels(getattr(self, kind))
+            names = [one.name for one in levels]
+            if not names:
+                raise ValueError(f"split {self.name!r} has no {kind} level")
+            if twice := sorted({name for name in names if names.count(name) > 1}):
+                raise ValueError(f"split {self.name!r} has the {kind} level {twice[0]} twice")
+            object.__setattr__(self, kind, levels)
+        if self.draw not in ("worlds", "resets"):
+            raise ValueError(f"draw must be 'worlds' or 'resets', got {self.draw!r}")
+        if self.spread not in ("seeds", "tasks"):
+            raise ValueError(f"spread must be 'seeds' or 'tasks', got {self.spread!r}")
+        if set(self.episodes) != set(KINDS) or min(self.episodes.values()) < 1:
+            raise ValueError(
+                f"episodes must be a positive number for each of {', '.join(KINDS)}, "
+                f"got {dict(self.episodes)}"
+            )
+
+    def levels(self, kind: str) -> tuple[SplitLevel, ...]:
+        """The levels of a kind: "train", "uniform" or "rare"."""
+        return getattr(self, kind)
+
+    @property
+    def all_levels(self) -> tuple[SplitLevel, ...]:
+        """The levels of all kinds, in the order of `KINDS`."""
+        return tuple(level for kind in KINDS for level in self.levels(kind))
+
+
+def _split_levels(given: Levels) -> tuple[SplitLevel, ...]:
+    levels = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    return tuple(one if isinstance(one, SplitLevel) else SplitLevel(one) for one in levels)
