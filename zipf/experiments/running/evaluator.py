@@ -17,10 +17,10 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 
+from zipf.agents.agent import Agent
 from zipf.agents.network import Inputs
 from zipf.envs import levels
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.running.collector import Agent
 
 
 class Policy(Protocol):
