@@ -12,6 +12,7 @@ from tensordict import TensorDict
 
 from zipf import envs
 from zipf.agents import auxiliary as aux
+from zipf.agents.agent import Setting
 from zipf.agents.encoders import CompactOptions, ResNetOptions, ShallowOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
@@ -474,15 +475,9 @@ DRAWING = {
 
 def agent(kind, options, seed=0):
     build_agent, agent_options = {"impala": (Impala, IMPALA), "vmpo": (VMPO, V_MPO)}[kind]
-    return build_agent(
-        space(),
-        gym.spaces.Discrete(ACTIONS),
-        agent_options,
-        COMPACT,
-        MEMORIES["lstm"],
-        options,
-        seed=seed,
-    )
+    spaces = space(), gym.spaces.Discrete(ACTIONS)
+    setting = Setting(*spaces, COMPACT, MEMORIES["lstm"], options, seed=seed)
+    return build_agent(agent_options, setting)
 
 
 def unroll(seed=0):
@@ -552,14 +547,6 @@ def test_it_goes_on_bit_for_bit(kind, options, tmp_path):
     assert one.pop("_extra_state") == other.pop("_extra_state") == 6
     for name, value in one.items():
         assert torch.equal(value, other[name]), name
-
-
-def test_checkpoints_from_before_auxiliary_losses_load():
-    old, new = agent("impala", aux.NO_AUXILIARY), agent("impala", aux.NO_AUXILIARY, seed=1)
-    state = old.state_dict()
-    del state["auxiliary"]
-    new.load_state_dict(state)
-    assert old.update(unroll()) == new.update(unroll())
 
 
 @pytest.mark.parametrize("experiment", command_line.choices("experiment"))

@@ -7,6 +7,7 @@ import tiny_gridworld
 import torch
 from tensordict import TensorDict
 
+from zipf.agents.agent import Setting
 from zipf.agents.encoders import CompactOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
@@ -33,14 +34,13 @@ OPTIONS = ImpalaOptions(
 
 
 def agent(**changes):
-    return Impala(
+    setting = Setting(
         gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
         gym.spaces.Discrete(ACTIONS),
-        OPTIONS.model_copy(update=changes),
         CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=0),
         LSTMOptions(name="lstm", size=16),
-        seed=0,
     )
+    return Impala(OPTIONS.model_copy(update=changes), setting)
 
 
 def unroll(seed=0):
@@ -255,7 +255,7 @@ def test_it_learns_a_tiny_gridworld(seed):
     network = CompactOptions(name="compact", patch=9, channels=16, size=64, head_size=0)
     memory = MLPOptions(name="mlp", size=32, layers=1)
     episodes = tiny_gridworld.after_learning(
-        lambda *spaces: Impala(*spaces, options, network, memory, seed=seed), seed
+        lambda *spaces: Impala(options, Setting(*spaces, network, memory, seed=seed)), seed
     )
     assert episodes["success"].mean() >= 0.95
     assert episodes["length"].mean() <= 2.2

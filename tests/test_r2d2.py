@@ -15,6 +15,7 @@ from test_train import TINY, assert_equal, learned, untimed
 
 from zipf import envs
 from zipf.agents import r2d2, replay
+from zipf.agents.agent import Setting
 from zipf.agents.encoders import CompactOptions
 from zipf.agents.gtrxl import GTrXLOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
@@ -57,16 +58,15 @@ LSTM = LSTMOptions(name="lstm", size=16)
 
 
 def agent(memory=LSTM, worlds=WORLDS, **changes):
-    made = R2D2(
+    setting = Setting(
         gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
         gym.spaces.Discrete(ACTIONS),
-        OPTIONS.model_copy(update=changes),
         NETWORK,
         memory,
         num_envs=worlds,
         unroll_length=STEPS,
-        seed=0,
     )
+    made = R2D2(OPTIONS.model_copy(update=changes), setting)
     made.begin_learning()
     # Else Q is so small that rescaling does nothing, and target and online network agree.
     with torch.no_grad():
@@ -372,17 +372,16 @@ MEMORIES = [
 def test_after_the_burn_in_memory_is_what_it_was(memory, storage, tmp_path):
     """With weights that stay: Q of what is replayed is Q of the whole history from its start."""
     env = Recall(WORLDS, 3)
-    made = R2D2(
+    setting = Setting(
         env.single_observation_space,
         env.single_action_space,
-        OPTIONS.model_copy(update={"replay_min": 20, "storage": storage}),
         NETWORK,
         memory,
         num_envs=WORLDS,
         unroll_length=STEPS,
-        seed=0,
-        replay_folder=tmp_path / "replay",
+        folder=tmp_path,
     )
+    made = R2D2(OPTIONS.model_copy(update={"replay_min": 20, "storage": storage}), setting)
     made.begin_learning()
     collector = Collector(env, made, unroll_length=STEPS, seed=0)
     history = []
@@ -626,16 +625,16 @@ LEARNER = OPTIONS.model_copy(
 
 def trained(env, network, memory, *, unroll_length, updates, seed):
     torch.set_num_threads(1)
-    made = R2D2(
+    setting = Setting(
         env.single_observation_space,
         env.single_action_space,
-        LEARNER,
         network,
         memory,
         num_envs=env.num_envs,
         unroll_length=unroll_length,
         seed=seed,
     )
+    made = R2D2(LEARNER, setting)
     made.begin_learning()
     collector = Collector(env, made, unroll_length=unroll_length, seed=seed)
     for _ in range(updates):

@@ -5,6 +5,7 @@ import pytest
 import torch
 from recall import CUES, Recall
 
+from zipf.agents.agent import Setting
 from zipf.agents.encoders import CompactOptions
 from zipf.agents.gtrxl import GTrXLOptions
 from zipf.agents.impala import Impala, ImpalaOptions
@@ -35,14 +36,8 @@ def trained(memory, updates, seed=0, **changes):
     """Episodes played after that many updates."""
     torch.set_num_threads(1)
     env = Recall(64, DELAY)
-    agent = Impala(
-        env.single_observation_space,
-        env.single_action_space,
-        IMPALA.model_copy(update=changes),
-        NETWORK,
-        memory,
-        seed=seed,
-    )
+    spaces = env.single_observation_space, env.single_action_space
+    agent = Impala(IMPALA.model_copy(update=changes), Setting(*spaces, NETWORK, memory, seed=seed))
     collector = Collector(env, agent, unroll_length=2 * (DELAY + 1), seed=seed)
     for _ in range(updates):
         agent.update(collector.collect())

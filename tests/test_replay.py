@@ -184,6 +184,14 @@ def test_it_goes_on_from_its_checkpoint(storage, before, lost, tmp_path):
             assert torch.equal(sample[name], other_sample[name]), name
 
 
+def test_as_many_items_as_an_item_has_rows_are_loaded():
+    """The two axes are then of one length, and broadcasting could confuse them."""
+    kept, again = build(), build()
+    kept.insert(items(0, 3))
+    again.load_state_dict(kept.state_dict())
+    assert torch.equal(kept.sample(4)[0]["steps", "image"], again.sample(4)[0]["steps", "image"])
+
+
 def test_a_replay_that_was_empty_is_empty_again(tmp_path):
     for folder in (None, tmp_path / "replay"):
         kept = build(folder)

@@ -6,6 +6,7 @@ import torch
 import torch.nn.functional as F
 
 from zipf import envs
+from zipf.agents.agent import Setting
 from zipf.agents.encoders import CompactOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
@@ -30,14 +31,8 @@ LEVEL = "supervised/find_shape_zipf3"
 
 
 def classifier(env, memory=MLP, network=NETWORK, **changes):
-    return Supervised(
-        env.single_observation_space,
-        env.single_action_space,
-        OPTIONS.model_copy(update=changes),
-        network,
-        memory,
-        seed=0,
-    )
+    spaces = env.single_observation_space, env.single_action_space
+    return Supervised(OPTIONS.model_copy(update=changes), Setting(*spaces, network, memory))
 
 
 # Questions
@@ -183,14 +178,14 @@ class Squares(FirstFrameVectorEnv):
 def test_it_learns_which_side_the_words_name(seed):
     """Fifty words stand for two colours; neither picture nor words alone tell the side."""
     env = Squares(32)
-    made = Supervised(
+    setting = Setting(
         env.single_observation_space,
         env.single_action_space,
-        OPTIONS.model_copy(update={"learning_rate": 5e-3}),
         NETWORK.model_copy(update={"head_size": 32}),
         MLP.model_copy(update={"size": 64}),
         seed=seed,
     )
+    made = Supervised(OPTIONS.model_copy(update={"learning_rate": 5e-3}), setting)
     collector = Collector(env, made, unroll_length=4, seed=seed)
     for _ in range(150):
         metrics = made.update(collector.collect())

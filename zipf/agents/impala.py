@@ -12,14 +12,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-import gymnasium as gym
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions, build_auxiliary
-from zipf.agents.encoders import NetworkOptions
-from zipf.agents.memory import MemoryOptions, State
+from zipf.agents.agent import Agent, Setting, register
+from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, autocast
 from zipf.agents.returns import vtrace
 from zipf.agents.unroll import Unroll
@@ -48,41 +47,33 @@ class ImpalaOptions(Options):
     trace_lambda: Annotated[float, Field(ge=0, le=1)]
 
 
-class Impala:
-    """The agent: acts on batches of observations and learns from unrolls.
+@register
+class Impala(Agent):
+    """The agent: samples actions from the policy and learns from unrolls."""
 
-    Args:
-        observation_space, action_space: of one world.
-        seed: of the network's initial weights.
-        precision: "float32", or "bfloat16" for automatic mixed precision.
-    """
+    Options = ImpalaOptions
+    auxiliary_losses = True
+    largest_lag = 1  # V-trace corrects for it
+    options: ImpalaOptions
+    actor: ActorCritic
 
-    burn_in = 0
-
-    def __init__(
-        self,
-        observation_space: gym.spaces.Dict,
-        action_space: gym.spaces.Discrete,
-        options: ImpalaOptions,
-        network: NetworkOptions,
-        memory: MemoryOptions,
-        auxiliary: AuxiliaryOptions = NO_AUXILIARY,
-        *,
-        seed: int,
-        device: str = "cpu",
-        precision: str = "float32",
-    ):
-        self.options = options
-        self.device = device
-        self.precision = precision
+    def __init__(self, options: ImpalaOptions, setting: Setting):
+        super().__init__(options, setting)
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            self.network = ActorCritic(observation_space, action_space, network, memory)
-            self.auxiliary = build_auxiliary(
-                auxiliary, observation_space, network, self.network, seed=seed
+            torch.manual_seed(setting.seed)
+            self.network = ActorCritic(
+                setting.observation_space, setting.action_space, setting.network, setting.memory
             )
-        self.network.to(device)
-        self.auxiliary.to(device)
+            self.auxiliary = build_auxiliary(
+                setting.auxiliary,
+                setting.observation_space,
+                setting.network,
+                self.network,
+                seed=setting.seed,
+            )
+        self.network.to(self.device)
+        self.auxiliary.to(self.device)
+        self.actor = self.network
         self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
         self.optimiser = torch.optim.Adam(
             self.learned,
@@ -108,7 +99,7 @@ class Impala:
         of the behaviour policy: `logits` float32 [B, actions].
         """
         with autocast(self.device, self.precision):
-            outputs = self.network(inputs.unsqueeze(), memory)
+            outputs = self.actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
         # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
         noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
@@ -119,11 +110,7 @@ class Impala:
     def value(self, inputs: Inputs, memory: State) -> Tensor:
         """V of each of B worlds, float32 [B]."""
         with autocast(self.device, self.precision):
-            return self.network(inputs.unsqueeze(), memory).value[0]
-
-    def begin_learning(self) -> list[str]:
-        """There is nothing to set aside for learning, and nothing to say about it."""
-        return []
+            return self.actor(inputs.unsqueeze(), memory).value[0]
 
     def update(self, unroll: Unroll) -> dict[str, float]:
         """One optimiser step; returns the losses and what explains them.
@@ -191,8 +178,7 @@ class Impala:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
         self.network.load_state_dict(state["network"])
-        if "auxiliary" in state:  # it is younger than the first runs, which had no such loss
-            self.auxiliary.load_state_dict(state["auxiliary"])
+        self.auxiliary.load_state_dict(state["auxiliary"])
         self.optimiser.load_state_dict(state["optimiser"])
 
 

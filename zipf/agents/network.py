@@ -72,16 +72,23 @@ class Torso(nn.Module):
 
     The memory reads the encoded observation, the last action (one-hot; zeros where an episode
     begins) and the last reward, clipped to [-1, 1] (Espeholt et al. 2018).
+
+    Raises:
+        ValueError: the actions are not discrete, or the network cannot read the observations.
     """
 
     def __init__(
         self,
         observation_space: gym.spaces.Dict,
-        action_space: gym.spaces.Discrete,
+        action_space: gym.Space,
         network: NetworkOptions,
         memory: MemoryOptions,
     ):
         super().__init__()
+        if not isinstance(action_space, gym.spaces.Discrete):
+            raise ValueError(
+                f"the action space is {action_space}; agents here choose among discrete actions"
+            )
         self.actions = int(action_space.n)
         self.encoder = Encoder(observation_space, network)
         self.memory = build_memory(self.encoder.size + self.actions + 1, memory)
@@ -114,7 +121,7 @@ class ActorCritic(Torso):
     def __init__(
         self,
         observation_space: gym.spaces.Dict,
-        action_space: gym.spaces.Discrete,
+        action_space: gym.Space,
         network: NetworkOptions,
         memory: MemoryOptions,
     ):

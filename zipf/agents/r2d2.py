@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import deepcopy
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import gymnasium as gym
@@ -28,6 +27,7 @@ from pydantic import Field
 from tensordict import TensorDict
 from torch import Tensor
 
+from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
@@ -85,32 +85,6 @@ class R2D2Options(Options):
     priority_max_weight: Share
 
 
-def problems(options: R2D2Options, num_envs: int, unroll_length: int) -> Iterator[str]:
-    """What is wrong with the options of an agent that so many worlds play for, a line each."""
-    batch = options.samples_per_insert * num_envs
-    if abs(batch - round(batch)) > 1e-6 or round(batch) < 1:
-        yield (
-            f"agent.samples_per_insert={options.samples_per_insert}: times "
-            f"collector.num_envs={num_envs} is {batch:g} sequences a batch; should be a whole "
-            "number"
-        )
-    if options.burn_in > unroll_length:
-        yield (
-            f"agent.burn_in={options.burn_in}: should be at most "
-            f"collector.unroll_length={unroll_length}"
-        )
-    if options.replay_capacity < num_envs:
-        yield (
-            f"agent.replay_capacity={options.replay_capacity}: should be at least "
-            f"collector.num_envs={num_envs}, the sequences of one update"
-        )
-    if options.replay_min > options.replay_capacity:
-        yield (
-            f"agent.replay_min={options.replay_min}: should be at most "
-            f"agent.replay_capacity={options.replay_capacity}"
-        )
-
-
 class DuelingQ(Torso):
     """Q of every action (Wang et al. 2016): a state's value plus each action's advantage, less
     the mean of the advantages."""
@@ -118,7 +92,7 @@ class DuelingQ(Torso):
     def __init__(
         self,
         observation_space: gym.spaces.Dict,
-        action_space: gym.spaces.Discrete,
+        action_space: gym.Space,
         network: NetworkOptions,
         memory: MemoryOptions,
     ):
@@ -134,61 +108,65 @@ class DuelingQ(Torso):
         return value + advantage - advantage.mean(-1, keepdim=True), state
 
 
-class R2D2:
-    """The agent: acts on batches of observations and learns from replayed sequences.
+@register
+class R2D2(Agent):
+    """The agent: acts epsilon-greedily and learns from replayed sequences.
 
     An update collects before it learns: until `replay_min` sequences are there it takes no
     optimiser step, and counts all the same. With a burn-in, a run's first unroll has no rows before
-    it and is not put into replay.
-
-    Args:
-        observation_space, action_space: of one world.
-        num_envs, unroll_length: the B and T of the unrolls to come.
-        seed: of the networks' initial weights and of the draws from replay.
-        precision: "float32", or "bfloat16" for automatic mixed precision.
-        replay_folder: where replay is kept with `storage=memmap`.
-        updates_between_checkpoints: at most.
+    it and is not put into replay. With `storage=memmap` replay is kept in `setting.folder`.
 
     Raises:
-        ValueError: options that no such agent can have.
+        ValueError: options that do not go together.
     """
 
-    def __init__(
-        self,
-        observation_space: gym.spaces.Dict,
-        action_space: gym.spaces.Discrete,
-        options: R2D2Options,
-        network: NetworkOptions,
-        memory: MemoryOptions,
-        *,
-        num_envs: int,
-        unroll_length: int,
-        seed: int,
-        device: str = "cpu",
-        precision: str = "float32",
-        replay_folder: Path | None = None,
-        updates_between_checkpoints: int = 0,
-    ):
-        wrong = list(problems(options, num_envs, unroll_length))
-        if wrong:
-            raise ValueError("\n".join(wrong))
-        if options.storage == "memmap" and replay_folder is None:
-            raise ValueError("agent.storage=memmap: needs a replay_folder")
-        self.options = options
-        self.observation_space = observation_space
-        self.num_envs = num_envs
-        self.unroll_length = unroll_length
-        self.batch_size = round(options.samples_per_insert * num_envs)
+    Options = R2D2Options
+    largest_lag = 1  # replay is off-policy anyway
+    options: R2D2Options
+    actor: DuelingQ
+
+    @classmethod
+    def problems(cls, options: R2D2Options, num_envs: int, unroll_length: int) -> Iterator[str]:
+        """What is wrong with a combination of options, a line for each problem."""
+        batch = options.samples_per_insert * num_envs
+        if abs(batch - round(batch)) > 1e-6 or round(batch) < 1:
+            yield (
+                f"agent.samples_per_insert={options.samples_per_insert}: times "
+                f"collector.num_envs={num_envs} is {batch:g} sequences a batch; should be a whole "
+                "number"
+            )
+        if options.burn_in > unroll_length:
+            yield (
+                f"agent.burn_in={options.burn_in}: should be at most "
+                f"collector.unroll_length={unroll_length}"
+            )
+        if options.replay_capacity < num_envs:
+            yield (
+                f"agent.replay_capacity={options.replay_capacity}: should be at least "
+                f"collector.num_envs={num_envs}, the sequences of one update"
+            )
+        if options.replay_min > options.replay_capacity:
+            yield (
+                f"agent.replay_min={options.replay_min}: should be at most "
+                f"agent.replay_capacity={options.replay_capacity}"
+            )
+
+    def __init__(self, options: R2D2Options, setting: Setting):
+        super().__init__(options, setting)
+        if options.storage == "memmap" and setting.folder is None:
+            raise ValueError("agent.storage=memmap: needs a folder to keep the replay in")
+        self.num_envs = setting.num_envs
+        self.unroll_length = setting.unroll_length
+        self.batch_size = round(options.samples_per_insert * setting.num_envs)
         self.burn_in = options.burn_in
-        self.seed = seed
-        self.device = device
-        self.precision = precision
-        self.replay_folder = replay_folder
-        self.updates_between_checkpoints = updates_between_checkpoints
+        self.replay_folder = setting.folder and setting.folder / "replay"
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            self.network = DuelingQ(observation_space, action_space, network, memory)
-        self.network.to(device)
+            torch.manual_seed(setting.seed)
+            self.network = DuelingQ(
+                setting.observation_space, setting.action_space, setting.network, setting.memory
+            )
+        self.network.to(self.device)
+        self.actor = self.network
         self.target = deepcopy(self.network).requires_grad_(False)
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(),
@@ -198,9 +176,9 @@ class R2D2:
             weight_decay=options.weight_decay,
             fused=True,
         )
-        self.epsilon = torch.full((num_envs,), options.epsilon, dtype=torch.float64)
-        if options.epsilon_ladder and num_envs > 1:
-            self.epsilon **= 1 + LADDER * torch.arange(num_envs) / (num_envs - 1)
+        self.epsilon = torch.full((self.num_envs,), options.epsilon, dtype=torch.float64)
+        if options.epsilon_ladder and self.num_envs > 1:
+            self.epsilon **= 1 + LADDER * torch.arange(self.num_envs) / (self.num_envs - 1)
         self.steps = 0  # of the optimiser
         self.replay: Replay | None = None
         self._prefix: TensorDict | None = None  # [burn_in, B], the rows before the next unroll
@@ -223,7 +201,7 @@ class R2D2:
         Returns actions int64 [B], the memory after this frame, and nothing more.
         """
         with autocast(self.device, self.precision):
-            q, memory = self.network(inputs.unsqueeze(), memory)
+            q, memory = self.actor(inputs.unsqueeze(), memory)
         action = q[0].argmax(-1)
         if training:
             explores = torch.rand(len(action), generator=generator) < self.epsilon
@@ -235,7 +213,7 @@ class R2D2:
     def value(self, inputs: Inputs, memory: State) -> Tensor:
         """max_a h^-1(Q) of each of B worlds, float32 [B]."""
         with autocast(self.device, self.precision):
-            q, _ = self.network(inputs.unsqueeze(), memory)
+            q, _ = self.actor(inputs.unsqueeze(), memory)
         return unrescale(q[0].amax(-1))
 
     def begin_learning(self) -> list[str]:
@@ -252,7 +230,7 @@ class R2D2:
         sequence["observation"] = TensorDict(
             {
                 name: torch.from_numpy(np.zeros((rows, *(space.shape or ())), space.dtype))
-                for name, space in self.observation_space.spaces.items()
+                for name, space in self.setting.observation_space.spaces.items()
             },
             rows,
         )
@@ -263,8 +241,8 @@ class R2D2:
             priority_exponent=o.priority_exponent,
             importance_exponent=o.importance_exponent,
             folder=self.replay_folder if o.storage == "memmap" else None,
-            spare=self.updates_between_checkpoints * self.num_envs,
-            seed=self.seed,
+            spare=self.setting.updates_between_checkpoints * self.num_envs,
+            seed=self.setting.seed,
         )
         if o.storage == "memmap":
             where = f"disk, in {self.replay_folder}"

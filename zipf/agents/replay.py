@@ -266,8 +266,8 @@ class Replay:
         self._open(state["slots"], new=self.folder is None)
         assert self._buffer is not None
         if self.folder is None:
-            saved = state["items"]
-            self._items[: len(next(iter(saved.values())))] = _from_leaves(saved)
+            for name, leaf in state["items"].items():
+                self._items[tuple(name.split("/"))][: len(leaf)] = leaf
         self._buffer.sampler.load_state_dict(state["sampler"])
         self._buffer.writer.load_state_dict(state["writer"])
         inserted = self._buffer.sampler.inserted
@@ -397,8 +397,3 @@ def _leaves(items: TensorDict) -> dict[str, Tensor]:
         "/".join((name,) if isinstance(name, str) else name): torch.from_numpy(leaf.numpy())
         for name, leaf in items.items(True, True)
     }
-
-
-def _from_leaves(leaves: dict[str, Tensor]) -> TensorDict:
-    size = len(next(iter(leaves.values())))
-    return TensorDict({tuple(name.split("/")): leaf for name, leaf in leaves.items()}, [size])

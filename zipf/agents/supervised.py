@@ -21,6 +21,7 @@ import torch.nn.functional as F
 from pydantic import Field
 from torch import Tensor
 
+from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
@@ -48,7 +49,7 @@ class Classifier(Torso):
     def __init__(
         self,
         observation_space: gym.spaces.Dict,
-        action_space: gym.spaces.Discrete,
+        action_space: gym.Space,
         network: NetworkOptions,
         memory: MemoryOptions,
     ):
@@ -62,41 +63,33 @@ class Classifier(Torso):
             return self.answer(exact)
 
 
-class Supervised:
+@register
+class Supervised(Agent):
     """The classifier, as an agent: answers batches of questions and learns from unrolls of them.
-
-    Args:
-        observation_space, action_space: of one world.
-        seed: of the network's initial weights.
-        precision: "float32", or "bfloat16" for automatic mixed precision.
 
     Raises:
         ValueError: there are not two answers.
     """
 
-    burn_in = 0
+    Options = SupervisedOptions
+    largest_lag = 1  # its answers in training do not depend on what it has learned
+    answers_questions = True
+    options: SupervisedOptions
+    actor: Classifier
 
-    def __init__(
-        self,
-        observation_space: gym.spaces.Dict,
-        action_space: gym.spaces.Discrete,
-        options: SupervisedOptions,
-        network: NetworkOptions,
-        memory: MemoryOptions,
-        *,
-        seed: int,
-        device: str = "cpu",
-        precision: str = "float32",
-    ):
-        if action_space.n != 2:
-            raise ValueError(f"a classifier chooses one of two answers, not of {action_space.n}")
-        self.options = options
-        self.device = device
-        self.precision = precision
+    def __init__(self, options: SupervisedOptions, setting: Setting):
+        super().__init__(options, setting)
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            self.network = Classifier(observation_space, action_space, network, memory)
-        self.network.to(device)
+            torch.manual_seed(setting.seed)
+            self.network = Classifier(
+                setting.observation_space, setting.action_space, setting.network, setting.memory
+            )
+        if self.network.actions != 2:
+            raise ValueError(
+                f"a classifier chooses one of two answers, not of {self.network.actions}"
+            )
+        self.network.to(self.device)
+        self.actor = self.network
         self.optimiser = torch.optim.Adam(
             self.network.parameters(),
             lr=options.learning_rate,
@@ -118,16 +111,8 @@ class Supervised:
         if training:
             return torch.randint(2, (batch,), generator=generator), memory, {}
         with autocast(self.device, self.precision):
-            logits = self.network(inputs.unsqueeze(), memory)
+            logits = self.actor(inputs.unsqueeze(), memory)
         return logits[0].argmax(-1), memory, {}
-
-    def value(self, inputs: Inputs, memory: State) -> Tensor:
-        """What is expected after a question was cut short, [B]: nothing, as that never happens."""
-        return torch.zeros(len(inputs.is_first), device=self.device)
-
-    def begin_learning(self) -> list[str]:
-        """There is nothing to set aside for learning, and nothing to say about it."""
-        return []
 
     def update(self, unroll: Unroll) -> dict[str, float]:
         """One optimiser step on the unroll's first T rows; `accuracy` is by their labels, which are

@@ -20,14 +20,13 @@ import math
 from copy import deepcopy
 from typing import Annotated, Any, Literal, NamedTuple
 
-import gymnasium as gym
 import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions, build_auxiliary
-from zipf.agents.encoders import NetworkOptions
-from zipf.agents.memory import MemoryOptions, State
+from zipf.agents.agent import Agent, Setting, register
+from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, autocast
 from zipf.agents.returns import bootstrapped_returns
 from zipf.agents.unroll import Unroll
@@ -58,48 +57,43 @@ class VMPOOptions(Options):
     initial_alpha: Positive
 
 
-class VMPO:
-    """The agent: acts on batches of observations and learns from unrolls.
+@register
+class VMPO(Agent):
+    """The agent: samples actions from the target policy and learns from unrolls.
 
-    Args:
-        observation_space, action_space: of one world.
-        seed: of the network's initial weights.
-        precision: "float32", or "bfloat16" for automatic mixed precision.
+    Its losses do not correct for a behaviour policy that is not the target policy, so that
+    collection may not run ahead of learning.
     """
 
-    burn_in = 0
+    Options = VMPOOptions
+    auxiliary_losses = True
+    options: VMPOOptions
+    actor: ActorCritic
 
-    def __init__(
-        self,
-        observation_space: gym.spaces.Dict,
-        action_space: gym.spaces.Discrete,
-        options: VMPOOptions,
-        network: NetworkOptions,
-        memory: MemoryOptions,
-        auxiliary: AuxiliaryOptions = NO_AUXILIARY,
-        *,
-        seed: int,
-        device: str = "cpu",
-        precision: str = "float32",
-    ):
-        self.options = options
-        self.device = device
-        self.precision = precision
+    def __init__(self, options: VMPOOptions, setting: Setting):
+        super().__init__(options, setting)
         self.updates = 0
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            self.network = ActorCritic(observation_space, action_space, network, memory)
-            self.auxiliary = build_auxiliary(
-                auxiliary, observation_space, network, self.network, seed=seed
+            torch.manual_seed(setting.seed)
+            self.network = ActorCritic(
+                setting.observation_space, setting.action_space, setting.network, setting.memory
             )
-        self.network.to(device)
-        self.auxiliary.to(device)
+            self.auxiliary = build_auxiliary(
+                setting.auxiliary,
+                setting.observation_space,
+                setting.network,
+                self.network,
+                seed=setting.seed,
+            )
+        self.network.to(self.device)
+        self.auxiliary.to(self.device)
         self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
         self.target = deepcopy(self.network).requires_grad_(False)
+        self.actor = self.target
         initial = {"eta": options.initial_eta, "alpha": options.initial_alpha}
         self.duals = nn.ParameterDict(
             {name: nn.Parameter(torch.tensor(value)) for name, value in initial.items()}
-        ).to(device)
+        ).to(self.device)
         self.optimiser = torch.optim.Adam(
             self.learned,
             lr=options.learning_rate,
@@ -127,7 +121,7 @@ class VMPO:
         of the target policy: `logits` float32 [B, actions].
         """
         with autocast(self.device, self.precision):
-            outputs = self.target(inputs.unsqueeze(), memory)
+            outputs = self.actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
         # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
         noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
@@ -138,11 +132,7 @@ class VMPO:
     def value(self, inputs: Inputs, memory: State) -> Tensor:
         """The target network's V of each of B worlds, float32 [B]; the memory is the target's."""
         with autocast(self.device, self.precision):
-            return self.target(inputs.unsqueeze(), memory).value[0]
-
-    def begin_learning(self) -> list[str]:
-        """There is nothing to set aside for learning, and nothing to say about it."""
-        return []
+            return self.actor(inputs.unsqueeze(), memory).value[0]
 
     def update(self, unroll: Unroll) -> dict[str, float]:
         """One step of both optimisers; returns the losses and what explains them.

@@ -27,12 +27,9 @@ from pydantic import ValidationError
 
 import zipf
 from zipf import envs
-from zipf.agents import r2d2
+from zipf.agents.agent import agents, no_auxiliary_losses
 from zipf.agents.auxiliary import NO_AUXILIARY, build_auxiliary
-from zipf.agents.impala import ImpalaOptions
 from zipf.agents.network import ActorCritic
-from zipf.agents.supervised import SupervisedOptions
-from zipf.agents.vmpo import VMPOOptions
 from zipf.experiments.config import (
     DEVICE_PATTERN,
     NAME_PATTERN,
@@ -293,26 +290,20 @@ def _impossible(config: Config) -> Iterator[str]:
             f"collector.num_envs={config.collector.num_envs}: should be at least {len(train)}, a "
             f"world for each level that {split.name} trains on"
         )
-    if isinstance(config.agent, r2d2.R2D2Options):
-        collector = config.collector
-        yield from r2d2.problems(config.agent, collector.num_envs, collector.unroll_length)
-    if config.auxiliary != NO_AUXILIARY and not isinstance(
-        config.agent, ImpalaOptions | VMPOOptions
-    ):
-        yield (
-            f"auxiliary={config.auxiliary.name}: agent={config.agent.name} has no auxiliary "
-            "losses; choose auxiliary=none, or agent=impala or vmpo"
-        )
+    agent, collector = agents()[config.agent.name], config.collector
+    yield from agent.problems(config.agent, collector.num_envs, collector.unroll_length)
+    if config.auxiliary != NO_AUXILIARY and not agent.auxiliary_losses:
+        yield no_auxiliary_losses(config.agent.name, config.auxiliary.name)
     try:
         find_device(config.device)
     except UserError as error:
         yield str(error)
     if any(path.exists() and not path.is_dir() for path in (config.folder, *config.folder.parents)):
         yield f"run_root={config.run_root}: should be a folder, and a file is in its way"
-    if isinstance(config.agent, SupervisedOptions) and config.exploration.name != "none":
+    if agent.answers_questions and config.exploration.name != "none":
         yield (
-            f"exploration={config.exploration.name}: agent=supervised answers questions and "
-            "explores nothing; choose exploration=none"
+            f"exploration={config.exploration.name}: agent={config.agent.name} answers questions "
+            "and explores nothing; choose exploration=none"
         )
     built = {name: value for name, value in config.model_dump().items() if name in _BUILT}
     problem = _cannot_be_built(

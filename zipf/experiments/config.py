@@ -9,6 +9,7 @@ import torch
 from pydantic import Field
 
 from zipf import envs
+from zipf.agents.agent import agents
 from zipf.agents.auxiliary import AuxiliaryOptions
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.exploration import ExplorationOptions
@@ -124,7 +125,7 @@ class Config(Options):
             ValueError: a classifier, and levels that it cannot be asked about.
         """
         split = envs.split(self.environment.split)
-        if isinstance(self.agent, SupervisedOptions):
+        if agents()[self.agent.name].answers_questions:
             return envs.questions(split)
         return split
 

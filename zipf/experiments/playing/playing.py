@@ -132,7 +132,7 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
     level_options = trained.config.level_options if trained else {}
     agent = None
     if trained and policy == "agent":
-        if trained.config.agent.name == "supervised":
+        if trained.agent.answers_questions:
             raise UserError(f"run={options.run}: a classifier answers questions and does not act")
         actions = derive_seed(seed, "actions")
         agent = AgentPolicy(trained.agent, seed=actions, device=trained.config.torch_device)

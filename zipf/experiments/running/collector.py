@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
+from zipf.agents.agent import Agent
 from zipf.agents.exploration import CountBonus
-from zipf.agents.memory import State
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.envs.mixture import MixtureVectorEnv
@@ -21,38 +21,6 @@ from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.running.checkpoint import arrays
 
 _OUTCOMES = ("return", "length", "success")
-
-
-class Agent(Protocol):
-    """What the laboratory asks of an agent; `zipf.agents.impala.Impala` shows the shapes.
-
-    Attributes:
-        burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
-            unrolls say what the memory was before them (`Unroll.late_memory`).
-    """
-
-    burn_in: int
-
-    def initial_memory(self, batch: int) -> State: ...
-
-    def act(
-        self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
-    ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """`training` is False where the agent is scored: then nothing is done to explore."""
-
-    def value(self, inputs: Inputs, memory: State) -> Tensor: ...
-
-    def begin_learning(self) -> list[str]:
-        """Sets aside what learning needs, before anything is learned or loaded; an agent that is
-        only to act is never asked to. Returns lines that tell the user about it.
-
-        Raises:
-            ValueError: this machine does not have what it takes.
-        """
-
-    def update(self, unroll: Unroll) -> dict[str, float]: ...
-    def state_dict(self) -> dict[str, Any]: ...
-    def load_state_dict(self, state: dict[str, Any]) -> None: ...
 
 
 class Collector:

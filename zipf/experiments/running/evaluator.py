@@ -18,9 +18,9 @@ import torch
 from numpy.typing import NDArray
 
 from zipf import envs
+from zipf.agents.agent import Agent
 from zipf.agents.network import Inputs
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.running.collector import Agent
 
 
 class Policy(Protocol):

@@ -16,18 +16,14 @@ from typing import Any
 import torch
 
 from zipf import envs
+from zipf.agents.agent import Agent, Setting, agents
 from zipf.agents.exploration import build_exploration
-from zipf.agents.impala import Impala, ImpalaOptions
-from zipf.agents.network import Torso
-from zipf.agents.r2d2 import R2D2, R2D2Options
-from zipf.agents.supervised import Supervised, SupervisedOptions
 from zipf.agents.unroll import Unroll
-from zipf.agents.vmpo import VMPO, VMPOOptions
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.config import Config, EvaluateOptions
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder
-from zipf.experiments.running.collector import Agent, Collector
+from zipf.experiments.running.collector import Collector
 from zipf.experiments.running.evaluator import AgentPolicy, Result, derive_seed, evaluate, scores
 from zipf.experiments.running.logger import Display, Logger
 
@@ -220,64 +216,34 @@ class Run:
 
 
 def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
-    """The agent that the configuration names, for these worlds, with weights from its seed; what
-    sees is compiled, where that is asked for.
+    """The agent that the configuration names, for these worlds, with weights from its seed; its
+    image encoders are compiled with `compile=true`.
 
     Raises:
         UserError: the network cannot read these observations, or they lack what the auxiliary loss
             is about.
     """
-    agent = _build_agent(config, env)
-    if config.compile:
-        for network in vars(agent).values():  # and its target, if it has one
-            if isinstance(network, Torso):
-                network.encoder.image.compile()
-    return agent
-
-
-def _build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
-    spaces = env.single_observation_space, env.single_action_space
-    common: dict[str, Any] = {
-        "seed": derive_seed(config.seed, "weights"),
-        "device": config.torch_device,
-        "precision": config.precision,
-    }
+    setting = Setting(
+        env.single_observation_space,
+        env.single_action_space,
+        config.network,
+        config.memory,
+        config.auxiliary,
+        num_envs=config.collector.num_envs,
+        unroll_length=config.collector.unroll_length,
+        seed=derive_seed(config.seed, "weights"),
+        device=config.torch_device,
+        precision=config.precision,
+        folder=config.folder,
+        updates_between_checkpoints=config.schedule.checkpoint_every,
+    )
     try:
-        match config.agent:
-            case ImpalaOptions():
-                return Impala(
-                    *spaces,
-                    config.agent,
-                    config.network,
-                    config.memory,
-                    config.auxiliary,
-                    **common,
-                )
-            case VMPOOptions():
-                return VMPO(
-                    *spaces,
-                    config.agent,
-                    config.network,
-                    config.memory,
-                    config.auxiliary,
-                    **common,
-                )
-            case R2D2Options():
-                return R2D2(
-                    *spaces,
-                    config.agent,
-                    config.network,
-                    config.memory,
-                    num_envs=config.collector.num_envs,
-                    unroll_length=config.collector.unroll_length,
-                    replay_folder=config.folder / "replay",
-                    updates_between_checkpoints=config.schedule.checkpoint_every,
-                    **common,
-                )
-            case SupervisedOptions():
-                return Supervised(*spaces, config.agent, config.network, config.memory, **common)
+        agent = agents()[config.agent.name](config.agent, setting)
     except ValueError as error:
         raise UserError(str(error)) from None
+    if config.compile:
+        agent.compile()
+    return agent
 
 
 def evaluate_agent(

@@ -1,0 +1,198 @@
+"""The base class of agents and their registry: what holds for every agent."""
+
+from typing import Literal
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from noise import Noise
+from omegaconf import OmegaConf
+
+from zipf.agents import agent as registry
+from zipf.agents.agent import Agent, Setting, agents, register
+from zipf.agents.auxiliary import VisionOptions
+from zipf.agents.encoders import CompactOptions
+from zipf.agents.memory import LSTMOptions
+from zipf.agents.network import Inputs
+from zipf.agents.unroll import Unroll
+from zipf.experiments.command_line import CONFIG_DIR
+from zipf.experiments.running.collector import Collector
+from zipf.options import Options
+
+ACTIONS, WORLDS, STEPS = 2, 4, 5
+SPACE = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8))
+NETWORK = CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=0)
+LSTM = LSTMOptions(name="lstm", size=8, layers=1)
+
+
+def options_of(name):
+    """An agent's options as shipped, small and at once ready to learn."""
+    values = OmegaConf.to_container(OmegaConf.load(CONFIG_DIR / "agent" / f"{name}.yaml"))
+    if name == "r2d2":
+        values |= {"burn_in": 2, "replay_min": WORLDS, "replay_capacity": 64, "storage": "memory"}
+    if name == "vmpo":
+        values |= {"target_period": 1}
+    return agents()[name].Options.model_validate(values)
+
+
+def build(name, seed=0, actions=gym.spaces.Discrete(ACTIONS), **changes):
+    batch = {"num_envs": WORLDS, "unroll_length": STEPS}
+    setting = Setting(SPACE, actions, NETWORK, LSTM, seed=seed, **batch, **changes)
+    made = agents()[name](options_of(name), setting)
+    made.begin_learning()
+    return made
+
+
+def unrolls(made, count):
+    """Unrolls that the agent, which does not learn meanwhile, collects."""
+    collector = Collector(Noise(WORLDS, SPACE), made, unroll_length=STEPS, seed=0)
+    for _ in range(count):
+        unroll = collector.collect()
+        yield Unroll(unroll.steps.clone(), unroll.memory, unroll.late_memory)
+
+
+def answer(made, seed=0):
+    """What `act` and `value` return for some frames, as a list of tensors."""
+    generator = torch.Generator().manual_seed(seed)
+    image = torch.randint(256, (WORLDS, 9, 9, 3), generator=generator, dtype=torch.uint8)
+    first = torch.ones(WORLDS, dtype=torch.bool)
+    inputs = Inputs({"image": image}, torch.full((WORLDS,), -1), torch.zeros(WORLDS), first)
+    memory = made.initial_memory(WORLDS)
+    action, after, extra = made.act(inputs, memory, generator, training=False)
+    return [action, made.value(inputs, memory), *after.values(), *extra.values()]
+
+
+def weights(module):
+    return [parameter.detach().clone() for parameter in module.parameters()]
+
+
+def equal(one, other):
+    return all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+NAMES = sorted(agents())
+
+
+def test_the_registry_has_the_four_agents_by_the_names_of_their_options():
+    assert {"impala", "r2d2", "supervised", "vmpo"} <= set(agents())
+    for name, agent in agents().items():
+        assert agent.Options.model_fields["name"].annotation == Literal[name]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_without_separate_acting_an_update_changes_what_acts(name):
+    made = build(name)
+    before = weights(made.actor)
+    for unroll in unrolls(made, 3):
+        made.update(unroll)
+    made.publish()
+    assert not equal(before, weights(made.actor))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_separate_acting_uses_the_weights_that_were_published_last(name):
+    """Updates change the weights that are learned alone; `publish` makes the two equal again."""
+    made, learner = build(name), build(name)
+    made.separate_acting()
+    before = weights(made.actor), answer(made)
+    data = list(unrolls(made, 3))
+    for unroll in data:
+        assert made.update(unroll) == pytest.approx(learner.update(unroll), nan_ok=True)
+    assert equal(before[0], weights(made.actor))
+    assert equal(before[1], answer(made))
+    assert not equal(before[0], weights(learner.actor))
+    places = [parameter.data_ptr() for parameter in made.actor.parameters()]
+    made.publish()
+    assert equal(weights(made.actor), weights(learner.actor))
+    assert equal(answer(made), answer(learner))
+    assert places == [parameter.data_ptr() for parameter in made.actor.parameters()]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_separate_acting_does_not_change_what_is_saved(name):
+    made, learner = build(name), build(name)
+    made.separate_acting()
+    assert made.state_dict().keys() == learner.state_dict().keys()
+    for unroll in unrolls(made, 3):
+        made.update(unroll)
+    other = build(name, seed=1)
+    other.separate_acting()
+    other.load_state_dict(made.state_dict())
+    other.publish()
+    made.publish()
+    assert equal(answer(made), answer(other))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_copies_are_compiled_where_the_original_is(name):
+    for first, second in (("compile", "separate_acting"), ("separate_acting", "compile")):
+        made = build(name)
+        getattr(made, first)()
+        getattr(made, second)()
+        assert made.actor.encoder.image._compiled_call_impl is not None
+        assert made.network.encoder.image._compiled_call_impl is not None
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_agent_without_auxiliary_losses_refuses_one(name):
+    auxiliary = VisionOptions(name="vision", vision_weight=1.0, fraction=1.0)
+    if agents()[name].auxiliary_losses:
+        build(name, auxiliary=auxiliary)
+    else:
+        with pytest.raises(ValueError, match="choose auxiliary=none, or agent=impala or vmpo"):
+            build(name, auxiliary=auxiliary)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_actions_are_discrete(name):
+    with pytest.raises(ValueError, match=r"Box\(-1.0, 1.0, \(2,\), float32\).*discrete actions"):
+        build(name, actions=gym.spaces.Box(-1, 1, (2,)))
+
+
+class ConstantOptions(Options):
+    """A third party's."""
+
+    name: Literal["constant"]
+    action: int
+
+
+class Constant(Agent):
+    """The least that an agent has to define."""
+
+    Options = ConstantOptions
+
+    def act(self, inputs, memory, generator, *, training=True):
+        return torch.full((len(inputs.is_first),), self.options.action), memory, {}
+
+    def update(self, unroll):
+        return {}
+
+    def state_dict(self):
+        return {}
+
+    def load_state_dict(self, state):
+        pass
+
+
+def test_an_agent_of_ones_own_needs_four_methods(monkeypatch):
+    monkeypatch.setattr(registry, "_AGENTS", dict(agents()))
+    assert register(Constant) is Constant
+    options = ConstantOptions(name="constant", action=1)
+    spaces = SPACE, gym.spaces.Discrete(ACTIONS)
+    made = agents()["constant"](options, Setting(*spaces, NETWORK, LSTM))
+    assert made.begin_learning() == []
+    for unroll in unrolls(made, 2):
+        assert (unroll.steps["action"][:-1] == 1).all()
+        assert made.update(unroll) == {}
+    made.publish()
+    with pytest.raises(ValueError, match="agent 'constant' is already registered"):
+        register(Constant)
+
+
+def test_an_agents_options_name_it():
+    class Nameless(Constant):
+        Options = Options
+
+    with pytest.raises(ValueError, match="Options: should have a field `name: Literal"):
+        register(Nameless)

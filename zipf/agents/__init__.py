@@ -1,0 +1,20 @@
+"""Agents: learning. They know no world, only observation and action spaces."""
+
+from zipf.agents.agent import Agent, Setting, agents, register
+
+# These register themselves.
+from zipf.agents.impala import Impala
+from zipf.agents.r2d2 import R2D2
+from zipf.agents.supervised import Supervised
+from zipf.agents.vmpo import VMPO
+
+__all__ = [
+    "R2D2",
+    "VMPO",
+    "Agent",
+    "Impala",
+    "Setting",
+    "Supervised",
+    "agents",
+    "register",
+]

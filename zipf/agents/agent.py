@@ -1,0 +1,226 @@
+"""What an agent is: its base class, what it is built from, and the registry of all agents.
+
+An agent acts on batches of observations and learns from unrolls. To add one, derive from `Agent`,
+give it a class of options and register it:
+
+    class MyOptions(Options):
+        name: Literal["mine"]
+        learning_rate: float
+
+    @register
+    class Mine(Agent):
+        Options = MyOptions
+        ...
+
+`zipf.agents.impala` is a complete example.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar, Literal, TypeVar, get_args
+
+import gymnasium as gym
+import torch
+from torch import Tensor, nn
+
+import zipf.options
+from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions
+from zipf.agents.encoders import NetworkOptions
+from zipf.agents.memory import MemoryOptions, State
+from zipf.agents.network import Inputs, Torso
+from zipf.agents.unroll import Unroll
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What an agent is built from, beside its own options.
+
+    Attributes:
+        observation_space, action_space: of one world.
+        network, memory, auxiliary: options of the encoder, the memory and the auxiliary loss.
+        num_envs, unroll_length: B and T of the unrolls that the agent will learn from.
+        seed: of the initial weights and of all that an agent draws by itself.
+        device: where it computes, as PyTorch names it.
+        precision: "float32", or "bfloat16" for automatic mixed precision.
+        folder: where the agent may keep files; None where there is no such place.
+        updates_between_checkpoints: at most.
+    """
+
+    observation_space: gym.spaces.Dict
+    action_space: gym.Space
+    network: NetworkOptions
+    memory: MemoryOptions
+    auxiliary: AuxiliaryOptions = NO_AUXILIARY
+    num_envs: int = 1
+    unroll_length: int = 1
+    seed: int = 0
+    device: str = "cpu"
+    precision: Literal["float32", "bfloat16"] = "float32"
+    folder: Path | None = None
+    updates_between_checkpoints: int = 0
+
+
+class Agent(ABC):
+    """The base of all agents.
+
+    Attributes:
+        Options: the class of its options; their `name: Literal["..."]` names the agent.
+        auxiliary_losses: whether it adds `setting.auxiliary` to its loss.
+        largest_lag: how many unrolls collection may run ahead of learning.
+        answers_questions: whether it is asked about an episode's first frame instead of acting.
+        burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
+            an unroll holds the memory before them (`Unroll.late_memory`).
+        actor: the network that `act` and `value` compute with. Constructors set it.
+
+    Raises:
+        ValueError: options that do not go together, a line for each problem.
+    """
+
+    Options: ClassVar[type[zipf.options.Options]]
+    auxiliary_losses: ClassVar[bool] = False
+    largest_lag: ClassVar[int] = 0
+    answers_questions: ClassVar[bool] = False
+    burn_in: int = 0
+    actor: nn.Module
+
+    def __init__(self, options: Any, setting: Setting):
+        wrong = list(self.problems(options, setting.num_envs, setting.unroll_length))
+        if setting.auxiliary.name != NO_AUXILIARY.name and not self.auxiliary_losses:
+            wrong.append(no_auxiliary_losses(options.name, setting.auxiliary.name))
+        if wrong:
+            raise ValueError("\n".join(wrong))
+        self.options = options
+        self.setting = setting
+        self.device = setting.device
+        self.precision = setting.precision
+        self._published: nn.Module | None = None  # the network that `actor` is a copy of
+        self._is_compiled = False
+
+    @classmethod
+    def problems(cls, options: Any, num_envs: int, unroll_length: int) -> Iterator[str]:
+        """What is wrong with a combination of options, a line for each problem.
+
+        Args:
+            options: of the class `Options`.
+            num_envs, unroll_length: B and T of the unrolls that the agent would learn from.
+        """
+        yield from ()
+
+    def initial_memory(self, batch: int) -> State:
+        """The memory before the first frame of `batch` worlds, {name: [B, ...]}; empty for an agent
+        without one."""
+        return {}
+
+    @abstractmethod
+    def act(
+        self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
+    ) -> tuple[Tensor, State, dict[str, Tensor]]:
+        """One action in each of B worlds.
+
+        Args:
+            inputs: of one frame, with leading axis [B].
+            memory: before this frame.
+            generator: of all random draws; the CPU's whatever the device, so that a run can move
+                between devices.
+            training: False where the agent is scored: then it does not explore.
+
+        Returns:
+            Actions int64 [B], the memory after this frame, and tensors [B, ...] by name that
+            `update` will find in the unroll's steps.
+        """
+
+    def value(self, inputs: Inputs, memory: State) -> Tensor:
+        """The value, float32 [B], of the observations that episodes were truncated at; zeros for
+        an agent that does not bootstrap from them."""
+        return torch.zeros(len(inputs.is_first), device=self.device)
+
+    def begin_learning(self) -> list[str]:
+        """Allocates what learning alone needs; called once before the first `update` or
+        `load_state_dict` of a run, and not for an agent that only acts.
+
+        Returns:
+            Lines to show to the user.
+
+        Raises:
+            ValueError: this machine lacks the RAM or the disk space.
+        """
+        return []
+
+    @abstractmethod
+    def update(self, unroll: Unroll) -> dict[str, float]:
+        """One update from an unroll; returns metrics to log.
+
+        Raises:
+            FloatingPointError: learning has diverged; no weights were changed.
+            OSError: files could not be written.
+        """
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that later calls of `act` and `update` depend on."""
+
+    @abstractmethod
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continues from `state_dict()`."""
+
+    def separate_acting(self) -> None:
+        """From now on `act` and `value` compute with a copy of the weights, which `publish` alone
+        refreshes: they may then run in one thread while `update` runs in another. `state_dict()` is
+        without the copy; `actor.state_dict()` has it."""
+        self._published = self.actor
+        self.actor = deepcopy(self.actor).requires_grad_(False)
+        if self._is_compiled:  # a copy is not
+            self.compile()
+
+    def publish(self) -> None:
+        """Copies the learned weights to those that act; without `separate_acting` they are the
+        same and nothing is copied."""
+        if self._published is not None:
+            self.actor.load_state_dict(self._published.state_dict())
+
+    def compile(self) -> None:
+        """Compiles the image encoders of all networks (`torch.compile`)."""
+        self._is_compiled = True
+        for network in vars(self).values():
+            if isinstance(network, Torso):
+                network.encoder.image.compile()
+
+
+def no_auxiliary_losses(agent: str, auxiliary: str) -> str:
+    """The error message where an agent that adds no auxiliary losses is given one."""
+    others = [name for name, other in agents().items() if other.auxiliary_losses]
+    return (
+        f"auxiliary={auxiliary}: agent={agent} has no auxiliary losses; choose auxiliary=none, or "
+        f"agent={' or '.join(others)}"
+    )
+
+
+_AGENTS: dict[str, type[Agent]] = {}
+AnyAgent = TypeVar("AnyAgent", bound=type[Agent])
+
+
+def register(agent: AnyAgent) -> AnyAgent:
+    """Adds a class of agents to the registry, under the name in its options; a class decorator.
+
+    Raises:
+        ValueError: its options have no `name: Literal["..."]`, or the name is taken.
+    """
+    field = agent.Options.model_fields.get("name")
+    names = get_args(field.annotation) if field else ()
+    if len(names) != 1 or not isinstance(names[0], str):
+        raise ValueError(f'{agent.Options.__name__}: should have a field `name: Literal["..."]`')
+    if names[0] in _AGENTS:
+        raise ValueError(f"agent {names[0]!r} is already registered: {_AGENTS[names[0]]}")
+    _AGENTS[names[0]] = agent
+    return agent
+
+
+def agents() -> Mapping[str, type[Agent]]:
+    """All registered agents by name; `agents()[options.name](options, setting)` builds one."""
+    return MappingProxyType(_AGENTS)
