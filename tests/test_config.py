@@ -1,14 +1,16 @@
 """Configurations: every shipped one composes, and every mistake is told at once."""
 
 import re
+from pathlib import Path
 
 import pytest
 
+import zipf.envs
 from zipf import envs
 from zipf.agents.encoders import Encoder
-from zipf.experiments import command_line, config
+from zipf.envs.gridworld import GridworldOptions
+from zipf.experiments import command_line, composing, config
 from zipf.experiments.errors import UserError
-from zipf.experiments.reporting import paper
 
 EXPERIMENTS = command_line.choices("experiment")
 GROUPS = ("memory", "network", "auxiliary", "exploration")
@@ -19,7 +21,7 @@ def needs(experiment, condition="impala", auxiliary="none"):
     """What worlds of this experiment lack for it, in the words of the message; None for nothing."""
     finding, talking = experiment == "playroom_find", experiment.startswith("playroom")
     if condition == "supervised" and not finding:
-        return "choose experiment=playroom_find"
+        return "splits with such questions: playroom_find"
     if "vision_language" in (condition.removeprefix("impala_"), auxiliary) and not talking:
         return "needs an instruction"
     return None
@@ -54,8 +56,12 @@ ROWS = {  # agent, memory, auxiliary
 }
 
 
-def test_conditions_are_the_rows_of_the_report():
-    assert command_line.choices("condition") == sorted(paper.CONDITION_NAMES) == sorted(ROWS)
+def test_every_condition_says_how_tables_show_it():
+    conditions = command_line.choices("condition")
+    assert conditions == sorted(ROWS)
+    rows = [config.RowOptions(**composing.condition_file(name)["row"]) for name in conditions]
+    assert len({row.title for row in rows}) == len({row.order for row in rows}) == len(rows)
+    assert len({(row.colour, row.line) for row in rows}) == len(rows)
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
@@ -212,7 +218,7 @@ MISTAKES = [
     (["experiment=demo", f"name={'x' * 300}"], ["too long", "name=<name>"]),
     (["experiment=demo", "condition=impla"], ["condition=impla", "impala", "name=<name>"]),
     (["experiment=demo", "values=demo"], ["values", "no such option"]),
-    (["experiment=demo", "condition=supervised"], ["agent=supervised", "experiment=playroom_find"]),
+    (["experiment=demo", "condition=supervised"], ["agent=supervised", "playroom_find"]),
     (
         ["experiment=playroom_find", "condition=supervised", "exploration=count"],
         ["exploration=count", "exploration=none"],
@@ -299,9 +305,8 @@ def test_a_condition_is_named_after_what_differs(overrides, condition):
 
 
 def test_the_shipped_environment_is_the_released_benchmark():
-    assert command_line.load(["experiment=gridworld"]).environment == config.GridworldOptions(
-        split="gridworld"
-    )
+    environment = command_line.load(["experiment=gridworld"]).environment.model_dump()
+    assert environment == {"split": "gridworld", **GridworldOptions().model_dump()}
     assert command_line.load(["experiment=gridworld_compact"]).is_released_benchmark
     assert not command_line.load(
         ["experiment=gridworld", "environment.num_maps=6"]
@@ -309,8 +314,13 @@ def test_the_shipped_environment_is_the_released_benchmark():
 
 
 def test_every_number_has_a_source():
-    for path in command_line.CONFIG_DIR.glob("*/**/*.yaml"):
-        for number, line in enumerate(path.read_text().splitlines(), 1):
+    options_of_worlds = Path(zipf.envs.__file__).parent.glob("*/__init__.py")
+    for path in (*composing.CONFIG_DIR.glob("*/**/*.yaml"), *options_of_worlds):
+        text = path.read_text()
+        if path.suffix == ".py":  # the fields of the class of options
+            text = "".join(re.findall(r"^class \w+Options.*?(?=^\S)", text, re.M | re.S))
+            text = "\n".join(line for line in text.splitlines() if re.search(r"= |#", line))
+        for number, line in enumerate(text.splitlines(), 1):
             setting = line.split("#")[0]
             if re.search(r"\b\d", setting):  # a number; r2d2 is a name
                 assert "#" in line, f"{path.name}, line {number}: where does the value come from?"

@@ -11,7 +11,7 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from zipf.experiments import command_line
+from zipf.experiments import command_line, composing
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import run_folder, runner
 
@@ -19,9 +19,12 @@ _command_process = os.getpid()
 _failed: list[UserError] = []
 
 
-@hydra.main(version_base="1.3", config_path=str(command_line.CONFIG_DIR), config_name="train")
+@hydra.main(version_base="1.3", config_path=str(composing.CONFIG_DIR), config_name="train")
 def _job(_: DictConfig) -> None:
     try:
+        for source in HydraConfig.get().runtime.config_sources:
+            if source.schema == "file" and source.path != str(composing.CONFIG_DIR):
+                composing.add_folder(source.path)  # a sweep's worker process does not know it yet
         stopped = runner.train(command_line.load(list(HydraConfig.get().overrides.task)))
     except UserError as error:
         if os.getpid() != _command_process:  # a sweep's worker: its launcher brings it to `main`
@@ -46,14 +49,18 @@ def main() -> None:
     arguments = get_args_parser().parse_args()
     asks = ("help", "hydra_help", "info", "shell_completion", "version")
     try:
-        if arguments.config_name or arguments.config_path or arguments.config_dir:
-            raise UserError("--config-name, --config-path and --config-dir: use experiment=<name>")
+        if arguments.config_name or arguments.config_path:
+            raise UserError("--config-name and --config-path: use experiment=<name>")
+        if arguments.config_dir:
+            composing.add_folder(arguments.config_dir)
+        composing.load_plugins(command_line.plugins_of(arguments.overrides))
         if not any(getattr(arguments, name, None) for name in asks):
             jobs = command_line.check_command_line(arguments.overrides)
             if len(jobs) > 1 and not arguments.multirun:
                 raise UserError(f"several values make a sweep of {len(jobs)} jobs; say so with -m")
             for job in jobs if arguments.multirun else ():
                 run_folder.make(job.folder)  # else Hydra fails at it, in its own words
+        sys.argv += [path for path in [composing.search_path()] if path]
         _job()
     except UserError as error:
         _tell(error)

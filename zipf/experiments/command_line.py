@@ -8,53 +8,29 @@ from __future__ import annotations
 
 import difflib
 import itertools
-import json
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any, TypeVar
 
-import torch
-from hydra import compose, initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from pydantic import ValidationError
 
-import zipf
-from zipf import envs
-from zipf.agents.agent import agents, no_auxiliary_losses
-from zipf.agents.auxiliary import NO_AUXILIARY, build_auxiliary
-from zipf.agents.network import ActorCritic
+from zipf.experiments import composing, feasibility
+from zipf.experiments.composing import Composed, choices, composed, groups
 from zipf.experiments.config import (
     DEVICE_PATTERN,
     NAME_PATTERN,
     NOT_LEARNED,
     Config,
-    find_device,
     flatten,
+    schema,
 )
 from zipf.experiments.errors import UserError
 from zipf.options import Options
 
-_PACKAGE = Path(zipf.__file__).parent
-# In the wheel `configs/` lies inside the package; in a checkout it lies beside it.
-CONFIG_DIR = next(
-    path for path in (_PACKAGE / "configs", _PACKAGE.parent / "configs") if path.is_dir()
-)
-
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 _GROUPS = ("agent", "memory", "network", "auxiliary", "exploration")
-
-
-@dataclass(frozen=True)
-class _Composed:
-    values: dict[str, Any]
-    choices: dict[str, str]
 
 
 def load(overrides: list[str]) -> Config:
@@ -63,22 +39,36 @@ def load(overrides: list[str]) -> Config:
     Raises:
         UserError: with one line for every unknown, mistyped or impossible option.
     """
-    known, problems = _known(_parse(overrides))
+    parsed = _parse(overrides)
+    composing.load_plugins(_plugins(parsed))
+    known, problems = _known(parsed)
     if not any(override.startswith("experiment=") for override in known):
         raise UserError("\n".join(problems))
     composed = _compose_condition(*known)
     values = dict(composed.values)
     name = values.pop("name")
     values["condition"] = _name(composed) if name is None else name
+    named = isinstance(values["condition"], str) and values["condition"]
+    values["row"] = _row(values["condition"]) if named else {"title": "unnamed"}
+    del values["without_instruction"]
     try:
-        config = Config.model_validate(values)
+        config = schema().model_validate(values)
     except ValidationError as error:
         problems += _explain(error, values)
     else:
-        problems += _impossible(config)
+        problems += feasibility.problems(config)
     if problems:
         raise UserError("\n".join(problems))
     return config
+
+
+def plugins_of(overrides: list[str]) -> list[str]:
+    """The modules that `plugins=[...]` names among overrides.
+
+    Raises:
+        UserError: an override cannot be parsed, or this one is not a list of names.
+    """
+    return _plugins(_parse(overrides))
 
 
 def check_command_line(overrides: list[str]) -> list[Config]:
@@ -99,13 +89,13 @@ def check_command_line(overrides: list[str]) -> list[Config]:
     return jobs
 
 
-def read_options(schema: type[AnyOptions], arguments: list[str]) -> AnyOptions:
+def read_options(options_class: type[AnyOptions], arguments: list[str]) -> AnyOptions:
     """The options of a small command, from `name=value` arguments.
 
     Raises:
         UserError: with one line for every unknown, missing or mistyped option.
     """
-    accepted = list(schema.model_fields)
+    accepted = list(options_class.model_fields)
     problems, values = [], {}
     for argument in arguments:
         name, equals, value = argument.partition("=")
@@ -116,17 +106,12 @@ def read_options(schema: type[AnyOptions], arguments: list[str]) -> AnyOptions:
         else:
             values[name] = value
     try:
-        options = schema.model_validate_strings(values)
+        options = options_class.model_validate_strings(values)
     except ValidationError as error:
         problems += _explain(error, values)
     if problems:
         raise UserError("\n".join(problems))
     return options
-
-
-def choices(group: str) -> list[str]:
-    """The names in `configs/<group>/`."""
-    return sorted(path.stem for path in (CONFIG_DIR / group).glob("*.yaml"))
 
 
 def nearest(name: str, accepted: list[str]) -> str:
@@ -144,39 +129,32 @@ def nearest(name: str, accepted: list[str]) -> str:
     return f"there is {', '.join(sorted(accepted))}"
 
 
-@cache
-def _compose(*overrides: str) -> _Composed:
-    backup = GlobalHydra.instance().hydra
-    GlobalHydra.instance().clear()
-    try:
-        with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-            config = compose("train", list(overrides), return_hydra_config=True)
-        choices = {k: str(v) for k, v in config.hydra.runtime.choices.items()}
-        OmegaConf.set_struct(config, False)
-        del config["hydra"]
-        values = OmegaConf.to_container(config, resolve=True)
-    except (HydraException, OmegaConfBaseException) as error:
-        message = " ".join(str(error).split())
-        if "hydra/launcher" in message:
-            message += ' (joblib and submitit come with the extra: pip install "zipf-rl[sweep]")'
-        raise UserError(message) from None
-    finally:
-        GlobalHydra.instance().hydra = backup
-    assert isinstance(values, dict)
-    return _Composed({str(k): v for k, v in values.items()}, choices)
+def _compose_condition(*overrides: str) -> Composed:
+    """As `composed`, with a condition's other choices where the worlds have no instruction."""
+    result = composed(*overrides)
+    other = result.values["without_instruction"]
+    if other and not feasibility.has_instruction(result.values["environment"]):
+        chosen = {override.partition("=")[0] for override in overrides}
+        other = [f"{group}={choice}" for group, choice in other.items() if group not in chosen]
+        result = composed(*overrides, *other)
+    return result
 
 
-def _compose_condition(*overrides: str) -> _Composed:
-    """As `_compose`; with visual reconstruction alone in the paper's gridworld row "Transformer+
-    vis+lang recon", as that world has no language."""
-    composed = _compose(*overrides)
-    if (
-        composed.choices["condition"] == "impala_transformer_vision_language"
-        and composed.values["environment"]["split"] == "gridworld"
-        and not any(override.startswith("auxiliary=") for override in overrides)
-    ):
-        composed = _compose(*overrides, "auxiliary=vision")
-    return composed
+def _plugins(overrides: list[Override]) -> list[str]:
+    found = [one.value() for one in overrides if one.key_or_group == "plugins"]
+    names = found[-1] if found else []
+    names = [names] if isinstance(names, str) else names
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise UserError(f"plugins={names}: should be a list of modules: plugins=[my_module]")
+    return names
+
+
+def _row(condition: str) -> dict[str, Any]:
+    """How tables show a condition: as its file says; what was changed stands behind the title."""
+    base, *changes = condition.split(",")
+    row = composing.condition_file(base).get("row") if base in choices("condition") else None
+    row = row or {"title": base}
+    return {**row, "title": ", ".join([row.get("title", base), *changes])}
 
 
 def _parse(overrides: list[str]) -> list[Override]:
@@ -211,14 +189,13 @@ def _jobs(overrides: list[str]) -> Iterator[list[str]]:
 
 def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
     """The overrides of choices and options that exist, and a line about each that does not."""
-    groups = [path.name for path in CONFIG_DIR.iterdir() if path.is_dir()]
-    groups.remove("values")  # they follow from the others
+    available = groups()
     known, problems, options = [], [], []
     for override in overrides:
         key, text = override.key_or_group, str(override.input_line)
         if override.is_delete():
             problems.append(f"{text}: options cannot be deleted; give another value")
-        elif key in groups:
+        elif key in available:
             value = str(override.value())
             if value in choices(key):
                 known.append(text)
@@ -233,7 +210,7 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
         problems.append(f"experiment is not set; choose one: experiment={experiments}")
     if not any(text.startswith("experiment=") for text in known):
         return known, problems
-    accepted = list(flatten(_compose(*known).values))
+    accepted = list(flatten(composed(*known).values))
     parents = {name.rsplit(".", 1)[0] for name in accepted if "." in name}
     for override in options:
         key = override.key_or_group
@@ -278,71 +255,7 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             yield f"{name}={problem['input']}: {message}"
 
 
-def _impossible(config: Config) -> Iterator[str]:
-    """What each option alone does not show: levels that cannot be built, missing devices."""
-    start, end = config.schedule.window
-    if start > end:
-        yield f"schedule.window=[{start}, {end}]: should begin before it ends"
-    split = envs.split(config.environment.split)
-    train = split.levels("train")
-    if config.collector.num_envs < len(train):
-        yield (
-            f"collector.num_envs={config.collector.num_envs}: should be at least {len(train)}, a "
-            f"world for each level that {split.name} trains on"
-        )
-    agent, collector = agents()[config.agent.name], config.collector
-    yield from agent.problems(config.agent, collector.num_envs, collector.unroll_length)
-    if config.auxiliary != NO_AUXILIARY and not agent.auxiliary_losses:
-        yield no_auxiliary_losses(config.agent.name, config.auxiliary.name)
-    try:
-        find_device(config.device)
-    except UserError as error:
-        yield str(error)
-    if any(path.exists() and not path.is_dir() for path in (config.folder, *config.folder.parents)):
-        yield f"run_root={config.run_root}: should be a folder, and a file is in its way"
-    if agent.answers_questions and config.exploration.name != "none":
-        yield (
-            f"exploration={config.exploration.name}: agent={config.agent.name} answers questions "
-            "and explores nothing; choose exploration=none"
-        )
-    built = {name: value for name, value in config.model_dump().items() if name in _BUILT}
-    problem = _cannot_be_built(
-        json.dumps({"agent": config.agent.name, **built}, sort_keys=True), config
-    )
-    if problem:
-        yield problem
-
-
-_BUILT = ("environment", "network", "memory", "auxiliary")
-_buildable: dict[str, str | None] = {}
-
-
-def _cannot_be_built(key: str, config: Config) -> str | None:
-    """Why the levels or the network cannot be made, or None; tried once for each `key`."""
-    if key not in _buildable:
-        _buildable[key] = None
-        try:
-            split = config.split
-        except ValueError as error:
-            _buildable[key] = f"agent={config.agent.name}: {error}; choose experiment=playroom_find"
-            return _buildable[key]
-        try:
-            for level in (level for kind in envs.KINDS for level in split.levels(kind)):
-                env = envs.make_vec(level, 1, **config.level_options)
-        except ValueError as error:
-            _buildable[key] = f"environment: {error}"
-            return _buildable[key]
-        try:
-            with torch.device("meta"):
-                spaces = env.single_observation_space, env.single_action_space
-                built = ActorCritic(*spaces, config.network, config.memory)
-                build_auxiliary(config.auxiliary, spaces[0], config.network, built, seed=0)
-        except ValueError as error:
-            _buildable[key] = str(error)
-    return _buildable[key]
-
-
-def _name(composed: _Composed) -> str:
+def _name(composed: Composed) -> str:
     """Names a row: the condition, or what it would be by agent, memory and auxiliary; then whatever
     else differs.
 
@@ -366,7 +279,12 @@ def _name(composed: _Composed) -> str:
         if chosen[group] != usual[group]:
             name += f",{group}={chosen[group]}"
     for option, value in flatten(composed.values).items():
-        if option.split(".")[0] in NOT_LEARNED | {"seed", "experiment", "name"}:
+        if option.split(".")[0] in NOT_LEARNED | {
+            "seed",
+            "experiment",
+            "name",
+            "without_instruction",
+        }:
             continue
         if value != base.get(option):
             name += f",{option}={str(value).replace(' ', '').replace('/', '_')}"

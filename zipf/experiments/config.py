@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import torch
-from pydantic import Field
+from pydantic import Field, create_model
 
 from zipf import envs
 from zipf.agents.agent import agents
 from zipf.agents.auxiliary import AuxiliaryOptions
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.exploration import ExplorationOptions
-from zipf.agents.impala import ImpalaOptions
 from zipf.agents.memory import MemoryOptions
-from zipf.agents.r2d2 import R2D2Options
-from zipf.agents.supervised import SupervisedOptions
-from zipf.agents.vmpo import VMPOOptions
 from zipf.experiments.errors import UserError
 from zipf.options import Options
 
@@ -25,38 +23,10 @@ PositiveInt = Annotated[int, Field(ge=1)]
 Pair = Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 NAME_PATTERN = r"^[^/.][^/]*$"
+COLOUR_PATTERN = r"^#[0-9a-fA-F]{6}$"
 DEVICE_PATTERN = r"^(auto|cpu|cuda(:\d+)?)$"
 Name = Annotated[str, Field(max_length=200, pattern=NAME_PATTERN)]
 Device = Annotated[str, Field(pattern=DEVICE_PATTERN)]
-
-
-class GridworldOptions(Options):
-    """The gridworld's split and constructor options; the defaults are the released benchmark."""
-
-    split: Literal["gridworld"]
-    num_maps: PositiveInt = 20
-    num_rooms: Pair = Field(default=[3, 3])
-    room_size: Pair = Field(default=[3, 3])
-    num_objects: PositiveInt = 20
-    max_steps: PositiveInt = 100
-    observation: Literal["image", "tiles"] = "image"
-
-
-class PlayroomOptions(Options):
-    """A playroom split and constructor options; the defaults are the benchmark."""
-
-    split: Literal["playroom_lift", "playroom_put", "playroom_find"]
-    image_size: Pair = Field(default=[72, 96])
-    object_order: Literal["default", "alternate"] = "default"
-    max_steps: PositiveInt = 900
-
-
-EnvironmentOptions = Annotated[GridworldOptions | PlayroomOptions, Field(discriminator="split")]
-
-
-AgentOptions = Annotated[
-    ImpalaOptions | VMPOOptions | R2D2Options | SupervisedOptions, Field(discriminator="name")
-]
 
 
 class CollectorOptions(Options):
@@ -64,6 +34,7 @@ class CollectorOptions(Options):
 
     num_envs: PositiveInt
     unroll_length: PositiveInt
+    lag: Annotated[int, Field(ge=0, le=1)]
 
 
 class EvaluationOptions(Options):
@@ -82,30 +53,53 @@ class ScheduleOptions(Options):
     checkpoint_every: PositiveInt
 
 
-# What does not change what is learned: no condition is named after it, no checkpoint tied to it.
+class RowOptions(Options):
+    """How a condition looks in tables and figures.
+
+    `order` sorts rows, those without one come last; `colour` and `line` are those of its curves, a
+    free one is chosen where `colour` is not set.
+    """
+
+    title: Annotated[str, Field(min_length=1)]
+    order: float | None = None
+    colour: Annotated[str, Field(pattern=COLOUR_PATTERN)] | None = None
+    line: Literal["solid", "dashed"] = "solid"
+
+
+# Options that do not change what is learned: they are not part of a condition's name, and a
+# checkpoint may be resumed with other values.
 NOT_LEARNED = frozenset(
-    ["condition", "updates", "run_root", "device", "compile", "resume", "evaluation", "schedule"]
+    [
+        *("condition", "row", "plugins", "updates", "run_root", "device", "compile", "resume"),
+        *("evaluation", "schedule"),
+    ]
 )
 
 
 class Config(Options):
-    """Everything a training run can be told; `configs/train.yaml` says what each means."""
+    """Everything a training run can be told; `configs/train.yaml` says what each option means.
+
+    `agent`, `auxiliary` and `environment` are of the classes that are registered; `schema()` is
+    this class with these, and is what validates.
+    """
 
     experiment: Name
     condition: Name
+    row: RowOptions
+    plugins: list[str]
     seed: Seed
     updates: PositiveInt
     run_root: Annotated[str, Field(min_length=1)]
     device: Device
     precision: Literal["float32", "bfloat16"]
-    compile: bool = False  # what runs had before it was an option
+    compile: bool
     resume: Literal["auto", "must", "never"]
-    agent: AgentOptions
+    agent: Any
     memory: MemoryOptions
     network: NetworkOptions
     auxiliary: AuxiliaryOptions
     exploration: ExplorationOptions
-    environment: EnvironmentOptions
+    environment: Any
     collector: CollectorOptions
     evaluation: EvaluationOptions
     schedule: ScheduleOptions
@@ -119,10 +113,10 @@ class Config(Options):
 
     @property
     def split(self) -> envs.Split:
-        """The levels that are played; a classifier is asked about their first frames alone.
+        """The levels that are played; an agent that answers questions gets those variants.
 
         Raises:
-            ValueError: a classifier, and levels that it cannot be asked about.
+            ValueError: the agent answers questions, and there are none about these levels.
         """
         split = envs.split(self.environment.split)
         if agents()[self.agent.name].answers_questions:
@@ -137,8 +131,7 @@ class Config(Options):
     @property
     def is_released_benchmark(self) -> bool:
         """Whether the levels are the released ones, so that the paper's numbers compare."""
-        released = type(self.environment).model_validate({"split": self.environment.split})
-        return self.environment == released
+        return self.environment == type(self.environment)(split=self.environment.split)
 
     @property
     def torch_device(self) -> str:
@@ -155,10 +148,43 @@ class Config(Options):
         }
 
 
+def schema() -> type[Config]:
+    """`Config`, accepting the families, agents and auxiliary losses that are registered now."""
+    families = [family for family in envs.families().values() if family.splits]
+    known = tuple(map(id, (*families, *agents().values())))
+    if known not in _schemas:
+        environments = [_environment_options(family) for family in families]
+        _schemas[known] = create_model(
+            "Config",
+            __base__=Config,
+            environment=(_one_of(environments, "split"), ...),
+            agent=(_one_of([agent.Options for agent in agents().values()], "name"), ...),
+        )
+    return _schemas[known]
+
+
+_schemas: dict[tuple[int, ...], type[Config]] = {}
+
+
+def _environment_options(family: envs.Family) -> type[Options]:
+    """A family's constructor options and the choice of a split."""
+    names = tuple(split.name for split in family.splits)
+    return create_model(
+        f"{family.name}_environment",
+        __base__=family.options_class,
+        split=(Literal[names], ...),  # type: ignore[arg-type]
+    )
+
+
+def _one_of(classes: list[type[Options]], tag: str) -> Any:
+    return Annotated[reduce(or_, classes), Field(discriminator=tag)]
+
+
 class EvaluateOptions(Options):
     """What `python -m zipf.evaluate` can be told."""
 
     run: Annotated[str, Field(min_length=1)]
+    plugins: str = ""
     episodes: PositiveInt = 1000
     num_envs: PositiveInt = 250
     seed: Seed = 0

@@ -10,15 +10,14 @@ from zipf.envs.splits import Split
 from zipf.options import Options
 
 Size = Annotated[int, Field(ge=1)]
+Pair = Annotated[list[Size], Field(min_length=2, max_length=2)]
 
 
 class PlayroomOptions(Options):
     """Constructor options. Other values than these make other worlds than the paper's."""
 
-    # paper: 96 x 72 pixels; here height, width
-    image_size: Annotated[list[Size], Field(min_length=2, max_length=2)] = Field(default=[72, 96])
-    # ours: the paper lists no objects; alternate has the same in another order
-    object_order: Literal["default", "alternate"] = "default"
+    image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
+    object_order: Literal["default", "alternate"] = "default"  # ours: the paper lists no objects
     max_steps: Size = 900  # released loader: 120 s; paper: 7.5 actions a second
 
 

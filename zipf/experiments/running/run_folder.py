@@ -9,7 +9,7 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,8 @@ from yaml import YAMLError
 
 import zipf
 from zipf import envs
-from zipf.experiments.config import Config, flatten
+from zipf.experiments.config import Config, schema
 from zipf.experiments.errors import UserError
-from zipf.experiments.reporting.paper import TABLE_OF_SPLIT
 from zipf.experiments.running import checkpoint
 
 
@@ -63,11 +62,9 @@ def check_options(path: Path, saved: dict[str, Any], config: Config) -> None:
     """Raises `UserError` where a checkpoint was made with other options than these."""
     with fits(path):
         there, here = saved["options"], config.what_is_learned
-    # Options younger than the checkpoint default to what was done before there was a choice.
-    chosen = flatten(config.model_dump(exclude_defaults=True))
     differing = [
         f"{name}={there.get(name)} there, {here.get(name)} here"
-        for name in sorted(there.keys() | (here.keys() & chosen.keys()))
+        for name in sorted(there.keys() | here.keys())
         if there.get(name) != here.get(name)
     ]
     if differing:
@@ -109,23 +106,27 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         began = read_description(config.folder)
         again = {"update": resumed_at, **{k: v for k, v in how.items() if k != "resumed"}}
         how = {k: began.get(k) for k in how} | {"resumed": [*began.get("resumed", []), again]}
-    split, described = config.environment.split, _describe_levels(config)
+    split = envs.split(config.environment.split)
+    described = _describe_levels(split, config.level_options)
     description = {
         "experiment": config.experiment,
         "condition": config.condition,
+        "row": config.row.model_dump(),
         "seed": config.seed,
-        "split": split,
+        "split": split.name,
+        "spread": split.spread,
         "precision": config.precision,
         "window": config.schedule.window,
         "num_updates": config.updates,
         "chance": {
-            kind: _mean([level["chance"] for level in described if level["level_kind"] == kind])
+            kind: _mean_chance([level for level in described if level["level_kind"] == kind])
             for kind in envs.KINDS
         },
         "levels": described,
         "situation": situation,
         "environment": config.level_options,
-        "paper": TABLE_OF_SPLIT[split] if config.is_released_benchmark else None,
+        "paper": split.paper if config.is_released_benchmark else None,
+        "external": None,
         **how,
     }
     texts = {
@@ -142,28 +143,30 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
             raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
 
 
-def _describe_levels(config: Config) -> list[dict[str, Any]]:
-    """The levels of a run, each with its chance, and over how many episodes that was measured."""
-    split = envs.split(config.environment.split)
+def _describe_levels(split: envs.Split, options: dict[str, Any]) -> list[dict[str, Any]]:
+    """The levels of a run, each with its weight and the score of random actions."""
     described = []
     for kind in envs.KINDS:
         for level in split.levels(kind):
-            chance = envs.chance(level, **config.level_options)
+            chance = envs.chance(level, **options)
             described.append(
                 {
                     "level_kind": kind,
                     "level": level.name,
-                    "chance": chance and chance.score,
+                    "weight": level.weight,
+                    "chance": chance and level.normalised(chance.score),
                     "chance_episodes": chance and chance.episodes,
                 }
             )
     return described
 
 
-def _mean(scores: list[float | None]) -> float | None:
-    """Their mean; None where one is not known."""
-    known = [score for score in scores if score is not None]
-    return sum(known) / len(known) if len(known) == len(scores) else None
+def _mean_chance(described: list[dict[str, Any]]) -> float | None:
+    """The weighted mean over levels; None where one is not known."""
+    if any(level["chance"] is None for level in described):
+        return None
+    total = sum(level["weight"] for level in described)
+    return sum(level["weight"] * level["chance"] for level in described) / total
 
 
 def last_update(path: Path) -> int:
@@ -202,18 +205,30 @@ def lock(folder: Path) -> Iterator[None]:
         yield
 
 
-def read_config(folder: Path) -> Config:
+def read_config(folder: Path, plugins: Collection[str] = ()) -> Config:
     """The configuration that a run was started with.
 
+    Args:
+        plugins: the modules that are loaded. Those that the run was made with are never imported
+            because its file says so: a run's folder may come from anywhere.
+
     Raises:
-        UserError: the folder holds no run, or one that this version cannot read.
+        UserError: the folder holds no run, one that needs other plugins, or one that this version
+            cannot read.
     """
     path = folder / "config.yaml"
     if not path.is_file():
         raise UserError(f"{folder}: is no run's folder (it has no config.yaml)")
     try:
-        return Config.model_validate(OmegaConf.to_container(OmegaConf.load(path)))
-    except (ValueError, OmegaConfBaseException, YAMLError, OSError) as error:
+        values: Any = OmegaConf.to_container(OmegaConf.load(path))
+        missing = [name for name in values.get("plugins", ()) if name not in plugins]
+        if missing:
+            raise UserError(
+                f"{folder}: was made with plugins=[{','.join(missing)}], which this command has "
+                f"not loaded; say plugins=[{','.join(missing)}] if you trust them"
+            )
+        return schema().model_validate(values)
+    except (ValueError, AttributeError, OmegaConfBaseException, YAMLError, OSError) as error:
         first = str(error).splitlines()[0]
         raise UserError(f"{path}: is not a configuration of this version ({first})") from None
 

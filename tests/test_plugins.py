@@ -1,0 +1,199 @@
+"""Worlds, agents and experiments from outside the package, by `plugins` and `--config-dir`."""
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+WORLD = """
+    from functools import partial
+
+    import numpy as np
+    from gymnasium import spaces
+
+    import zipf.envs
+    from zipf.envs import Family, Split, ZipfVectorEnv, pcg64
+    from zipf.envs.distributions import by_name
+    from zipf.options import Options
+
+
+    class CounterOptions(Options):
+        size: int = 6
+
+
+    class Counter(ZipfVectorEnv):
+        \"\"\"Say the number that is shown.\"\"\"
+
+        def __init__(self, num_envs, level, *, size=6, **options):
+            super().__init__(
+                num_envs,
+                single_observation_space=spaces.Dict(image=spaces.Box(0, 255, (8, 8, 3), np.uint8)),
+                single_action_space=spaces.Discrete(size),
+                situation={"number": size},
+                **options,
+            )
+            self.cdf = pcg64.cumulative(by_name(level)(size))
+            self.numbers = np.zeros(num_envs, np.int64)
+
+        def _begin(self, mask, forced):
+            for i in np.flatnonzero(mask):
+                drawn = pcg64.choice(self._streams[i], self.cdf)
+                self.numbers[i] = drawn if forced[0, i] < 0 else forced[0, i]
+
+        def _advance(self, actions, mask):
+            success = actions == self.numbers
+            ended = np.ones_like(success)
+            return success.astype(np.float64), ended, ~ended, success
+
+        def _observe(self, out, mask):
+            out["image"][mask] = 0
+            out["image"].reshape(self.num_envs, -1)[mask, self.numbers[mask]] = 255
+
+        def _situations(self):
+            return {"number": self.numbers.copy()}
+
+        def _get_worlds(self):
+            return {"numbers": self.numbers}
+
+        def _set_worlds(self, state):
+            self.numbers[:] = state["numbers"]
+
+
+    zipf.envs.register(
+        Family(
+            name="counter",
+            summary="say the number that is shown",
+            levels=("zipf_1", "uniform", "rare"),
+            check=by_name,
+            options=CounterOptions,
+            splits=(Split("counter", "counter/zipf_1", "counter/uniform", "counter/rare"),),
+            make_vec=Counter,
+        )
+    )
+"""
+
+EXPERIMENT = """
+    # @package _global_
+    defaults:
+      - /environment: counter
+      - override /network: compact
+      - override /memory: mlp
+      - _self_
+
+    experiment: counting
+    updates: 4
+    memory: {size: 16}
+    network: {size: 16}
+    collector: {num_envs: 4, unroll_length: 4}
+    evaluation: {every: 2, episodes: 10, num_envs: 5}
+    schedule: {window: [2, 4], log_every: 1, checkpoint_every: 2}
+"""
+
+CONDITION = """
+    # @package _global_
+    defaults:
+      - override /agent: impala
+      - override /memory: mlp
+      - _self_
+
+    condition: eager
+    row: {title: Eager IMPALA, order: 0.5, colour: "#123456"}
+    agent: {discount: 0.5}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    files = {
+        "my_worlds.py": WORLD,
+        "my_configs/experiment/counting.yaml": EXPERIMENT,
+        "my_configs/condition/eager.yaml": CONDITION,
+    }
+    for name, text in files.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(textwrap.dedent(text))
+    return tmp_path
+
+
+def run(folder: Path, module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    package = Path(__file__).parent.parent
+    return subprocess.run(
+        [sys.executable, "-m", module, *arguments],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(package)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+TRAIN = ("zipf.train", "--config-dir", "my_configs", "plugins=[my_worlds]", "experiment=counting")
+
+
+def test_a_family_of_ones_own_is_trained_resumed_scored_and_reported(folder):
+    first = run(folder, *TRAIN, "condition=eager", "updates=2")
+    assert first.returncode == 0, first.stderr
+    again = run(folder, *TRAIN, "condition=eager")
+    assert again.returncode == 0, again.stderr
+    assert "resumes at update 2" in again.stdout
+    kept = folder / "runs" / "counting" / "eager" / "seed0"
+    described = json.loads((kept / "run.json").read_text())
+    assert described["row"] == {
+        "title": "Eager IMPALA",
+        "order": 0.5,
+        "colour": "#123456",
+        "line": "solid",
+    }
+    assert described["split"] == "counter"
+    assert described["environment"] == {"size": 6}
+    assert list(pd.read_csv(kept / "evaluations.csv")["update"].unique()) == [0, 2, 4]
+
+    place = f"run={kept}"
+    scored = run(folder, "zipf.evaluate", place, "plugins=my_worlds", "episodes=5")
+    assert scored.returncode == 0, scored.stderr
+    reported = run(folder, "zipf.report", "runs")
+    assert reported.returncode == 0, reported.stderr
+    assert "Eager IMPALA" in reported.stdout
+
+
+def test_a_runs_folder_never_has_modules_imported(folder):
+    assert run(folder, *TRAIN, "updates=2").returncode == 0
+    place = f"run={folder}/runs/counting/impala_mlp/seed0"
+    (folder / "my_worlds.py").write_text("open('imported', 'w')")
+    for module in ("zipf.evaluate", "zipf.play"):
+        refused = run(folder, module, place, "record=x.gif" if module == "zipf.play" else "seed=1")
+        assert refused.returncode == 2
+        assert "plugins=[my_worlds]" in refused.stderr
+        assert "Traceback" not in refused.stderr
+    assert not (folder / "imported").exists()
+
+
+def test_a_sweep_finds_plugins_and_configurations(folder):
+    swept = run(folder, *TRAIN, "-m", "seed=0,1", "updates=2")
+    assert swept.returncode == 0, swept.stderr
+    assert len(list(folder.glob("runs/counting/impala_mlp/seed*/checkpoint.pt"))) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["plugins=[nowhere]", "experiment=demo"], "plugins: cannot import nowhere"),
+        (["plugins=[broken]", "experiment=demo"], "ZeroDivisionError"),
+        (["plugins=3", "experiment=demo"], "should be a list of modules"),
+        (["--config-dir", "nowhere", "experiment=demo"], "--config-dir nowhere: there is no such"),
+        (["plugins=[my_worlds]", "experiment=counting"], "no such experiment"),
+        (["--config-dir", "my_configs", "experiment=counting"], "counter"),
+    ],
+)
+def test_mistakes_are_one_clear_line(folder, arguments, message):
+    (folder / "broken.py").write_text("1 / 0")
+    refused = run(folder, "zipf.train", *arguments)
+    assert refused.returncode == 2, refused.stdout
+    assert message in refused.stderr
+    assert "Traceback" not in refused.stderr

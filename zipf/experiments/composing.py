@@ -1,0 +1,181 @@
+"""Composes configurations with Hydra, from `configs/`, folders of the user's, and the registries.
+
+Groups whose choices are registered in Python need no file: `environment` has a choice for every
+family, with the defaults of its options class, and `agent` one for every agent whose options all
+have defaults.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+import zipf
+from zipf import envs, plugins
+from zipf.agents import agents
+from zipf.experiments.errors import UserError
+from zipf.options import Options
+
+_PACKAGE = Path(zipf.__file__).parent
+# In the wheel `configs/` lies inside the package; in a checkout it lies beside it.
+CONFIG_DIR = next(
+    path for path in (_PACKAGE / "configs", _PACKAGE.parent / "configs") if path.is_dir()
+)
+
+_user_folders: list[Path] = []
+
+
+@dataclass(frozen=True)
+class Composed:
+    """A composed configuration.
+
+    Attributes:
+        values: the options, nested.
+        choices: what was chosen in each group, `"None"` where nothing was.
+    """
+
+    values: dict[str, Any]
+    choices: dict[str, str]
+
+
+def add_folder(folder: str | Path) -> None:
+    """Adds a folder of the user's, laid out like `configs/` (`--config-dir`).
+
+    Raises:
+        UserError: there is no such folder.
+    """
+    path = Path(folder).expanduser().resolve()
+    if not path.is_dir():
+        raise UserError(f"--config-dir {folder}: there is no such folder")
+    if path not in _user_folders:
+        _user_folders.append(path)
+
+
+def load_plugins(modules: Iterable[str]) -> None:
+    """Imports plugins, those of installed packages too, and offers Hydra what they registered.
+
+    Raises:
+        UserError: one cannot be imported.
+    """
+    try:
+        plugins.load(modules)
+    except ImportError as error:
+        raise UserError(f"plugins: cannot import {error}") from None
+    _store_registered()
+
+
+def search_path() -> str:
+    """The override that makes Hydra find configurations outside `configs/`; empty for none."""
+    folders = ",".join(f"'file://{folder}'" for folder in _folders()[1:])
+    return f"hydra.searchpath=[{folders}]" if folders else ""
+
+
+def groups() -> list[str]:
+    """The groups of which something can be chosen."""
+    found = {path.name for folder in _folders() for path in folder.iterdir() if path.is_dir()}
+    return sorted((found | _registered().keys()) - {"values"})  # which follow from the others
+
+
+def choices(group: str) -> list[str]:
+    """The names that can be chosen in a group."""
+    files = {path.stem for folder in _folders() for path in (folder / group).glob("*.yaml")}
+    return sorted(files | _registered().get(group, {}).keys())
+
+
+def composed(*overrides: str) -> Composed:
+    """The configuration of these overrides.
+
+    Raises:
+        UserError: in Hydra's words, what cannot be composed.
+    """
+    return _composed(search_path(), *overrides)
+
+
+@cache
+def _composed(search_path: str, *overrides: str) -> Composed:
+    _store_registered()
+    backup = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
+    try:
+        with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+            given = [override for override in (search_path, *overrides) if override]
+            config = compose("train", given, return_hydra_config=True)
+        choices = {k: str(v) for k, v in config.hydra.runtime.choices.items()}
+        OmegaConf.set_struct(config, False)
+        del config["hydra"]
+        values = OmegaConf.to_container(config, resolve=True)
+    except (HydraException, OmegaConfBaseException) as error:
+        message = " ".join(str(error).split())
+        if "hydra/launcher" in message:
+            message += ' (joblib and submitit come with the extra: pip install "zipf-rl[sweep]")'
+        raise UserError(message) from None
+    finally:
+        GlobalHydra.instance().hydra = backup
+    assert isinstance(values, dict)
+    return Composed({str(k): v for k, v in values.items()}, choices)
+
+
+def condition_file(condition: str) -> dict[str, Any]:
+    """What the file of a condition holds; empty for a name without a file.
+
+    Raises:
+        UserError: the file is not YAML.
+    """
+    for folder in _folders():
+        path = folder / "condition" / f"{condition}.yaml"
+        if path.is_file():
+            try:
+                return dict(OmegaConf.to_container(OmegaConf.load(path)) or {})  # type: ignore[arg-type]
+            except (YAMLError, OmegaConfBaseException, ValueError) as error:
+                raise UserError(f"{path}: is not a configuration: {error}") from None
+    return {}
+
+
+def _folders() -> list[Path]:
+    return [CONFIG_DIR, *_user_folders, *plugins.config_folders()]
+
+
+def _registered() -> dict[str, dict[str, dict[str, Any]]]:
+    """Choices by group and name that have no file."""
+    return {
+        "environment": {
+            name: {"split": family.splits[0].name, **_defaults(family.options_class)}
+            for name, family in envs.families().items()
+            if family.splits
+        },
+        "agent": {
+            name: {"name": name, **_defaults(agent.Options)}
+            for name, agent in agents().items()
+            if all(name == "name" or not f.is_required() for name, f in _fields(agent.Options))
+        },
+    }
+
+
+def _store_registered() -> None:
+    store = ConfigStore.instance()
+    for group, choices in _registered().items():
+        for name, node in choices.items():
+            store.store(group=group, name=name, node=node)
+
+
+def _fields(options: type[Options]) -> Iterable[tuple[str, Any]]:
+    return options.model_fields.items()
+
+
+def _defaults(options: type[Options]) -> dict[str, Any]:
+    return {
+        name: field.get_default(call_default_factory=True)
+        for name, field in _fields(options)
+        if name != "name"
+    }
