@@ -43,7 +43,8 @@ from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.experiments import command_line
 from zipf.experiments.config import find_device
-from zipf.experiments.running.runner import build_agent, keep_memory
+from zipf.experiments.running.allocator import keep_freed_ram
+from zipf.experiments.running.factory import build_agent
 
 EXPERIMENTS = {
     "gridworld": "the paper's network, 63 x 63",
@@ -135,7 +136,7 @@ def measure(
 ) -> dict[str, Any]:
     """One measurement, in a process made for it."""
     if variant.keeps_memory:
-        keep_memory()
+        keep_freed_ram()
     now = CLOCKS[clock]
     config = command_line.load(
         [f"experiment={experiment}", f"precision={variant.precision}", f"device={device}"]

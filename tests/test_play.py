@@ -330,9 +330,10 @@ def test_a_run_plays_its_levels(run, level, played, tmp_path):
 def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
     from zipf.experiments.running.evaluator import AgentPolicy, derive_seed
     from zipf.experiments.running.evaluator import play as score
+    from zipf.experiments.running.trained import load_agent
 
     said = play(f"run={run}", "episodes=1", "seed=7", f"record={tmp_path}/out.gif")
-    trained = runner.load_agent(run, "cpu")
+    trained = load_agent(run, "cpu")
     env = envs.make_vec("gridworld/zipf_2", 1, **trained.config.level_options)
     policy = AgentPolicy(trained.agent, seed=derive_seed(7, "actions"), device="cpu")
     episode = score(policy, env, episodes=1, seed=7).iloc[0]

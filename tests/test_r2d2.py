@@ -29,6 +29,7 @@ from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder, runner
 from zipf.experiments.running.collector import Collector
 from zipf.experiments.running.evaluator import AgentPolicy, play
+from zipf.experiments.running.trained import load_agent
 
 ACTIONS, STEPS, WORLDS, BURN_IN = 3, 6, 4, 2
 OPTIONS = R2D2Options(
@@ -545,17 +546,13 @@ def config(root, *overrides, **changes):
 def train_until_killed(options, update):
     """A run that is gone after an update, whatever its last checkpoint."""
     run_folder.make(options.folder)
-    run = runner.Run(options)
-    run.evaluate()
-    run.save()
-    while run.update < update:
-        unroll = run.collector.collect()
-        metrics = run.learn(unroll)
-        run.update += 1
-        run.log(unroll, metrics)
-        if run.update % options.schedule.checkpoint_every == 0:
-            run.save()
-    run.close()
+    with runner.Run(options) as run:
+        run.evaluate()
+        run.save()
+        while run.update < update:
+            run.log(*run.step())
+            if run.update % options.schedule.checkpoint_every == 0:
+                run.save()
 
 
 @pytest.mark.parametrize("storage", ["memory", "memmap"])
@@ -599,7 +596,7 @@ def test_what_replay_takes_is_said_and_refused_where_there_is_less(tmp_path, mon
         runner.train(config(tmp_path / "other", storage="memory"))
     assert not (tmp_path / "other" / "demo" / "r2d2" / "seed0" / "checkpoint.pt").exists()
     # Scoring needs no replay.
-    trained = runner.load_agent(options.folder, "cpu")
+    trained = load_agent(options.folder, "cpu")
     assert trained.agent.replay is None
     saved = checkpoint.load(options.folder / "checkpoint.pt")["agent"]["network"]
     assert_equal(dict(trained.agent.network.state_dict()), dict(saved))

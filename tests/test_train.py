@@ -21,6 +21,8 @@ from zipf.experiments import command_line
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder, runner
+from zipf.experiments.running.factory import build_agent
+from zipf.experiments.running.trained import evaluate_run, load_agent
 
 TINY = [
     "experiment=demo",
@@ -69,9 +71,9 @@ def assert_equal(one, other, where=""):
 
 
 def learned(folder: Path) -> dict:
-    """All of a checkpoint but how long it took."""
+    """A checkpoint without the times."""
     state = checkpoint.load(folder / "checkpoint.pt")
-    del state["seconds"]
+    del state["clock"]
     return state
 
 
@@ -148,7 +150,7 @@ def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path)
     assert description["chance"].keys() == {"train", "uniform", "rare"}
     assert list((whole.folder / "tensorboard").iterdir())
 
-    update, results = runner.evaluate_run(EvaluateOptions(run=str(cut.folder), episodes=2))
+    update, results = evaluate_run(EvaluateOptions(run=str(cut.folder), episodes=2))
     assert update == 2
     assert [(result.kind, result.level) for result in results] == scored
 
@@ -156,14 +158,10 @@ def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path)
 def train_until_gone(config, update):
     """A run with a checkpoint after an update, and nothing of what came later."""
     run_folder.make(config.folder)
-    run = runner.Run(config)
-    while run.update < update:
-        unroll = run.collector.collect()
-        metrics = run.learn(unroll)
-        run.update += 1
-        run.log(unroll, metrics)
-    run.save()
-    run.close()
+    with runner.Run(config) as run:
+        while run.update < update:
+            run.log(*run.step())
+        run.save()
 
 
 def last(table):
@@ -329,7 +327,7 @@ def test_a_run_from_before_an_option_goes_on(trained):
     description = folder / "config.yaml"
     description.write_text(description.read_text().replace("  layers: 1\n", ""))
     assert run_folder.read_config(folder).memory.layers == 1
-    assert runner.load_agent(folder, "cpu").update == 2
+    assert load_agent(folder, "cpu").update == 2
     with pytest.raises(UserError, match=r"memory\.layers=None there, 2 here"):
         runner.train(
             command_line.load([*trained, "memory.layers=2", f"name='{folder.parent.name}'"])
@@ -449,10 +447,9 @@ def test_a_kill_before_the_first_checkpoint_starts_again(trained):
 def test_a_run_stopped_at_its_start_is_not_scored_there_twice(tmp_path):
     arguments = [*TINY, "updates=2", f"run_root={tmp_path}"]
     run_folder.make(folder_of(arguments))
-    begun = runner.Run(command_line.load(arguments))
-    begun.evaluate()
-    begun.save()
-    begun.close()
+    with runner.Run(command_line.load(arguments)) as begun:
+        begun.evaluate()
+        begun.save()
     assert runner.train(command_line.load(arguments)) == 0
     rows = pd.read_csv(folder_of(arguments) / "evaluations.csv")
     assert list(rows["update"]) == [0, 0, 0, 2, 2, 2]
@@ -500,7 +497,7 @@ def test_what_is_compiled_learns_the_same(tmp_path):
     )
     assert plain.condition == compiled.condition
     env = envs.make_vec(compiled.split.uniform[0], 1, **compiled.level_options)
-    agent = runner.build_agent(compiled, env)
+    agent = build_agent(compiled, env)
     for network in (agent.network, agent.target):
         assert network.encoder.image._compiled_call_impl is not None
     for config in (plain, compiled):
@@ -508,7 +505,7 @@ def test_what_is_compiled_learns_the_same(tmp_path):
     one, other = (pd.read_csv(config.folder / "metrics.csv") for config in (plain, compiled))
     for name in ("loss", "baseline_loss", "gradient_norm", "value"):
         np.testing.assert_allclose(one[name], other[name], rtol=1e-3, atol=1e-6)
-    assert runner.evaluate_run(EvaluateOptions(run=str(compiled.folder), episodes=2))[0] == 3
+    assert evaluate_run(EvaluateOptions(run=str(compiled.folder), episodes=2))[0] == 3
 
 
 def test_what_cannot_be_compiled_is_one_line(trained, monkeypatch):

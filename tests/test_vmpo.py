@@ -458,8 +458,7 @@ def test_a_run_goes_on_bit_for_bit(tmp_path):
 
     def advance(run):
         for _ in range(4):
-            run.learn(run.collector.collect())
-            run.update += 1
+            run.step()
 
     for run in (whole, cut):
         advance(run)

@@ -11,9 +11,10 @@ from rich.table import Table
 from zipf.experiments.command_line import read_options
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
-from zipf.experiments.running import run_folder, runner
+from zipf.experiments.running import run_folder
 from zipf.experiments.running.evaluator import score, scores
 from zipf.experiments.running.logger import write_results
+from zipf.experiments.running.trained import evaluate_run
 
 __all__ = ["main", "score"]
 
@@ -41,7 +42,7 @@ def main() -> None:
         options = read_options(EvaluateOptions, arguments)
         folder = Path(options.run)
         description = run_folder.read_description(folder)
-        update, results = runner.evaluate_run(options)
+        update, results = evaluate_run(options)
         name = f"evaluation-{update}-episodes{options.episodes}-seed{options.seed}"
         files = write_results(folder / name, results)
     except KeyboardInterrupt:

@@ -51,9 +51,14 @@ def random_policy_success(
     return float(distribution(num_maps) @ success @ distribution(num_objects))
 
 
-@lru_cache(maxsize=16)
 def chance(level: str, **options: Any) -> Chance:
     """The score of uniformly random actions on a level, exact; see `random_policy_success`."""
+    lists = {name: tuple(v) if isinstance(v, list) else v for name, v in options.items()}
+    return _chance(level, **lists)
+
+
+@lru_cache(maxsize=16)
+def _chance(level: str, **options: Any) -> Chance:
     return Chance(random_policy_success(level, **options))
 
 

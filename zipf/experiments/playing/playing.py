@@ -24,8 +24,8 @@ from zipf.experiments.config import PositiveInt, Seed
 from zipf.experiments.errors import UserError
 from zipf.experiments.playing.recording import Recording
 from zipf.experiments.playing.screens import Screen, Text, enlarge, open_screen
-from zipf.experiments.running import runner
 from zipf.experiments.running.evaluator import AgentPolicy, Policy, derive_seed
+from zipf.experiments.running.trained import Trained, load_agent
 from zipf.options import Options
 
 _PAUSE = 1.0  # seconds on the last frame of an episode
@@ -128,7 +128,7 @@ def _who_plays(options: PlayOptions) -> str:
 
 def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
     """A world of each level to play in turn."""
-    trained = runner.load_agent(Path(options.run), "cpu") if options.run else None
+    trained = load_agent(Path(options.run), "cpu") if options.run else None
     level_options = trained.config.level_options if trained else {}
     agent = None
     if trained and policy == "agent":
@@ -160,7 +160,7 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
     return worlds
 
 
-def _levels(options: PlayOptions, trained: runner.Trained | None) -> list[str]:
+def _levels(options: PlayOptions, trained: Trained | None) -> list[str]:
     if trained is None or options.level not in (None, *envs.KINDS):
         return [str(options.level)]
     split = envs.split(trained.config.environment.split)
@@ -182,7 +182,7 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
         raise UserError(f"level={level}: is of another family than the run's levels") from None
 
 
-def _check_spaces(level: str, env: ZipfVectorEnv, trained: runner.Trained) -> None:
+def _check_spaces(level: str, env: ZipfVectorEnv, trained: Trained) -> None:
     # Its spaces are the training levels', which may be several.
     known = trained.config.split.uniform[0]
     learned = envs.make_vec(known, 1, **trained.config.level_options)

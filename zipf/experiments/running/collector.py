@@ -29,10 +29,6 @@ class Collector:
     The environment writes its observations straight into the unroll, which is reused: an agent
     that keeps frames copies them.
 
-    Attributes:
-        metric_names: the metrics of episodes, each followed by `/<level>` for each of the levels
-            that the worlds are shared among, where there are several.
-
     Args:
         env: a batch in SAME_STEP autoreset mode; reset here, with `seed`.
         seed: of the worlds and of the agent's actions.
@@ -62,10 +58,9 @@ class Collector:
         self.device = device
         self.exploration = exploration
         self.seconds = {"environment": 0.0, "inference": 0.0}
-        self._groups = _groups(env)
-        self.metric_names = [
-            f"episode_{name}{group}" for group in self._groups for name in _OUTCOMES
-        ]
+        self._levels_of_worlds: NDArray[np.str_] | None = None
+        if isinstance(env, MixtureVectorEnv):
+            self._levels_of_worlds = np.array(env.level_names)[env.levels_of_worlds]
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
         self._memory = agent.initial_memory(env.num_envs)
@@ -113,8 +108,14 @@ class Collector:
         return Unroll(self._steps, memory, late_memory).to(self.device)
 
     def episode_metrics(self) -> dict[str, float]:
-        """Means over the episodes that ended since the last call; empty where none did."""
-        metrics = {f"episode_{name}": float(np.mean(v)) for name, v in self._episodes.items() if v}
+        """Means over the episodes that ended since the last call.
+
+        `episode_return` and `episode_length` (NaN if no episode ended), `episode_success` if the
+        worlds report it, and, with several levels, the same for each level whose episodes ended:
+        `episode_return/<level>` and so on.
+        """
+        metrics = {f"episode_{name}": float("nan") for name in ("return", "length")}
+        metrics |= {f"episode_{name}": float(np.mean(v)) for name, v in self._episodes.items()}
         self._episodes.clear()
         return metrics
 
@@ -172,10 +173,7 @@ class Collector:
             if ended.any():
                 fields["bonus"][t] += self.exploration(self._final, ended)
         if ended.any():
-            for group, worlds in self._groups.items():
-                for name in _OUTCOMES:
-                    values = info["final_info"][name][ended & worlds]
-                    self._episodes[f"{name}{group}"].extend(values.tolist())
+            self._record(info["final_info"], ended)
         stepped = perf_counter()
 
         fields["truncation_value"][t] = 0.0
@@ -183,6 +181,18 @@ class Collector:
             fields["truncation_value"][t, truncated] = self._value_at_truncation(t, truncated)
         self.seconds["inference"] += acted - start + perf_counter() - stepped
         self.seconds["environment"] += stepped - acted
+
+    def _record(self, final_info: dict[str, NDArray], ended: NDArray[np.bool_]) -> None:
+        """Keeps the outcomes of the episodes that ended, for `episode_metrics`."""
+        levels = final_info.get("level_name", self._levels_of_worlds)
+        for name in _OUTCOMES:
+            if name not in final_info:  # `success` in worlds that do not report it
+                continue
+            values = final_info[name][ended].tolist()
+            self._episodes[name].extend(values)
+            if levels is not None:
+                for level, value in zip(levels[ended], values, strict=True):
+                    self._episodes[f"{name}/{level}"].append(value)
 
     def _inputs(self, t: int) -> Inputs:
         return Inputs.of(self._inputs_of_steps[t].to(self.device, non_blocking=True))
@@ -204,12 +214,3 @@ class Collector:
     @staticmethod
     def _row(parts: dict[str, NDArray], t: int) -> dict[str, NDArray]:
         return {name: part[t] for name, part in parts.items()}
-
-
-def _groups(env: ZipfVectorEnv) -> dict[str, NDArray[np.bool_]]:
-    """The worlds that episodes are averaged over, bool [N]: all, and those of each level apart."""
-    groups = {"": np.ones(env.num_envs, np.bool_)}
-    if isinstance(env, MixtureVectorEnv):
-        for i, level in enumerate(env.level_names):
-            groups[f"/{level}"] = env.levels_of_worlds == i
-    return groups

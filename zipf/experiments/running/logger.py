@@ -1,4 +1,4 @@
-"""What a run leaves behind: plain files and TensorBoard, and what it shows while it goes."""
+"""The result files of a run: CSV tables, a text log and TensorBoard events."""
 
 from __future__ import annotations
 
@@ -8,20 +8,13 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import pandas as pd
-from rich.console import Console, Group
-from rich.live import Live
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
-from rich.text import Text
 from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.record_writer import RecordWriter
 
-from zipf.envs import KINDS
 from zipf.experiments.errors import UserError
 from zipf.experiments.running.evaluator import Result, scores, situations
 
@@ -31,7 +24,7 @@ class Logger:
 
     Args:
         folder: the run's folder.
-        resume_at: forget what was written after this update; -1 for a new run.
+        resume_at: rows of later updates are dropped; -1 for a new run.
 
     Raises (here and in every method):
         UserError: the disk is full or cannot be written.
@@ -45,17 +38,16 @@ class Logger:
         events = folder / "tensorboard"
         with _writing(events):
             events.mkdir(exist_ok=True)
-            # Written here and now: TensorBoard's own writer does so in a thread, where a full disk
-            # goes unheard.
+            # TensorBoard's own writer writes in a thread, where nobody sees that the disk is full.
             name = f"events.out.tfevents.{time.time_ns()}"
             self._events = open(events / name, "wb")  # noqa: SIM115
         self._records = RecordWriter(self._events)
         self._event(file_version="brain.Event:2")
-        # Hides what was shown of the steps that a resumed run takes again.
+        # TensorBoard then hides the points that a resumed run writes again.
         self._event(step=resume_at + 1, session_log=SessionLog(status=SessionLog.START))
 
     def metrics(self, update: int, metrics: Mapping[str, float]) -> None:
-        """One wide row; the columns are those of the first row ever written."""
+        """One row, a column for each metric; metrics may come and go."""
         self._append("metrics.csv", [{"update": update, **metrics}])
         self._scalars(update, {f"train/{name}": value for name, value in metrics.items()})
 
@@ -80,9 +72,14 @@ class Logger:
         self._events.close()
 
     def _append(self, name: str, rows: list[Any]) -> None:
-        columns = _columns(self.folder / name)
+        path = self.folder / name
+        columns = _columns(path)
+        new = [column for column in rows[0] if column not in columns]
+        if columns and new:
+            with _writing(path):
+                _add_columns(path, new)
         text = io.StringIO()
-        writer = csv.DictWriter(text, columns or list(rows[0]), restval="", extrasaction="ignore")
+        writer = csv.DictWriter(text, [*columns, *new], restval="", lineterminator="\n")
         if not columns:
             writer.writeheader()
         writer.writerows(rows)
@@ -115,15 +112,23 @@ def _writing(path: Path) -> Iterator[None]:
 
 
 def _columns(path: Path) -> list[str]:
-    """The columns of a table that has been begun."""
+    """The columns of a table; none before its first row."""
     if not path.exists():
         return []
     with open(path, newline="") as file:
         return next(csv.reader(file), [])
 
 
+def _add_columns(path: Path, columns: list[str]) -> None:
+    """Adds empty columns to a table."""
+    table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    replacement = path.with_name(path.name + ".new")
+    table.assign(**dict.fromkeys(columns, "")).to_csv(replacement, index=False)
+    replacement.replace(path)
+
+
 def _forget_after(path: Path, update: int) -> None:
-    """Drops the rows that a resumed run will write again, and a last line cut short by a crash."""
+    """Drops the rows that a resumed run will write again, and a last line that a crash cut."""
     if not path.exists():
         return
     header, *rows = path.read_text().splitlines(keepends=True) or [""]
@@ -158,81 +163,3 @@ def write_results(stem: Path, results: list[Result]) -> list[Path]:
         with _writing(path):
             table.to_csv(path, index=False)
     return list(tables)
-
-
-class Display:
-    """Shows a run as it goes: a live panel on a terminal, now and then a line elsewhere."""
-
-    def __init__(self, name: str, updates: int, update: int, console: Console | None = None):
-        self.console = console or Console(highlight=False)
-        self.name = name
-        self.updates = updates
-        self.live = self.console.is_terminal
-        self.scores: dict[str, float] = {}
-        self.metrics: dict[str, float] = {}
-        self.progress = Progress(
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("updates"),
-            TimeRemainingColumn(),
-        )
-        self.task = self.progress.add_task("", total=updates, completed=update)
-        self._live = Live(console=self.console, get_renderable=self._panel, refresh_per_second=4)
-        self._printed = time.monotonic()
-
-    def __enter__(self) -> Display:
-        if self.live:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self.live:
-            self._live.stop()
-
-    def say(self, line: str) -> None:
-        """Prints a line, above the panel where there is one."""
-        self.console.print(line, soft_wrap=True, markup=False)
-
-    def advance(self, update: int) -> None:
-        """An update was made."""
-        self.progress.update(self.task, completed=update)
-
-    def show_metrics(self, update: int, metrics: Mapping[str, float]) -> None:
-        """The latest row of metrics."""
-        self.metrics = dict(metrics)
-        if not self.live and time.monotonic() - self._printed > 30:
-            self._print(update)
-
-    def show_scores(self, update: int, results: list[Result]) -> None:
-        """The latest scores."""
-        self.scores = scores(results)
-        if not self.live:
-            self._print(update)
-
-    def _print(self, update: int) -> None:
-        self._printed = time.monotonic()
-        parts = [f"update {update}/{self.updates}"]
-        if "frames" in self.metrics:
-            parts.append(f"{int(self.metrics['frames']):,} frames")
-            parts.append(f"{self.metrics['frames_per_second']:,.0f} frames/s")
-        parts += [f"{kind} {score:.3f}" for kind, score in self.scores.items()]
-        self.say("  ".join(parts))
-
-    def _panel(self) -> Group:
-        scores = Table.grid(padding=(0, 3))
-        m = self.metrics
-        cells = [f"{k} [bold]{self.scores[k]:.3f}[/]" for k in KINDS if k in self.scores]
-        if m:
-            cells += [f"{int(m['frames']):,} frames", f"{m['frames_per_second']:,.0f} frames/s"]
-        scores.add_row(*cells or ["[dim]evaluating before the first update[/]"])
-        parts = ("environment", "inference", "learning", "evaluation")
-        seconds = {part: m.get(f"time_{part}", 0.0) for part in parts}
-        total = sum(seconds.values()) or 1.0
-        split = "  ".join(f"{part} {spent / total:.0%}" for part, spent in seconds.items())
-        name = Text(self.name, style="bold", no_wrap=True, overflow="ellipsis")
-        return Group(name, self.progress, scores, f"[dim]time: {split}[/]" if m else "")

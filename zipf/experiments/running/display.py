@@ -1,0 +1,97 @@
+"""What a run shows while it trains."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from zipf.envs import KINDS
+from zipf.experiments.running.clock import PARTS
+from zipf.experiments.running.evaluator import Result, scores
+
+
+class Display:
+    """Shows a run's progress: a live panel on a terminal, elsewhere a line after every evaluation
+    and every half minute.
+
+    Args:
+        name: the run's.
+        updates: to reach.
+        update: those made already.
+        console: where to print; standard output by default.
+    """
+
+    def __init__(self, name: str, updates: int, update: int, console: Console | None = None):
+        self.console = console or Console(highlight=False)
+        self.name = name
+        self.updates = updates
+        self.live = self.console.is_terminal
+        self.scores: dict[str, float] = {}
+        self.metrics: dict[str, float] = {}
+        self.progress = Progress(
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("updates"),
+            TimeRemainingColumn(),
+        )
+        self.task = self.progress.add_task("", total=updates, completed=update)
+        self._live = Live(console=self.console, get_renderable=self._panel, refresh_per_second=4)
+        self._printed = time.monotonic()
+
+    def start(self) -> None:
+        """Shows the live panel on a terminal."""
+        if self.live:
+            self._live.start()
+
+    def stop(self) -> None:
+        """Takes the live panel down."""
+        if self.live:
+            self._live.stop()
+
+    def say(self, line: str) -> None:
+        """Prints a line, above the panel on a terminal."""
+        self.console.print(line, soft_wrap=True, markup=False)
+
+    def advance(self, update: int) -> None:
+        """Moves the progress bar to this update."""
+        self.progress.update(self.task, completed=update)
+
+    def show_metrics(self, update: int, metrics: Mapping[str, float]) -> None:
+        """The latest row of metrics."""
+        self.metrics = dict(metrics)
+        if not self.live and time.monotonic() - self._printed > 30:
+            self._print(update)
+
+    def show_scores(self, update: int, results: list[Result]) -> None:
+        """The latest scores."""
+        self.scores = scores(results)
+        if not self.live:
+            self._print(update)
+
+    def _print(self, update: int) -> None:
+        self._printed = time.monotonic()
+        parts = [f"update {update}/{self.updates}"]
+        if "frames" in self.metrics:
+            parts.append(f"{int(self.metrics['frames']):,} frames")
+            parts.append(f"{self.metrics['frames_per_second']:,.0f} frames/s")
+        parts += [f"{kind} {score:.3f}" for kind, score in self.scores.items()]
+        self.say("  ".join(parts))
+
+    def _panel(self) -> Group:
+        scores = Table.grid(padding=(0, 3))
+        m = self.metrics
+        cells = [f"{k} [bold]{self.scores[k]:.3f}[/]" for k in KINDS if k in self.scores]
+        if m:
+            cells += [f"{int(m['frames']):,} frames", f"{m['frames_per_second']:,.0f} frames/s"]
+        scores.add_row(*cells or ["[dim]evaluating before the first update[/]"])
+        name = Text(self.name, style="bold", no_wrap=True, overflow="ellipsis")
+        if not m:
+            return Group(name, self.progress, scores)
+        split = "  ".join(f"{part} {m[f'time_{part}'] / m['seconds']:.0%}" for part in PARTS)
+        return Group(name, self.progress, scores, f"[dim]time: {split}[/]")

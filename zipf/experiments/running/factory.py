@@ -1,0 +1,40 @@
+"""Building an agent from a configuration."""
+
+from __future__ import annotations
+
+from zipf.agents.agent import Agent, Setting, agents
+from zipf.envs.vector import ZipfVectorEnv
+from zipf.experiments.config import Config
+from zipf.experiments.errors import UserError
+from zipf.experiments.running.evaluator import derive_seed
+
+
+def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
+    """The agent that the configuration names, for these worlds, with weights from its seed; its
+    image encoders are compiled with `compile=true`.
+
+    Raises:
+        UserError: the network cannot read these observations, or they lack what the auxiliary loss
+            is about.
+    """
+    setting = Setting(
+        env.single_observation_space,
+        env.single_action_space,
+        config.network,
+        config.memory,
+        config.auxiliary,
+        num_envs=config.collector.num_envs,
+        unroll_length=config.collector.unroll_length,
+        seed=derive_seed(config.seed, "weights"),
+        device=config.torch_device,
+        precision=config.precision,
+        folder=config.folder,
+        updates_between_checkpoints=config.schedule.checkpoint_every,
+    )
+    try:
+        agent = agents()[config.agent.name](config.agent, setting)
+    except ValueError as error:
+        raise UserError(str(error)) from None
+    if config.compile:
+        agent.compile()
+    return agent

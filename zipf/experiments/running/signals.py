@@ -1,0 +1,34 @@
+"""Stopping a run by Ctrl-C or SIGTERM."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from types import FrameType
+
+
+class StopSignals:
+    """While this context is entered, SIGINT (Ctrl-C) and SIGTERM set `requested` to their number;
+    the second one raises KeyboardInterrupt at once.
+
+    Args:
+        say: told, at the first signal, what will happen.
+    """
+
+    def __init__(self, say: Callable[[str], None]):
+        self.say = say
+        self.requested = 0
+
+    def __enter__(self) -> StopSignals:
+        self._before = {s: signal.signal(s, self._stop) for s in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = number
+        self.say("stopping after this update, with a checkpoint; a second signal stops at once")

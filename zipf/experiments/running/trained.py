@@ -1,0 +1,72 @@
+"""Trained agents: loaded from a run's folder, and scored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from zipf import envs
+from zipf.agents.agent import Agent
+from zipf.experiments.config import Config, EvaluateOptions
+from zipf.experiments.running import checkpoint, run_folder
+from zipf.experiments.running.evaluator import AgentPolicy, Result, derive_seed, evaluate
+from zipf.experiments.running.factory import build_agent
+
+
+@dataclass(frozen=True)
+class Trained:
+    """The agent of a run's checkpoint."""
+
+    config: Config
+    agent: Agent
+    update: int
+
+
+def load_agent(folder: Path, device: str) -> Trained:
+    """Loads the agent of a run's checkpoint.
+
+    Raises:
+        UserError: the folder holds no run or no checkpoint, or the checkpoint is damaged or was
+            made with other options.
+    """
+    config = run_folder.read_config(folder).model_copy(update={"device": device})
+    saved = checkpoint.load(folder / "checkpoint.pt")
+    run_folder.check_options(folder / "checkpoint.pt", saved, config)
+    # All levels of a split have the same spaces.
+    env = envs.make_vec(config.split.uniform[0], 1, **config.level_options)
+    agent = build_agent(config, env)
+    env.close()
+    with run_folder.fits(folder / "checkpoint.pt"):
+        agent.load_state_dict(saved["agent"])
+    return Trained(config, agent, saved["update"])
+
+
+def evaluate_agent(
+    config: Config, agent: Agent, *, episodes: int, num_envs: int, seed: int
+) -> list[Result]:
+    """Scores an agent on its split's levels; all random draws derive from `seed`."""
+    return evaluate(
+        AgentPolicy(agent, seed=derive_seed(seed, "actions"), device=config.torch_device),
+        config.split,
+        episodes=episodes,
+        num_envs=num_envs,
+        seed=seed,
+        **config.level_options,
+    )
+
+
+def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
+    """Scores the agent of a run's checkpoint; returns the checkpoint's update and the scores.
+
+    Raises:
+        UserError: as `load_agent`.
+    """
+    trained = load_agent(Path(options.run), options.device)
+    results = evaluate_agent(
+        trained.config,
+        trained.agent,
+        episodes=options.episodes,
+        num_envs=options.num_envs,
+        seed=options.seed,
+    )
+    return trained.update, results
