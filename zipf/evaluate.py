@@ -27,6 +27,7 @@ episodes=1000   episodes per level
 num_envs=250    worlds played at a time
 seed=0          of the worlds and the agent's actions
 device=auto     auto, cpu, cuda or cuda:<number>
+plugins=NAMES   modules to import first, for runs on worlds or of agents from outside the package
 
 Writes evaluation-<update>-episodes<episodes>-seed<seed>.csv, and beside it a file of every
 situation met, into the run's folder."""

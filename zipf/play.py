@@ -22,6 +22,7 @@ run=FOLDER        a run's folder (holds checkpoint.pt): its agent plays, on its 
 policy=NAME       who plays: keyboard, random, expert (scripted), agent (of the run)
 record=FILE       to a .gif, for what is short, or an .mp4; without a screen unless you play
 episodes=N        1 where there is no screen, else until you leave
+plugins=NAMES     modules to import first, for worlds and agents from outside the package
 seed=N            of the worlds and the actions; fresh each time, and told
 fps=N             frames per second of recordings and of what is watched; the family's own
 scale=N           screen pixels for a pixel, each way, in windows and recordings

@@ -46,7 +46,9 @@ def _tell(error: UserError) -> None:
 def main() -> None:
     """The command: checks every job first, then runs one after another."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # else Hydra prints a worker's exception and exits with 1
-    arguments = get_args_parser().parse_args()
+    arguments = get_args_parser().parse_intermixed_args()
+    flags = [word for word in sys.argv[1:] if word not in arguments.overrides]
+    sys.argv[1:] = [*flags, *arguments.overrides]  # Hydra takes overrides in one piece only
     asks = ("help", "hydra_help", "info", "shell_completion", "version")
     try:
         if arguments.config_name or arguments.config_path:

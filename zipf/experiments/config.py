@@ -191,6 +191,11 @@ class EvaluateOptions(Options):
     device: Device = "auto"
 
 
+def module_names(text: str) -> list[str]:
+    """The modules that the `plugins` option of a small command names: `a,b` or `[a,b]`."""
+    return [name.strip() for name in text.strip("[] ").split(",") if name.strip()]
+
+
 def find_device(device: str) -> str:
     """The device that is meant: `auto` is CUDA where there is one, else the CPU.
 

@@ -20,7 +20,8 @@ from pydantic import Field
 from zipf import envs
 from zipf.envs.keyboard import LEAVE, NEXT, Keys
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.config import PositiveInt, Seed
+from zipf.experiments import composing
+from zipf.experiments.config import PositiveInt, Seed, module_names
 from zipf.experiments.errors import UserError
 from zipf.experiments.playing.recording import Recording
 from zipf.experiments.playing.screens import Screen, Text, enlarge, open_screen
@@ -41,6 +42,7 @@ class PlayOptions(Options):
     policy: Literal["keyboard", "random", "expert", "agent"] | None = None
     record: Annotated[str, Field(min_length=1)] | None = None
     episodes: PositiveInt | None = None
+    plugins: str = ""
     seed: Seed | None = None
     fps: Annotated[int, Field(ge=1, le=120)] | None = None
     scale: Annotated[int, Field(ge=1, le=16)] | None = None
@@ -128,7 +130,9 @@ def _who_plays(options: PlayOptions) -> str:
 
 def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
     """A world of each level to play in turn."""
-    trained = load_agent(Path(options.run), "cpu") if options.run else None
+    names = module_names(options.plugins)
+    composing.load_plugins(names)
+    trained = load_agent(Path(options.run), "cpu", names) if options.run else None
     level_options = trained.config.level_options if trained else {}
     agent = None
     if trained and policy == "agent":

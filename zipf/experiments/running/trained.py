@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from zipf import envs
 from zipf.agents.agent import Agent
-from zipf.experiments.config import Config, EvaluateOptions
+from zipf.experiments import composing
+from zipf.experiments.config import Config, EvaluateOptions, module_names
 from zipf.experiments.running import checkpoint, run_folder
 from zipf.experiments.running.evaluator import AgentPolicy, Result, derive_seed, evaluate
 from zipf.experiments.running.factory import build_agent
@@ -22,14 +24,20 @@ class Trained:
     update: int
 
 
-def load_agent(folder: Path, device: str) -> Trained:
+def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Trained:
     """Loads the agent of a run's checkpoint.
+
+    Args:
+        folder: the run's.
+        device: to compute on.
+        plugins: modules to import first, see `zipf.plugins`.
 
     Raises:
         UserError: the folder holds no run or no checkpoint, or the checkpoint is damaged or was
             made with other options.
     """
-    config = run_folder.read_config(folder).model_copy(update={"device": device})
+    composing.load_plugins(plugins)
+    config = run_folder.read_config(folder, plugins).model_copy(update={"device": device})
     saved = checkpoint.load(folder / "checkpoint.pt")
     run_folder.check_options(folder / "checkpoint.pt", saved, config)
     # All levels of a split have the same spaces.
@@ -61,7 +69,7 @@ def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
     Raises:
         UserError: as `load_agent`.
     """
-    trained = load_agent(Path(options.run), options.device)
+    trained = load_agent(Path(options.run), options.device, module_names(options.plugins))
     results = evaluate_agent(
         trained.config,
         trained.agent,
