@@ -55,7 +55,7 @@ OPTIONS = R2D2Options(
     priority_max_weight=0.8,
 )
 NETWORK = CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=8)
-LSTM = LSTMOptions(name="lstm", size=16)
+LSTM = LSTMOptions(name="lstm", size=16, layers=1)
 
 
 def agent(memory=LSTM, worlds=WORLDS, **changes):
@@ -668,7 +668,7 @@ def test_it_learns_to_recall():
     policy = trained(
         Recall(32, delay),
         CompactOptions(name="compact", patch=9, channels=16, size=16, head_size=0),
-        LSTMOptions(name="lstm", size=32),
+        LSTMOptions(name="lstm", size=32, layers=1),
         unroll_length=2 * (delay + 1),
         updates=350,
         seed=0,
