@@ -31,7 +31,7 @@ def options_of(name):
     """An agent's options as shipped, small and at once ready to learn."""
     values = OmegaConf.to_container(OmegaConf.load(CONFIG_DIR / "agent" / f"{name}.yaml"))
     if name == "r2d2":
-        values |= {"burn_in": 2, "replay_min": WORLDS, "replay_capacity": 64, "storage": "memory"}
+        values |= {"burn_in": 2, "replay_min": WORLDS, "replay_capacity": 64, "storage": "ram"}
     if name == "vmpo":
         values |= {"target_period": 1}
     return agents()[name].Options.model_validate(values)
