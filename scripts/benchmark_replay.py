@@ -18,7 +18,9 @@ from rich.console import Console
 from rich.table import Table
 from tensordict import TensorDict
 
-from zipf.agents.replay import PrioritySampler, Replay, in_words
+from zipf.agents.free_space import in_words
+from zipf.agents.priorities import PrioritySampler
+from zipf.agents.replay import Replay
 
 CAPACITY = 100_000
 BATCH = 32
@@ -75,7 +77,7 @@ def replay_of(item: TensorDict, capacity: int, folder: Path | None) -> tuple[Rep
 
 
 def frames(rows: int, *shape: int) -> TensorDict:
-    """A sequence with one picture a row, uint8."""
+    """A sequence with one image a row, uint8."""
     return TensorDict({"image": torch.randint(256, (rows, *shape), dtype=torch.uint8)})
 
 
@@ -92,10 +94,10 @@ def main() -> None:
         table.add_row(name, str(CAPACITY), "", f"{spent:.3f}")
     with tempfile.TemporaryDirectory() as folder:
         for name, item, capacity, where in (
-            ("numbers, memory", frames(1, 8), CAPACITY, None),
-            ("tiles of 20 steps, memory", frames(20, 49), CAPACITY, None),
-            ("63 x 63 pictures of 132 steps, memory", frames(132, 63, 63, 3), 320, None),
-            ("63 x 63 pictures of 132 steps, memmap", frames(132, 63, 63, 3), 320, Path(folder)),
+            ("numbers, RAM", frames(1, 8), CAPACITY, None),
+            ("tiles of 20 steps, RAM", frames(20, 49), CAPACITY, None),
+            ("63 x 63 images of 132 steps, RAM", frames(132, 63, 63, 3), 320, None),
+            ("63 x 63 images of 132 steps, files", frames(132, 63, 63, 3), 320, Path(folder)),
         ):
             replay, call = replay_of(item, capacity, where)
             spent = median_ms(call, seconds)

@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 
 from zipf.agents import agent as registry
 from zipf.agents.agent import Agent, Setting, agents, register
-from zipf.agents.auxiliary import VisionOptions
+from zipf.agents.auxiliary.reconstruction import VisionOptions
 from zipf.agents.encoders import CompactOptions
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.network import Inputs
@@ -22,6 +22,7 @@ from zipf.options import Options
 
 ACTIONS, WORLDS, STEPS = 2, 4, 5
 SPACE = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8))
+ACTION_SPACE = gym.spaces.Discrete(ACTIONS)
 NETWORK = CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=0)
 LSTM = LSTMOptions(name="lstm", size=8, layers=1)
 
@@ -30,13 +31,13 @@ def options_of(name):
     """An agent's options as shipped, small and at once ready to learn."""
     values = OmegaConf.to_container(OmegaConf.load(CONFIG_DIR / "agent" / f"{name}.yaml"))
     if name == "r2d2":
-        values |= {"burn_in": 2, "replay_min": WORLDS, "replay_capacity": 64, "storage": "memory"}
+        values |= {"burn_in": 2, "replay_min": WORLDS, "replay_capacity": 64, "storage": "ram"}
     if name == "vmpo":
         values |= {"target_period": 1}
     return agents()[name].Options.model_validate(values)
 
 
-def build(name, seed=0, actions=gym.spaces.Discrete(ACTIONS), **changes):
+def build(name, seed=0, actions=ACTION_SPACE, **changes):
     batch = {"num_envs": WORLDS, "unroll_length": STEPS}
     setting = Setting(SPACE, actions, NETWORK, LSTM, seed=seed, **batch, **changes)
     made = agents()[name](options_of(name), setting)
@@ -179,7 +180,7 @@ def test_an_agent_of_ones_own_needs_four_methods(monkeypatch):
     monkeypatch.setattr(registry, "_AGENTS", dict(agents()))
     assert register(Constant) is Constant
     options = ConstantOptions(name="constant", action=1)
-    spaces = SPACE, gym.spaces.Discrete(ACTIONS)
+    spaces = SPACE, ACTION_SPACE
     made = agents()["constant"](options, Setting(*spaces, NETWORK, LSTM))
     assert made.begin_learning() == []
     for unroll in unrolls(made, 2):

@@ -1,6 +1,7 @@
 """Auxiliary losses against their definitions, written out, and what they teach a memory."""
 
 import math
+from typing import Literal
 
 import gymnasium as gym
 import numpy as np
@@ -11,8 +12,18 @@ import torch.nn.functional as F
 from tensordict import TensorDict
 
 from zipf import envs
-from zipf.agents import auxiliary as aux
 from zipf.agents.agent import Setting
+from zipf.agents.auxiliary import (
+    NO_AUXILIARY,
+    Auxiliary,
+    AuxiliaryOptions,
+    auxiliaries,
+    base,
+    build_auxiliary,
+    register,
+)
+from zipf.agents.auxiliary.byol import BYOLHorizonOptions, BYOLOptions, random_shift
+from zipf.agents.auxiliary.reconstruction import VisionLanguageOptions, VisionOptions
 from zipf.agents.encoders import CompactOptions, ResNetOptions, ShallowOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
@@ -35,8 +46,8 @@ MEMORIES = {
     "lstm": LSTMOptions(name="lstm", size=16, layers=1),
 }
 
-VISION = aux.VisionOptions(name="vision", vision_weight=0.7, fraction=1.0)
-VISION_LANGUAGE = aux.VisionLanguageOptions(
+VISION = VisionOptions(name="vision", vision_weight=0.7, fraction=1.0)
+VISION_LANGUAGE = VisionLanguageOptions(
     name="vision_language", vision_weight=0.7, language_weight=0.3, fraction=1.0
 )
 SIZES = {
@@ -48,8 +59,8 @@ SIZES = {
     "prediction_hidden": 9,
     "projection_size": 8,
 }
-BYOL = aux.BYOLOptions(name="byol", **SIZES)
-HORIZON = aux.BYOLHorizonOptions(name="byol_horizon", horizon=3, shift=0, unshifted=0, **SIZES)
+BYOL = BYOLOptions(name="byol", **SIZES)
+HORIZON = BYOLHorizonOptions(name="byol_horizon", horizon=3, shift=0, unshifted=0, **SIZES)
 OPTIONS = {o.name: o for o in (VISION, VISION_LANGUAGE, BYOL, HORIZON)}
 
 
@@ -64,7 +75,7 @@ def build(options, network=COMPACT, memory="lstm", shape=(27, 18), seed=0):
     """An actor-critic and its auxiliary loss."""
     torch.manual_seed(0)
     actor = ActorCritic(space(*shape), gym.spaces.Discrete(ACTIONS), network, MEMORIES[memory])
-    return actor, aux.build_auxiliary(options, space(*shape), network, actor, seed=seed)
+    return actor, build_auxiliary(options, space(*shape), network, actor, seed)
 
 
 def inputs(seed=0, shape=(27, 18)):
@@ -372,7 +383,7 @@ def test_an_image_is_shifted_and_its_cue_is_not():
     down, right = torch.randint(0, 2 * most + 1, (2, n), generator=draws).numpy() - most
     assert set(zip(down.tolist(), right.tolist(), strict=True)) >= {(0, 0), (4, -4), (-4, 4)}
 
-    shifted = aux.random_shift(
+    shifted = random_shift(
         torch.from_numpy(images), most, cue, torch.Generator().manual_seed(3)
     ).numpy()
     for i in range(n):
@@ -510,7 +521,7 @@ def unroll(seed=0):
 @pytest.mark.parametrize("options", DRAWING.values(), ids=DRAWING)
 @pytest.mark.parametrize("kind", ["impala", "vmpo"])
 def test_an_agent_learns_both(kind, options):
-    plain, both = agent(kind, aux.NO_AUXILIARY), agent(kind, options)
+    plain, both = agent(kind, NO_AUXILIARY), agent(kind, options)
     for one, other in zip(plain.network.parameters(), both.network.parameters(), strict=True):
         assert torch.equal(one, other)  # the same weights, with and without
     data = unroll()
@@ -547,6 +558,50 @@ def test_it_goes_on_bit_for_bit(kind, options, tmp_path):
     assert one.pop("_extra_state") == other.pop("_extra_state") == 6
     for name, value in one.items():
         assert torch.equal(value, other[name]), name
+
+
+class SpeedOptions(AuxiliaryOptions):
+    """A third party's."""
+
+    name: Literal["speed"]
+    weight: float
+
+
+class Speed(Auxiliary):
+    """Asks the memory's output to stay small."""
+
+    def __init__(self, options, seed):
+        super().__init__(seed)
+        self.weight = options.weight
+
+    def forward(self, inputs, core):
+        size = core[:-1].square().mean()
+        return self.weight * size, {"auxiliary_speed": size.detach()}
+
+
+def test_an_auxiliary_loss_of_ones_own(monkeypatch):
+    monkeypatch.setattr(base, "_OPTIONS", dict(base._OPTIONS))
+    monkeypatch.setattr(base, "_BUILDS", dict(base._BUILDS))
+
+    def build(options, space, network, torso, seed):
+        assert set(space) == {"image", "instruction"}
+        assert torso.memory.size == 16
+        return Speed(options, seed)
+
+    register(SpeedOptions, build)
+    assert auxiliaries()["speed"] is SpeedOptions
+    with pytest.raises(ValueError, match="auxiliary loss 'speed' is already registered"):
+        register(SpeedOptions, build)
+    with_it = agent("impala", SpeedOptions(name="speed", weight=100.0))
+    without = agent("impala", SpeedOptions(name="speed", weight=0.0))
+    for _ in range(20):
+        sizes = [a.update(unroll())["auxiliary_speed"] for a in (with_it, without)]
+    assert sizes[0] < 0.5 * sizes[1]
+
+
+def test_the_registry_has_the_losses_by_the_names_of_their_options():
+    assert set(auxiliaries()) >= {"none", *OPTIONS}
+    assert sorted(command_line.choices("auxiliary")) == sorted(auxiliaries())
 
 
 @pytest.mark.parametrize("experiment", command_line.choices("experiment"))
@@ -736,7 +791,7 @@ def test_reconstruction_teaches_a_memory_the_cue():
     actor = ActorCritic(env.single_observation_space, env.single_action_space, network, memory)
     with torch.no_grad():
         actor.encoder.image.mix.weight[:, :32] = 0.0  # the first square's share
-    loss_of = aux.build_auxiliary(VISION, env.single_observation_space, network, actor, seed=0)
+    loss_of = build_auxiliary(VISION, env.single_observation_space, network, actor, 0)
     train, test = walks(96, 0), walks(96, 1)
     chance = 1 / GOALS
     assert share_decoded(actor, train, test) < chance + 0.1

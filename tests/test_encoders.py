@@ -122,7 +122,7 @@ def test_what_cannot_be_read_is_refused(space, options):
 
 
 @pytest.mark.parametrize(
-    "memory", [MLPOptions(name="mlp", size=6, layers=1), LSTMOptions(name="lstm", size=6)]
+    "memory", [MLPOptions(name="mlp", size=6, layers=1), LSTMOptions(name="lstm", size=6, layers=1)]
 )
 def test_the_last_action_and_reward_are_seen(memory):
     torch.manual_seed(0)

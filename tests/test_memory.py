@@ -16,7 +16,7 @@ GTRXL = GTrXLOptions(
 MEMORIES = {
     "mlp": MLPOptions(name="mlp", size=SIZE, layers=1),
     "mlp of 2": MLPOptions(name="mlp", size=SIZE, layers=2),
-    "lstm": LSTMOptions(name="lstm", size=SIZE),
+    "lstm": LSTMOptions(name="lstm", size=SIZE, layers=1),
     "lstm of 2": LSTMOptions(name="lstm", size=SIZE, layers=2),
     "gtrxl": GTRXL,
     "gtrxl that remembers all": GTRXL.model_copy(update={"memory_length": 50, "layers": 1}),

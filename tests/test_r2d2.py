@@ -49,13 +49,13 @@ OPTIONS = R2D2Options(
     samples_per_insert=1.0,
     replay_capacity=20,
     replay_min=8,
-    storage="memory",
+    storage="ram",
     priority_exponent=0.9,
     importance_exponent=0.6,
     priority_max_weight=0.8,
 )
 NETWORK = CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=8)
-LSTM = LSTMOptions(name="lstm", size=16)
+LSTM = LSTMOptions(name="lstm", size=16, layers=1)
 
 
 def agent(memory=LSTM, worlds=WORLDS, **changes):
@@ -369,7 +369,7 @@ MEMORIES = [
 
 
 @pytest.mark.parametrize("memory", MEMORIES, ids=["lstm", "lstm2", "mlp", "gtrxl"])
-@pytest.mark.parametrize("storage", ["memory", "memmap"])
+@pytest.mark.parametrize("storage", ["ram", "memmap"])
 def test_after_the_burn_in_memory_is_what_it_was(memory, storage, tmp_path):
     """With weights that stay: Q of what is replayed is Q of the whole history from its start."""
     env = Recall(WORLDS, 3)
@@ -555,7 +555,7 @@ def train_until_killed(options, update):
                 run.save()
 
 
-@pytest.mark.parametrize("storage", ["memory", "memmap"])
+@pytest.mark.parametrize("storage", ["ram", "memmap"])
 def test_a_killed_run_goes_on_to_the_last_bit(storage, tmp_path):
     """Killed four updates after a checkpoint; replay was full before, and had begun again."""
     whole = config(tmp_path / "whole", storage=storage)
@@ -578,7 +578,7 @@ def test_a_run_without_its_replays_files_is_not_gone_on_with(tmp_path):
     seldom = options.model_copy(
         update={"schedule": options.schedule.model_copy(update={"checkpoint_every": 6})}
     )
-    with pytest.raises(UserError, match=r"replay: has room for 30 items .* and 36 would come"):
+    with pytest.raises(UserError, match=r"replay: has room for 30 items .* and 36 are needed"):
         runner.train(seldom)
     shutil.rmtree(options.folder / "replay")
     with pytest.raises(UserError, match="replay: the replay's files cannot be read"):
@@ -586,14 +586,14 @@ def test_a_run_without_its_replays_files_is_not_gone_on_with(tmp_path):
 
 
 def test_what_replay_takes_is_said_and_refused_where_there_is_less(tmp_path, monkeypatch):
-    options = config(tmp_path, storage="memory")
+    options = config(tmp_path, storage="ram")
     train_until_killed(options, 3)
     log = (options.folder / "train.log").read_text()
     assert "replay: 24 sequences of 8 rows, " in log
     assert "replay: 1 samples per insert, batches of 6; learning begins with 12 sequences" in log
-    monkeypatch.setattr(replay, "free_memory", lambda: 1_000_000)
+    monkeypatch.setattr(replay, "free_ram", lambda: 1_000_000)
     with pytest.raises(UserError, match=r"and 1\.0 MB are free: agent\.replay_capacity="):
-        runner.train(config(tmp_path / "other", storage="memory"))
+        runner.train(config(tmp_path / "other", storage="ram"))
     assert not (tmp_path / "other" / "demo" / "r2d2" / "seed0" / "checkpoint.pt").exists()
     # Scoring needs no replay.
     trained = load_agent(options.folder, "cpu")
@@ -668,7 +668,7 @@ def test_it_learns_to_recall():
     policy = trained(
         Recall(32, delay),
         CompactOptions(name="compact", patch=9, channels=16, size=16, head_size=0),
-        LSTMOptions(name="lstm", size=32),
+        LSTMOptions(name="lstm", size=32, layers=1),
         unroll_length=2 * (delay + 1),
         updates=350,
         seed=0,

@@ -54,7 +54,7 @@ GTRXL = GTrXLOptions(
 @pytest.mark.parametrize(
     ("memory", "learning_rate"),
     [
-        (LSTMOptions(name="lstm", size=32), 5e-3),
+        (LSTMOptions(name="lstm", size=32, layers=1), 5e-3),
         (LSTMOptions(name="lstm", size=32, layers=2), 5e-3),
         (GTRXL, 2e-3),
     ],

@@ -8,8 +8,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from zipf.agents import replay
-from zipf.agents.replay import PrioritySampler, Replay, SumTree
+from zipf.agents import free_space, replay
+from zipf.agents.priorities import PrioritySampler, SumTree
+from zipf.agents.replay import Replay
 from zipf.experiments.running import checkpoint
 
 ITEM = TensorDict(
@@ -129,7 +130,7 @@ def test_what_is_new_has_the_largest_priority_yet():
     np.testing.assert_allclose(sampler.tree.leaves, [0.25, 3.0, 0.5])
 
 
-@pytest.mark.parametrize("storage", ["memory", "memmap"])
+@pytest.mark.parametrize("storage", ["ram", "memmap"])
 @pytest.mark.parametrize("batch", [1, 3, 4])
 def test_the_latest_items_are_drawn_as_they_were_put_in(storage, batch, tmp_path):
     kept = build(tmp_path / "replay" if storage == "memmap" else None, priority_exponent=0.0)
@@ -158,7 +159,7 @@ def play(kept, first, times):
     return drawn
 
 
-@pytest.mark.parametrize("storage", ["memory", "memmap"])
+@pytest.mark.parametrize("storage", ["ram", "memmap"])
 @pytest.mark.parametrize("before", [2, 4, 9, 23])
 @pytest.mark.parametrize("lost", [0, 1, 3])
 def test_it_goes_on_from_its_checkpoint(storage, before, lost, tmp_path):
@@ -167,7 +168,7 @@ def test_it_goes_on_from_its_checkpoint(storage, before, lost, tmp_path):
     kept = build(folder)
     play(kept, 0, before)
     checkpoint.save(tmp_path / "checkpoint.pt", kept.state_dict())
-    if storage == "memory":
+    if storage == "ram":
         expected = play(kept, 2 * before, 6)
     else:
         other = build(tmp_path / "other")
@@ -222,7 +223,7 @@ def test_files_that_are_not_the_checkpoints_are_refused(tmp_path):
         build(folder).load_state_dict(state)
     with pytest.raises(OSError, match="cannot be read"):
         build(tmp_path / "gone").load_state_dict(state)
-    with pytest.raises(OSError, match="room for 6 items between two checkpoints, and 7 would"):
+    with pytest.raises(OSError, match="room for 6 items between two checkpoints, and 7 are needed"):
         build(folder, spare=7).load_state_dict(state)
     wider = ITEM.clone()
     wider["memory", "above.hidden"] = torch.zeros(5)
@@ -242,11 +243,11 @@ def test_files_that_are_not_the_checkpoints_are_refused(tmp_path):
 def test_what_does_not_fit_is_refused_before_it_is_set_aside(tmp_path, monkeypatch):
     each = 3 * 2 * 2 + 4 * 4 + 2 * 8
     assert build().item_bytes == each
-    monkeypatch.setattr(replay, "free_memory", lambda: 2 * 10 * each)
+    monkeypatch.setattr(replay, "free_ram", lambda: 2 * 10 * each)
     monkeypatch.setattr(replay, "free_disk", lambda folder: 16 * each)
     build()
     build(tmp_path / "replay")
-    with pytest.raises(ValueError, match=r"484 bytes of memory.*replay_capacity=10 fits.*memmap"):
+    with pytest.raises(ValueError, match=r"484 bytes of RAM.*replay_capacity=10 fits.*memmap"):
         build(capacity=11)
     with pytest.raises(ValueError, match=r"room for 6 between checkpoints.*replay_capacity=10 "):
         build(tmp_path / "replay", capacity=11)
@@ -268,13 +269,13 @@ def test_the_disks_room_is_taken_at_once(tmp_path, monkeypatch):
     assert not (tmp_path / "other").exists()
 
 
-def test_free_memory_and_disk(tmp_path):
-    assert 2**20 < replay.free_memory() < 2**50
-    assert replay.free_disk(tmp_path / "not" / "there" / "yet") > 2**20
+def test_free_ram_and_disk(tmp_path):
+    assert 2**20 < free_space.free_ram() < 2**50
+    assert free_space.free_disk(tmp_path / "not" / "there" / "yet") > 2**20
     size = 64 * 2**20
-    before = replay.free_disk(tmp_path)
+    before = free_space.free_disk(tmp_path)
     (tmp_path / "file").write_bytes(bytes(size))
-    assert replay.free_disk(tmp_path) == pytest.approx(before, abs=size / 2)
+    assert free_space.free_disk(tmp_path) == pytest.approx(before, abs=size / 2)
 
 
 @pytest.mark.parametrize(
@@ -288,4 +289,4 @@ def test_free_memory_and_disk(tmp_path):
     ],
 )
 def test_sizes_in_words(size, words):
-    assert replay.in_words(size) == words
+    assert free_space.in_words(size) == words

@@ -147,7 +147,7 @@ def test_it_tosses_coins_in_training_and_answers_when_it_is_scored():
 def test_a_memory_is_that_of_a_first_frame():
     """An LSTM has seen nothing before, in whatever row of an unroll."""
     env = FirstFrameVectorEnv(3, LEVEL)
-    made = classifier(env, memory=LSTMOptions(name="lstm", size=8))
+    made = classifier(env, memory=LSTMOptions(name="lstm", size=8, layers=1))
     unroll = Collector(env, made, unroll_length=4, seed=1).collect()
     inputs = Inputs.of(unroll.steps[:-1])
     together = made.network(inputs, made.initial_memory(3))

@@ -44,7 +44,7 @@ def agent(**changes):
         gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
         gym.spaces.Discrete(ACTIONS),
         CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=0),
-        LSTMOptions(name="lstm", size=16),
+        LSTMOptions(name="lstm", size=16, layers=1),
     )
     return VMPO(OPTIONS.model_copy(update=changes), setting)
 

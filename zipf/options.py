@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 from pydantic import BaseModel, ConfigDict
 
 
@@ -13,3 +15,16 @@ class Options(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+def name_of(options: type[Options]) -> str:
+    """The name in a class of options, from its field `name: Literal["..."]`.
+
+    Raises:
+        ValueError: there is no such field.
+    """
+    field = options.model_fields.get("name")
+    names = get_args(field.annotation) if field else ()
+    if len(names) != 1 or not isinstance(names[0], str):
+        raise ValueError(f'{options.__name__}: should have a field `name: Literal["..."]`')
+    return names[0]

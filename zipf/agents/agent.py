@@ -23,7 +23,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal, TypeVar, get_args
+from typing import Any, ClassVar, Literal, TypeVar
 
 import gymnasium as gym
 import torch
@@ -211,13 +211,10 @@ def register(agent: AnyAgent) -> AnyAgent:
     Raises:
         ValueError: its options have no `name: Literal["..."]`, or the name is taken.
     """
-    field = agent.Options.model_fields.get("name")
-    names = get_args(field.annotation) if field else ()
-    if len(names) != 1 or not isinstance(names[0], str):
-        raise ValueError(f'{agent.Options.__name__}: should have a field `name: Literal["..."]`')
-    if names[0] in _AGENTS:
-        raise ValueError(f"agent {names[0]!r} is already registered: {_AGENTS[names[0]]}")
-    _AGENTS[names[0]] = agent
+    name = zipf.options.name_of(agent.Options)
+    if name in _AGENTS:
+        raise ValueError(f"agent {name!r} is already registered: {_AGENTS[name]}")
+    _AGENTS[name] = agent
     return agent
 
 

@@ -69,7 +69,7 @@ class Impala(Agent):
                 setting.observation_space,
                 setting.network,
                 self.network,
-                seed=setting.seed,
+                setting.seed,
             )
         self.network.to(self.device)
         self.auxiliary.to(self.device)

@@ -32,7 +32,7 @@ class LSTMOptions(Options):
 
     name: Literal["lstm"]
     size: Annotated[int, Field(ge=1)]
-    layers: Annotated[int, Field(ge=1)] = 1  # what runs had before it was an option
+    layers: Annotated[int, Field(ge=1)]
 
 
 MemoryOptions = Annotated[MLPOptions | LSTMOptions | GTrXLOptions, Field(discriminator="name")]

@@ -79,7 +79,7 @@ class R2D2Options(Options):
     samples_per_insert: Positive
     replay_capacity: PositiveInt
     replay_min: PositiveInt
-    storage: Literal["memory", "memmap"]
+    storage: Literal["ram", "memmap"]
     priority_exponent: NotNegative
     importance_exponent: NotNegative
     priority_max_weight: Share
@@ -222,7 +222,8 @@ class R2D2(Agent):
         Raises:
             ValueError: it does not fit into this machine.
         """
-        from zipf.agents.replay import Replay, in_words
+        from zipf.agents.free_space import in_words
+        from zipf.agents.replay import Replay
 
         o = self.options
         rows = self.burn_in + self.unroll_length + 1
@@ -247,7 +248,7 @@ class R2D2(Agent):
         if o.storage == "memmap":
             where = f"disk, in {self.replay_folder}"
         else:
-            where = "memory, as much in every checkpoint, and again while one is read"
+            where = "RAM, as much in every checkpoint, and again while one is read"
         return [
             f"replay: {o.replay_capacity} sequences of {rows} rows, {in_words(self.replay.bytes)} "
             f"of {where}",

@@ -83,7 +83,7 @@ class VMPO(Agent):
                 setting.observation_space,
                 setting.network,
                 self.network,
-                seed=setting.seed,
+                setting.seed,
             )
         self.network.to(self.device)
         self.auxiliary.to(self.device)

@@ -12,7 +12,7 @@ from pydantic import Field, create_model
 
 from zipf import envs
 from zipf.agents.agent import agents
-from zipf.agents.auxiliary import AuxiliaryOptions
+from zipf.agents.auxiliary import auxiliaries
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.exploration import ExplorationOptions
 from zipf.agents.memory import MemoryOptions
@@ -97,7 +97,7 @@ class Config(Options):
     agent: Any
     memory: MemoryOptions
     network: NetworkOptions
-    auxiliary: AuxiliaryOptions
+    auxiliary: Any
     exploration: ExplorationOptions
     environment: Any
     collector: CollectorOptions
@@ -151,7 +151,7 @@ class Config(Options):
 def schema() -> type[Config]:
     """`Config`, accepting the families, agents and auxiliary losses that are registered now."""
     families = [family for family in envs.families().values() if family.splits]
-    known = tuple(map(id, (*families, *agents().values())))
+    known = tuple(map(id, (*families, *agents().values(), *auxiliaries().values())))
     if known not in _schemas:
         environments = [_environment_options(family) for family in families]
         _schemas[known] = create_model(
@@ -159,6 +159,7 @@ def schema() -> type[Config]:
             __base__=Config,
             environment=(_one_of(environments, "split"), ...),
             agent=(_one_of([agent.Options for agent in agents().values()], "name"), ...),
+            auxiliary=(_one_of(list(auxiliaries().values()), "name"), ...),
         )
     return _schemas[known]
 

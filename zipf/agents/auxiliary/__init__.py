@@ -1,0 +1,35 @@
+"""Auxiliary losses: what the memory's output has to predict beside policy and value.
+
+`reconstruction` (Hill et al. 2020) predicts the current frame and instruction, `byol` (Grill et al.
+2020, in the forms that reinforcement learning gave it) the encoded frames to come. Both read the
+memory's output, so that their gradients reach memory and encoder. An agent adds the loss to its
+own, gives `learned()` to its optimiser and calls `after_update` after each step:
+
+    loss, metrics = auxiliary(inputs, outputs.core)
+    ...
+    auxiliary.after_update(network.encoder)
+"""
+
+# Importing these two registers their losses.
+from zipf.agents.auxiliary import byol, reconstruction
+from zipf.agents.auxiliary.base import (
+    NO_AUXILIARY,
+    Auxiliary,
+    AuxiliaryOptions,
+    auxiliaries,
+    build_auxiliary,
+    register,
+    sample,
+)
+
+__all__ = [
+    "NO_AUXILIARY",
+    "Auxiliary",
+    "AuxiliaryOptions",
+    "auxiliaries",
+    "build_auxiliary",
+    "byol",
+    "reconstruction",
+    "register",
+    "sample",
+]

@@ -1,0 +1,144 @@
+"""What an auxiliary loss is: its base class and the registry of all of them.
+
+To add one, derive from `Auxiliary` and register its options with a function that builds it:
+
+    class MyOptions(AuxiliaryOptions):
+        name: Literal["mine"]
+        weight: float
+
+    def build(options, space, network, torso, seed):
+        return MyLoss(...)
+
+    register(MyOptions, build)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, Literal
+
+import gymnasium as gym
+import torch
+from torch import Tensor, nn
+
+from zipf.agents.encoders import Encoder, NetworkOptions
+from zipf.agents.network import Inputs, Torso
+from zipf.options import Options, name_of
+
+
+class AuxiliaryOptions(Options):
+    """Options of an auxiliary loss; each derived class has a name of its own."""
+
+    name: str
+
+
+class NoAuxiliaryOptions(AuxiliaryOptions):
+    """No auxiliary loss."""
+
+    name: Literal["none"]
+
+
+NO_AUXILIARY = NoAuxiliaryOptions(name="none")
+
+
+class Auxiliary(nn.Module):
+    """The base of all auxiliary losses; its own loss is 0.
+
+    What an update draws at random follows from `seed` and the number of updates before it, which is
+    in `state_dict()`: a resumed run draws what the uninterrupted one draws.
+    """
+
+    def __init__(self, seed: int):
+        super().__init__()
+        self.seed = seed
+        self.updates = 0
+
+    def forward(self, inputs: Inputs, core: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """The weighted loss of an unroll, float32 [], and metrics to log, [] each.
+
+        The loss is a mean over time and batch, as all losses here (`zipf.agents.agent`).
+
+        Args:
+            inputs: of T + 1 steps of B worlds.
+            core: the memory's output there, [T + 1, B, size].
+        """
+        return torch.zeros((), device=core.device), {}
+
+    def learned(self) -> list[nn.Parameter]:
+        """The parameters that gradients reach."""
+        return [parameter for parameter in self.parameters() if parameter.requires_grad]
+
+    def after_update(self, encoder: Encoder) -> None:
+        """Follows an optimiser step that changed the agent's encoder."""
+        self.updates += 1
+
+    def generator(self) -> torch.Generator:
+        """Of this update's draws; on the CPU, so that a run can move between devices."""
+        return torch.Generator().manual_seed(self.seed + self.updates)
+
+    def get_extra_state(self) -> int:
+        """The part of `state_dict()` that is no tensor."""
+        return self.updates
+
+    def set_extra_state(self, state: int) -> None:
+        """Continues from `get_extra_state()`."""
+        self.updates = state
+
+
+def sample(n: int, fraction: float, generator: torch.Generator) -> Tensor:
+    """That fraction of 0 .. n - 1, at least one, in random order."""
+    return torch.randperm(n, generator=generator)[: max(1, round(fraction * n))]
+
+
+# (options, observation space, options of the encoder, encoder and memory, seed) -> the loss
+Build = Callable[[Any, gym.spaces.Dict, NetworkOptions, Torso, int], Auxiliary]
+
+_OPTIONS: dict[str, type[AuxiliaryOptions]] = {}
+_BUILDS: dict[str, Build] = {}
+
+
+def register(options: type[AuxiliaryOptions], build: Build) -> None:
+    """Adds an auxiliary loss to the registry, under the name in its options.
+
+    Args:
+        options: their class, with a field `name: Literal["..."]`.
+        build: makes the loss from the arguments of `build_auxiliary`, in that order; it raises
+            ValueError where the observations lack what the loss needs.
+
+    Raises:
+        ValueError: the options have no name, or the name is taken.
+    """
+    name = name_of(options)
+    if name in _OPTIONS:
+        raise ValueError(f"auxiliary loss {name!r} is already registered: {_OPTIONS[name]}")
+    _OPTIONS[name], _BUILDS[name] = options, build
+
+
+def auxiliaries() -> Mapping[str, type[AuxiliaryOptions]]:
+    """The classes of options of all registered auxiliary losses, by name."""
+    return MappingProxyType(_OPTIONS)
+
+
+def build_auxiliary(
+    options: AuxiliaryOptions,
+    space: gym.spaces.Dict,
+    network: NetworkOptions,
+    torso: Torso,
+    seed: int,
+) -> Auxiliary:
+    """The auxiliary loss that the options name, for an agent.
+
+    Args:
+        space: of its observations.
+        network: options of its encoder.
+        torso: its encoder and memory, which stay its own.
+        seed: of what the loss draws at random.
+
+    Raises:
+        ValueError: the observations lack what the loss needs.
+    """
+    return _BUILDS[options.name](options, space, network, torso, seed)
+
+
+register(NoAuxiliaryOptions, lambda options, space, network, torso, seed: Auxiliary(seed))

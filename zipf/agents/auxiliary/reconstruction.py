@@ -1,0 +1,257 @@
+"""Reconstruction of image and instruction from the memory's output (Hill et al. 2020).
+
+They give the losses, sigmoid cross-entropy of every pixel's channels and cross-entropy of the
+words, and neither weights nor sizes. The decoder of an image mirrors the network that reads it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import gymnasium as gym
+import torch
+import torch.nn.functional as F
+from pydantic import Field
+from torch import Tensor, nn
+
+from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
+from zipf.agents.encoders import (
+    NetworkOptions,
+    ResidualBlock,
+    ResNetOptions,
+    ShallowOptions,
+    largest_patch,
+)
+from zipf.agents.network import Inputs, Torso
+
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(gt=0, le=1)]
+
+
+class VisionOptions(AuxiliaryOptions):
+    """Reconstructs the image, in a random `fraction` of the frames."""
+
+    name: Literal["vision"]
+    vision_weight: Weight
+    fraction: Fraction
+
+
+class VisionLanguageOptions(AuxiliaryOptions):
+    """Reconstructs image and instruction, in a random `fraction` of the frames."""
+
+    name: Literal["vision_language"]
+    vision_weight: Weight
+    language_weight: Weight
+    fraction: Fraction
+
+
+class Reconstruction(Auxiliary):
+    """Reconstructs the image and, with `VisionLanguageOptions`, the instruction.
+
+    Both losses are means, over the channels and over the words of the frames that are drawn. Row T
+    of an unroll is left out: it is the first row of the next.
+
+    The image decoder's output is added to the mean image of the first update. Without that, the
+    mean image is learned first, by driving memory and encoder into saturation, which costs what
+    they know of a frame for a hundred updates or more.
+    """
+
+    mean_image: Tensor
+
+    def __init__(
+        self,
+        space: gym.spaces.Dict,
+        network: NetworkOptions,
+        core_size: int,
+        options: VisionOptions | VisionLanguageOptions,
+        seed: int,
+    ):
+        super().__init__(seed)
+        self.options = options
+        shape = space["image"].shape
+        assert shape is not None
+        self.image = build_image_decoder(core_size, shape, network)
+        self.register_buffer("mean_image", torch.zeros(shape))  # as logits
+        self.instruction = None
+        if isinstance(options, VisionLanguageOptions):
+            words = space["instruction"]
+            assert isinstance(words, gym.spaces.Box)
+            self.instruction = InstructionDecoder(core_size, int(words.high.max()) + 1)
+
+    def forward(self, inputs: Inputs, core: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """The weighted sum of `auxiliary_vision` and `auxiliary_language`, nats each."""
+        o = self.options
+        frames = {name: part[:-1].flatten(0, 1) for name, part in inputs.observation.items()}
+        core = core[:-1].flatten(0, 1)
+        if o.fraction < 1:
+            rows = sample(len(core), o.fraction, self.generator()).to(core.device)
+            core = core[rows]
+            frames = {name: part[rows] for name, part in frames.items()}
+
+        if self.updates == 0:
+            mean = frames["image"].float().mean(0) / 255.0
+            self.mean_image = mean.logit(eps=0.01)  # finite where pixels are always black or white
+        vision = image_cross_entropy(self.mean_image + self.image(core), frames["image"])
+        loss = o.vision_weight * vision
+        metrics = {"auxiliary_vision": vision.detach()}
+        if isinstance(o, VisionLanguageOptions):
+            assert self.instruction is not None
+            instruction = frames["instruction"]
+            language = word_cross_entropy(self.instruction(core, instruction), instruction)
+            loss = loss + o.language_weight * language
+            metrics["auxiliary_language"] = language.detach()
+        return loss, metrics
+
+
+def image_cross_entropy(logits: Tensor, image: Tensor) -> Tensor:
+    """Mean sigmoid cross-entropy of channels in [0, 1]: [N, H, W, C] and uint8 [N, H, W, C] -> [].
+
+    Its minimum is not 0 but the entropy of the values between black and white.
+    """
+    return F.binary_cross_entropy_with_logits(logits.float(), image / 255.0)
+
+
+def word_cross_entropy(logits: Tensor, instruction: Tensor) -> Tensor:
+    """Mean cross-entropy of the words: [N, L, vocabulary] and int64 [N, L] (0 = padding) -> []."""
+    total = F.cross_entropy(
+        logits.flatten(0, 1).float(), instruction.flatten(), ignore_index=0, reduction="sum"
+    )
+    return total / (instruction != 0).sum().clamp(min=1)
+
+
+class ResNetDecoder(nn.Module):
+    """`ResNet` reversed: [N, core] -> logits [N, H, W, C].
+
+    A transposed convolution of stride 2 takes the place of a section's convolution and max-pool.
+    """
+
+    def __init__(self, core_size: int, shape: tuple[int, ...], options: ResNetOptions):
+        super().__init__()
+        height, width, channels = shape
+        sections = []
+        for outputs in options.channels:
+            # The transposed convolution turns n pixels into 2 n - 1; an even side needs one more.
+            even = (1 - height % 2, 1 - width % 2)
+            back = nn.ConvTranspose2d(outputs, channels, 3, 2, padding=1, output_padding=even)
+            sections.append([*(ResidualBlock(outputs) for _ in range(options.blocks)), back])
+            height, width, channels = (height + 1) // 2, (width + 1) // 2, outputs
+        self.layers = nn.Sequential(
+            nn.Linear(core_size, channels * height * width),
+            nn.ReLU(),
+            nn.Unflatten(-1, (channels, height, width)),
+            *(layer for section in reversed(sections) for layer in section),
+        )
+        self.layers.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def forward(self, core: Tensor) -> Tensor:
+        return self.layers(core).permute(0, 2, 3, 1)
+
+
+class ShallowDecoder(nn.Module):
+    """`ShallowNet` reversed: [N, core] -> logits [N, H, W, C].
+
+    Rows and columns at the lower and right edge that no filter of the encoder reads are
+    reconstructed as one colour.
+    """
+
+    def __init__(self, core_size: int, shape: tuple[int, ...], options: ShallowOptions):
+        super().__init__()
+        height, width, channels = shape
+        convolutions = zip(options.channels, options.kernels, options.strides, strict=True)
+        layers: list[nn.Module] = []
+        for outputs, kernel, stride in convolutions:
+            rest = ((height - kernel) % stride, (width - kernel) % stride)
+            back = nn.ConvTranspose2d(outputs, channels, kernel, stride, output_padding=rest)
+            layers += [back, nn.ReLU()]
+            height, width = (height - kernel) // stride + 1, (width - kernel) // stride + 1
+            channels = outputs
+        self.layers = nn.Sequential(
+            nn.Linear(core_size, channels * height * width),
+            nn.Unflatten(-1, (channels, height, width)),
+            *reversed(layers),
+        )
+        self.layers.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def forward(self, core: Tensor) -> Tensor:
+        return self.layers(core).permute(0, 2, 3, 1)
+
+
+class PatchDecoder(nn.Module):
+    """`PatchEncoder` reversed: [N, core] -> logits [N, H, W, C]."""
+
+    def __init__(self, core_size: int, shape: tuple[int, ...], patch: int, channels: int):
+        super().__init__()
+        self.shape, self.patch = shape, patch
+        self.rows, self.columns = shape[0] // patch, shape[1] // patch
+        self.unmix = nn.Linear(core_size, self.rows * self.columns * channels)
+        self.unembed = nn.Linear(channels, patch**2 * shape[2])
+
+    def forward(self, core: Tensor) -> Tensor:
+        embedded = self.unmix(core).relu().view(len(core), self.rows, self.columns, -1)
+        patches = self.unembed(embedded).unflatten(-1, (self.patch, -1))
+        return patches.transpose(2, 3).reshape(len(core), *self.shape)
+
+
+def build_image_decoder(
+    core_size: int, shape: tuple[int, ...], network: NetworkOptions
+) -> ResNetDecoder | ShallowDecoder | PatchDecoder:
+    """The decoder that mirrors the network for images of that shape [H, W, C]."""
+    if isinstance(network, ResNetOptions):
+        return ResNetDecoder(core_size, shape, network)
+    if isinstance(network, ShallowOptions):
+        return ShallowDecoder(core_size, shape, network)
+    patch = network.patch or largest_patch(shape[0], shape[1])
+    return PatchDecoder(core_size, shape, patch, network.channels)
+
+
+class InstructionDecoder(nn.Module):
+    """Predicts each word from the memory's output and the words before it.
+
+    An LSTM of 32 units over embeddings of 32 (Hill et al. 2020 in its later version). Its initial
+    state is a linear map of the memory's output; it reads the true words (teacher forcing).
+    """
+
+    def __init__(self, core_size: int, vocabulary: int):
+        super().__init__()
+        self.state = nn.Linear(core_size, 2 * 32)
+        self.embedding = nn.Embedding(vocabulary, 32)  # of padding: the start symbol
+        self.lstm = nn.LSTM(32, 32, batch_first=True)
+        self.words = nn.Linear(32, vocabulary)
+
+    def forward(self, core: Tensor, instruction: Tensor) -> Tensor:
+        """`[N, core]` and int64 `[N, L]` -> logits `[N, L, vocabulary]`."""
+        hidden, cell = self.state(core).unsqueeze(0).chunk(2, -1)
+        before = F.pad(instruction[:, :-1], (1, 0))
+        embedded = self.embedding(before).to(hidden.dtype)
+        outputs, _ = self.lstm(embedded, (hidden.contiguous(), cell.contiguous()))
+        return self.words(outputs)
+
+
+def build(
+    options: VisionOptions | VisionLanguageOptions,
+    space: gym.spaces.Dict,
+    network: NetworkOptions,
+    torso: Torso,
+    seed: int,
+) -> Reconstruction:
+    """The loss for an agent; the arguments are those of `build_auxiliary`.
+
+    Raises:
+        ValueError: the observations have no image, or no instruction where that is reconstructed.
+    """
+    needed = {"image", "instruction"} if isinstance(options, VisionLanguageOptions) else {"image"}
+    if missing := needed - set(space):
+        raise ValueError(
+            f"auxiliary={options.name} needs an {' and an '.join(sorted(missing))}, and the "
+            f"observations here have only {', '.join(sorted(space))}; "
+            + (
+                "auxiliary=vision reconstructs the image alone"
+                if missing == {"instruction"}
+                else "auxiliary=byol reads whatever the network does"
+            )
+        )
+    return Reconstruction(space, network, torso.memory.size, options, seed)
+
+
+register(VisionOptions, build)
+register(VisionLanguageOptions, build)
