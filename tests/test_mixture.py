@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from zipf.envs import MixtureVectorEnv, Split, make, make_vec, split
+from zipf.envs import Mixture, Split, make, make_vec, split
 from zipf.envs.check import check_vector_env
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 
@@ -33,14 +33,13 @@ def test_it_keeps_the_contract(count: int) -> None:
     """Of levels that are all the same, so that every world has the same single world."""
     level = "gridworld/zipf_1"
     makers = {str(number): partial(make_vec, level, **SMALL) for number in range(count)}
-    check_vector_env(partial(MixtureVectorEnv, makers), partial(make, level, **SMALL))
+    check_vector_env(partial(Mixture, makers), partial(make, level, **SMALL))
 
 
 def test_worlds_are_shared_evenly_in_blocks() -> None:
     env = mixture()
     assert env.level_names == LEVELS
     np.testing.assert_array_equal(env.levels_of_worlds, [0, 0, 0, 1, 1, 2, 2])
-    assert [batch.num_envs for batch in env.batches] == [3, 2, 2]
     np.testing.assert_array_equal(mixture(3).levels_of_worlds, [0, 1, 2])
 
 
@@ -102,17 +101,23 @@ def test_a_state_is_of_its_levels() -> None:
     env = mixture()
     env.reset(seed=0)
     state = env.get_state()
-    assert "gridworld/rare:worlds" in state
+    assert "gridworld/zipf_2:worlds" in state  # the levels have one engine
     with pytest.raises(ValueError, match="a state has the keys"):
         mixture(levels=LEVELS[::-1][:2]).set_state(state)
-    # The last level refuses what the first two would have taken: nothing is taken.
-    other = mixture()
-    other.reset(seed=1)
-    before = other.get_state()
-    state["gridworld/rare:worlds"] = state["gridworld/rare:worlds"] + 1000
+    # The last level refuses its part, after the first has taken over its own: nothing changes.
+    levels: Any = {"easy": partial(make_vec, LEVELS[0]), "hard": partial(make_vec, LEVELS[1])}
+    other = [
+        Mixture(levels, 4, **SMALL, level_options={"hard": {"max_steps": 5}}) for _ in range(2)
+    ]
+    state = other[0].get_state()
+    other[0].reset(seed=0)
+    other[1].reset(seed=1)
+    before = other[1].get_state()
+    state = other[0].get_state()
+    state["hard:worlds"] = state["hard:worlds"] + 1000
     with pytest.raises(ValueError, match="damaged"):
-        other.set_state(state)
-    np.testing.assert_equal(other.get_state(), before)
+        other[1].set_state(state)
+    np.testing.assert_equal(other[1].get_state(), before)
 
 
 def test_a_pickled_one_draws_from_its_own_streams() -> None:
@@ -148,8 +153,11 @@ def test_it_draws_and_closes_every_level() -> None:
     env.reset(seed=0)
     frames = env.render()
     assert len(frames) == 7
-    for batch, own in zip(env.batches, parts(np.stack(frames)), strict=True):
-        np.testing.assert_array_equal(batch.render(), own)
+    batches = [make_vec(level, 7, **SMALL, render_mode="rgb_array") for level in LEVELS]
+    for batch in batches:
+        batch.reset(seed=0)
+    for i, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame, batches[env.levels_of_worlds[i]].render()[i])
     assert mixture().render() is None
     env.close()
     assert all(batch.closed for batch in env.batches)
@@ -163,7 +171,7 @@ class Other(GridworldVectorEnv):
 def test_what_cannot_be_mixed_is_refused() -> None:
     with pytest.raises(ValueError, match=r"num_envs must be at least 3.*gridworld/zipf_2.*got 2"):
         mixture(2)
-    with pytest.raises(ValueError, match=r"situation is .*'map': 6.* of gridworld/rare and .*5"):
+    with pytest.raises(ValueError, match=r"situation, but .*'map': 6.* in gridworld/rare and .*5"):
         make_vec(["gridworld/rare", Other], 2, **SMALL)
     with pytest.raises(ValueError, match="every level once, got gridworld/rare, gridworld/rare"):
         make_vec(["gridworld/rare", "gridworld/rare"], 2)

@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
 
-from zipf.envs import MixtureVectorEnv, make, make_vec, split
+from zipf.envs import Mixture, make, make_vec, split
 from zipf.envs.check import check_vector_env
 from zipf.envs.playroom.levels import LEVELS
 from zipf.envs.playroom.single import PlayroomEnv
@@ -67,7 +67,7 @@ def test_a_mixture_keeps_the_contract() -> None:
     name = "playroom/put/put_near_bed_tray_frequent"
     makers = {str(number): partial(make_vec, name, **SMALL) for number in range(2)}
     check_vector_env(
-        partial(MixtureVectorEnv, makers), partial(make, name, **SMALL), num_envs=3, steps=45
+        partial(Mixture, makers), partial(make, name, **SMALL), num_envs=3, steps=45
     )
 
 

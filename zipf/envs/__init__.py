@@ -27,13 +27,13 @@ from zipf.envs.playroom import FAMILY as _playroom
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
 
 if TYPE_CHECKING:
-    from zipf.envs.mixture import MixtureVectorEnv
+    from zipf.envs.mixture import Mixture
     from zipf.envs.single import SingleWorld
     from zipf.envs.vector import ZipfVectorEnv
 
 # Imported when first asked for: these bring numba, and `import zipf` is to be quick.
 _LAZY = {
-    "MixtureVectorEnv": "zipf.envs.mixture",
+    "Mixture": "zipf.envs.mixture",
     "SingleWorld": "zipf.envs.single",
     "ZipfVectorEnv": "zipf.envs.vector",
 }
@@ -41,7 +41,7 @@ _LAZY = {
 __all__ = [
     "KINDS",
     "Family",
-    "MixtureVectorEnv",
+    "Mixture",
     "Normalisation",
     "SingleWorld",
     "Split",

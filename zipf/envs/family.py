@@ -232,13 +232,15 @@ def make_train(split: Split, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
     """
     if len(split.train) == 1:
         return make_vec(split.train[0], num_envs, **kwargs)
-    return _mixture(split.train, num_envs, **kwargs)
+    if split.draw == "resets":
+        kwargs["probabilities"] = [level.weight for level in split.train]
+    return _mixture(split.train, num_envs, draw=split.draw, **kwargs)
 
 
 def _mixture(levels: Sequence[Level | SplitLevel], num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
     from functools import partial
 
-    from zipf.envs.mixture import MixtureVectorEnv
+    from zipf.envs.mixture import Mixture
 
     makers = {
         one.name if isinstance(one, SplitLevel) else str(one): partial(make_vec, one)
@@ -246,7 +248,7 @@ def _mixture(levels: Sequence[Level | SplitLevel], num_envs: int, **kwargs: Any)
     }
     if len(makers) < len(levels):
         raise ValueError(f"a mixture has every level once, got {', '.join(map(str, levels))}")
-    return MixtureVectorEnv(makers, num_envs, **kwargs)
+    return Mixture(makers, num_envs, **kwargs)
 
 
 def chance(level: Level | SplitLevel, **kwargs: Any) -> Chance | None:

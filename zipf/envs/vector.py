@@ -1,9 +1,9 @@
 """The base class of batched environments, which every family of the benchmark derives from."""
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -204,6 +204,18 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     _resizable: frozenset[str] = frozenset()
     """Keys of `_get_worlds` whose arrays may be of another length in another state."""
 
+    def _engine(self) -> Hashable:
+        """A value that is equal for batches which differ only in how their episodes begin.
+
+        A `Mixture` steps and draws the worlds of such levels together. None, as here, if there are
+        no such batches; otherwise the family implements `_use_engine`, too.
+        """
+        return None
+
+    def _use_engine(self, other: Self) -> None:
+        """Uses the state of `other`, a batch with an equal `_engine`, in the place of its own."""
+        raise NotImplementedError
+
     # What users call.
 
     def reset(
@@ -294,7 +306,10 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         done = terminated | truncated
         info: Info = before
         if done.any():
-            outcome: Observation = {"return": self._returns.copy(), "length": self._lengths.copy()}
+            outcome: dict[str, NDArray[Any]] = {
+                "return": self._returns.copy(),
+                "length": self._lengths.copy(),
+            }
             if self.reports_success:
                 outcome["success"] = success
             if same_step:

@@ -16,7 +16,7 @@ from zipf.agents.agent import Agent
 from zipf.agents.exploration import CountBonus
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
-from zipf.envs.mixture import MixtureVectorEnv
+from zipf.envs.mixture import Mixture
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.running.checkpoint import arrays
 
@@ -209,7 +209,7 @@ class Collector:
 def _groups(env: ZipfVectorEnv) -> dict[str, NDArray[np.bool_]]:
     """The worlds that episodes are averaged over, bool [N]: all, and those of each level apart."""
     groups = {"": np.ones(env.num_envs, np.bool_)}
-    if isinstance(env, MixtureVectorEnv):
+    if isinstance(env, Mixture) and env.draw == "worlds":
         for i, level in enumerate(env.level_names):
             groups[f"/{level}"] = env.levels_of_worlds == i
     return groups
