@@ -236,19 +236,33 @@ class ForcingSkipsDraws(GridworldVectorEnv):
 
 
 class AcceptedActions(GridworldVectorEnv):
-    def _read_actions(self, actions: Any) -> Any:
+    def _read_actions(self, actions: Any, mask: Any) -> Any:
         return np.resize(np.asarray(actions), self.num_envs).astype(np.int64) % 8
 
 
 class WrongActions(GridworldVectorEnv):
-    def _read_actions(self, actions: Any) -> Any:
-        return super()._read_actions(actions)[::-1].copy()
+    def _read_actions(self, actions: Any, mask: Any) -> Any:
+        return super()._read_actions(actions, mask)[::-1].copy()
 
 
 class SteppedWhenOver(GridworldVectorEnv):
     def step(self, actions: Any, **buffers: Any) -> Any:
-        self._all_running = bool(self._seeded.all())
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            self._all_running = bool(self._seeded.all())
         return super().step(actions, **buffers)
+
+
+class StepsTheNewEpisode(GridworldVectorEnv):
+    def _advance(self, actions: Any, mask: Any) -> Any:
+        return super()._advance(actions, self._everywhere)
+
+
+class ResetOnceMore(GridworldVectorEnv):
+    def step(self, actions: Any, **buffers: Any) -> Any:
+        result = super().step(actions, **buffers)
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP and (result[2] | result[3]).any():
+            self._begin(result[2] | result[3], self._unforced)
+        return result
 
 
 class SteppedWhenClosed(GridworldVectorEnv):
@@ -287,6 +301,8 @@ BROKEN = [
     (AcceptedActions, "negative action must raise ValueError, and was accepted"),
     (WrongActions, "step .* differs"),
     (SteppedWhenOver, "episode has ended must raise ResetNeeded, and was accepted"),
+    (StepsTheNewEpisode, r"step .* \(NEXT_STEP\): observation and info"),
+    (ResetOnceMore, r"step .* \(NEXT_STEP\): observation and info"),
     (SteppedWhenClosed, r"after close\(\) must raise ClosedEnvironmentError, and was accepted"),
     (SharedState, "after its environment went on"),
     (LengthOffByOne, "final_info of world"),
@@ -307,3 +323,43 @@ def test_too_few_steps_to_tell_are_noticed() -> None:
     level = "gridworld/zipf_2"
     with pytest.raises(AssertionError, match="check with more steps"):
         check_vector_env(partial(make_vec, level), partial(make, level), steps=2)
+
+
+class Endless(Bandit):
+    """Pays for the lit arm; an episode is neither a success nor a failure."""
+
+    reports_success = False
+
+    def _advance(self, actions: Any, mask: Any) -> Any:
+        reward, _, _, success = super()._advance(actions, mask)
+        return reward, np.zeros_like(success), self._lengths >= 3, success
+
+
+class Succeeding(Endless):
+    def step(self, actions: Any, **buffers: Any) -> Any:
+        result = super().step(actions, **buffers)
+        if "final_info" in result[4]:
+            result[4]["final_info"]["success"] = result[2]
+        return result
+
+
+def test_a_family_may_report_no_success() -> None:
+    check_vector_env(Endless, partial(SingleWorld, Endless), steps=60)
+    with pytest.raises(AssertionError, match=r"final_info of world .* differs: keys"):
+        check_vector_env(Succeeding, partial(SingleWorld, Endless), steps=60)
+
+
+@pytest.mark.parametrize("space", [spaces.Discrete(3, start=1), spaces.Box(-1, 1, (2,))])
+def test_other_action_spaces_are_refused(space: Any) -> None:
+    class Other(Bandit):
+        def __init__(self) -> None:
+            ZipfVectorEnv.__init__(
+                self,
+                2,
+                single_observation_space=spaces.Dict(),
+                single_action_space=space,
+                situation={},
+            )
+
+    with pytest.raises(ValueError, match="must be a Discrete space that starts at 0, got "):
+        Other()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from zipf.envs import SingleWorld, make
 from zipf.envs.check import check_vector_env
@@ -120,3 +121,52 @@ def test_actions_of_another_shape_are_explained(actions: Any, message: str) -> N
     env.reset(seed=0)
     with pytest.raises(ValueError, match=message):
         env.step(actions)
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_a_batch_reports_what_gymnasiums_own_vector_env_reports(mode: AutoresetMode) -> None:
+    """Where Gymnasium has an object array of dicts, `final_obs` is a dict of arrays here."""
+    make_one = partial(GridworldEnv, "uniform", observation="tiles", **SMALL)
+    other = SyncVectorEnv([make_one] * 4, autoreset_mode=mode)
+    env = GridworldVectorEnv(4, "uniform", observation="tiles", autoreset_mode=mode, **SMALL)
+    assert env.metadata["autoreset_mode"] == other.metadata["autoreset_mode"]
+    rng = np.random.default_rng(0)
+    compare(env.reset(seed=7), other.reset(seed=7))
+    ended = 0
+    for _ in range(80):
+        actions = rng.integers(8, size=4)
+        given, expected = env.step(actions), other.step(actions)
+        compare(given, expected)
+        done = given[2] | given[3]
+        ended += done.sum()
+        if mode is AutoresetMode.DISABLED and done.any():
+            compare(
+                env.reset(options={"reset_mask": done}),
+                other.reset(options={"reset_mask": done}),
+            )
+    assert ended > 10
+
+
+def compare(given: Any, expected: Any) -> None:
+    np.testing.assert_equal(given[:-1], expected[:-1])
+    compare_infos(given[-1], expected[-1])
+
+
+def compare_infos(given: dict[str, Any], expected: dict[str, Any]) -> None:
+    """The same entries where Gymnasium's masks are set; a mask of ours is the same as its."""
+    names = {name for name in expected if not name.startswith("_")}
+    assert {name for name in given if not name.startswith("_")} == names
+    for name in names:
+        mask = expected[f"_{name}"]
+        if name in ("map", "target"):
+            assert f"_{name}" not in given
+        elif f"_{name}" in given:
+            np.testing.assert_array_equal(given[f"_{name}"], mask)
+        if name == "final_info":
+            compare_infos(given[name], expected[name])
+        elif name == "final_obs":
+            for i in np.flatnonzero(mask):
+                row = {key: rows[i] for key, rows in given[name].items()}
+                np.testing.assert_equal(row, expected[name][i])
+        else:
+            np.testing.assert_array_equal(given[name][mask], expected[name][mask])

@@ -7,10 +7,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
+from scipy.stats import chisquare
 
-from zipf.envs import MixtureVectorEnv, Split, make, make_vec, split
+from zipf.envs import (
+    Mixture,
+    SingleWorld,
+    Split,
+    SplitLevel,
+    ZipfVectorEnv,
+    make,
+    make_train,
+    make_vec,
+    pcg64,
+    split,
+)
 from zipf.envs.check import check_vector_env
+from zipf.envs.distributions import zipfian
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 SMALL: dict[str, Any] = {
@@ -33,14 +47,13 @@ def test_it_keeps_the_contract(count: int) -> None:
     """Of levels that are all the same, so that every world has the same single world."""
     level = "gridworld/zipf_1"
     makers = {str(number): partial(make_vec, level, **SMALL) for number in range(count)}
-    check_vector_env(partial(MixtureVectorEnv, makers), partial(make, level, **SMALL))
+    check_vector_env(partial(Mixture, makers), partial(make, level, **SMALL))
 
 
 def test_worlds_are_shared_evenly_in_blocks() -> None:
     env = mixture()
     assert env.level_names == LEVELS
     np.testing.assert_array_equal(env.levels_of_worlds, [0, 0, 0, 1, 1, 2, 2])
-    assert [batch.num_envs for batch in env.batches] == [3, 2, 2]
     np.testing.assert_array_equal(mixture(3).levels_of_worlds, [0, 1, 2])
 
 
@@ -102,17 +115,23 @@ def test_a_state_is_of_its_levels() -> None:
     env = mixture()
     env.reset(seed=0)
     state = env.get_state()
-    assert "gridworld/rare:worlds" in state
+    assert "gridworld/zipf_2:worlds" in state  # the levels have one engine
     with pytest.raises(ValueError, match="a state has the keys"):
         mixture(levels=LEVELS[::-1][:2]).set_state(state)
-    # The last level refuses what the first two would have taken: nothing is taken.
-    other = mixture()
-    other.reset(seed=1)
-    before = other.get_state()
-    state["gridworld/rare:worlds"] = state["gridworld/rare:worlds"] + 1000
+    # The last level refuses its part, after the first has taken over its own: nothing changes.
+    levels: Any = {"easy": partial(make_vec, LEVELS[0]), "hard": partial(make_vec, LEVELS[1])}
+    other = [
+        Mixture(levels, 4, **SMALL, level_options={"hard": {"max_steps": 5}}) for _ in range(2)
+    ]
+    state = other[0].get_state()
+    other[0].reset(seed=0)
+    other[1].reset(seed=1)
+    before = other[1].get_state()
+    state = other[0].get_state()
+    state["hard:worlds"] = state["hard:worlds"] + 1000
     with pytest.raises(ValueError, match="damaged"):
-        other.set_state(state)
-    np.testing.assert_equal(other.get_state(), before)
+        other[1].set_state(state)
+    np.testing.assert_equal(other[1].get_state(), before)
 
 
 def test_a_pickled_one_draws_from_its_own_streams() -> None:
@@ -148,8 +167,11 @@ def test_it_draws_and_closes_every_level() -> None:
     env.reset(seed=0)
     frames = env.render()
     assert len(frames) == 7
-    for batch, own in zip(env.batches, parts(np.stack(frames)), strict=True):
-        np.testing.assert_array_equal(batch.render(), own)
+    batches = [make_vec(level, 7, **SMALL, render_mode="rgb_array") for level in LEVELS]
+    for batch in batches:
+        batch.reset(seed=0)
+    for i, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame, batches[env.levels_of_worlds[i]].render()[i])
     assert mixture().render() is None
     env.close()
     assert all(batch.closed for batch in env.batches)
@@ -163,7 +185,7 @@ class Other(GridworldVectorEnv):
 def test_what_cannot_be_mixed_is_refused() -> None:
     with pytest.raises(ValueError, match=r"num_envs must be at least 3.*gridworld/zipf_2.*got 2"):
         mixture(2)
-    with pytest.raises(ValueError, match=r"situation is .*'map': 6.* of gridworld/rare and .*5"):
+    with pytest.raises(ValueError, match=r"situation, but .*'map': 6.* in gridworld/rare and .*5"):
         make_vec(["gridworld/rare", Other], 2, **SMALL)
     with pytest.raises(ValueError, match="every level once, got gridworld/rare, gridworld/rare"):
         make_vec(["gridworld/rare", "gridworld/rare"], 2)
@@ -173,9 +195,283 @@ def test_what_cannot_be_mixed_is_refused() -> None:
         make_vec(["gridworld/uniform", "gridwrld/rare"], 2)
 
 
-def test_a_split_names_one_train_level_or_several() -> None:
-    one = Split("one", *LEVELS)
-    assert [one.levels(kind) for kind in ("train", "uniform", "rare")] == [(x,) for x in LEVELS]
+def test_the_train_levels_of_a_split_share_the_worlds() -> None:
     several = Split("several", LEVELS[:2], *LEVELS[1:])
-    assert several.levels("train") == LEVELS[:2]
     assert make_vec(several.train, 5, **SMALL).level_names == LEVELS[:2]
+    assert make_train(several, 5, **SMALL).level_names == LEVELS[:2]
+    weighted = Split("weighted", [SplitLevel(LEVELS[0], 3.0), LEVELS[1]], *LEVELS[1:], "resets")
+    env = make_train(weighted, 5, **SMALL)
+    assert isinstance(env, Mixture)
+    np.testing.assert_allclose(env.probabilities, [0.75, 0.25])
+
+
+# A level drawn at every reset.
+
+EASY: dict[str, Any] = {
+    name: partial(make_vec, f"gridworld/{name}") for name in ("zipf_3", "zipf_2", "uniform", "rare")
+}
+
+
+def drawn(num_envs: int = 6, levels: Any = None, **options: Any) -> Mixture:
+    options = {"draw": "resets", "exponent": 1.0, **options}
+    return Mixture(levels or EASY, num_envs, **SMALL, **options)
+
+
+class Counting(ZipfVectorEnv):
+    """Counts to `last`; has an engine of its own and no situation. For levels that differ."""
+
+    reports_success = False
+
+    def __init__(self, num_envs: int, *, last: int = 3, **options: Any) -> None:
+        super().__init__(
+            num_envs,
+            single_observation_space=spaces.Dict(count=spaces.Box(0, 99, (), np.int64)),
+            single_action_space=spaces.Discrete(2),
+            situation={},
+            **options,
+        )
+        self.last = last
+        self.stepped = np.zeros(num_envs, np.int64)
+
+    def _begin(self, mask: Any, forced: Any) -> None: ...
+
+    def _advance(self, actions: Any, mask: Any) -> Any:
+        self.stepped += mask
+        ended = self._lengths >= self.last
+        return actions * 1.0, ended, np.zeros_like(ended), ended
+
+    def _observe(self, out: Any, mask: Any) -> None:
+        out["count"][mask] = self._lengths[mask]
+
+    def _situations(self) -> Any:
+        return {}
+
+    def _describe(self) -> Any:
+        return {"last": np.full(self.num_envs, self.last)}
+
+    def _get_worlds(self) -> Any:
+        return {}
+
+    def _set_worlds(self, state: Any) -> None: ...
+
+
+COUNTING = {f"to_{last}": partial(Counting, last=last) for last in (2, 3, 5, 7, 9)}
+
+
+@pytest.mark.parametrize(
+    "levels",
+    [
+        EASY,
+        {**EASY, "short": partial(make_vec, "gridworld/uniform", max_steps=4)},
+        COUNTING,
+    ],
+    ids=["one engine", "two engines", "own engines"],
+)
+def test_drawn_levels_keep_the_contract(levels: Any) -> None:
+    options: Any = {} if levels is COUNTING else {k: v for k, v in SMALL.items()}
+    if "short" in levels:
+        del options["max_steps"]
+    make_env = partial(Mixture, levels, draw="resets", exponent=0.5, **options)
+    check_vector_env(make_env, partial(SingleWorld, lambda n, **kw: make_env(n, **kw)))
+
+
+def test_an_episode_takes_one_number_more_than_the_levels_own() -> None:
+    env = drawn()
+    env.reset(seed=5)
+    streams = [pcg64.stream(5 + i) for i in range(6)]
+    for i, stream in enumerate(streams):
+        level = pcg64.choice(stream, pcg64.cumulative(env.probabilities))
+        assert level == env.levels_of_worlds[i]
+        alone = make_vec(f"gridworld/{env.level_names[level]}", 1, **SMALL)
+        alone.reset()
+        alone._streams[0] = stream
+        observation, info = alone.reset()
+        for key, rows in env.observations().items():
+            np.testing.assert_array_equal(rows[i], observation[key][0])
+        assert env._situations()["target"][i] == info["target"][0]
+        np.testing.assert_array_equal(alone._streams[0], env._streams[i])
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 2.5])
+def test_levels_are_drawn_by_the_law(exponent: float) -> None:
+    env = Mixture(COUNTING, 500, draw="resets", exponent=exponent)
+    counts = np.zeros(5)
+    env.reset(seed=1)
+    for _ in range(8):
+        counts += np.bincount(env.reset()[1]["level"], minlength=5)
+    expected = zipfian(5, exponent)
+    np.testing.assert_array_equal(env.probabilities, expected)
+    assert chisquare(counts, expected * counts.sum()).pvalue > 1e-3
+
+
+SHUFFLED = ("to_2", "to_9", "to_3", "to_7", "to_5")  # by seed 3, on every machine
+
+
+def test_the_order_says_which_level_is_frequent() -> None:
+    names = tuple(COUNTING)
+    make_env = partial(Mixture, COUNTING, 50, draw="resets", exponent=8)
+    for order, expected in (("forward", names), ("reversed", names[::-1])):
+        env = make_env(order=order)
+        assert env.level_names == expected
+        info = env.reset(seed=0)[1]
+        assert (info["level"] == 0).mean() > 0.9
+        np.testing.assert_array_equal(info["level_name"], np.array(expected)[info["level"]])
+    shuffled = make_env(order=3).level_names
+    assert shuffled == make_env(order=3).level_names == SHUFFLED
+    assert sorted(shuffled) == sorted(names)
+    assert {make_env(order=seed).level_names for seed in range(5)} > {shuffled}
+
+
+def test_levels_are_scored_one_at_a_time() -> None:
+    """With all probability on one level, or by changing the probabilities of one batch."""
+    env = drawn(autoreset_mode=AutoresetMode.SAME_STEP)
+    rng = np.random.default_rng(0)
+    for rank in (2, 0, 3):
+        only = np.eye(4)[rank]
+        other = drawn(exponent=None, probabilities=only)
+        env.probabilities = 2 * only
+        np.testing.assert_equal(env.reset(seed=9), other.reset(seed=9))
+        for _ in range(30):
+            actions = rng.integers(8, size=6)
+            given, expected = env.step(actions), other.step(actions)
+            np.testing.assert_equal(given[:4], expected[:4])
+            assert (given[4]["level"] == rank).all()
+            assert set(given[4]["level_name"]) == {env.level_names[rank]}
+
+
+def test_a_forced_level_begins_once() -> None:
+    env = drawn(exponent=None, probabilities=[1, 0, 0, 0], autoreset_mode="Disabled")
+    forced = {"level": np.array([0, 1, 2, 3, 3, 1]), "target": 2}
+    info = env.reset(seed=0, options=forced)[1]
+    np.testing.assert_array_equal(info["level"], forced["level"])
+    assert (info["target"] == 2).all()
+    assert (env.reset()[1]["level"] == 0).all()
+
+
+def test_only_worlds_of_a_level_are_stepped_by_it() -> None:
+    env = Mixture(COUNTING, 8, draw="resets", exponent=0.0)
+    env.reset(seed=0, options={"level": [0, 0, 1, 1, 1, 2, 3, 3]})
+    env.step(np.zeros(8, np.int64))
+    stepped = np.stack([batch.stepped for batch in env.batches])
+    np.testing.assert_array_equal(stepped.sum(0), 1)
+    np.testing.assert_array_equal(stepped.sum(1), [2, 3, 1, 2, 0])
+
+
+def test_what_levels_do_not_share_is_left_out() -> None:
+    def other(num_envs: int, **options: Any) -> ZipfVectorEnv:
+        env = Counting(num_envs, **options)
+        env.situation, env.reports_success = {"parity": 2}, True
+        env._describe = lambda: {}  # type: ignore[method-assign]
+        return env
+
+    assert Mixture(COUNTING, 3, draw="resets", exponent=1).reset()[1].keys() == {
+        "level",
+        "level_name",
+        "last",
+    }
+    env = Mixture({"a": Counting, "b": other}, 3, draw="resets", exponent=1, rank="course")
+    assert env.situation == {"course": 2}
+    assert env.reset()[1].keys() == {"course", "course_name"}
+    assert not env.reports_success
+    assert drawn().situation == {"level": 4, "map": 6, "target": 5}
+
+
+def test_levels_have_options_of_their_own() -> None:
+    env = drawn(level_options={"rare": {"max_steps": 2}, "uniform": {"max_steps": 3}})
+    assert [batch.level.max_steps for batch in env.batches] == [9, 9, 3, 2]
+    with pytest.raises(ValueError, match=r"unknown levels \['rarest'\]: expected some of zipf_3"):
+        drawn(level_options={"rarest": {}})
+
+
+PLAYROOM: Any = {
+    "lift": partial(make_vec, "playroom/put/lift_shape_zipf2"),
+    "near": partial(make_vec, "playroom/put/put_near_bed_tray_frequent"),
+    "long": partial(make_vec, "playroom/put/put_on_bed_tray_all", max_steps=23),
+}
+
+
+def test_drawn_levels_of_the_playroom_are_replayed() -> None:
+    """Its states and pickles hold actions: only worlds on a level are replayed by it."""
+    options = {"image_size": (6, 8), "draw": "resets", "exponent": 0.0}
+    levels = {**PLAYROOM, "lift": partial(PLAYROOM["lift"], max_steps=7)}
+    env, other = (Mixture(levels, 5, **options) for _ in range(2))
+    env.reset(seed=2)
+    rng = np.random.default_rng(0)
+    for _ in range(18):
+        env.step(rng.integers(46, size=5))
+    assert len(set(env.levels_of_worlds.tolist())) > 1
+    other.reset(seed=7)
+    other.set_state(env.get_state())
+    pickled = pickle.loads(pickle.dumps(env))
+    for _ in range(30):
+        actions = rng.integers(46, size=5)
+        expected = env.step(actions)
+        for one in (other, pickled):
+            np.testing.assert_equal(one.step(actions)[:4], expected[:4])
+
+
+def test_drawn_levels_of_the_playroom_keep_the_contract() -> None:
+    levels = {name: partial(make, image_size=(6, 8)) for name, make in PLAYROOM.items()}
+    make_env = partial(Mixture, levels, draw="resets", exponent=0.0, max_steps=11)
+    levels["long"] = partial(levels["long"], max_steps=18)
+    check_vector_env(
+        make_env, partial(SingleWorld, lambda n, **kw: make_env(n, **kw)), num_envs=3, steps=45
+    )
+
+
+def test_mixtures_are_levels_of_mixtures() -> None:
+    inner = {
+        "few": partial(drawn, levels={"zipf_2": EASY["zipf_2"], "rare": EASY["rare"]}),
+        "many": partial(drawn, levels={"rare": EASY["rare"], "uniform": EASY["uniform"]}),
+    }
+    make_env = partial(Mixture, inner, draw="resets", exponent=1.0, rank="group")
+    assert make_env(2).situation == {"group": 2, "level": 2, "map": 6, "target": 5}
+    check_vector_env(make_env, partial(SingleWorld, lambda n, **kw: make_env(n, **kw)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"draw": "steps"}, "draw must be 'worlds' or 'resets', got 'steps'"),
+        ({"exponent": None}, "draw='resets' needs either exponent or probabilities"),
+        ({"probabilities": [1, 1, 1, 1]}, "needs either exponent or probabilities"),
+        ({"exponent": -1}, "exponent of Zipf's law must be finite and >= 0, got -1"),
+        ({"draw": "worlds"}, "exponent, probabilities and order need draw='resets'"),
+        ({"exponent": None, "probabilities": [1, 1]}, r"must be 4 finite numbers >= 0, got \[1, 1"),
+        ({"exponent": None, "probabilities": [1, 1, -1, 1]}, "must be 4 finite numbers >= 0"),
+        ({"exponent": None, "probabilities": [0] * 4}, "probabilities must not all be 0"),
+        ({"order": "backwards"}, "'forward', 'reversed' or an integer >= 0.*got 'backwards'"),
+        ({"order": -1}, "order must be 'forward'.*got -1"),
+        ({"order": True}, "order must be 'forward'.*got True"),
+        ({"rank": "target"}, "the levels have a rank 'target' themselves: choose another name"),
+    ],
+)
+def test_wrong_laws_are_refused(options: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        drawn(**options)
+
+
+def test_levels_with_other_observations_or_actions_are_named() -> None:
+    with pytest.raises(ValueError, match=r"space, but 'cue' is Box.* in zipf_3 and absent in rare"):
+        drawn(level_options={"rare": {"observation": "image"}})
+    with pytest.raises(ValueError, match=r"same single_observation_space, but 'count' is Box"):
+        Mixture({"count": Counting, "grid": EASY["rare"]}, 2, draw="resets", exponent=1)
+
+    def other(num_envs: int, **options: Any) -> ZipfVectorEnv:
+        env = Counting(num_envs, **options)
+        env.single_action_space = spaces.Discrete(3)
+        return env
+
+    with pytest.raises(ValueError, match=r"action_space, but it is Discrete\(2\) in one and D"):
+        Mixture({"one": Counting, "other": other}, 2)
+
+
+def test_a_state_of_other_levels_is_refused() -> None:
+    env = drawn()
+    env.reset(seed=0)
+    state = env.get_state()
+    state["levels"] = state["levels"] + 4
+    before = env.get_state()
+    with pytest.raises(ValueError, match="levels out of range"):
+        env.set_state(state)
+    np.testing.assert_equal(env.get_state(), before)

@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
 
-from zipf.envs import MixtureVectorEnv, make, make_vec, split
+from zipf.envs import Mixture, make, make_vec, split
 from zipf.envs.check import check_vector_env
 from zipf.envs.playroom.levels import LEVELS
 from zipf.envs.playroom.single import PlayroomEnv
@@ -66,15 +66,13 @@ def test_a_mixture_keeps_the_contract() -> None:
     """Of levels that are all the same, so that every world has the same single world."""
     name = "playroom/put/put_near_bed_tray_frequent"
     makers = {str(number): partial(make_vec, name, **SMALL) for number in range(2)}
-    check_vector_env(
-        partial(MixtureVectorEnv, makers), partial(make, name, **SMALL), num_envs=3, steps=45
-    )
+    check_vector_env(partial(Mixture, makers), partial(make, name, **SMALL), num_envs=3, steps=45)
 
 
 def test_a_mixture_equals_its_levels() -> None:
     levels = split("playroom_put").levels("train")
     env = make_vec(levels, 5, **SMALL)
-    singles = [make(levels[k], **SMALL) for k in (0, 0, 1, 1, 2)]
+    singles = [make(levels[k].name, **SMALL) for k in (0, 0, 1, 1, 2)]
     observation, info = env.reset(seed=3)
     starts = [single.reset(seed=3 + i) for i, single in enumerate(singles)]
     rng = np.random.default_rng(0)

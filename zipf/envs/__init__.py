@@ -16,6 +16,7 @@ from zipf.envs.family import (
     find_level,
     keys,
     make,
+    make_scored,
     make_train,
     make_vec,
     questions,
@@ -27,13 +28,13 @@ from zipf.envs.playroom import FAMILY as _playroom
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
 
 if TYPE_CHECKING:
-    from zipf.envs.mixture import MixtureVectorEnv
+    from zipf.envs.mixture import Mixture
     from zipf.envs.single import SingleWorld
     from zipf.envs.vector import ZipfVectorEnv
 
 # Imported when first asked for: these bring numba, and `import zipf` is to be quick.
 _LAZY = {
-    "MixtureVectorEnv": "zipf.envs.mixture",
+    "Mixture": "zipf.envs.mixture",
     "SingleWorld": "zipf.envs.single",
     "ZipfVectorEnv": "zipf.envs.vector",
 }
@@ -41,7 +42,7 @@ _LAZY = {
 __all__ = [
     "KINDS",
     "Family",
-    "MixtureVectorEnv",
+    "Mixture",
     "Normalisation",
     "SingleWorld",
     "Split",
@@ -56,6 +57,7 @@ __all__ = [
     "find_level",
     "keys",
     "make",
+    "make_scored",
     "make_train",
     "make_vec",
     "questions",

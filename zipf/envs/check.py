@@ -1,4 +1,4 @@
-"""A self-check of batched environments: does a batch do what N single worlds would?
+"""A self-check of batched environments: N worlds of a batch against N single worlds.
 
     from functools import partial
     from zipf.envs import make, make_vec
@@ -7,7 +7,7 @@
     level = "gridworld/zipf_2"
     check_vector_env(partial(make_vec, level), partial(make, level))
 
-It knows no family: everything it asks for is in `ZipfVectorEnv`.
+It works for any family: it uses the interface of `ZipfVectorEnv` only.
 """
 
 import io
@@ -29,7 +29,8 @@ from zipf.envs.vector import Observation, ZipfVectorEnv
 MakeVec = Callable[..., ZipfVectorEnv]
 MakeSingle = Callable[[], gym.Env]
 
-_OUTCOME = ("success", "return", "length")
+_OUTCOME = {"return": np.float64, "length": np.int64}
+_SUCCESS = {"success": np.bool_}
 
 
 def check_vector_env(
@@ -57,6 +58,7 @@ def check_vector_env(
     check = _Check(make_vec, make_single, num_envs, steps, seed)
     check.spaces()
     check.same_step_against_singles()
+    check.next_step_against_singles()
     check.disabled_against_singles()
     check.determinism()
     check.buffers()
@@ -77,10 +79,11 @@ class _Check:
         env = make_vec(num_envs)
         rng = np.random.default_rng(seed)
         self.actions = rng.integers(env.single_action_space.n, size=(steps, num_envs))
+        self.outcome: dict[str, type] = {**_OUTCOME, **(_SUCCESS if env.reports_success else {})}
         env.close()
 
     def spaces(self) -> None:
-        """Spaces are those of the single world, batched, and what is returned is in them."""
+        """Spaces are those of the single world, batched, and contain what is returned."""
         env, single = self.make_vec(self.n), self.make_single()
         _same(env.num_envs, self.n, "num_envs")
         _same(env.single_observation_space, single.observation_space, "single_observation_space")
@@ -95,7 +98,8 @@ class _Check:
         observation, info = env.reset(seed=self.seed)
         self._contained(env, observation, info, "reset")
         for name in info.keys() - env.situation.keys():
-            taken = name.startswith("_") or name in ("final_info", "final_obs", *_OUTCOME)
+            reserved = ("final_info", "final_obs", *_OUTCOME, *_SUCCESS)
+            taken = name.startswith("_") or name in reserved
             _require(not taken, f"info[{name!r}] of a reset: the name has another meaning")
             shape = np.shape(info[name])
             _require(shape == (self.n,), f"info[{name!r}] must be an array [N], got shape {shape}")
@@ -110,7 +114,7 @@ class _Check:
                 final = info["final_info"]
                 for name in env.situation:
                     _dtype(final[name], np.int64, (self.n,), f"{where}: final_info[{name!r}]")
-                for name, dtype in zip(_OUTCOME, (np.bool_, np.float64, np.int64), strict=True):
+                for name, dtype in self.outcome.items():
                     _dtype(final[name], dtype, (self.n,), f"{where}: final_info[{name!r}]")
                 for key, like in env.allocate().items():
                     array = info["final_obs"][key]
@@ -136,7 +140,7 @@ class _Check:
     def same_step_against_singles(self) -> None:
         """A batch that resets by itself equals N worlds, each reset when its episode ends."""
         env = self.make_vec(self.n, autoreset_mode=AutoresetMode.SAME_STEP)
-        singles = [self.make_single() for _ in range(self.n)]
+        singles = self._singles()
         ended = 0
         observation, info = env.reset(seed=self.seed)
         starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
@@ -169,11 +173,41 @@ class _Check:
         _require(ended > self.n, f"only {ended} episodes ended: check with more steps")
         _close(env, *singles)
 
+    def next_step_against_singles(self) -> None:
+        """A batch equals N worlds, each reset in the step after its episode's end."""
+        env = self.make_vec(self.n, autoreset_mode=AutoresetMode.NEXT_STEP)
+        _same(env.metadata["autoreset_mode"], AutoresetMode.NEXT_STEP, "autoreset_mode")
+        singles = self._singles()
+        observation, info = env.reset(seed=self.seed)
+        starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
+        _same((observation, info), _stack(starts), f"reset(seed={self.seed}) (NEXT_STEP)")
+        told = set(info)
+        done = np.zeros(self.n, np.bool_)
+        for t, actions in enumerate(self.actions):
+            # Actions of worlds that begin an episode are ignored, even one out of range.
+            given = env.step(np.where(done, -1, actions))
+            results = [
+                _first_step(single.reset()) if done[i] else single.step(actions[i])
+                for i, single in enumerate(singles)
+            ]
+            done = self._compare_step(given, results, told, f"step {t} (NEXT_STEP)")
+            # A world whose episode is running or has just ended is reset now and then, too.
+            if t % 7 == 0:
+                mask = np.arange(self.n) == t % self.n
+                observation, info = env.reset(options={"reset_mask": mask})
+                i = t % self.n
+                start = _stack([singles[i].reset()])
+                rows = {name: info[name][mask] for name in told}
+                row = {key: value[mask] for key, value in observation.items()}
+                _same((row, rows), start, f"step {t} (NEXT_STEP): reset of world {i}")
+                done[i] = False
+        _close(env, *singles)
+
     def disabled_against_singles(self) -> None:
         """A batch reset by mask equals N worlds, some of which wait before they are reset."""
         env = self.make_vec(self.n, autoreset_mode=AutoresetMode.DISABLED)
         _same(env.metadata["autoreset_mode"], AutoresetMode.DISABLED, "autoreset_mode")
-        singles = [self.make_single() for _ in range(self.n)]
+        singles = self._singles()
         observation, info = env.reset(seed=self.seed)
         starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
         _same((observation, info), _stack(starts), f"reset(seed={self.seed}) (DISABLED)")
@@ -183,29 +217,17 @@ class _Check:
             where = f"step {t} (DISABLED)"
             given = env.step(actions)
             results = [single.step(a) for single, a in zip(singles, actions, strict=True)]
-            done = np.array([result[2] or result[3] for result in results])
-            current = [(r[0], {name: r[4][name] for name in told}) for r in results]
-            now = {name: given[4][name] for name in told}
-            _same((given[0], now), _stack(current), f"{where}: observation and info")
-            _same(given[1:4], _stack([r[1:4] for r in results]), f"{where}: reward and ends")
-            keys = set(told)
-            if done.any():
-                keys |= {*_OUTCOME, *(f"_{name}" for name in _OUTCOME)}
-            _same(set(given[4]), keys, f"{where}: keys of info")
+            done = self._compare_step(given, results, told, where)
             if not done.any():
                 continue
-            for name in _OUTCOME:
-                _same(given[4][f"_{name}"], done, f"{where}: info['_{name}']")
-                for i in np.flatnonzero(done):
-                    value = results[i][4][name]
-                    _same(given[4][name][i], value, f"{where}: {name} of world {i}")
             if not refused:
                 with _expects(ResetNeeded, f"{where}: stepping a world whose episode has ended"):
                     env.step(actions)
                 refused = True
-            # A world whose episode still runs is reset now and then, too.
+            # A world whose episode is still running is reset now and then, too.
             mask = done.copy()
             mask[t % self.n] = True
+            current = [(r[0], {name: r[4][name] for name in told}) for r in results]
             observation, info = env.reset(options={"reset_mask": mask})
             for i in np.flatnonzero(mask):
                 current[i] = singles[i].reset()
@@ -213,8 +235,31 @@ class _Check:
         _require(refused, "no episode ended: check with more steps")
         _close(env, *singles)
 
+    def _compare_step(
+        self, given: Any, results: list[Any], told: set[str], where: str
+    ) -> NDArray[np.bool_]:
+        """Compares a step without autoreset in it; returns which worlds' episodes ended, [N]."""
+        done = np.array([result[2] or result[3] for result in results])
+        current = [(r[0], {name: r[4][name] for name in told}) for r in results]
+        now = {name: given[4][name] for name in told}
+        _same((given[0], now), _stack(current), f"{where}: observation and info")
+        _same(given[1:4], _stack([r[1:4] for r in results]), f"{where}: reward and ends")
+        keys = set(told)
+        if done.any():
+            keys |= {*self.outcome, *(f"_{name}" for name in self.outcome)}
+        _same(set(given[4]), keys, f"{where}: keys of info")
+        for name in self.outcome if done.any() else ():
+            _same(given[4][f"_{name}"], done, f"{where}: info['_{name}']")
+            for i in np.flatnonzero(done):
+                value = results[i][4][name]
+                _same(given[4][name][i], value, f"{where}: {name} of world {i}")
+        return done
+
+    def _singles(self) -> list[gym.Env]:
+        return [self.make_single() for _ in range(self.n)]
+
     def determinism(self) -> None:
-        """The seed decides everything, however it is given, and worlds do not depend on others."""
+        """The seed determines everything, however it is given; worlds do not affect each other."""
         env = self.make_vec(self.n)
         first = self._rollout(env, self.seed)
         _same(self._rollout(env, self.seed), first, "a second rollout from the same seed")
@@ -240,7 +285,7 @@ class _Check:
         )
 
     def buffers(self) -> None:
-        """`out` and `final_out` get what a step without them returns; `copy` does what it says."""
+        """`out` and `final_out` receive what a step without them returns; `copy` is respected."""
         env = self.make_vec(self.n)
         expected = self._rollout(env, self.seed)
         out, final_out, other = (_filled(env) for _ in range(3))
@@ -249,7 +294,7 @@ class _Check:
         _same((_copied(out), info), expected[0], "reset(out=...)")
         for t, actions in enumerate(self.actions):
             where = f"step {t} with out and final_out"
-            # Two values in turn: what is shown may be one of them, or an array of bools.
+            # Two values in turn: an observation may equal one of them, or be of bools.
             for array in final_out.values():
                 array.fill(123 * (t % 2))
             untouched = _copied(final_out)
@@ -337,7 +382,7 @@ class _Check:
         _close(env, other)
 
     def pickling(self) -> None:
-        """A pickled environment goes on where it was."""
+        """A pickled environment continues in the same state."""
         env = self.make_vec(self.n, copy=False)
         env.reset(seed=self.seed)
         half = len(self.actions) // 2
@@ -349,7 +394,7 @@ class _Check:
         _close(env, other)
 
     def forcing(self) -> None:
-        """`reset(options=...)` gives the situation asked for, as it does in a single world."""
+        """`reset(options=...)` forces a situation, as it does in a single world."""
         env = self.make_vec(self.n, autoreset_mode=AutoresetMode.DISABLED)
         single = self.make_single()
         for name, size in env.situation.items():
@@ -383,7 +428,7 @@ class _Check:
         _close(env, single)
 
     def errors(self) -> None:
-        """What cannot be done is refused, and nothing has happened then."""
+        """Wrong calls raise errors and change nothing."""
         env = self.make_vec(self.n)
         with _expects(ResetNeeded, "step() before reset()"):
             env.step(self.actions[0])
@@ -412,11 +457,11 @@ class _Check:
             env.reset()
         with _expects(ValueError, "a batch of no worlds"):
             self.make_vec(0)
-        with _expects(ValueError, "autoreset_mode=NEXT_STEP"):
-            self.make_vec(self.n, autoreset_mode=AutoresetMode.NEXT_STEP)
+        with _expects(ValueError, "an unknown autoreset_mode"):
+            self.make_vec(self.n, autoreset_mode="no such mode")
 
     def _rollout(self, env: ZipfVectorEnv, seed: int | list[int]) -> list[Any]:
-        """Copies of what reset and every step returned, where it is valid."""
+        """Copies of what reset and every step returned, zero where the masks are not set."""
         return [_copied(env.reset(seed=seed)), *self._steps(env, 0)]
 
     def _steps(self, env: ZipfVectorEnv, start: int) -> list[Any]:
@@ -424,7 +469,7 @@ class _Check:
 
 
 def _visible(step: Any) -> Any:
-    """A copy of a step's result in which rows that the masks leave out are zero."""
+    """A copy of a step's result in which rows outside the masks are zero."""
     observation, reward, terminated, truncated, info = _copied(step)
     for key, value in info.items():
         mask = info.get(f"_{key}")
@@ -451,12 +496,18 @@ def _arrays(value: Any) -> Iterator[NDArray[Any]]:
 
 
 def _stack(rows: list[Any]) -> Any:
-    """What single worlds returned, as a batch."""
+    """Results of single worlds, as a batch."""
     if isinstance(rows[0], dict):
         return {key: _stack([row[key] for row in rows]) for key in rows[0]}
     if isinstance(rows[0], tuple):
         return tuple(_stack([row[i] for row in rows]) for i in range(len(rows[0])))
     return np.stack(rows)
+
+
+def _first_step(start: Any) -> Any:
+    """What `reset` returned, as the step that an autoreset makes of it."""
+    observation, info = start
+    return observation, 0.0, False, False, info
 
 
 def _row(batch: Any, i: int) -> Any:
@@ -468,7 +519,7 @@ def _row(batch: Any, i: int) -> Any:
 
 
 def _filled(env: ZipfVectorEnv) -> Observation:
-    """Buffers full of a value that no observation is likely to have everywhere."""
+    """Buffers filled with a value that no observation is likely to have everywhere."""
     buffers = env.allocate()
     for array in buffers.values():
         array.fill(123)

@@ -230,15 +230,47 @@ def make_train(split: Split, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
     Raises:
         ValueError: options that a level cannot have, or fewer worlds than levels to share them.
     """
+    if split.draw == "resets":
+        levels = _by_frequency(split)
+        return _mixture(levels, num_envs, [level.weight for level in levels], **kwargs)
     if len(split.train) == 1:
         return make_vec(split.train[0], num_envs, **kwargs)
     return _mixture(split.train, num_envs, **kwargs)
 
 
-def _mixture(levels: Sequence[Level | SplitLevel], num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
+def make_scored(split: Split, level: SplitLevel, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
+    """Worlds of one level of a split, to score an agent on.
+
+    Where levels are drawn at resets these are worlds of the same mixture in which only this level
+    is drawn, so that situations have its rank in training and its name. Levels that are not trained
+    on have the ranks after those.
+
+    Raises:
+        ValueError: options that a level cannot have.
+    """
+    if split.draw == "worlds":
+        return make_vec(level, num_envs, **kwargs)
+    ranked = {one.name: one for one in _by_frequency(split)}
+    for one in split.all_levels:
+        ranked.setdefault(one.name, one)
+    ranked[level.name] = level
+    only = [float(name == level.name) for name in ranked]
+    return _mixture(list(ranked.values()), num_envs, only, **kwargs)
+
+
+def _by_frequency(split: Split) -> list[SplitLevel]:
+    return sorted(split.train, key=lambda level: -level.weight)
+
+
+def _mixture(
+    levels: Sequence[Level | SplitLevel],
+    num_envs: int,
+    probabilities: Sequence[float] | None = None,
+    **kwargs: Any,
+) -> ZipfVectorEnv:
     from functools import partial
 
-    from zipf.envs.mixture import MixtureVectorEnv
+    from zipf.envs.mixture import Mixture
 
     makers = {
         one.name if isinstance(one, SplitLevel) else str(one): partial(make_vec, one)
@@ -246,7 +278,9 @@ def _mixture(levels: Sequence[Level | SplitLevel], num_envs: int, **kwargs: Any)
     }
     if len(makers) < len(levels):
         raise ValueError(f"a mixture has every level once, got {', '.join(map(str, levels))}")
-    return MixtureVectorEnv(makers, num_envs, **kwargs)
+    if probabilities is None:
+        return Mixture(makers, num_envs, **kwargs)
+    return Mixture(makers, num_envs, draw="resets", probabilities=probabilities, **kwargs)
 
 
 def chance(level: Level | SplitLevel, **kwargs: Any) -> Chance | None:

@@ -1,38 +1,68 @@
-"""Several levels in one batch, to train on all of them at once."""
+"""Several levels in one batch: shared among the worlds, or drawn at every reset."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
 
+from zipf.envs import pcg64
+from zipf.envs.distributions import zipfian
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
-_COMMON = ("streams", "seeded", "running", "lengths", "returns")
-"""What every batch keeps for each of its worlds; a state's keys, underscored its attributes."""
+_SHARED = ("_streams", "_running", "_lengths", "_returns", "_restarted")
+"""Arrays of the mixture that the levels' batches use in the place of their own."""
 
 
-class MixtureVectorEnv(ZipfVectorEnv):
-    """`N` worlds shared evenly, in contiguous blocks, among several levels.
+class Mixture(ZipfVectorEnv):
+    """`N` worlds of several levels.
 
-    World `i` of `reset(seed=s)` is that of its level's own batch seeded `s + i`; see
-    `ZipfVectorEnv` for everything else. The keys of a state begin with the level's name.
+    - `draw="worlds"`: the worlds are shared evenly among the levels, in contiguous blocks, for
+      good. World `i` of `reset(seed=s)` is that of its level's own batch seeded `s + i`.
+    - `draw="resets"`: at every reset a world draws its level, by one number of its random stream,
+      and then the episode as the level does. The situation of an episode begins with the rank of
+      its level (0 = most frequent), named `level` unless `rank` says otherwise.
+      `info["level"]` is the rank, int64 [N], and `info["level_name"]` the level's name;
+      `reset(options={"level": 3})` forces it. The levels' own ranks follow if all levels have the
+      same ones, else they are left out. Observations do not tell the level.
+
+    Of the levels' other entries of `info` those are kept that all levels have, and `success` if all
+    levels report it. Everything else is as in `ZipfVectorEnv`.
+
+        makers = {name: partial(make_vec, f"gridworld/{name}") for name in ("zipf_2", "uniform")}
+        env = Mixture(makers, num_envs=64, draw="resets", exponent=1.0)
+
+    Batched levels stay batched: worlds of the same level are stepped together, and so are those of
+    levels with the same engine (`ZipfVectorEnv._engine`), which differ only in how episodes begin.
 
     Args:
-        levels: for the name of each level what makes a batch of it, called as
+        levels: for the name of each level a function that makes a batch of it, called as
             `make(num_envs, autoreset_mode=..., render_mode=..., **options)`.
-        num_envs: number of worlds; where they cannot be shared evenly, the first levels get one
-            more.
-        options: constructor options that all levels are made with.
+        num_envs: number of worlds. With `draw="worlds"`, where they cannot be shared evenly, the
+            first levels get one more.
+        draw: "worlds" or "resets".
+        exponent: with "resets", the exponent of Zipf's law by which levels are drawn.
+        probabilities: with "resets" and in the place of an exponent, the probability of each rank,
+            on any scale (divided by their sum here). May be 0.
+        order: with "resets", which level has which rank: "forward" (as in `levels`), "reversed",
+            or an integer >= 0 that seeds a shuffle.
+        rank: with "resets", the name of the levels' rank.
+        options: constructor options of all levels.
+        level_options: constructor options of single levels, by level name; they override `options`.
 
     Attributes:
-        level_names: the levels, in the order of their worlds.
-        levels_of_worlds: int64 [N], each world's place in `level_names`.
+        level_names: the levels by rank; with "worlds", in the order of their worlds.
+        levels_of_worlds: int64 [N], the place in `level_names` of each world's level.
+        batches: the levels' batches, in the order of `level_names`. Each has N rows and keeps the
+            worlds that are on its level; those with the same engine share their arrays.
 
     Raises:
-        ValueError: no level, fewer worlds than levels, or levels that differ in what is shown, in
-            the actions or in the situation.
+        ValueError: for no level, fewer worlds than levels with "worlds", levels with different
+            observations, actions or (with "worlds") situations, a bad law or order, or options of
+            an unknown level.
     """
 
     def __init__(
@@ -40,117 +70,364 @@ class MixtureVectorEnv(ZipfVectorEnv):
         levels: Mapping[str, Callable[..., ZipfVectorEnv]],
         num_envs: int,
         *,
+        draw: str = "worlds",
+        exponent: float | None = None,
+        probabilities: ArrayLike | None = None,
+        order: str | int = "forward",
+        rank: str = "level",
+        level_options: Mapping[str, Mapping[str, Any]] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        self.level_names = tuple(levels)
+        if draw not in ("worlds", "resets"):
+            raise ValueError(f"draw must be 'worlds' or 'resets', got {draw!r}")
         if not levels:
-            raise ValueError("a mixture has at least one level, got none")
-        if num_envs < len(levels):
+            raise ValueError("a mixture needs at least one level, got none")
+        level_options = level_options or {}
+        if unknown := level_options.keys() - levels.keys():
             raise ValueError(
-                f"num_envs must be at least {len(levels)}, a world for each of the levels "
-                f"{', '.join(levels)}; got {num_envs}"
+                f"level_options of unknown levels {sorted(unknown)}: expected some of "
+                f"{', '.join(levels)}"
             )
-        self.levels_of_worlds = np.sort(np.arange(num_envs) % len(levels))
-        ends = np.cumsum(np.bincount(self.levels_of_worlds)).tolist()
-        self._blocks = [slice(*ends) for ends in zip([0, *ends[:-1]], ends, strict=True)]
+        self.draw = draw
+        self.rank = rank
+        count = len(levels)
+        if draw == "resets":
+            if (exponent is None) == (probabilities is None):
+                raise ValueError("draw='resets' needs either exponent or probabilities")
+            self.level_names = tuple(np.array(list(levels), object)[_ordered(count, order)])
+            self.levels_of_worlds = np.zeros(num_envs, np.int64)
+        else:
+            if exponent is not None or probabilities is not None or order != "forward":
+                raise ValueError("exponent, probabilities and order need draw='resets'")
+            if num_envs < count:
+                raise ValueError(
+                    f"num_envs must be at least {count}, a world for each of the levels "
+                    f"{', '.join(levels)}; got {num_envs}"
+                )
+            self.level_names = tuple(levels)
+            self.levels_of_worlds = np.sort(np.arange(num_envs) % count)
         self.batches = [
-            make(
-                block.stop - block.start,
+            levels[name](
+                num_envs,
                 autoreset_mode=autoreset_mode,
                 render_mode=render_mode,
-                **options,
+                **{**options, **level_options.get(name, {})},
             )
-            for make, block in zip(levels.values(), self._blocks, strict=True)
+            for name in self.level_names
         ]
+        self._require_alike("single_observation_space", "single_action_space")
         first = self.batches[0]
-        for name, batch in zip(self.level_names, self.batches, strict=True):
-            for what in ("single_observation_space", "single_action_space", "situation"):
-                given, expected = getattr(batch, what), getattr(first, what)
-                if given != expected:
-                    raise ValueError(
-                        f"the levels of a mixture must be alike, but {what} is {expected} of "
-                        f"{self.level_names[0]} and {given} of {name}"
-                    )
+        situation: dict[str, int] = {}
+        if draw == "resets":
+            situation = {rank: count}
+        else:
+            self._require_alike("situation")
+        self._same_situation = all(b.situation == first.situation for b in self.batches)
+        if self._same_situation:
+            if situation.keys() & first.situation.keys():
+                raise ValueError(f"the levels have a rank {rank!r} themselves: choose another name")
+            situation |= first.situation
         self.metadata = first.metadata
+        self.reports_success = all(batch.reports_success for batch in self.batches)
         super().__init__(
             num_envs,
             single_observation_space=first.single_observation_space,
             single_action_space=first.single_action_space,
-            situation=first.situation,
+            situation=situation,
             autoreset_mode=autoreset_mode,
             copy=copy,
             render_mode=render_mode,
         )
+        self._names = np.array(self.level_names)
+        if draw == "resets":
+            self.probabilities = zipfian(count, exponent) if exponent is not None else probabilities
+        self._engine_of = _engines(self.batches)
+        # [levels, N]: worlds by level, once they have begun; worlds by engine, in the row of its
+        # first level; worlds that begin now, by level.
+        self._begun = np.zeros((count, num_envs), np.bool_)
+        self._on_engine = np.zeros((count, num_envs), np.bool_)
+        self._beginning = np.zeros((count, num_envs), np.bool_)
         self._share()
+        self._locate(self._seeded)
+        self._resizable = frozenset(
+            f"{self.level_names[k]}:{key}"
+            for k in set(self._engine_of.tolist())
+            for key in self.batches[k]._resizable
+        )
+        described = [batch._describe() for batch in self.batches]
+        self._described = [key for key in described[0] if all(key in one for one in described)]
 
-    def _share(self) -> None:
-        """Lets the levels' batches work on this one's random streams, lengths and so on."""
-        for batch, block in zip(self.batches, self._blocks, strict=True):
-            for name in _COMMON:
-                setattr(batch, f"_{name}", getattr(self, f"_{name}")[block])
+    @property
+    def probabilities(self) -> NDArray[np.float64]:
+        """With `draw="resets"`, the probability of each rank, float64 [levels], summing to 1.
+
+        They may be changed at any time, for the episodes that begin from then on. To score one
+        level after another, give it probability 1 and reset.
+        """
+        return self._probabilities
+
+    @probabilities.setter
+    def probabilities(self, values: Any) -> None:
+        if self.draw != "resets":
+            raise ValueError("levels have probabilities with draw='resets' only")
+        count = len(self.level_names)
+        given = np.asarray(values, np.float64)
+        if given.shape != (count,) or not np.isfinite(given).all() or (given < 0).any():
+            raise ValueError(f"probabilities must be {count} finite numbers >= 0, got {values}")
+        if not given.any():
+            raise ValueError(f"probabilities must not all be 0, got {values}")
+        self._probabilities = given / given.sum()
+        self._cumulative = pcg64.cumulative(self._probabilities)
 
     def render(self) -> tuple[Any, ...] | None:
         """The worlds' frames, as their levels draw them; None without a `render_mode`."""
         if self.render_mode is None:
             return None
-        return tuple(frame for batch in self.batches for frame in batch.render() or ())
+        frames: list[Any] = [None] * self.num_envs
+        for batch, mask in self._parts(self._everywhere):
+            drawn = batch.render() or ()
+            for i in np.flatnonzero(mask).tolist():
+                frames[i] = drawn[i]
+        return tuple(frames)
 
     def close_extras(self, **kwargs: Any) -> None:
         for batch in self.batches:
             batch.close(**kwargs)
 
+    def __getstate__(self) -> dict[str, Any]:
+        # A family may replay its episodes when it is unpickled: the batches are pickled without
+        # any, and the episodes restored when the batches share their arrays again.
+        return {
+            **super().__getstate__(),
+            "batches": [_without_episodes(batch) for batch in self.batches],
+            "_saved": self.get_state(),
+        }
+
     def __setstate__(self, state: dict[str, Any]) -> None:
+        saved = state.pop("_saved")
         self.__dict__.update(state)
         self._share()
+        self.set_state(saved)
+
+    def _require_alike(self, *attributes: str) -> None:
+        first = self.batches[0]
+        for name, batch in zip(self.level_names, self.batches, strict=True):
+            for attribute in attributes:
+                given, expected = getattr(batch, attribute), getattr(first, attribute)
+                if given != expected:
+                    raise ValueError(
+                        f"the levels of a mixture must have the same {attribute}, but "
+                        f"{_difference(expected, self.level_names[0], given, name)}"
+                    )
+
+    def _share(self) -> None:
+        """Makes the levels' batches work on this batch's random streams, lengths and so on.
+
+        A batch's `_seeded` says which worlds have an episode of its level: what it replays after
+        `set_state`.
+        """
+        for k, batch in enumerate(self.batches):
+            if self._engine_of[k] != k:
+                batch._use_engine(self.batches[self._engine_of[k]])
+            for name in _SHARED:
+                setattr(batch, name, getattr(self, name))
+            batch._seeded = self._begun[k]
+            if isinstance(batch, Mixture):
+                batch._share()
+
+    def _locate(self, seeded: NDArray[np.bool_]) -> None:
+        """Sets the masks by level and by engine, for levels that were not drawn by `_begin`."""
+        places = np.arange(len(self.batches))[:, None]
+        self._begun[:] = (self.levels_of_worlds == places) & seeded
+        self._on_engine[:] = self._engine_of[self.levels_of_worlds] == places
+        self._engines_now = np.flatnonzero(self._on_engine.any(1)).tolist()
+
+    def _parts(self, mask: NDArray[np.bool_]) -> Iterator[tuple[ZipfVectorEnv, NDArray[np.bool_]]]:
+        """The batches that step and draw the worlds of `mask`, with a mask of these worlds each."""
+        if len(self._engines_now) == 1:
+            yield self.batches[self._engines_now[0]], mask
+            return
+        for k in self._engines_now:
+            part = self._on_engine[k]
+            if mask is not self._everywhere:
+                part = part & mask
+                if not part.any():
+                    continue
+            yield self.batches[k], part
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
-        for batch, block in zip(self.batches, self._blocks, strict=True):
-            batch._begin(mask[block], np.ascontiguousarray(forced[:, block]))
+        draw = self.draw == "resets"
+        cumulative = self._cumulative if draw else np.ones(1)
+        begin, in_use = _begin_levels(
+            mask,
+            draw,
+            forced[0] if draw else self.levels_of_worlds,
+            cumulative,
+            self._streams,
+            self._engine_of,
+            self.levels_of_worlds,
+            self._begun,
+            self._on_engine,
+            self._beginning,
+        )
+        self._engines_now = np.flatnonzero(in_use).tolist()
+        own = forced[1:] if draw else forced
+        for k in np.flatnonzero(begin).tolist():
+            batch = self.batches[k]
+            batch._begin(self._beginning[k], own if self._same_situation else batch._unforced)
 
     def _advance(
         self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-        steps = [
-            batch._advance(actions[block], mask[block])
-            for batch, block in zip(self.batches, self._blocks, strict=True)
-        ]
-        reward, terminated, truncated, success = map(np.concatenate, zip(*steps, strict=True))
+        parts = list(self._parts(mask))
+        if len(parts) == 1:
+            return parts[0][0]._advance(actions, mask)
+        reward = np.zeros(self.num_envs)
+        terminated, truncated, success = np.zeros((3, self.num_envs), np.bool_)
+        for batch, part in parts:
+            results = batch._advance(actions, part)
+            for whole, own in zip((reward, terminated, truncated, success), results, strict=True):
+                np.copyto(whole, own, where=part)
         return reward, terminated, truncated, success
 
     def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
-        for batch, block in zip(self.batches, self._blocks, strict=True):
-            batch._observe({key: rows[block] for key, rows in out.items()}, mask[block])
+        for batch, part in self._parts(mask):
+            batch._observe(out, part)
 
     def _situations(self) -> dict[str, NDArray[np.int64]]:
-        return _joined([batch._situations() for batch in self.batches])
+        own = list(self.batches[0].situation) if self._same_situation else []
+        joined = self._joined(lambda batch: batch._situations(), own)
+        if self.draw == "worlds":
+            return joined
+        return {self.rank: self.levels_of_worlds.copy(), **joined}
 
     def _describe(self) -> dict[str, NDArray[Any]]:
-        return _joined([batch._describe() for batch in self.batches])
+        joined = self._joined(lambda batch: batch._describe(), self._described)
+        if self.draw == "worlds":
+            return joined
+        return {f"{self.rank}_name": self._names[self.levels_of_worlds], **joined}
+
+    def _joined(
+        self, entries: Callable[[ZipfVectorEnv], dict[str, NDArray[Any]]], names: list[str]
+    ) -> dict[str, NDArray[Any]]:
+        """These entries of the batches, each world's from its level's batch."""
+        if not names:
+            return {}
+        parts = [(entries(batch), mask) for batch, mask in self._parts(self._everywhere)]
+        if len(parts) == 1:
+            return {name: parts[0][0][name] for name in names}
+        joined = {}
+        for name in names:
+            joined[name] = np.empty(
+                self.num_envs, np.result_type(*(own[name].dtype for own, _ in parts))
+            )
+            for own, mask in parts:
+                np.copyto(joined[name], own[name], where=mask)
+        return joined
 
     def _get_worlds(self) -> dict[str, NDArray[Any]]:
-        return {
-            f"{name}:{key}": value
-            for name, batch in zip(self.level_names, self.batches, strict=True)
-            for key, value in batch._get_worlds().items()
-        }
+        state = {"levels": self.levels_of_worlds} if self.draw == "resets" else {}
+        for k in sorted(set(self._engine_of.tolist())):
+            worlds = self.batches[k]._get_worlds()
+            state |= {f"{self.level_names[k]}:{key}": value for key, value in worlds.items()}
+        return state
 
     def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+        levels = state.get("levels", self.levels_of_worlds)
+        if (levels < 0).any() or (levels >= len(self.batches)).any():
+            raise ValueError("the state is of other levels, or damaged: levels out of range")
         before = self.get_state()
         try:
             self._set_batches(state)
         except ValueError:
-            self._set_batches(before)  # a level that refuses its part comes after some that took it
+            self._set_batches(before)  # the levels before the one that refused its part
             raise
 
     def _set_batches(self, state: Mapping[str, NDArray[Any]]) -> None:
-        for name, batch, block in zip(self.level_names, self.batches, self._blocks, strict=True):
-            common = {key: state[key][block] for key in _COMMON}
+        if self.draw == "resets":
+            self.levels_of_worlds[:] = state["levels"]
+        self._locate(state["seeded"])
+        for k, batch in enumerate(self.batches):
+            # To a level's batch, worlds that are on other levels have not begun yet.
+            here = self.levels_of_worlds == k
+            common = {key: state[key] * here for key in ("seeded", "running", "lengths", "returns")}
+            name = self.level_names[self._engine_of[k]]
             own = {key: state[f"{name}:{key}"] for key in batch._get_worlds()}
-            batch._set_worlds({**common, **own})
+            batch._set_worlds({"streams": state["streams"], **common, **own})
 
 
-def _joined(parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+@njit(nogil=True, cache=True)
+def _begin_levels(
+    mask, draw, forced, cumulative, streams, engine_of, levels, begun, on_engine, beginning
+):
+    """Gives the worlds of `mask` their levels, drawn if `draw`, and keeps the masks up to date.
+
+    Forced levels (>= 0) replace what was drawn. Returns which levels begin an episode and which
+    engines have worlds, bool [levels] both.
+    """
+    beginning[:] = False
+    begin = np.zeros(len(engine_of), np.bool_)
+    in_use = np.zeros(len(engine_of), np.bool_)
+    for i in range(mask.size):
+        if mask[i]:
+            old = new = levels[i]
+            if draw:
+                new = pcg64.choice(streams[i], cumulative)
+                if forced[i] >= 0:
+                    new = forced[i]
+            levels[i] = new
+            begun[old, i] = False
+            begun[new, i] = True
+            on_engine[engine_of[old], i] = False
+            on_engine[engine_of[new], i] = True
+            beginning[new, i] = True
+            begin[new] = True
+        in_use[engine_of[levels[i]]] = True
+    return begin, in_use
+
+
+def _engines(batches: Sequence[ZipfVectorEnv]) -> NDArray[np.int64]:
+    """For each level the place of the batch that steps its worlds: the first with its engine."""
+    keys = [batch._engine() for batch in batches]
+    engines = [
+        (type(batch), k if key is None else key)
+        for k, (batch, key) in enumerate(zip(batches, keys, strict=True))
+    ]
+    return np.array([engines.index(engine) for engine in engines])
+
+
+def _without_episodes(batch: ZipfVectorEnv) -> ZipfVectorEnv:
+    """A shallow copy of a batch for pickling, of which no world has begun."""
+    twin: ZipfVectorEnv = object.__new__(type(batch))
+    twin.__dict__.update(batch.__dict__, _seeded=np.zeros_like(batch._seeded))
+    return twin
+
+
+def _ordered(count: int, order: str | int) -> NDArray[np.int64]:
+    """The place in the list of levels of each rank, int64 [count].
+
+    Raises ValueError for an `order` other than "forward", "reversed" or an integer >= 0.
+    """
+    if order == "forward":
+        return np.arange(count)
+    if order == "reversed":
+        return np.arange(count)[::-1]
+    if isinstance(order, bool) or not isinstance(order, int | np.integer) or order < 0:
+        raise ValueError(
+            "order must be 'forward', 'reversed' or an integer >= 0 that seeds a shuffle, "
+            f"got {order!r}"
+        )
+    return np.argsort(np.random.default_rng(order).random(count), kind="stable")
+
+
+def _difference(expected: Any, first: str, given: Any, name: str) -> str:
+    """In which part two levels differ."""
+    if isinstance(expected, spaces.Dict) and isinstance(given, spaces.Dict):
+        for key in {**expected.spaces, **given.spaces}:
+            one, other = expected.spaces.get(key), given.spaces.get(key)
+            if one != other:
+                return f"{key!r} is {one or 'absent'} in {first} and {other or 'absent'} in {name}"
+    return f"it is {expected} in {first} and {given} in {name}"

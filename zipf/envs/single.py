@@ -1,4 +1,4 @@
-"""One world as a plain Gymnasium environment, for families that are written as batches."""
+"""One world as a Gymnasium environment, for families written as batches."""
 
 import operator
 from collections.abc import Callable
@@ -17,15 +17,15 @@ class SingleWorld(gym.Env[dict[str, Any], Any]):
 
         env = SingleWorld(GridworldVectorEnv, level="rare")
 
-    World `i` of the batch after `reset(seed=s)` is this after `reset(seed=s + i)`, and
-    `check_vector_env` takes it for its single world. It then finds worlds that touch each other,
-    wrong masks, states and buffers, but not wrong rules, which both sides share; for those, write
-    the single world by itself.
+    After `reset(seed=s + i)` it equals world `i` of a batch after `reset(seed=s)`. As the single
+    world of `check_vector_env` it reveals worlds that affect each other, wrong masks, states and
+    buffers, but not wrong rules, because both sides share them; to check the rules, write a single
+    world independently of the batch.
 
-    `info` holds the ranks of the situation as integers, and what else the batch tells about an
-    episode as plain Python values (text as str). The step that ends an episode adds
-    `success` (bool), `return` (float) and `length` (int). Episodes are drawn from the batch's
-    own stream; `np_random` is seeded, and drawn from by nothing here.
+    `info` holds the ranks of the situation as integers, and the batch's other entries as Python
+    values (text as str). The step that ends an episode adds `success` (bool, if the batch reports
+    it), `return` (float) and `length` (int). Episodes are drawn from the batch's own random stream;
+    `np_random` is seeded too, but unused.
 
     Args:
         make_vec: `make_vec(num_envs, autoreset_mode=..., **kwargs)` makes the batch.
@@ -40,6 +40,7 @@ class SingleWorld(gym.Env[dict[str, Any], Any]):
         self.observation_space = self.batch.single_observation_space
         self.action_space = self.batch.single_action_space
         self.situation = self.batch.situation
+        self.reports_success = self.batch.reports_success
         self.metadata = self.batch.metadata
         self.render_mode = self.batch.render_mode
 
@@ -81,5 +82,5 @@ def _row(observation: Observation) -> dict[str, Any]:
 
 
 def _items(info: dict[str, Any]) -> dict[str, Any]:
-    """The only world's entries as Python values; masks (`_success`, ...) say nothing here."""
+    """The single world's entries as Python values, without masks (`_success`, ...)."""
     return {key: value[0].item() for key, value in info.items() if not key.startswith("_")}

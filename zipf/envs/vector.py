@@ -1,9 +1,9 @@
-"""The batched environment contract that every family of the benchmark keeps."""
+"""The base class of batched environments, which every family of the benchmark derives from."""
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -22,44 +22,59 @@ Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.boo
 class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     """`N` worlds that step together and report the situation of every episode.
 
-    A `gymnasium.vector.VectorEnv` in `AutoresetMode.SAME_STEP` (default) or `DISABLED`, with:
+    A `gymnasium.vector.VectorEnv` in any of Gymnasium's autoreset modes, with:
 
     - **Situations.** An episode is drawn at one or more frequency ranks (0 = most frequent), named
-      and sized in `situation`. `info` holds the ranks of the episodes now running, int64 [N] each,
-      and what else the family tells about them (`_describe`), for instance instructions as text.
+      and sized in `situation`. `info` holds the ranks of the running episodes, int64 [N] each, and
+      the family's own entries (`_describe`), for instance instructions as text.
     - **Own random streams.** World `i` after `reset(seed=s)` draws from
       `numpy.random.default_rng(s + i)` and equals a single environment seeded `s + i`.
     - **Writing in place.** `reset(out=...)` and `step(actions, out=..., final_out=...)` write
-      observations to C-contiguous arrays `[N, ...]` of the caller's, with the dtypes and shapes of
+      observations to the caller's C-contiguous arrays `[N, ...]`, with the dtypes and shapes of
       `observation_space`, and return those.
     - **Complete state.** After `set_state(get_state())` stepping continues bit for bit.
 
-    `info` of a step in `SAME_STEP` mode, when episodes ended: `final_info`, a dict of arrays [N]
-    with the ended episodes' ranks (int64) and descriptions, `success` (bool), `return` (float64)
-    and `length` (int64), and `final_obs`, a dict of arrays [N, ...] of their last observations.
-    Both are valid only where the masks `_final_info` and `_final_obs` (bool [N]) are set.
-    `final_obs` is written to `final_out`; with `out` and no `final_out` it is left out, which saves
-    drawing it.
+    A step in which episodes end reports their outcome: `success` (bool, unless `reports_success`
+    is False), `return` (float64) and `length` (int64, in steps), arrays [N]. The autoreset mode
+    says where, and when the next episodes begin:
 
-    `info` of a step in `DISABLED` mode, when episodes ended: `success`, `return` and `length`,
-    valid where the masks `_success`, `_return` and `_length` are set. A world whose episode has
-    ended must be reset before the next step, by
-    `reset(options={"reset_mask": mask})` (bool [N]), which leaves the others alone.
+    - `SAME_STEP` (the default): in the same step. `info["final_info"]` holds ranks, descriptions
+      and outcome of the ended episodes, `info["final_obs"]` their last observations, a dict of
+      arrays [N, ...]. Both are valid only where the masks `_final_info` and `_final_obs` (bool [N])
+      are set. `final_obs` is written to `final_out`; with `out` and no `final_out` it is left out,
+      which saves drawing it.
+    - `NEXT_STEP`: in the next step, which ignores the actions of these worlds and returns the
+      first observations of the new episodes, with reward 0 and neither terminated nor truncated.
+      The step that ends an episode returns its last observation, and `info` holds the outcome,
+      valid where the masks `_success`, `_return` and `_length` are set.
+    - `DISABLED`: when the caller resets these worlds, by
+      `reset(options={"reset_mask": mask})` (bool [N]), which leaves the others as they are. The
+      outcome is in `info` as in `NEXT_STEP`.
 
     Args:
         num_envs: number of worlds N.
-        single_observation_space: what one world shows.
-        single_action_space: what one world takes.
-        situation: name and size of each rank an episode is drawn at.
-        autoreset_mode: `SAME_STEP` or `DISABLED`.
+        single_observation_space: the observations of one world.
+        single_action_space: the actions of one world, counted from 0.
+        situation: name and size of each rank an episode is drawn at; may be empty.
+        autoreset_mode: a `gymnasium.vector.AutoresetMode` or its value: "SameStep", "NextStep" or
+            "Disabled".
         copy: whether observations returned without `out` are fresh arrays (True, as in
             Gymnasium's SyncVectorEnv) or this environment's own, overwritten by the next step.
         render_mode: one of `metadata["render_modes"]` or None.
+
+    Attributes:
+        reports_success: whether episodes end with a success or a failure. Where it is False,
+            `success` is left out of all infos.
+
+    Raises:
+        ValueError: for an argument out of range, or an action space other than a `Discrete` that
+            starts at 0.
     """
 
     single_observation_space: spaces.Dict
     single_action_space: spaces.Discrete
     situation: dict[str, int]
+    reports_success: bool = True
 
     def __init__(
         self,
@@ -74,9 +89,15 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, got {num_envs}")
+        modes = [mode.value for mode in AutoresetMode]
+        if autoreset_mode not in (*AutoresetMode, *modes):
+            raise ValueError(f"autoreset_mode must be one of {modes}, got {autoreset_mode!r}")
         autoreset_mode = AutoresetMode(autoreset_mode)
-        if autoreset_mode is AutoresetMode.NEXT_STEP:
-            raise ValueError("autoreset_mode must be SAME_STEP or DISABLED, got NEXT_STEP")
+        if not isinstance(single_action_space, spaces.Discrete) or single_action_space.start != 0:
+            raise ValueError(
+                "single_action_space must be a Discrete space that starts at 0, "
+                f"got {single_action_space}"
+            )
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(
                 f"render_mode must be one of {self.metadata['render_modes']} or None, "
@@ -97,6 +118,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self._running = np.zeros(num_envs, dtype=np.bool_)
         self._lengths = np.zeros(num_envs, dtype=np.int64)
         self._returns = np.zeros(num_envs, dtype=np.float64)
+        self._restarted = np.zeros(num_envs, dtype=np.bool_)
         self._all_running = False
         self._everywhere = np.ones(num_envs, dtype=np.bool_)
         self._unforced = np.full((len(self.situation), num_envs), -1, dtype=np.int64)
@@ -128,7 +150,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         """Starts an episode in the worlds of `mask`, drawing from `self._streams`.
 
-        World `i` draws from its own stream alone: a rank by
+        World `i` draws from its own stream only: a rank by
         `zipf.envs.pcg64.choice(self._streams[i], cdf)`, where `cdf` is
         `zipf.envs.pcg64.cumulative(probabilities)`, and a number in [0, 1) by
         `zipf.envs.pcg64.next_double(self._streams[i])`. Both work in numba kernels, too.
@@ -145,8 +167,9 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
         Returns reward, terminated, truncated and success [N].
 
-        What is returned for other worlds is not read. `self._lengths` counts this step already.
-        Success matters only where an episode ends.
+        The arrays are fresh ones; their entries of other worlds are not used. `self._lengths`
+        counts this step already. Success is used only where an episode ends, and nowhere if
+        `reports_success` is False.
         """
 
     @abstractmethod
@@ -155,12 +178,12 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     @abstractmethod
     def _situations(self) -> dict[str, NDArray[np.int64]]:
-        """The ranks of the episodes now running, as fresh arrays int64 [N]."""
+        """The ranks of the running episodes, as fresh arrays int64 [N]."""
 
     def _describe(self) -> dict[str, NDArray[Any]]:
-        """What else `info` tells about the episodes now running, as fresh arrays [N] of any dtype.
+        """Further entries of `info` about the running episodes, as fresh arrays [N] of any dtype.
 
-        The names are those of no rank of the situation and do not begin with an underscore.
+        Their names differ from those of the situation and do not begin with an underscore.
         """
         return {}
 
@@ -170,10 +193,28 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     @abstractmethod
     def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Takes the family's own state from a whole one, where its part has `_get_worlds`' keys.
+        """Restores the family's own state from a complete one, which has `_get_worlds`' keys too.
 
-        Raises ValueError, with nothing taken, if a kernel could not work on it.
+        A family that cannot restore the running episode of a world begins one and sets the
+        world's entry of `self._restarted`.
+
+        Raises ValueError, with nothing restored, if a kernel could not work on it.
         """
+
+    _resizable: frozenset[str] = frozenset()
+    """Keys of `_get_worlds` whose arrays may be of another length in another state."""
+
+    def _engine(self) -> Hashable:
+        """A value that is equal for batches which differ only in how their episodes begin.
+
+        A `Mixture` steps and draws the worlds of such levels together. None, as here, if there are
+        no such batches; otherwise the family implements `_use_engine`, too.
+        """
+        return None
+
+    def _use_engine(self, other: Self) -> None:
+        """Uses the state of `other`, a batch with an equal `_engine`, in the place of its own."""
+        raise NotImplementedError
 
     # What users call.
 
@@ -194,7 +235,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             out: where to write the observations, else as the constructor's `copy` says.
 
         Returns:
-            Observations of all worlds and `info` about all episodes now running.
+            Observations of all worlds and `info` about all running episodes.
 
         Raises:
             ValueError: for seeds, options or `out` of the wrong length, type or range.
@@ -208,11 +249,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             if seeds[i] is not None or not self._seeded[i]:
                 self._streams[i] = pcg64.stream(seeds[i])
                 self._seeded[i] = True
-        self._begin(mask, forced)
-        self._lengths[mask] = 0
-        self._returns[mask] = 0.0
-        self._running[mask] = True
-        self._all_running = bool(self._running.all())
+        self._begin_episodes(mask, forced)
         self._observe(observation, self._everywhere)
         return observation, self._running_info()
 
@@ -237,41 +274,51 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         Raises:
             ValueError: for actions or buffers of the wrong shape, dtype or range; nothing has
                 happened then.
-            ResetNeeded: if a world has no running episode.
+            ResetNeeded: if a world has to be reset first.
         """
         if self.closed:
             raise ClosedEnvironmentError("step() of an environment that was closed")
+        mask = self._everywhere
         if not self._all_running:
-            waiting = np.flatnonzero(~self._running).tolist()
-            raise ResetNeeded(f"step() needs a running episode: reset worlds {waiting} first")
-        actions = self._read_actions(actions)
+            next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
+            waiting = ~(self._seeded if next_step else self._running)
+            if waiting.any():
+                worlds = np.flatnonzero(waiting).tolist()
+                raise ResetNeeded(f"step() needs a running episode: reset worlds {worlds} first")
+            mask = self._running.copy()
+        actions = self._read_actions(actions, mask)
         observation = self._writable(out, "out")
         same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
         final: Observation | None = None
         if same_step and (final_out is not None or out is None):
             final = self._writable(final_out, "final_out")
 
+        begins = mask is not self._everywhere
+        if begins:
+            self._begin_episodes(~mask, self._unforced)
         before = self._running_info()
-        self._lengths += 1
-        reward, terminated, truncated, success = self._advance(actions, self._everywhere)
+        self._lengths += mask
+        reward, terminated, truncated, success = self._advance(actions, mask)
+        if begins:
+            reward = np.where(mask, reward, 0.0)
+            terminated, truncated = terminated & mask, truncated & mask
         self._returns += reward
         done = terminated | truncated
         info: Info = before
         if done.any():
-            outcome = {
-                "success": success,
+            outcome: dict[str, NDArray[Any]] = {
                 "return": self._returns.copy(),
                 "length": self._lengths.copy(),
             }
+            if self.reports_success:
+                outcome["success"] = success
             if same_step:
                 info = {"final_info": {**before, **outcome}, "_final_info": done}
                 if final is not None:
                     self._observe(final, done)
                     info["final_obs"] = final
                     info["_final_obs"] = done.copy()
-                self._begin(done, self._unforced)
-                self._lengths[done] = 0
-                self._returns[done] = 0.0
+                self._begin_episodes(done, self._unforced)
                 info.update(self._running_info())
             else:
                 info.update(outcome)
@@ -303,8 +350,13 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         }
         return {key: value.copy() for key, value in state.items()}
 
-    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Goes on from what `get_state` gave, here or in an equal environment.
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+        """Restores what `get_state` returned, here or in an equal environment.
+
+        Returns:
+            bool [N], where the running episode could not be restored and a new one has begun.
+            None of the benchmark's families needs this; an environment that is not deterministic
+            does.
 
         Raises:
             ValueError: if the state is of another kind or number of worlds.
@@ -313,18 +365,26 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         if state.keys() != own.keys():
             raise ValueError(f"a state has the keys {sorted(own)}, got {sorted(state)}")
         for key, value in own.items():
-            if state[key].shape != value.shape or state[key].dtype != value.dtype:
+            shape = state[key].shape
+            if key in self._resizable and value.ndim == len(shape):
+                shape = (len(value), *shape[1:])
+            if shape != value.shape or state[key].dtype != value.dtype:
                 raise ValueError(
                     f"state {key!r} must be {value.dtype} {value.shape}, "
                     f"got {state[key].dtype} {state[key].shape}"
                 )
+        self._restarted[:] = False
         self._set_worlds(state)
         self._streams[:] = state["streams"]
         self._seeded[:] = state["seeded"]
         self._running[:] = state["running"]
         self._lengths[:] = state["lengths"]
         self._returns[:] = state["returns"]
+        self._lengths[self._restarted] = 0
+        self._returns[self._restarted] = 0.0
+        self._running[self._restarted] = True
         self._all_running = bool(self._running.all())
+        return self._restarted.copy()
 
     def __getstate__(self) -> dict[str, Any]:
         state = {**self.__dict__, "_buffers": {}}
@@ -334,7 +394,14 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _running_info(self) -> Info:
         return {**self._situations(), **self._describe()}
 
-    # Checks of what came from outside.
+    def _begin_episodes(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
+        self._begin(mask, forced)
+        self._lengths[mask] = 0
+        self._returns[mask] = 0.0
+        self._running[mask] = True
+        self._all_running = bool(self._running.all())
+
+    # Checks of arguments.
 
     def _writable(self, out: Observation | None, name: str) -> Observation:
         if out is None:
@@ -359,7 +426,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 )
         return out
 
-    def _read_actions(self, actions: Any) -> NDArray[np.int64]:
+    def _read_actions(self, actions: Any, mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """The actions of the worlds of `mask`, int64 [N], 0 for the others."""
         actions = np.asarray(actions)
         if actions.shape != (self.num_envs,) or actions.dtype.kind not in "iu":
             got = f"{actions.dtype} of shape {actions.shape}" if actions.shape else "a single one"
@@ -368,6 +436,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 f"got {got}"
             )
         actions = np.ascontiguousarray(actions, dtype=np.int64)
+        if mask is not self._everywhere:
+            actions = np.where(mask, actions, 0)
         # As unsigned, a negative action is a huge one.
         if (actions.view(np.uint64) >= self.single_action_space.n).any():
             raise ValueError(

@@ -1,8 +1,8 @@
 """Composes configurations with Hydra, from `configs/`, folders of the user's, and the registries.
 
 Groups whose choices are registered in Python need no file: `environment` has a choice for every
-family, with the defaults of its options class, and `agent` one for every agent whose options all
-have defaults.
+family, with the defaults of its options class, and `agent` and `auxiliary` one for every agent
+and loss whose options all have defaults.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from yaml import YAMLError
 import zipf
 from zipf import envs, plugins
 from zipf.agents import agents
+from zipf.agents.auxiliary import auxiliaries
 from zipf.experiments.errors import UserError
 from zipf.options import Options
 
@@ -157,7 +158,12 @@ def _registered() -> dict[str, dict[str, dict[str, Any]]]:
         "agent": {
             name: {"name": name, **_defaults(agent.Options)}
             for name, agent in agents().items()
-            if all(name == "name" or not f.is_required() for name, f in _fields(agent.Options))
+            if _has_defaults(agent.Options)
+        },
+        "auxiliary": {
+            name: {"name": name, **_defaults(options)}
+            for name, options in auxiliaries().items()
+            if _has_defaults(options)
         },
     }
 
@@ -167,6 +173,10 @@ def _store_registered() -> None:
     for group, choices in _registered().items():
         for name, node in choices.items():
             store.store(group=group, name=name, node=node)
+
+
+def _has_defaults(options: type[Options]) -> bool:
+    return all(name == "name" or not field.is_required() for name, field in _fields(options))
 
 
 def _fields(options: type[Options]) -> Iterable[tuple[str, Any]]:

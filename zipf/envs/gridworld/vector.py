@@ -1,7 +1,7 @@
 """Zipf's Gridworld, many worlds at once."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Any, Self
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -96,6 +96,12 @@ class GridworldVectorEnv(ZipfVectorEnv):
             "map": self._worlds[:, kernels.MAP].copy(),
             "target": self._worlds[:, kernels.TARGET].copy(),
         }
+
+    def _engine(self) -> Hashable:
+        return self.level.maps, self.level.max_steps, self.level.observation
+
+    def _use_engine(self, other: Self) -> None:
+        self._worlds = other._worlds
 
     def _get_worlds(self) -> dict[str, NDArray[Any]]:
         return {"worlds": self._worlds}

@@ -1,8 +1,8 @@
 """Zipf's Playroom, many worlds at once."""
 
 import operator
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Any, Self
 
 import numpy as np
 from gymnasium import spaces
@@ -271,6 +271,18 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         if self.level.finding:
             told["side"] = self._side.copy()
         return told
+
+    def _engine(self) -> Hashable:
+        level = self.level
+        return (
+            (level.furnished, level.finding, tuple(self.situation.items())),
+            (self.objects, self.max_steps, self.single_observation_space["image"].shape),
+        )
+
+    def _use_engine(self, other: Self) -> None:
+        level = self.level
+        self.__dict__.update(other.__dict__)
+        self.level = level
 
     def _get_worlds(self) -> dict[str, NDArray[Any]]:
         return {"began": self._began, "forced": self._forced, "actions": self._actions}

@@ -16,7 +16,7 @@ from zipf.agents.agent import Agent
 from zipf.agents.exploration import CountBonus
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
-from zipf.envs.mixture import MixtureVectorEnv
+from zipf.envs.mixture import Mixture
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.running.checkpoint import arrays
 
@@ -59,7 +59,7 @@ class Collector:
         self.exploration = exploration
         self.seconds = {"environment": 0.0, "inference": 0.0}
         self._levels_of_worlds: NDArray[np.str_] | None = None
-        if isinstance(env, MixtureVectorEnv):
+        if isinstance(env, Mixture) and env.draw == "worlds":
             self._levels_of_worlds = np.array(env.level_names)[env.levels_of_worlds]
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
