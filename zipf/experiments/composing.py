@@ -172,7 +172,8 @@ def _store_registered() -> None:
     store = ConfigStore.instance()
     for group, choices in _registered().items():
         for name, node in choices.items():
-            store.store(group=group, name=name, node=node)
+            if not any((folder / group / f"{name}.yaml").is_file() for folder in _folders()):
+                store.store(group=group, name=name, node=node)
 
 
 def _has_defaults(options: type[Options]) -> bool:
