@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from zipf.compiled import compiled
 from zipf.envs.playroom import actions, kernels
 from zipf.envs.playroom.kernels import AX, AY, FURNITURE_SIZE, HOLD, PITCH, YAW
 from zipf.envs.playroom.levels import LIFT, NEAR, ON
@@ -176,7 +176,7 @@ def _inside(
     return pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _aim(agent, item, extent):
     """Turns `agent` towards the middle of an object."""
     dx, dy = item[0] - agent[AX], item[1] - agent[AY]
@@ -184,12 +184,12 @@ def _aim(agent, item, extent):
     agent[PITCH] = math.atan2(item[3] + extent[2] / 2 - kernels.EYE, math.hypot(dx, dy))
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _center(row, column):
     return (column + 0.5) * _CELL - kernels.ROOM / 2, (row + 0.5) * _CELL - kernels.ROOM / 2
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _viewpoints(agent, furnished, ranks, extents, furniture, items, orientation):
     """Where the target can be pointed at from: bool [rows, columns]."""
     goals = np.zeros((_CELLS, _CELLS), np.bool_)
@@ -209,7 +209,7 @@ def _viewpoints(agent, furnished, ranks, extents, furniture, items, orientation)
     return goals
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _beside(pose, size, inset, closest):
     """Where something can be held over a support from: bool [rows, columns]."""
     goals = np.zeros((_CELLS, _CELLS), np.bool_)
@@ -221,7 +221,7 @@ def _beside(pose, size, inset, closest):
     return goals
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _around(place, distance):
     goals = np.zeros((_CELLS, _CELLS), np.bool_)
     for row in range(_CELLS):
@@ -231,7 +231,7 @@ def _around(place, distance):
     return goals
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _is_blocked(x, y, furnished, finding, carried, ranks, extents, furniture, items):
     margin = kernels.AGENT_RADIUS + 0.03
     if max(abs(x), abs(y)) > kernels.ROOM / 2 - margin:
@@ -251,7 +251,7 @@ def _is_blocked(x, y, furnished, finding, carried, ranks, extents, furniture, it
     return False
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _way(goals, agent, furnished, finding, carried, ranks, extents, furniture, items):
     """The heading, radians, in which the shortest way to a goal begins; NaN where there is none."""
     blocked = np.zeros((_CELLS, _CELLS), np.bool_)

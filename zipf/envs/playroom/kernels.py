@@ -7,8 +7,8 @@ heights and orientations, and the judgement. Lengths in metres, angles in radian
 import math
 
 import numpy as np
-from numba import njit
 
+from zipf.compiled import compiled
 from zipf.envs import pcg64
 from zipf.envs.playroom.actions import CONTROL_TABLE
 from zipf.envs.playroom.levels import LIFT, NEAR, ON
@@ -70,17 +70,17 @@ _MAX_TRIES = 10_000
 _COAST = FRAME * sum(math.exp(-DAMPING * FRAME * k) for k in range(FRAMES))
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _between(stream, low, high):
     return low + (high - low) * pcg64.next_double(stream)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _below(stream, n):
     return min(int(pcg64.next_double(stream) * n), n - 1)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def draw_situations(mask, forced, probabilities, replacement, tasks, streams, ranks, task, scenery):
     """Draws ranks, task and the seed of everything else of the episodes of `mask`.
 
@@ -135,7 +135,7 @@ def draw_situations(mask, forced, probabilities, replacement, tasks, streams, ra
             pcg64.next_double(scenery[i])
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _keep_apart(ranks, drawn, forced):
     """Gives drawn objects that equal a forced one a rank that the forced one has replaced."""
     count = ranks.size
@@ -156,7 +156,7 @@ def _keep_apart(ranks, drawn, forced):
                 break
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def lay_out(
     mask, finding, furnished, ranks, extents, scenery, agents, objects, furniture, colors, palette
 ):
@@ -211,7 +211,7 @@ def lay_out(
     return fits
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _paint(stream, palette, colors):
     """Two different colours of the palette each, a little off."""
     for j in range(colors.shape[0]):
@@ -223,7 +223,7 @@ def _paint(stream, palette, colors):
                 colors[j, slot, c] = np.uint8(min(max(value, 0.0), 255.0))
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _place_furniture(stream, furniture):
     """The bed with its head or its side to a wall, the tray anywhere."""
     wall = _below(stream, 4)
@@ -244,7 +244,7 @@ def _place_furniture(stream, furniture):
     furniture[1, 2] = _between(stream, -math.pi, math.pi)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def rectangle_gap(pose, size, x, y):
     """Distance of a point from a rectangle, 0 inside."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -254,7 +254,7 @@ def rectangle_gap(pose, size, x, y):
     return math.sqrt(out_x * out_x + out_y * out_y)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _is_free(x, y, radius, furnished, furniture):
     if max(abs(x), abs(y)) > ROOM / 2 - radius:
         return False
@@ -265,7 +265,7 @@ def _is_free(x, y, radius, furnished, furniture):
     return True
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _scatter(stream, furnished, ranks, extents, agent, objects, furniture):
     """Agent and objects anywhere; False where no place was found for one of them."""
     for j in range(-1, ranks.size):
@@ -291,7 +291,7 @@ def _scatter(stream, furnished, ranks, extents, agent, objects, furniture):
     return True
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _face_two(stream, agent, objects):
     """Two objects in view, one on the left and one on the right, the target on either side."""
     x, y = _between(stream, -0.2, 0.2), _between(stream, -0.2, 0.2)
@@ -305,13 +305,13 @@ def _face_two(stream, agent, objects):
         objects[j, Y] = y + ahead * sin + aside * cos
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def footprint(extent):
     """The radius that holds an object on the floor however it is turned."""
     return 0.5 * math.sqrt(extent[0] * extent[0] + extent[1] * extent[1])
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def begin(mask, agents, hands, objects, orientation, status, still, lifted):
     """The rest of the state of the worlds of `mask`, where `lay_out` has placed everything."""
     for i in range(mask.size):
@@ -324,7 +324,7 @@ def begin(mask, agents, hands, objects, orientation, status, still, lifted):
                 _stand(orientation[i, j], objects[i, j, ANGLE])
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def control(
     mask, actions, furnished, ranks, extents, furniture,
     agents, hands, objects, orientation, status, layers, forces, drives, turned,
@@ -380,7 +380,7 @@ def control(
             layers[i, j] = _layer(status[i, j], objects[i, j, Z])
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _layer(status, height):
     if status == FLOOR:
         return GROUND_LAYER
@@ -393,7 +393,7 @@ def _layer(status, height):
     return RAISED_LAYER
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def pick(agent, furnished, ranks, extents, furniture, objects, orientation):
     """The object that the hand points at within reach, or -1; sets how far it is held."""
     direction = np.empty(3)
@@ -429,7 +429,7 @@ def pick(agent, furnished, ranks, extents, furniture, objects, orientation):
     return picked
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _distance_along(direction, agent, center, frame, half):
     """Where a ray from the eye enters an oriented box; infinity where it misses."""
     near, far = 0.0, math.inf
@@ -453,7 +453,7 @@ def _distance_along(direction, agent, center, frame, half):
     return near if near <= far else math.inf
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _stand(frame, angle):
     """Writes the upright orientation that faces `angle`, float64 [3, 3]."""
     cos, sin = math.cos(angle), math.sin(angle)
@@ -462,14 +462,14 @@ def _stand(frame, angle):
     frame[2, 0], frame[2, 1], frame[2, 2] = 0.0, 0.0, 1.0
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _let_go(item, frame):
     """The object's angle on the floor is that of its front, if it still points anywhere."""
     if math.hypot(frame[0, 0], frame[1, 0]) > 0.1:
         item[ANGLE] = math.atan2(frame[1, 0], frame[0, 0])
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _spin(frame, agent, act):
     cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
     if act[4] != 0:
@@ -480,7 +480,7 @@ def _spin(frame, agent, act):
         _rotate(frame, cos, sin, 0.0, act[6] * SPIN_RATE * STEP)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _rotate(frame, x, y, z, angle):
     """Turns `frame` about a unit axis of the world, by Rodrigues' formula."""
     cos, sin = math.cos(angle), math.sin(angle)
@@ -492,7 +492,7 @@ def _rotate(frame, x, y, z, angle):
         frame[2, column] = c * cos + (x * b - y * a) * sin + z * dot
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _carry(agent, furnished, furniture, item, extent, drive):
     """Moves the held object to where the hand is: its height now, its place by the physics."""
     radius = footprint(extent)
@@ -513,7 +513,7 @@ def _carry(agent, furnished, furniture, item, extent, drive):
     item[Z] += min(max(height - item[Z], -step), step)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _floor_of_hand(furnished, furniture, item):
     """The lowest that an object may be held where it is."""
     floor = 0.0
@@ -525,7 +525,7 @@ def _floor_of_hand(furnished, furniture, item):
     return floor
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _beside(pose, size, radius, item, x, y):
     """The place nearest to (x, y) on the side of a rectangle on which an object is now.
 
@@ -544,7 +544,7 @@ def _beside(pose, size, radius, item, x, y):
     return pose[0] + cos * to_x - sin * to_y, pose[1] + sin * to_x + cos * to_y
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def settle(
     mask, finding, furnished, task, ranks, extents, furniture, before,
     agents, hands, objects, orientation, status, still, lifted, reward, terminated, success,
@@ -584,7 +584,7 @@ def settle(
         reward[i] = 1.0 if outcome == 1 else 0.0
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _fall(item, before, furnished, furniture):
     """Lets an object that is not held fall for one step; returns where it is then."""
     where = FLOOR
@@ -612,7 +612,7 @@ def _fall(item, before, furnished, furniture):
     return where
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _right(frame, angle):
     """An object that is not held stands up again, over a few steps."""
     upright = np.empty((3, 3))
@@ -638,14 +638,14 @@ def _right(frame, angle):
     frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[1, 2] * frame[0, 0]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _normalize(frame, c):
     norm = math.sqrt(frame[0, c] ** 2 + frame[1, c] ** 2 + frame[2, c] ** 2)
     for r in range(3):
         frame[r, c] /= norm
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _judge_approach(ranks, agent, objects):
     """1 where the target is approached, 0 where another object is, -1 where none is."""
     outcome = -1
@@ -656,7 +656,7 @@ def _judge_approach(ranks, agent, objects):
     return outcome
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _judge_put(task, ranks, furniture, objects, status, still, lifted):
     """1 where the target has been put where it belongs, 0 where anything else has, -1 if nothing.
 

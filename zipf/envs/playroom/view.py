@@ -6,9 +6,9 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from zipf.compiled import compiled
 from zipf.envs.playroom import kernels
 from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
 
@@ -134,7 +134,7 @@ def _build_room(scenes: Scenes, world: int) -> None:
     )
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _pose(mask, agents, items, orientation, ranks, extents, camera, position, rotation):
     """Writes camera and objects of the worlds of `mask` into their scenes."""
     for i in range(mask.size):
