@@ -5,8 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from zipf.envs.playroom import actions, kernels
+from zipf.envs.playroom import actions
+from zipf.envs.playroom.constants import EYE
+from zipf.envs.playroom.layout import begin
 from zipf.envs.playroom.room import Room, furniture_of
+from zipf.envs.playroom.state import AIR, AX, AY, PITCH, YAW, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 BED = (-1.2, 0.0, 0.0)
@@ -45,34 +48,31 @@ def arrange(
     Returns:
         The observation.
     """
-    count = env.ranks.shape[1]
+    count = env.worlds.ranks.shape[1]
     ranks = dict(
-        zip(env.situation, [env.objects.index(name) for name in names[:count]], strict=False)
+        zip(env.situation, [env.object_names.index(name) for name in names[:count]], strict=False)
     )
     if task is not None:
         ranks["task"] = ("lift", "near bed", "near tray", "on bed", "on tray").index(task)
     env.reset(seed=seed, options=ranks)
-    env.agents[0, :4] = agent
-    env.items[0] = 0.0
-    env.items[0, :, :2] = AWAY[:count]
+    env.worlds.agents[0, :4] = agent
+    env.worlds.objects[0] = 0.0
+    env.worlds.objects[0, :, :2] = AWAY[:count]
     for j, pose in (items or {}).items():
-        env.items[0, j, : len(pose)] = pose
-    env.furniture[0] = furniture
+        env.worlds.objects[0, j, : len(pose)] = pose
+    env.worlds.furniture[0] = furniture
     everywhere = np.ones(1, np.bool_)
-    kernels.begin(
-        everywhere, env.agents, env.hands, env.items, env.orientation, env.status, env.still,
-        env.lifted,
-    )  # fmt: skip
-    env.status[0, env.items[0, :, kernels.Z] > 0] = kernels.AIR
+    begin(everywhere, env.worlds)
+    env.worlds.status[0, env.worlds.objects[0, :, Z] > 0] = AIR
     env.rooms[0] = Room(
-        env.agents[0, :2].tolist(),
+        env.worlds.agents[0, :2].tolist(),
         [
-            [*pose[:3], *env.extents[rank, :2]]
-            for pose, rank in zip(env.items[0].tolist(), env.ranks[0], strict=True)
+            [*pose[:3], *env.worlds.extents[rank, :2]]
+            for pose, rank in zip(env.worlds.objects[0].tolist(), env.worlds.ranks[0], strict=True)
         ],
-        furniture_of(env.furniture[0]) if env.level.furnished else [],
+        furniture_of(env.worlds.furniture[0]) if env.level.furnished else [],
     )
-    env._view.begin(everywhere, env)
+    env._view.begin(everywhere)
     return env.observations()
 
 
@@ -87,12 +87,12 @@ def act(env: PlayroomVectorEnv, *names: str | int) -> Any:
 
 def look_at(env: PlayroomVectorEnv, item: int) -> None:
     """Turns the agent's view to the middle of an object, at once."""
-    agent = env.agents[0]
-    x, y, _, z, _ = env.items[0, item]
-    middle = z + env.extents[env.ranks[0, item], 2] / 2
-    dx, dy = x - agent[kernels.AX], y - agent[kernels.AY]
-    agent[kernels.YAW] = np.arctan2(dy, dx)
-    agent[kernels.PITCH] = np.arctan2(middle - kernels.EYE, np.hypot(dx, dy))
+    agent = env.worlds.agents[0]
+    x, y, _, z, _ = env.worlds.objects[0, item]
+    middle = z + env.worlds.extents[env.worlds.ranks[0, item], 2] / 2
+    dx, dy = x - agent[AX], y - agent[AY]
+    agent[YAW] = np.arctan2(dy, dx)
+    agent[PITCH] = np.arctan2(middle - EYE, np.hypot(dx, dy))
 
 
 def outcome(result: Any) -> tuple[float, bool, bool, bool | None]:

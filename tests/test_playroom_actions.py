@@ -7,8 +7,11 @@ import pytest
 from numpy.typing import NDArray
 from playroom_worlds import act, arrange, look_at, playroom
 
-from zipf.envs.playroom import kernels
 from zipf.envs.playroom.actions import ACTIONS, CONTROL_TABLE, CONTROLS
+from zipf.envs.playroom.constants import DAMPING, EYE, STEP
+from zipf.envs.playroom.geometry import set_upright
+from zipf.envs.playroom.hand import HIGHEST, LOWEST
+from zipf.envs.playroom.state import AX, AY, HOLD, PITCH, YAW, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 # Carvalho et al. 2021, table 7; magnitudes from public code for Hill et al. 2020.
@@ -108,7 +111,7 @@ def test_the_picture_moves_against_the_view(
     arrange(env, (*-0.7 * ahead, yaw, -0.3), {0: 1.4 * ahead})
     before = middle(pixels(env))
     act(env, hand + action)
-    assert env.hands[0] == -1  # it is out of reach
+    assert env.worlds.hands[0] == -1  # it is out of reach
     moved = np.subtract(middle(pixels(env)), before)
     along = moved @ [down, right]
     assert along > 1
@@ -119,10 +122,10 @@ def test_slight_strafing_goes_the_same_way() -> None:
     env = watched()
     arrange(env)
     act(env, *["MOVE_RIGHT_SLIGHTLY"] * 8)
-    assert env.agents[0, kernels.AY] < -0.01
+    assert env.worlds.agents[0, AY] < -0.01
     arrange(env)
     act(env, *["GRAB_AND_MOVE_LEFT_SLIGHTLY"] * 8)
-    assert env.agents[0, kernels.AY] > 0.01
+    assert env.worlds.agents[0, AY] > 0.01
 
 
 def test_going_forward_enlarges_what_is_ahead() -> None:
@@ -152,11 +155,11 @@ def test_up_is_the_ceiling_and_down_the_floor() -> None:
         return float((image != hidden).any(-1).mean())
 
     act(env, *["LOOK_UP_FULL"] * 12)
-    assert env.agents[0, kernels.PITCH] == kernels.HIGHEST
+    assert env.worlds.agents[0, PITCH] == HIGHEST
     assert seen(1) > 0.5
     assert seen(0) == 0
     act(env, *["LOOK_DOWN_FULL"] * 20)
-    assert env.agents[0, kernels.PITCH] == kernels.LOWEST
+    assert env.worlds.agents[0, PITCH] == LOWEST
     assert seen(0) > 0.5
     assert seen(1) == 0
 
@@ -167,16 +170,16 @@ def test_up_is_the_ceiling_and_down_the_floor() -> None:
 @pytest.mark.parametrize(
     ("action", "column", "degrees"),
     [
-        ("LOOK_RIGHT_FULL", kernels.YAW, -16),
-        ("LOOK_LEFT_FULL", kernels.YAW, 16),
-        ("LOOK_RIGHT_MID", kernels.YAW, -3.2),
-        ("LOOK_LEFT_MID", kernels.YAW, 3.2),
-        ("LOOK_RIGHT_SLIGHTLY", kernels.YAW, -0.8),
-        ("LOOK_LEFT_SLIGHTLY", kernels.YAW, 0.8),
-        ("LOOK_DOWN_FULL", kernels.PITCH, -12),
-        ("LOOK_UP_FULL", kernels.PITCH, 12),
-        ("LOOK_DOWN_MID", kernels.PITCH, -0.36),
-        ("LOOK_UP_MID", kernels.PITCH, 0.36),
+        ("LOOK_RIGHT_FULL", YAW, -16),
+        ("LOOK_LEFT_FULL", YAW, 16),
+        ("LOOK_RIGHT_MID", YAW, -3.2),
+        ("LOOK_LEFT_MID", YAW, 3.2),
+        ("LOOK_RIGHT_SLIGHTLY", YAW, -0.8),
+        ("LOOK_LEFT_SLIGHTLY", YAW, 0.8),
+        ("LOOK_DOWN_FULL", PITCH, -12),
+        ("LOOK_UP_FULL", PITCH, 12),
+        ("LOOK_DOWN_MID", PITCH, -0.36),
+        ("LOOK_UP_MID", PITCH, 0.36),
     ],
 )
 @pytest.mark.parametrize("hand", ["", "GRAB_AND_"])
@@ -184,10 +187,10 @@ def test_how_far_an_action_turns(action: str, column: int, degrees: float, hand:
     env = playroom()
     arrange(env)
     act(env, *[hand + action] * 3)
-    turned = env.agents[0, [kernels.YAW, kernels.PITCH]]
-    expected = np.where(np.array([kernels.YAW, kernels.PITCH]) == column, 3 * degrees, 0)
+    turned = env.worlds.agents[0, [YAW, PITCH]]
+    expected = np.where(np.array([YAW, PITCH]) == column, 3 * degrees, 0)
     np.testing.assert_allclose(np.degrees(turned), expected, atol=1e-9)
-    np.testing.assert_allclose(env.agents[0, :2], 0, atol=1e-9)
+    np.testing.assert_allclose(env.worlds.agents[0, :2], 0, atol=1e-9)
 
 
 def test_turning_goes_round() -> None:
@@ -196,7 +199,7 @@ def test_turning_goes_round() -> None:
     yaws = []
     for _ in range(50):
         act(env, "LOOK_LEFT_FULL")
-        yaws.append(env.agents[0, kernels.YAW])
+        yaws.append(env.worlds.agents[0, YAW])
     assert -math.pi <= min(yaws) < -3
     assert 3 < max(yaws) <= math.pi
     assert yaws[44] == pytest.approx(0, abs=1e-9)  # 45 times 16 degrees are two rounds
@@ -219,11 +222,11 @@ def test_the_agent_has_momentum(yaw: float, action: str, aside: float) -> None:
     corners = [(1.7, 1.7), (1.7, -1.7), (-1.7, 1.7), (-1.7, -1.7)]
     free = sorted(corners, key=lambda corner: abs(np.dot(corner, heading)))  # out of the way
     arrange(env, (*start, yaw, 0), dict(enumerate([*free[:2], free[2]])))
-    places = [env.agents[0, :2].copy()]
+    places = [env.worlds.agents[0, :2].copy()]
     for name in [action] * 6 + ["NOOP"] * 6:
         act(env, name)
-        places.append(env.agents[0, :2].copy())
-    moves = np.diff(places, axis=0) / kernels.STEP
+        places.append(env.worlds.agents[0, :2].copy())
+    moves = np.diff(places, axis=0) / STEP
     speeds = moves @ heading
     np.testing.assert_allclose(moves, np.outer(speeds, heading), atol=1e-9)
     # It takes time to start ...
@@ -231,7 +234,7 @@ def test_the_agent_has_momentum(yaw: float, action: str, aside: float) -> None:
     assert speeds[0] < 0.5 * speeds[5]
     # ... and to stop: half of the speed is left after each action.
     assert speeds[6] > 0.7 * speeds[5]
-    slower = math.exp(-kernels.DAMPING * kernels.STEP)
+    slower = math.exp(-DAMPING * STEP)
     np.testing.assert_allclose(speeds[7:] / speeds[6:-1], slower, rtol=1e-6)
 
 
@@ -241,9 +244,9 @@ def test_the_agents_top_speed() -> None:
         arrange(env, (-1.7, 0, 0 if share == 1 else math.pi / 2, 0))
         speeds = []
         for _ in range(9):
-            before = env.agents[0, kernels.AX]
+            before = env.worlds.agents[0, AX]
             act(env, action)
-            speeds.append((env.agents[0, kernels.AX] - before) / kernels.STEP)
+            speeds.append((env.worlds.agents[0, AX] - before) / STEP)
         assert 0.96 * share * 2.7 < max(speeds[:7]) < share * 2.75
 
 
@@ -258,7 +261,7 @@ def holding(name: str = "duck", facing: float = 0.0, distance: float = 1.2) -> P
     )
     look_at(env, 0)
     act(env, "GRAB")
-    assert env.hands[0] == 0
+    assert env.worlds.hands[0] == 0
     return env
 
 
@@ -268,23 +271,23 @@ APART = ((-1.2, 0.0, 0.0), (-0.2, 1.4, 0.0))
 @pytest.mark.parametrize("action", ["LOOK_RIGHT_FULL", "LOOK_LEFT_FULL", "LOOK_UP_FULL"])
 def test_what_is_held_stays_in_the_middle_of_the_view(action: str) -> None:
     env = holding("bottle")
-    before = env.agents.copy()
+    before = env.worlds.agents.copy()
     act(env, *[f"GRAB_AND_{action}"] * 4, "GRAB")
     row, column = middle(pixels(env))
     assert abs(row - 35.5) < 3
     assert abs(column - 47.5) < 3
-    assert np.degrees(np.abs(env.agents - before).max()) > 45
+    assert np.degrees(np.abs(env.worlds.agents - before).max()) > 45
 
 
 def test_looking_up_raises_what_is_held() -> None:
     env = holding()
-    heights = [env.items[0, 0, kernels.Z]]
+    heights = [env.worlds.objects[0, 0, Z]]
     for _ in range(5):
         act(env, "GRAB_AND_LOOK_UP_FULL")
-        heights.append(env.items[0, 0, kernels.Z])
+        heights.append(env.worlds.objects[0, 0, Z])
     assert (np.diff(heights) > 0.05).all()
     act(env, "GRAB_AND_LOOK_DOWN_FULL")
-    assert env.items[0, 0, kernels.Z] < heights[-1]
+    assert env.worlds.objects[0, 0, Z] < heights[-1]
 
 
 @pytest.mark.parametrize("amount", ["FULL", "MID"])
@@ -302,7 +305,7 @@ def test_pushing_makes_it_smaller_and_pulling_larger(amount: str) -> None:
 
 def test_how_far_an_action_pushes() -> None:
     env = holding()
-    distance = env.agents[0, kernels.HOLD]
+    distance = env.worlds.agents[0, HOLD]
     for action, step in (
         ("GRAB_AND_PULL_CLOSER_FULL", -2 / 15),
         ("GRAB_AND_PULL_CLOSER_MID", -1 / 15),
@@ -311,7 +314,7 @@ def test_how_far_an_action_pushes() -> None:
     ):
         act(env, action)
         distance += step
-        assert env.agents[0, kernels.HOLD] == pytest.approx(distance)
+        assert env.worlds.agents[0, HOLD] == pytest.approx(distance)
 
 
 @pytest.mark.parametrize(("action", "right"), [("SPIN_RIGHT", 1), ("SPIN_LEFT", -1)])
@@ -326,7 +329,7 @@ def test_spinning_right_turns_the_front_to_the_right(action: str, right: int) ->
     body[: rows[len(rows) // 2]] = False
     assert np.sign(middle(head)[1] - middle(body)[1]) == right
     assert abs(middle(head)[1] - middle(body)[1]) > 2
-    front = env.orientation[0, 0, :, 0]
+    front = env.worlds.orientation[0, 0, :, 0]
     np.testing.assert_allclose(np.degrees(np.arctan2(front[1], front[0])), -96 * right)
 
 
@@ -336,7 +339,7 @@ def test_spinning_forward_tips_the_top_to_the_right(action: str, right: int) -> 
     act(env, "GRAB_AND_LOOK_UP_FULL", f"GRAB_AND_{action}")
     rows, columns = np.argwhere(pixels(env)).T
     assert np.cov(rows, columns)[0, 1] * right < -5  # smaller rows are higher
-    assert env.orientation[0, 0, 2, 2] == pytest.approx(math.cos(math.radians(24)))
+    assert env.worlds.orientation[0, 0, 2, 2] == pytest.approx(math.cos(math.radians(24)))
 
 
 @pytest.mark.parametrize(("action", "up"), [("SPIN_UP", 1), ("SPIN_DOWN", -1)])
@@ -344,27 +347,32 @@ def test_spinning_forward_tips_the_top_to_the_right(action: str, right: int) -> 
 def test_spinning_up_turns_the_front_up(action: str, up: int, yaw: float) -> None:
     """Seen from the agent's right, where what was ahead of it is on the right."""
     env = holding("bus")
-    env.agents[0, kernels.YAW] = yaw
+    env.worlds.agents[0, YAW] = yaw
     act(env, *["GRAB"] * 4)
-    kernels._stand(env.orientation[0, 0], yaw)
+    set_upright(env.worlds.orientation[0, 0], yaw)
     act(env, "GRAB_AND_LOOK_UP_FULL", f"GRAB_AND_{action}")
-    x, y, _, z, _ = env.items[0, 0]
-    env.agents[0, :4] = x + 1.2 * math.sin(yaw), y - 1.2 * math.cos(yaw), yaw + math.pi / 2, 0
-    env.agents[0, kernels.PITCH] = math.atan2(z + 0.1 - kernels.EYE, 1.2)
+    x, y, _, z, _ = env.worlds.objects[0, 0]
+    env.worlds.agents[0, :4] = (
+        x + 1.2 * math.sin(yaw),
+        y - 1.2 * math.cos(yaw),
+        yaw + math.pi / 2,
+        0,
+    )
+    env.worlds.agents[0, PITCH] = math.atan2(z + 0.1 - EYE, 1.2)
     rows, columns = np.argwhere(pixels(env)).T
     assert np.cov(rows, columns)[0, 1] * up < -5
-    assert env.orientation[0, 0, 2, 0] == pytest.approx(up * math.sin(math.radians(24)))
+    assert env.worlds.orientation[0, 0, 2, 0] == pytest.approx(up * math.sin(math.radians(24)))
 
 
 def test_spins_undo_each_other() -> None:
     env = holding("duck", 0.7)
-    before = env.orientation.copy()
+    before = env.worlds.orientation.copy()
     spins = ["SPIN_RIGHT", "SPIN_UP", "SPIN_FORWARD"]
     back = ["SPIN_BACKWARD", "SPIN_DOWN", "SPIN_LEFT"]
     act(env, *[f"GRAB_AND_{name}" for name in spins])
-    assert np.abs(env.orientation - before).max() > 0.3
+    assert np.abs(env.worlds.orientation - before).max() > 0.3
     act(env, *[f"GRAB_AND_{name}" for name in back])
-    np.testing.assert_allclose(env.orientation, before, atol=1e-12)
+    np.testing.assert_allclose(env.worlds.orientation, before, atol=1e-12)
 
 
 @pytest.mark.parametrize("action", ["PULL_CLOSER_MID", "PUSH_AWAY_MID"])

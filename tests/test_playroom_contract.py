@@ -196,14 +196,18 @@ def test_everything_goes_on_from_a_state(level: str) -> None:
         expected = env.step(actions)
         for other in copies:
             np.testing.assert_equal(other.step(actions), expected)
-            for name in ("agents", "items", "orientation", "status", "hands", "still", "lifted"):
-                np.testing.assert_array_equal(getattr(other, name), getattr(env, name))
+            for name in ("agents", "objects", "orientation", "status", "hands", "still", "lifted"):
+                np.testing.assert_array_equal(
+                    getattr(other.worlds, name), getattr(env.worlds, name)
+                )
 
 
 def test_a_damaged_state_is_refused_before_anything_is_taken() -> None:
     env = played("put/put_on_bed_tray_all", 30)
     before = env.get_state()
-    kept = {name: getattr(env, name).copy() for name in ("agents", "items", "status", "ranks")}
+    kept = {
+        name: getattr(env.worlds, name).copy() for name in ("agents", "objects", "status", "ranks")
+    }
     expected = copy.deepcopy(env).step(np.array([1, 2, 3]))
 
     def change(key: str, index: Any, value: Any) -> dict[str, np.ndarray]:
@@ -229,7 +233,7 @@ def test_a_damaged_state_is_refused_before_anything_is_taken() -> None:
             env.set_state(state)
         np.testing.assert_equal(env.get_state(), before)
         for name, value in kept.items():
-            np.testing.assert_array_equal(getattr(env, name), value)
+            np.testing.assert_array_equal(getattr(env.worlds, name), value)
     np.testing.assert_equal(env.step(np.array([1, 2, 3])), expected)
 
 
@@ -248,10 +252,10 @@ def test_states_that_never_were_but_could_have_been_are_played(level: str) -> No
         state["actions"][:] = rng.integers(46, size=state["actions"].shape)
         state["lengths"][:] = 199, 0, 120
         env.set_state(state)
-        np.testing.assert_array_equal(env.ranks, [[0, 0, 49]] * 3)
+        np.testing.assert_array_equal(env.worlds.ranks, [[0, 0, 49]] * 3)
         *_, truncated, _ = env.step(np.zeros(3, np.int64))
         assert truncated[0]
-        assert np.isfinite(env.items).all()
+        assert np.isfinite(env.worlds.objects).all()
 
 
 def test_worlds_that_never_began_may_be_seen() -> None:
@@ -294,4 +298,4 @@ def test_what_is_seen_does_not_change_what_happens() -> None:
         results = [env.step(actions)[1:] for env in envs]
         for env, result in zip(envs[1:], results[1:], strict=True):
             np.testing.assert_equal(result[:3], results[0][:3])
-            np.testing.assert_array_equal(env.items, envs[0].items)
+            np.testing.assert_array_equal(env.worlds.objects, envs[0].worlds.objects)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from playroom_worlds import BED, TRAY, act, arrange, look_at, playroom
 
-from zipf.envs.playroom import kernels
 from zipf.envs.playroom.actions import ACTIONS, CONTROL_TABLE
-from zipf.envs.playroom.kernels import X, Y, Z
+from zipf.envs.playroom.constants import AGENT_RADIUS, CEILING, EYE, FURNITURE_SIZE, ROOM
+from zipf.envs.playroom.geometry import rectangle_gap
+from zipf.envs.playroom.state import ANGLE, FLOOR, HELD, HOLD, ON_BED, ON_TRAY, PITCH, YAW, X, Y, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 FREE = "put/put_on_bed_tray_all"  # where lifting ends nothing
@@ -17,22 +18,22 @@ FREE = "put/put_on_bed_tray_all"  # where lifting ends nothing
 
 def held(env: PlayroomVectorEnv) -> int:
     """The object in the hand, or -1; everything that says so must agree."""
-    item = int(env.hands[0])
+    item = int(env.worlds.hands[0])
     np.testing.assert_array_equal(
-        np.flatnonzero(env.status[0] == kernels.HELD), [item] if item >= 0 else []
+        np.flatnonzero(env.worlds.status[0] == HELD), [item] if item >= 0 else []
     )
     return item
 
 
 def gap(env: PlayroomVectorEnv, item: int, piece: int) -> float:
     """From an object's middle to a piece of furniture, 0 over it."""
-    x, y = env.items[0, item, :2]
-    return kernels.rectangle_gap(env.furniture[0, piece], kernels.FURNITURE_SIZE[piece], x, y)
+    x, y = env.worlds.objects[0, item, :2]
+    return rectangle_gap(env.worlds.furniture[0, piece], FURNITURE_SIZE[piece], x, y)
 
 
 def distances(env: PlayroomVectorEnv) -> np.ndarray:
     """Of the objects from the agent."""
-    return np.linalg.norm(env.items[0, :, :2] - env.agents[0, :2], axis=1)
+    return np.linalg.norm(env.worlds.objects[0, :, :2] - env.worlds.agents[0, :2], axis=1)
 
 
 # Taking.
@@ -65,7 +66,7 @@ def test_the_hand_may_point_a_little_beside(aside: float, taken: bool) -> None:
     env = playroom()
     arrange(env, items={0: (1.0, 0.0)}, names=("bottle", "dice", "robot"))
     look_at(env, 0)
-    env.agents[0, kernels.YAW] += aside
+    env.worlds.agents[0, YAW] += aside
     act(env, "GRAB")
     assert held(env) == (0 if taken else -1)
 
@@ -118,11 +119,11 @@ def test_the_first_action_that_does_not_grip_lets_go(action: int) -> None:
     arrange(env, items={0: (1.0, 0.0)}, task="on bed")
     look_at(env, 0)
     act(env, "GRAB", *["GRAB_AND_LOOK_UP_FULL"] * 3)
-    height = env.items[0, 0, Z]
+    height = env.worlds.objects[0, 0, Z]
     assert height > 0.3
     act(env, int(action))
     assert held(env) == -1, ACTIONS[action]
-    assert env.items[0, 0, Z] < height
+    assert env.worlds.objects[0, 0, Z] < height
 
 
 @pytest.mark.parametrize("action", np.flatnonzero(CONTROL_TABLE[:, -1] == 1))
@@ -139,10 +140,10 @@ def test_looking_up_at_arms_length_reaches_the_ceiling_and_no_farther() -> None:
     arrange(env, items={0: (1.2, 0.0)}, task="on bed")
     look_at(env, 0)
     act(env, "GRAB", *["GRAB_AND_PUSH_AWAY_FULL"] * 6, *["GRAB_AND_LOOK_UP_FULL"] * 9)
-    top = env.items[0, 0, Z] + env.extents[env.ranks[0, 0], 2]
-    assert top == pytest.approx(kernels.CEILING)
+    top = env.worlds.objects[0, 0, Z] + env.worlds.extents[env.worlds.ranks[0, 0], 2]
+    assert top == pytest.approx(CEILING)
     act(env, *["GRAB_AND_LOOK_DOWN_FULL"] * 14)
-    assert env.items[0, 0, Z] == 0
+    assert env.worlds.objects[0, 0, Z] == 0
 
 
 @pytest.mark.parametrize("yaw", np.linspace(-3, 3, 7))
@@ -157,8 +158,8 @@ def test_what_is_held_stays_in_the_room(yaw: float) -> None:
     for action in rng.choice([18, 18, 18, 20, 22, 23, 24, 25, 41], size=150).tolist():
         act(env, int(action))
         assert held(env) == 0
-        assert np.abs(env.items[0, 0, :2]).max() < kernels.ROOM / 2 - 0.15
-    assert np.abs(env.items[0, 0, :2]).max() > 1.2
+        assert np.abs(env.worlds.objects[0, 0, :2]).max() < ROOM / 2 - 0.15
+    assert np.abs(env.worlds.objects[0, 0, :2]).max() > 1.2
 
 
 @pytest.mark.parametrize("height", [0.0, 0.05, 0.12, 0.2])
@@ -171,9 +172,9 @@ def test_what_is_held_low_does_not_enter_the_bed(height: float, move: str) -> No
     act(env, "GRAB")
     for _ in range(25):
         # Held at this height, whatever the distance.
-        agent = env.agents[0]
-        below = height + env.extents[env.ranks[0, 0], 2] / 2 - kernels.EYE
-        agent[kernels.PITCH] = math.asin(max(below / agent[kernels.HOLD], -0.95))
+        agent = env.worlds.agents[0]
+        below = height + env.worlds.extents[env.worlds.ranks[0, 0], 2] / 2 - EYE
+        agent[PITCH] = math.asin(max(below / agent[HOLD], -0.95))
         act(env, f"GRAB_AND_{move}")
         assert held(env) == 0
         assert gap(env, 0, 0) > 0.02
@@ -189,7 +190,7 @@ def test_what_is_held_high_goes_over_the_bed() -> None:
     assert gap(env, 0, 0) == 0
     # It cannot be pressed into the mattress.
     act(env, *["GRAB_AND_LOOK_DOWN_FULL"] * 4)
-    assert env.items[0, 0, Z] == 0.35
+    assert env.worlds.objects[0, 0, Z] == 0.35
 
 
 # Letting go.
@@ -201,27 +202,27 @@ def test_what_is_let_go_falls_to_the_floor() -> None:
     heights = [1.0]
     while heights[-1] > 0:
         act(env, "NOOP")
-        heights.append(env.items[0, 0, Z])
+        heights.append(env.worlds.objects[0, 0, Z])
     # By g t^2 / 2 it takes 0.45 s, between three and four actions.
     assert len(heights) == 5
     assert (np.diff(heights[:4], 2) < 0).all()
-    assert env.status[0, 0] == kernels.FLOOR
+    assert env.worlds.status[0, 0] == FLOOR
     act(env, *["NOOP"] * 5)
-    assert env.items[0, 0].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
+    assert env.worlds.objects[0, 0].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(
     ("place", "height", "where"),
-    [(BED, 0.35, kernels.ON_BED), (TRAY, 0.03, kernels.ON_TRAY)],
+    [(BED, 0.35, ON_BED), (TRAY, 0.03, ON_TRAY)],
 )
 def test_what_is_let_go_over_a_support_lands_on_it(place: Any, height: float, where: int) -> None:
     env = playroom(FREE)
     spot = place[0] + 0.1, place[1] - 0.1
     arrange(env, (0, -1.2, 0, 0), {1: (*spot, 0.0, 1.2)}, task="on bed")
     act(env, *["NOOP"] * 8)
-    assert env.items[0, 1, Z] == height
-    assert env.status[0, 1] == where
-    np.testing.assert_allclose(env.items[0, 1, :2], spot)
+    assert env.worlds.objects[0, 1, Z] == height
+    assert env.worlds.status[0, 1] == where
+    np.testing.assert_allclose(env.worlds.objects[0, 1, :2], spot)
 
 
 @pytest.mark.parametrize("side", [0.02, 0.1, 0.2])
@@ -230,8 +231,8 @@ def test_what_falls_beside_the_bed_comes_to_lie_beside_it(side: float) -> None:
     names = ("dice", "candle", "robot")
     arrange(env, (1.0, 0, 0, 0), {0: (-0.5 + side, 0.0, 0.0, 1.0)}, names, task="on bed")
     act(env, *["NOOP"] * 20)
-    assert env.items[0, 0, Z] == 0
-    assert env.status[0, 0] == kernels.FLOOR
+    assert env.worlds.objects[0, 0, Z] == 0
+    assert env.worlds.status[0, 0] == FLOOR
     assert gap(env, 0, 0) > 0.17  # half its width
 
 
@@ -241,15 +242,13 @@ def test_a_throw_keeps_its_momentum() -> None:
             furniture=((0, 1.5, 0.0), (-1.2, 1.5, 0.0)))  # fmt: skip
     look_at(env, 0)
     act(env, "GRAB", "GRAB_AND_LOOK_UP_FULL", *["GRAB_AND_LOOK_LEFT_FULL"] * 3)
-    before = env.items[0, 0, :3].copy()
+    before = env.worlds.objects[0, 0, :3].copy()
     places = []
     for _ in range(5):
         act(env, "NOOP")
-        places.append(env.items[0, 0, :2].copy())
+        places.append(env.worlds.objects[0, 0, :2].copy())
     flight = places[0] - before[:2]
-    tangent = np.array(
-        [-math.sin(env.agents[0, kernels.YAW]), math.cos(env.agents[0, kernels.YAW])]
-    )
+    tangent = np.array([-math.sin(env.worlds.agents[0, YAW]), math.cos(env.worlds.agents[0, YAW])])
     assert np.linalg.norm(flight) > 0.1
     assert flight @ tangent > 0.8 * np.linalg.norm(flight)  # where the hand was going
     moves = np.linalg.norm(np.diff(places, axis=0), axis=1)
@@ -263,9 +262,11 @@ def test_what_was_spun_stands_up_again() -> None:
         look_at(env, 0)
         act(env, "GRAB", "GRAB_AND_LOOK_UP_FULL", *[f"GRAB_AND_{spin}" for spin in spins])
         act(env, *["NOOP"] * 12)
-        np.testing.assert_allclose(env.orientation[0, 0, :, 2], [0, 0, 1], atol=1e-12)
-        angle = env.items[0, 0, kernels.ANGLE]
-        np.testing.assert_allclose(env.orientation[0, 0, :2, 0], [math.cos(angle), math.sin(angle)])
+        np.testing.assert_allclose(env.worlds.orientation[0, 0, :, 2], [0, 0, 1], atol=1e-12)
+        angle = env.worlds.objects[0, 0, ANGLE]
+        np.testing.assert_allclose(
+            env.worlds.orientation[0, 0, :2, 0], [math.cos(angle), math.sin(angle)]
+        )
         if spins[0] == "SPIN_RIGHT":
             assert math.degrees(angle) == pytest.approx(-72)
 
@@ -274,16 +275,19 @@ def test_what_is_let_go_on_another_object_comes_to_lie_beside_it() -> None:
     env = playroom()
     arrange(env, items={0: (1.0, 0.0, 0.0, 1.0), 1: (1.05, 0.02)}, names=("dice", "dice", "ball"))
     act(env, *["NOOP"] * 30)
-    assert env.items[0, :, Z].tolist() == [0, 0, 0]
-    assert np.linalg.norm(env.items[0, 0, :2] - env.items[0, 1, :2]) > 0.39
+    assert env.worlds.objects[0, :, Z].tolist() == [0, 0, 0]
+    assert np.linalg.norm(env.worlds.objects[0, 0, :2] - env.worlds.objects[0, 1, :2]) > 0.39
 
 
 def test_what_falls_on_the_agent_comes_to_lie_beside_it() -> None:
     env = playroom()
     arrange(env, items={0: (0.01, 0.0, 0.0, 2.0)}, names=("dice", "dice", "ball"))
     act(env, *["NOOP"] * 30)
-    assert env.items[0, 0, Z] == 0
-    assert np.linalg.norm(env.items[0, 0, :2] - env.agents[0, :2]) > kernels.AGENT_RADIUS + 0.17
+    assert env.worlds.objects[0, 0, Z] == 0
+    assert (
+        np.linalg.norm(env.worlds.objects[0, 0, :2] - env.worlds.agents[0, :2])
+        > AGENT_RADIUS + 0.17
+    )
 
 
 # Pushing with the body.
@@ -293,12 +297,12 @@ def test_the_body_pushes_what_is_loose() -> None:
     env = playroom()
     arrange(env, (-1.5, 0, 0, 0), {0: (-0.7, 0.0), 1: (0.3, 0.05)}, ("dice", "dice", "ball"))
     act(env, *["MOVE_FORWARD_FULL"] * 9)
-    x = env.items[0, :2, X]
+    x = env.worlds.objects[0, :2, X]
     assert x[0] > 0.0
     assert x[1] > 0.6
-    assert env.items[0, :2, Z].tolist() == [0, 0]
-    assert (np.abs(env.items[0, :, :2]) < kernels.ROOM / 2 - 0.05).all()
-    np.testing.assert_array_less(kernels.AGENT_RADIUS, distances(env))
+    assert env.worlds.objects[0, :2, Z].tolist() == [0, 0]
+    assert (np.abs(env.worlds.objects[0, :, :2]) < ROOM / 2 - 0.05).all()
+    np.testing.assert_array_less(AGENT_RADIUS, distances(env))
 
 
 @pytest.mark.parametrize("place", [BED, TRAY])
@@ -307,19 +311,19 @@ def test_furniture_stands_firm(place: Any) -> None:
     arrange(
         env, (0.0, 0, math.pi if place[0] < 0 else 0, 0), {0: (place[0] * 0.3, 0.0)}, task="on bed"
     )
-    before = env.furniture.copy()
+    before = env.worlds.furniture.copy()
     act(env, *["MOVE_FORWARD_FULL"] * 25)
-    np.testing.assert_array_equal(env.furniture, before)
+    np.testing.assert_array_equal(env.worlds.furniture, before)
     piece = 0 if place is BED else 1
-    x, y = env.agents[0, :2]
-    pose, size = env.furniture[0, piece], kernels.FURNITURE_SIZE[piece]
-    assert kernels.rectangle_gap(pose, size, x, y) > kernels.AGENT_RADIUS - 0.02
+    x, y = env.worlds.agents[0, :2]
+    pose, size = env.worlds.furniture[0, piece], FURNITURE_SIZE[piece]
+    assert rectangle_gap(pose, size, x, y) > AGENT_RADIUS - 0.02
     assert gap(env, 0, piece) > 0.05
-    assert env.items[0, 0, Z] == 0
+    assert env.worlds.objects[0, 0, Z] == 0
 
 
 def test_what_lies_on_the_bed_is_not_pushed_by_the_body() -> None:
     env = playroom(FREE)
     arrange(env, (0.5, 0, math.pi, 0), {0: (-0.55, 0.0, 0.0, 0.35)}, task="on bed")
     act(env, *["MOVE_FORWARD_FULL"] * 15)
-    np.testing.assert_allclose(env.items[0, 0, [X, Y, Z]], [-0.55, 0, 0.35])
+    np.testing.assert_allclose(env.worlds.objects[0, 0, [X, Y, Z]], [-0.55, 0, 0.35])

@@ -6,9 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from zipf.envs.playroom import kernels
 from zipf.envs.playroom.actions import ACTIONS, GRAB
-from zipf.envs.playroom.kernels import AX, AY, BASE, HOLD, PITCH, YAW, Z
+from zipf.envs.playroom.constants import AGENT_RADIUS, CEILING, FURNITURE_SIZE, ROOM
+from zipf.envs.playroom.falling import STILL_STEPS
+from zipf.envs.playroom.hand import HIGHEST, LOWEST, NEAREST_HOLD, REACH
+from zipf.envs.playroom.state import AIR, AX, AY, BASE, FLOOR, HELD, HOLD, ON_BED, PITCH, YAW, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 LEVELS = ("lift/lift_shape_uniform", "put/put_on_bed_tray_all", "put/lift_shape_many_zipf1")
@@ -39,54 +41,56 @@ def inside(pose: NDArray, size: NDArray, x: float, y: float) -> float:
 
 def check(env: PlayroomVectorEnv, ranks: NDArray[np.int64], overlap: float = OVERLAP) -> None:
     """Raises unless the worlds are whole."""
-    half = kernels.ROOM / 2
-    np.testing.assert_array_equal(env.ranks, ranks)  # nothing is lost or becomes something else
-    for values in (env.agents, env.items, env.orientation):
+    half = ROOM / 2
+    np.testing.assert_array_equal(
+        env.worlds.ranks, ranks
+    )  # nothing is lost or becomes something else
+    for values in (env.worlds.agents, env.worlds.objects, env.worlds.orientation):
         assert np.isfinite(values).all()
     # In the room.
-    assert (np.abs(env.agents[:, [AX, AY]]) <= half - kernels.AGENT_RADIUS + overlap).all()
-    width = env.extents[env.ranks, :2].min(-1) / 2
-    assert (np.abs(env.items[:, :, :2]).max(-1) <= half - width + overlap).all()
-    heights, tops = env.items[:, :, Z], env.extents[env.ranks, 2]
+    assert (np.abs(env.worlds.agents[:, [AX, AY]]) <= half - AGENT_RADIUS + overlap).all()
+    width = env.worlds.extents[env.worlds.ranks, :2].min(-1) / 2
+    assert (np.abs(env.worlds.objects[:, :, :2]).max(-1) <= half - width + overlap).all()
+    heights, tops = env.worlds.objects[:, :, Z], env.worlds.extents[env.worlds.ranks, 2]
     assert (heights >= 0).all()
-    assert (heights + tops <= kernels.CEILING + 1e-9).all()
+    assert (heights + tops <= CEILING + 1e-9).all()
     # Angles and the hand.
-    assert (np.abs(env.agents[:, YAW]) <= np.pi).all()
-    assert (env.agents[:, PITCH] >= kernels.LOWEST).all()
-    assert (env.agents[:, PITCH] <= kernels.HIGHEST).all()
-    held = env.status == kernels.HELD
-    assert (held.sum(1) == (env.hands >= 0)).all()
-    for i in np.flatnonzero(env.hands >= 0):
-        assert held[i, env.hands[i]]
-        assert kernels.NEAREST_HOLD <= env.agents[i, HOLD] <= kernels.REACH
-        assert env.agents[i, BASE] >= 0
-    product = np.einsum("njrk,njrl->njkl", env.orientation, env.orientation)
+    assert (np.abs(env.worlds.agents[:, YAW]) <= np.pi).all()
+    assert (env.worlds.agents[:, PITCH] >= LOWEST).all()
+    assert (env.worlds.agents[:, PITCH] <= HIGHEST).all()
+    held = env.worlds.status == HELD
+    assert (held.sum(1) == (env.worlds.hands >= 0)).all()
+    for i in np.flatnonzero(env.worlds.hands >= 0):
+        assert held[i, env.worlds.hands[i]]
+        assert NEAREST_HOLD <= env.worlds.agents[i, HOLD] <= REACH
+        assert env.worlds.agents[i, BASE] >= 0
+    product = np.einsum("njrk,njrl->njkl", env.worlds.orientation, env.worlds.orientation)
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-9)
-    np.testing.assert_allclose(np.linalg.det(env.orientation), 1, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(env.worlds.orientation), 1, atol=1e-9)
     # Where things are said to be, they are.
-    top = np.array([0, 0, 0, kernels.FURNITURE_SIZE[0, 2], kernels.FURNITURE_SIZE[1, 2]])
-    resting = (env.status != kernels.AIR) & ~held
-    np.testing.assert_array_equal(heights[resting], top[env.status][resting])
-    assert (env.still <= kernels.STILL_STEPS).all()
+    top = np.array([0, 0, 0, FURNITURE_SIZE[0, 2], FURNITURE_SIZE[1, 2]])
+    resting = (env.worlds.status != AIR) & ~held
+    np.testing.assert_array_equal(heights[resting], top[env.worlds.status][resting])
+    assert (env.worlds.still <= STILL_STEPS).all()
     if not env.level.furnished:
-        assert (env.status <= kernels.HELD).all()
+        assert (env.worlds.status <= HELD).all()
         return
     for i in range(env.num_envs):
-        pieces = list(zip(env.furniture[i], kernels.FURNITURE_SIZE, strict=True))
+        pieces = list(zip(env.worlds.furniture[i], FURNITURE_SIZE, strict=True))
         for k, (pose, size) in enumerate(pieces):
             # A held object slides onto the tray; nobody goes into the bed but from above.
-            assert inside(pose, size, *env.agents[i, :2]) == 0
-            for j in range(env.items.shape[1]):
-                depth = inside(pose, size, *env.items[i, j, :2])
-                low = held[i, j] and k == 0 and env.items[i, j, Z] < 0.25
-                if env.status[i, j] == kernels.ON_BED + k:
+            assert inside(pose, size, *env.worlds.agents[i, :2]) == 0
+            for j in range(env.worlds.objects.shape[1]):
+                depth = inside(pose, size, *env.worlds.objects[i, j, :2])
+                low = held[i, j] and k == 0 and env.worlds.objects[i, j, Z] < 0.25
+                if env.worlds.status[i, j] == ON_BED + k:
                     assert depth > 0
-                elif low or env.status[i, j] == kernels.FLOOR:
+                elif low or env.worlds.status[i, j] == FLOOR:
                     assert depth <= overlap
 
 
 def play(env: PlayroomVectorEnv, actions: NDArray[np.int64]) -> None:
-    ranks = env.ranks.copy()
+    ranks = env.worlds.ranks.copy()
     for row in actions:
         env.step(row)
         check(env, ranks)
@@ -131,7 +135,7 @@ def test_the_same_actions_give_the_same_episode(actions: list[int], seed: int) -
     first, second = env.reset(seed=seed)[0], other.reset(seed=[5, seed])[0]
     for action in actions:
         np.testing.assert_array_equal(first["image"][0], second["image"][1])
-        np.testing.assert_array_equal(env.items[0], other.items[1])
+        np.testing.assert_array_equal(env.worlds.objects[0], other.worlds.objects[1])
         if not (env._running.all() and other._running.all()):
             break
         first, *ends, _ = env.step(np.array([action]))
@@ -149,8 +153,8 @@ def test_a_state_goes_on_from_any_step() -> None:
         other.set_state(env.get_state())
         for row in actions[t : t + 40]:
             np.testing.assert_equal(other.step(row)[:4], env.step(row)[:4])
-        for name in ("agents", "items", "orientation", "status", "hands", "still", "lifted"):
-            np.testing.assert_array_equal(getattr(other, name), getattr(env, name))
+        for name in ("agents", "objects", "orientation", "status", "hands", "still", "lifted"):
+            np.testing.assert_array_equal(getattr(other.worlds, name), getattr(env.worlds, name))
 
 
 # Tight corners.
@@ -177,16 +181,16 @@ def test_throwing_at_walls_and_furniture() -> None:
     for seed in range(12):
         env.reset(seed=seed)
         for i in range(N):  # in the hand from the start, wherever it was
-            env.hands[i], env.status[i, 0] = 0, kernels.HELD
-            env.agents[i, HOLD] = 1.5
-        ranks = env.ranks.copy()
+            env.worlds.hands[i], env.worlds.status[i, 0] = 0, HELD
+            env.worlds.agents[i, HOLD] = 1.5
+        ranks = env.worlds.ranks.copy()
         swing = [turn] * int(rng.integers(3, 9)) + [up] * int(rng.integers(4)) + [far] * 2 + [turn]
         for action in [*swing, *[0] * 12]:
-            before = env.items[:, 0, :2].copy()
+            before = env.worlds.objects[:, 0, :2].copy()
             env.step(np.full(N, action))
             check(env, ranks)
-            moved = np.linalg.norm(env.items[:, 0, :2] - before, axis=1)
-            flying += int(((env.status[:, 0] == kernels.AIR) & (moved > 0.1)).sum())
+            moved = np.linalg.norm(env.worlds.objects[:, 0, :2] - before, axis=1)
+            flying += int(((env.worlds.status[:, 0] == AIR) & (moved > 0.1)).sum())
     assert flying > 20
 
 
@@ -199,14 +203,16 @@ def test_a_heap_comes_apart() -> None:
             room = env.rooms[i]
             assert room is not None
             for j, body in enumerate(room.objects):
-                sign = np.sign(-env.furniture[i, 0, :2] - env.furniture[i, 1, :2])
+                sign = np.sign(-env.worlds.furniture[i, 0, :2] - env.worlds.furniture[i, 1, :2])
                 body.position = tuple(sign * (corner - 0.01 * j))
                 room.space.reindex_shapes_for_body(body)
         for _ in range(60):
             env.step(np.zeros(N, np.int64))
-        assert np.isfinite(env.items).all()
-        assert (np.abs(env.items[:, :, :2]) < kernels.ROOM / 2).all()
+        assert np.isfinite(env.worlds.objects).all()
+        assert (np.abs(env.worlds.objects[:, :, :2]) < ROOM / 2).all()
         for i in range(N):
             for j in range(1, 6):
-                gaps = np.linalg.norm(env.items[i, :j, :2] - env.items[i, j, :2], axis=1)
+                gaps = np.linalg.norm(
+                    env.worlds.objects[i, :j, :2] - env.worlds.objects[i, j, :2], axis=1
+                )
                 assert gaps.min() > 0.05

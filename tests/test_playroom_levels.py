@@ -8,8 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from zipf.envs import make_vec, split
-from zipf.envs.playroom import kernels
+from zipf.envs.playroom.constants import AGENT_RADIUS, FURNITURE_SIZE, ROOM
+from zipf.envs.playroom.geometry import footprint, rectangle_gap
+from zipf.envs.playroom.judgement import APPROACH_DISTANCE
+from zipf.envs.playroom.layout import FIRST_PITCH
 from zipf.envs.playroom.levels import ALTERNATE, LEVELS, OBJECTS, TASKS, VOCABULARY
+from zipf.envs.playroom.state import ANGLE, PITCH, YAW, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 N = 500
@@ -208,7 +212,7 @@ def test_forcing_does_not_change_the_episodes_that_follow(level: str) -> None:
     env.reset(seed=5)
     streams = env.get_state()["streams"]
     expected = env.reset()[1]
-    poses = env.items.copy()
+    poses = env.worlds.objects.copy()
     rng = np.random.default_rng(0)
     for _ in range(4):
         names = [name for name in env.situation if rng.random() < 0.7]
@@ -217,7 +221,7 @@ def test_forcing_does_not_change_the_episodes_that_follow(level: str) -> None:
         )
         np.testing.assert_array_equal(env.get_state()["streams"], streams)
         np.testing.assert_equal(env.reset()[1], expected)
-        np.testing.assert_array_equal(env.items, poses)
+        np.testing.assert_array_equal(env.worlds.objects, poses)
 
 
 def test_tasks_may_be_forced_beyond_the_levels_own() -> None:
@@ -248,13 +252,13 @@ def begun(level: str, num_envs: int, **forced: int) -> PlayroomVectorEnv:
 )
 def test_nothing_overlaps_at_the_start(level: str) -> None:
     env = begun(level, 800)
-    radius = np.array([kernels.footprint(extent) for extent in env.extents])[env.ranks]
-    places, agents = env.items[:, :, :2], env.agents[:, :2]
-    half = kernels.ROOM / 2
+    radius = np.array([footprint(extent) for extent in env.worlds.extents])[env.worlds.ranks]
+    places, agents = env.worlds.objects[:, :, :2], env.worlds.agents[:, :2]
+    half = ROOM / 2
     assert (np.abs(places).max(-1) + radius < half).all()
-    assert (np.abs(agents) + kernels.AGENT_RADIUS < half).all()
-    assert (env.items[:, :, kernels.Z] == 0).all()
-    gaps = np.linalg.norm(places - agents[:, None], axis=-1) - radius - kernels.AGENT_RADIUS
+    assert (np.abs(agents) + AGENT_RADIUS < half).all()
+    assert (env.worlds.objects[:, :, Z] == 0).all()
+    gaps = np.linalg.norm(places - agents[:, None], axis=-1) - radius - AGENT_RADIUS
     assert gaps.min() > 0.05
     for j, k in itertools.combinations(range(places.shape[1]), 2):
         gap = np.linalg.norm(places[:, j] - places[:, k], axis=-1) - radius[:, j] - radius[:, k]
@@ -262,16 +266,16 @@ def test_nothing_overlaps_at_the_start(level: str) -> None:
     if not env.level.furnished:
         return
     for i in range(800):
-        pieces = list(zip(env.furniture[i], kernels.FURNITURE_SIZE, strict=True))
+        pieces = list(zip(env.worlds.furniture[i], FURNITURE_SIZE, strict=True))
         for pose, size in pieces:
-            assert kernels.rectangle_gap(pose, size, *agents[i]) > kernels.AGENT_RADIUS
+            assert rectangle_gap(pose, size, *agents[i]) > AGENT_RADIUS
             for place, r in zip(places[i], radius[i], strict=True):
-                assert kernels.rectangle_gap(pose, size, *place) > r
+                assert rectangle_gap(pose, size, *place) > r
             cos, sin = np.abs(np.cos(pose[2])), np.abs(np.sin(pose[2]))
             assert np.abs(pose[0]) + cos * size[0] + sin * size[1] < half
             assert np.abs(pose[1]) + sin * size[0] + cos * size[1] < half
-        gap = kernels.rectangle_gap(*pieces[0], *env.furniture[i, 1, :2])
-        assert gap > 2 * kernels.AGENT_RADIUS + 0.375  # the agent fits between bed and tray
+        gap = rectangle_gap(*pieces[0], *env.worlds.furniture[i, 1, :2])
+        assert gap > 2 * AGENT_RADIUS + 0.375  # the agent fits between bed and tray
 
 
 def test_poses_and_colours_are_anywhere() -> None:
@@ -281,18 +285,18 @@ def test_poses_and_colours_are_anywhere() -> None:
     def octants(angles: NDArray[np.float64]) -> NDArray[np.int64]:
         return np.bincount(((angles + np.pi) / (2 * np.pi) * 8).astype(int) % 8, minlength=8)
 
-    assert fits(octants(env.agents[:, kernels.YAW]), eight)
-    assert fits(octants(env.furniture[:, 1, 2]), eight)
+    assert fits(octants(env.worlds.agents[:, YAW]), eight)
+    assert fits(octants(env.worlds.furniture[:, 1, 2]), eight)
     for j in range(3):
-        assert fits(octants(env.items[:, j, kernels.ANGLE]), eight)
+        assert fits(octants(env.worlds.objects[:, j, ANGLE]), eight)
         # No corner of the room is preferred.
-        x, y = env.items[:, j, :2].T
+        x, y = env.worlds.objects[:, j, :2].T
         assert fits(np.bincount(2 * (x > 0) + (y > 0), minlength=4), np.full(4, 0.25))
-    quarter = np.bincount((np.round(env.furniture[:, 0, 2] / (np.pi / 2)) % 4).astype(int))
+    quarter = np.bincount((np.round(env.worlds.furniture[:, 0, 2] / (np.pi / 2)) % 4).astype(int))
     assert fits(quarter, np.full(4, 0.25))
-    assert len(np.unique(env.colors.reshape(1500, -1), axis=0)) == 1500
-    assert (env.colors[:, :, 0] != env.colors[:, :, 1]).any(-1).all()
-    assert (env.agents[:, kernels.PITCH] == kernels.FIRST_PITCH).all()
+    assert len(np.unique(env.worlds.colours.reshape(1500, -1), axis=0)) == 1500
+    assert (env.worlds.colours[:, :, 0] != env.worlds.colours[:, :, 1]).any(-1).all()
+    assert (env.worlds.agents[:, PITCH] == FIRST_PITCH).all()
 
 
 def test_colours_tell_nothing_about_the_object() -> None:
@@ -300,7 +304,7 @@ def test_colours_tell_nothing_about_the_object() -> None:
     means = []
     for rank in (0, 25, 49):
         env = begun("lift/lift_shape_uniform", 1500, target=rank)
-        means.append(env.colors[:, 0].mean(0))
+        means.append(env.worlds.colours[:, 0].mean(0))
     assert np.ptp(means, axis=0).max() == 0
 
 
@@ -317,8 +321,8 @@ def test_what_is_to_be_found_is_seen_on_its_side() -> None:
         assert len(column) >= 3
         assert (column.mean() > 47.5) == info["side"][i]
     # Nearer to neither.
-    gaps = np.linalg.norm(env.items[:, :, :2] - env.agents[:, None, :2], axis=-1)
-    assert (gaps > kernels.APPROACH_DISTANCE + 0.1).all()
+    gaps = np.linalg.norm(env.worlds.objects[:, :, :2] - env.worlds.agents[:, None, :2], axis=-1)
+    assert (gaps > APPROACH_DISTANCE + 0.1).all()
     assert abs((gaps[:, 0] < gaps[:, 1]).mean() - 0.5) < 0.15
 
 

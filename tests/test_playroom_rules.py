@@ -18,8 +18,10 @@ from playroom_worlds import (
     wait,
 )
 
-from zipf.envs.playroom import kernels
-from zipf.envs.playroom.kernels import X, Y, Z
+from zipf.envs.playroom.constants import FURNITURE_SIZE
+from zipf.envs.playroom.falling import STILL_MOTION
+from zipf.envs.playroom.geometry import rectangle_gap
+from zipf.envs.playroom.state import ON_BED, X, Y, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 # Lifting.
@@ -33,7 +35,7 @@ def test_lifting(level: str, item: int, end: Any) -> None:
     look_at(env, item)
     assert outcome(act(env, "GRAB")) == RUNS
     result = act(env, "GRAB_AND_LOOK_UP_FULL")
-    assert env.items[0, item, Z] >= 0.15
+    assert env.worlds.objects[0, item, Z] >= 0.15
     assert outcome(result) == end
 
 
@@ -42,7 +44,7 @@ def test_lifting_takes_fifteen_centimetres() -> None:
     arrange(env, items={0: (1.0, 0.0)})
     look_at(env, 0)
     result = act(env, "GRAB")
-    while env.items[0, 0, Z] < 0.15:
+    while env.worlds.objects[0, 0, Z] < 0.15:
         assert outcome(result) == RUNS
         result = act(env, "GRAB_AND_LOOK_UP_MID")
     assert outcome(result) == DONE
@@ -53,7 +55,7 @@ def test_lifting_counts_from_where_it_lay() -> None:
     arrange(env, items={0: (-0.7, 0.0, 0.0, 0.35)}, task="lift")
     look_at(env, 0)
     result = act(env, "GRAB")
-    while env.items[0, 0, Z] < 0.5:
+    while env.worlds.objects[0, 0, Z] < 0.5:
         assert outcome(result) == RUNS
         result = act(env, "GRAB_AND_LOOK_UP_MID")
     assert outcome(result) == DONE
@@ -71,8 +73,8 @@ def test_what_is_only_pushed_about_is_not_lifted() -> None:
     env = playroom()
     arrange(env, (-1, 0, 0, 0), items={0: (0.0, 0.0)})
     assert outcome(act(env, *["MOVE_FORWARD_FULL"] * 30)) == RUNS
-    assert env.items[0, 0, X] > 0.3
-    assert not env.lifted.any()
+    assert env.worlds.objects[0, 0, X] > 0.3
+    assert not env.worlds.lifted.any()
 
 
 # Putting.
@@ -89,7 +91,7 @@ PLACES = {
 def put(env: PlayroomVectorEnv, item: int, place: str, task: str, lifted: bool = True) -> None:
     """An object comes to rest somewhere, for the first time since it was lifted."""
     arrange(env, (0.2, -0.2, 0, 0), {item: PLACES[place]}, task=task)
-    env.lifted[0, item] = lifted
+    env.worlds.lifted[0, item] = lifted
 
 
 @pytest.mark.parametrize("item", [0, 1, 2])
@@ -128,14 +130,14 @@ def test_near_is_half_a_metre_from_the_edge(gap: float, near: bool, corner: bool
     aside = gap / math.sqrt(2)
     place = (-0.5 + aside, -0.45 - aside) if corner else (-1.2, -0.45 - gap)
     arrange(env, (1.0, 0, 0, 0), {0: place}, task="near bed")
-    env.lifted[0, 0] = True
+    env.worlds.lifted[0, 0] = True
     assert outcome(act(env, "NOOP", "NOOP")) == (DONE if near else RUNS)
 
 
 def test_what_is_held_has_not_been_put() -> None:
     env = playroom("put/put_near_bed_tray_frequent")
     arrange(env, (-1.1, -1.6, 0, 0), {0: (-1.1, -0.85)}, task="near bed")
-    env.lifted[0, 0] = True
+    env.worlds.lifted[0, 0] = True
     look_at(env, 0)
     assert outcome(act(env, *["GRAB"] * 8)) == RUNS
     assert wait(env) == DONE
@@ -148,23 +150,23 @@ def test_what_still_moves_has_not_been_put() -> None:
     steps = 0
     result = act(env, "NOOP")
     while outcome(result) == RUNS:
-        motion = env.items[0, 0, X]
+        motion = env.worlds.objects[0, 0, X]
         result = act(env, "NOOP")
-        motion = env.items[0, 0, X] - motion
+        motion = env.worlds.objects[0, 0, X] - motion
         steps += 1
     assert outcome(result) == DONE
     assert steps >= 4
-    assert motion < kernels.STILL_MOTION
+    assert motion < STILL_MOTION
 
 
 def test_what_falls_onto_the_support_counts_when_it_lies() -> None:
     env = playroom("put/put_on_bed_tray_all")
     arrange(env, (0.5, 0, 0, 0), {0: (-0.8, 0.1, 0.0, 1.2)}, task="on bed")
-    env.lifted[0, 0] = True
+    env.worlds.lifted[0, 0] = True
     heights = []
     result = act(env, "NOOP")
     while outcome(result) == RUNS:
-        heights.append(env.items[0, 0, Z])
+        heights.append(env.worlds.objects[0, 0, Z])
         result = act(env, "NOOP")
     assert outcome(result) == DONE
     assert min(heights) == 0.35
@@ -181,9 +183,9 @@ def test_an_object_pushed_against_a_support_does_not_count() -> None:
         arrange(env, agent, {0: item}, task=("near bed", "near tray")[piece])
         assert outcome(act(env, *["MOVE_FORWARD_FULL"] * 6)) == RUNS
         assert wait(env) == RUNS
-        x, y = env.items[0, 0, [X, Y]]
-        size = kernels.FURNITURE_SIZE[piece]
-        assert kernels.rectangle_gap(env.furniture[0, piece], size, x, y) < 0.3
+        x, y = env.worlds.objects[0, 0, [X, Y]]
+        size = FURNITURE_SIZE[piece]
+        assert rectangle_gap(env.worlds.furniture[0, piece], size, x, y) < 0.3
 
 
 def test_what_was_dropped_elsewhere_may_be_taken_again() -> None:
@@ -192,8 +194,8 @@ def test_what_was_dropped_elsewhere_may_be_taken_again() -> None:
     assert wait(env) == RUNS
     look_at(env, 0)
     act(env, "GRAB")
-    assert env.hands[0] == 0
-    env.items[0, 0, :4] = PLACES["on bed"]
+    assert env.worlds.hands[0] == 0
+    env.worlds.objects[0, 0, :4] = PLACES["on bed"]
     env.rooms[0].objects[0].position = PLACES["on bed"][:2]
     assert wait(env) == DONE
 
@@ -207,7 +209,7 @@ def test_putting_by_hand() -> None:
         raised = ["GRAB", *["GRAB_AND_LOOK_UP_FULL"] * 2, *["GRAB_AND_MOVE_FORWARD_FULL"] * 7]
         assert outcome(act(env, *raised, *["GRAB"] * 4)) == RUNS
         assert wait(env) == end
-        assert env.status[0, item] == kernels.ON_BED
+        assert env.worlds.status[0, item] == ON_BED
 
 
 # Finding.
@@ -219,9 +221,12 @@ def find(env: PlayroomVectorEnv, names: tuple[str, str], item: int) -> Any:
     look_at(env, item)
     result = act(env, "MOVE_FORWARD_FULL")
     while outcome(result) == RUNS:
-        before = env.agents.copy()
+        before = env.worlds.agents.copy()
         result = act(env, "MOVE_FORWARD_FULL")
-    gaps = [np.linalg.norm(env.items[0, item, :2] - a[0, :2]) for a in (before, env.agents)]
+    gaps = [
+        np.linalg.norm(env.worlds.objects[0, item, :2] - a[0, :2])
+        for a in (before, env.worlds.agents)
+    ]
     assert gaps[1] < 0.7 <= gaps[0]
     return result
 

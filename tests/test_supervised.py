@@ -165,7 +165,7 @@ class Squares(FirstFrameVectorEnv):
 
     def _observe(self, out, mask):
         told = self._instructions[mask]
-        black = self.ranks[mask, 0] % 2
+        black = self.worlds.ranks[mask, 0] % 2
         image = np.zeros((len(told), 12, 24, 3), np.uint8)
         white_is_right = self._side[mask] ^ black
         image[white_is_right == LEFT, :, :12] = 255

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
+from zipf.compiled import compiled
 from zipf.options import Options
 
 
@@ -70,7 +70,7 @@ class CountBonus:
         self.visits[:] = state["visits"]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _add_hashes(part, weights, mask, hashes):
     """Multilinear hashing: the high bits of sum_i weight_i * byte_i mod 2^64 are universal."""
     for i in range(len(part)):
@@ -81,7 +81,7 @@ def _add_hashes(part, weights, mask, hashes):
             hashes[i] += total
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _count(hashes, mask, visits, scale, bonus):
     size = np.uint64(len(visits))
     for i in range(len(hashes)):

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 from torchrl.data.replay_buffers.samplers import Sampler
+
+from zipf.compiled import compiled
 
 SMALLEST_PRIORITY = 1e-6  # so that an item whose error was 0 can still be drawn
 
@@ -43,7 +44,7 @@ class SumTree:
         return _find(self.nodes, self.first_leaf, mass)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _set(nodes, first_leaf, index, value):
     for i in range(len(index)):
         node = first_leaf + index[i]
@@ -53,7 +54,7 @@ def _set(nodes, first_leaf, index, value):
             nodes[node] = nodes[2 * node] + nodes[2 * node + 1]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _find(nodes, first_leaf, mass):
     index = np.empty(len(mass), np.int64)
     for i in range(len(mass)):

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from zipf.compiled import compiled
 from zipf.envs import pcg64
 from zipf.envs.distributions import zipfian
 from zipf.envs.vector import Observation, ZipfVectorEnv
@@ -359,7 +359,7 @@ class Mixture(ZipfVectorEnv):
             batch._set_worlds({"streams": state["streams"], **common, **own})
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _begin_levels(
     mask, draw, forced, cumulative, streams, engine_of, levels, begun, on_engine, beginning
 ):

@@ -9,8 +9,9 @@ for Random Number Generation", 2014 (the XSL-RR 128/64 member), as in NumPy.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from zipf.compiled import compiled
 
 _LOW_64 = (1 << 64) - 1
 _LOW_32 = np.uint64(0xFFFFFFFF)
@@ -30,7 +31,7 @@ def stream(seed: int | None) -> NDArray[np.uint64]:
     return np.array([*words, state["inc"] & _LOW_64], dtype=np.uint64)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def next_double(stream):
     """What `Generator.random()` returns next; advances `stream` (uint64 [4]) in place."""
     high, low = stream[0], stream[1]
@@ -52,7 +53,7 @@ def next_double(stream):
     return np.float64(word >> _SHIFT_11) * (1.0 / 9007199254740992.0)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def choice(stream, cumulative):
     """What `Generator.choice(len(p), p=p)` returns next, for `cumulative` = `cumulative(p)`."""
     return np.searchsorted(cumulative, next_double(stream), side="right")

@@ -2,18 +2,16 @@
 
 A world's situation is one row of `worlds`, int64 [N, 4]: map, target, row, column. What the agent
 sees is a function of that row, so drawing needs no other state.
-
-Compiled code is cached beside this file and renewed only when this file changes: after a change to
-what it imports (the constants of `looks.py` and `maps.py`, `pcg64.py`), touch it.
 """
 
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
+from zipf.compiled import compiled
 from zipf.envs.gridworld.looks import AGENT, CELL, FIRST_LOOK, FLOOR, NUM_CODES, SPRITES, WALL
 from zipf.envs.gridworld.maps import MOVES, PAD, VIEW
 from zipf.envs.pcg64 import choice
@@ -53,7 +51,7 @@ _copy_block = _copier(_BLOCK)
 _copy_half = _copier(_BLOCK // 2)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def begin(mask, forced, map_cdf, target_cdf, cells, streams, worlds):
     """Starts an episode in every world of `mask` (bool [N]).
 
@@ -75,7 +73,7 @@ def begin(mask, forced, map_cdf, target_cdf, cells, streams, worlds):
         worlds[i, COLUMN] = cells[map, -1, 1]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def move(mask, actions, codes, cells, max_steps, lengths, worlds, reward, terminated, truncated):
     """Moves the agents of `mask`, says which episodes end. `lengths` counts this step already."""
     for i in range(len(worlds)):
@@ -100,7 +98,7 @@ def move(mask, actions, codes, cells, max_steps, lengths, worlds, reward, termin
         truncated[i] = not touched and lengths[i] >= max_steps
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def draw_tiles(mask, worlds, codes, cells, tiles, cue):
     """Writes the cell codes seen in the worlds of `mask` to `tiles` [N, 7, 7] and `cue` [N, 1]."""
     for i in range(len(worlds)):
@@ -115,7 +113,7 @@ def draw_tiles(mask, worlds, codes, cells, tiles, cue):
         cue[i, 0] = codes[map, goal[0] + PAD, goal[1] + PAD]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def draw_images(mask, worlds, codes, cells, stripes, image):
     """Draws what is seen in the worlds of `mask` to `image`, uint8 [N, 63, 63, 3].
 

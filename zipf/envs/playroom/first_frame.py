@@ -38,7 +38,7 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
     def _advance(
         self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-        right = (actions == self._side) | (self.ranks[:, 0] == self.ranks[:, 1])
+        right = (actions == self._side) | (self.worlds.ranks[:, 0] == self.worlds.ranks[:, 1])
         ended = np.ones(self.num_envs, np.bool_)
         return right.astype(np.float64), ended, ~ended, right
 

@@ -6,41 +6,56 @@ from collections.abc import Sequence
 import pymunk
 from numpy.typing import NDArray
 
-from zipf.envs.playroom import kernels
+from zipf.envs.playroom.constants import (
+    AGENT_MASS,
+    AGENT_RADIUS,
+    DAMPING,
+    FRAME,
+    FRAMES,
+    FURNITURE_SIZE,
+    ROOM,
+)
+from zipf.envs.playroom.state import (
+    CARRIED_LAYER,
+    GROUND_LAYER,
+    LOW_LAYER,
+    RAISED_LAYER,
+    SUPPORTED_LAYER,
+)
 
 _WALL, _AGENT, _GROUND, _BED, _TRAY, _RAISED, _CARRIED, _SUPPORTED = (1 << k for k in range(8))
-_WALL_DEPTH = 1.0  # so thick that nothing can pass in one frame
+_WALL_DEPTH = 1.0  # so thick that nothing passes in one frame
 
 
 def _filter(category: int, *against: int) -> pymunk.ShapeFilter:
     return pymunk.ShapeFilter(categories=category, mask=sum(against))
 
 
-# By the layers of `kernels`. What is held low pushes what stands on the floor, but not the agent
-# who holds it; what is lower than the bed meets its sides; what is high meets only walls; what lies
-# on a support meets its like.
+# A held object near the floor pushes objects on the floor, but not the agent that holds it; an
+# object lower than the bed collides with its sides; a high one only with walls; one on a support
+# only with others there.
 _LAYERS = {
-    kernels.GROUND_LAYER: _filter(_GROUND, _WALL, _AGENT, _GROUND, _BED, _TRAY, _CARRIED),
-    kernels.RAISED_LAYER: _filter(_RAISED, _WALL),
-    kernels.LOW_LAYER: _filter(_RAISED, _WALL, _BED),
-    kernels.CARRIED_LAYER: _filter(_CARRIED, _WALL, _GROUND, _BED),
-    kernels.SUPPORTED_LAYER: _filter(_SUPPORTED, _WALL, _SUPPORTED),
+    GROUND_LAYER: _filter(_GROUND, _WALL, _AGENT, _GROUND, _BED, _TRAY, _CARRIED),
+    RAISED_LAYER: _filter(_RAISED, _WALL),
+    LOW_LAYER: _filter(_RAISED, _WALL, _BED),
+    CARRIED_LAYER: _filter(_CARRIED, _WALL, _GROUND, _BED),
+    SUPPORTED_LAYER: _filter(_SUPPORTED, _WALL, _SUPPORTED),
 }
-_SLOP = 0.005  # overlap that is let be; pymunk's own, 0.1, is made for pixels
-_ITERATIONS = 30  # ours: little enough overlap when several objects are pushed into a corner
+_SLOP = 0.005  # metres of overlap that is not corrected; pymunk's 0.1 is meant for pixels
+_ITERATIONS = 30  # ours: enough for several objects that are pushed into a corner
 _MASS = 2.0  # kilograms, of every object: ours
-_ELONGATED = 1.3  # from this ratio of sides on a footprint is a box, else a disc
+_ELONGATED = 1.3  # above this ratio of sides a footprint is a box, below it a disc: ours
 
 
 class Room:
     """The bodies of one episode.
 
-    A new room is built for every episode, and steps alike whatever was simulated before it.
+    Every episode has a new room, so that it does not depend on the episodes before it.
 
     Args:
         agent: x and y of the agent.
         objects: (x, y, angle, length, width) of each object.
-        furniture: (x, y, angle, half length, half width) of bed and tray; empty without.
+        furniture: (x, y, angle, half length, half width) of bed and tray; empty without them.
     """
 
     def __init__(
@@ -52,9 +67,9 @@ class Room:
         self.space = pymunk.Space()
         self.space.iterations = _ITERATIONS
         self.space.collision_slop = _SLOP
-        self.space.damping = math.exp(-kernels.DAMPING)
+        self.space.damping = math.exp(-DAMPING)
         still = self.space.static_body
-        half = kernels.ROOM / 2 + _WALL_DEPTH
+        half = ROOM / 2 + _WALL_DEPTH
         corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
         for one, two in zip(corners, corners[1:] + corners[:1], strict=True):
             wall = pymunk.Segment(still, one, two, _WALL_DEPTH)
@@ -66,9 +81,9 @@ class Room:
             piece = pymunk.Poly(still, points, placed)
             piece.filter = _filter(kind, _AGENT, _GROUND, _RAISED, _CARRIED)
             self.space.add(piece)
-        self.agent = pymunk.Body(kernels.AGENT_MASS, math.inf)
+        self.agent = pymunk.Body(AGENT_MASS, math.inf)
         self.agent.position = agent[0], agent[1]
-        disc = pymunk.Circle(self.agent, kernels.AGENT_RADIUS)
+        disc = pymunk.Circle(self.agent, AGENT_RADIUS)
         disc.filter = _filter(_AGENT, _WALL, _GROUND, _BED, _TRAY)
         self.space.add(self.agent, disc)
         self.objects: list[pymunk.Body] = []
@@ -83,36 +98,36 @@ class Room:
             else:
                 shape = pymunk.Circle(body, (length + width) / 4)
             shape.friction = 0.5
-            shape.filter = _LAYERS[kernels.GROUND_LAYER]
+            shape.filter = _LAYERS[GROUND_LAYER]
             self.space.add(body, shape)
             self.objects.append(body)
             self.shapes.append(shape)
         self.bodies = [self.agent, *self.objects]
-        self.layers = [kernels.GROUND_LAYER] * len(self.objects)
+        self.layers = [GROUND_LAYER] * len(self.objects)
 
     def set_layers(self, layers: Sequence[int]) -> None:
-        """Says what each object collides with."""
+        """Sets what each object collides with, GROUND_LAYER .. SUPPORTED_LAYER."""
         for j, layer in enumerate(layers):
             if layer != self.layers[j]:
                 self.shapes[j].filter = _LAYERS[layer]
         self.layers = list(layers)
 
     def turn(self, item: int, angle: float) -> None:
-        """Turns an object."""
+        """Sets the angle of an object, radians."""
         self.objects[item].angle = angle
         self.space.reindex_shapes_for_body(self.objects[item])
 
     def step(self, force: Sequence[float]) -> None:
-        """One action's frames under a force (x, y) on the agent, newtons."""
+        """Simulates the frames of one action, with a force (x, y) on the agent, newtons."""
         agent, step = self.agent, self.space.step
         x, y = force
-        for _ in range(kernels.FRAMES):
+        for _ in range(FRAMES):
             if x or y:
-                agent.force = x, y  # every frame uses it up
-            step(kernels.FRAME)
+                agent.force = x, y  # pymunk clears it after every frame
+            step(FRAME)
 
     def poses(self) -> list[float]:
-        """x, y and angle of the agent and of each object, one after another."""
+        """x, y and angle of the agent and then of each object, as one flat list."""
         values: list[float] = []
         for body in self.bodies:
             x, y = body.position
@@ -122,5 +137,5 @@ class Room:
 
 def furniture_of(poses: NDArray) -> list[list[float]]:
     """(x, y, angle, half length, half width) of bed and tray from their poses, float64 [2, 3]."""
-    sizes = kernels.FURNITURE_SIZE.tolist()
+    sizes = FURNITURE_SIZE.tolist()
     return [[*pose, *size[:2]] for pose, size in zip(poses.tolist(), sizes, strict=True)]

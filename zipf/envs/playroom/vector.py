@@ -9,10 +9,11 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs.playroom import kernels, levels
+from zipf.envs.playroom import hand, judgement, layout, levels
 from zipf.envs.playroom.actions import ACTIONS
 from zipf.envs.playroom.room import Room, furniture_of
-from zipf.envs.playroom.view import PALETTE, View, extents_of
+from zipf.envs.playroom.state import ANGLE, YAW, make_commands, make_worlds
+from zipf.envs.playroom.view import View, extents_of
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 
@@ -23,8 +24,8 @@ class PlayroomVectorEnv(ZipfVectorEnv):
     object, one each to choose the target and the task, and two that seed a stream of the
     episode's own for poses and colours.
 
-    A world's state is how its episode began and the actions since: `set_state` plays them again,
-    which takes up to a few hundredths of a second for each world.
+    A saved state is how each world's episode began and the actions since: `set_state` replays
+    them, which takes up to a few hundredths of a second for each world.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 7.5}  # noqa: RUF012
@@ -56,7 +57,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         steps = _whole_numbers([max_steps])
         if steps is None or steps[0] < 1:
             raise ValueError(f"max_steps must be a whole number of at least 1, got {max_steps!r}")
-        self.objects = levels.ORDERS[object_order]
+        self.object_names = levels.ORDERS[object_order]
         self.max_steps = max_steps
         height, width = sizes
         super().__init__(
@@ -74,34 +75,20 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             render_mode=render_mode,
         )
         n, count = num_envs, self.level.others + 1
-        # How the episode began, and what was done since.
+        # How the episode began, and the actions since.
         self._began = np.zeros((n, 4), np.uint64)
         self._forced = np.full((len(self.situation), n), -1, np.int64)
         self._actions = np.zeros((n, max_steps), np.uint8)
-        # What follows from it.
-        self.ranks = np.zeros((n, count), np.int64)
-        self.task = np.zeros(n, np.int64)
-        self.extents = extents_of(self.objects)
-        self.agents = np.zeros((n, 6))
-        self.hands = np.full(n, -1, np.int64)
-        self.items = np.zeros((n, count, 5))
-        self.orientation = np.zeros((n, count, 3, 3))
-        self.furniture = np.zeros((n, 2, 3))
-        self.status = np.zeros((n, count), np.int64)
-        self.still = np.zeros((n, count), np.int64)
-        self.lifted = np.zeros((n, count), np.bool_)
-        self.colors = np.zeros((n, count + 2, 2, 3), np.uint8)
-        self._scenery = np.zeros((n, 4), np.uint64)
+        # The state that follows from them.
+        self.worlds = make_worlds(
+            n, count, self.level.finding, self.level.furnished, extents_of(self.object_names)
+        )
         self.rooms: list[Room | None] = [None] * n
         self._instructions = np.zeros((n, levels.VOCABULARY.length), np.int64)
         self._texts = np.full(n, "", "<U40")
         self._side = np.zeros(n, np.int64)
-        self._view = View(self.objects, n, count, self.level.furnished, width, height)
-        # Between the parts of a step.
-        self._layers = np.zeros((n, count), np.int64)
-        self._forces = np.zeros((n, 2))
-        self._drives = np.zeros((n, 2))
-        self._turned = np.full(n, -1, np.int64)
+        self._view = View(self.object_names, self.worlds, width, height)
+        self._commands = make_commands(n, count)
 
     @property
     def lengths(self) -> NDArray[np.int64]:
@@ -112,7 +99,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         """One frame of each world, uint8 [288, 384, 3], with `render_mode="rgb_array"`."""
         if self.render_mode is None:
             return None
-        return self._view.frames(self, self._texts.tolist())
+        return self._view.frames(self._texts.tolist())
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         self._began[mask] = self._streams[mask]
@@ -120,59 +107,29 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._start(mask, self._streams)
 
     def _start(self, mask: NDArray[np.bool_], streams: NDArray[np.uint64]) -> None:
-        level = self.level
-        kernels.draw_situations(
-            mask,
-            self._forced,
-            level.probabilities,
-            level.finding,
-            np.array(level.tasks, np.int64),
-            streams,
-            self.ranks,
-            self.task,
-            self._scenery,
-        )
-        fits = kernels.lay_out(
-            mask,
-            level.finding,
-            level.furnished,
-            self.ranks,
-            self.extents,
-            self._scenery,
-            self.agents,
-            self.items,
-            self.furniture,
-            self.colors,
-            PALETTE,
-        )
-        if not fits:
+        """Begins the episodes of the worlds of `mask`, drawing from `streams`, uint64 [N, 4]."""
+        level, worlds = self.level, self.worlds
+        tasks = np.array(level.tasks, np.int64)
+        layout.draw_situations(mask, self._forced, level.probabilities, tasks, streams, worlds)
+        if not layout.lay_out(mask, worlds):
             raise RuntimeError("no room for every object: this should not happen")
-        kernels.begin(
-            mask,
-            self.agents,
-            self.hands,
-            self.items,
-            self.orientation,
-            self.status,
-            self.still,
-            self.lifted,
-        )
+        layout.begin(mask, worlds)
         for i in np.flatnonzero(mask).tolist():
-            sizes = self.extents[self.ranks[i], :2].tolist()
-            poses = self.items[i, :, :3].tolist()
+            sizes = worlds.extents[worlds.ranks[i], :2].tolist()
+            poses = worlds.objects[i, :, :3].tolist()
             self.rooms[i] = Room(
-                self.agents[i, :2].tolist(),
+                worlds.agents[i, :2].tolist(),
                 [[*pose, *size] for pose, size in zip(poses, sizes, strict=True)],
-                furniture_of(self.furniture[i]) if level.furnished else [],
+                furniture_of(worlds.furniture[i]) if level.furnished else [],
             )
-            target = self.objects[self.ranks[i, 0]]
-            text = levels.instruction(level, target, int(self.task[i]))
+            target = self.object_names[worlds.ranks[i, 0]]
+            text = levels.instruction(level, target, int(worlds.task[i]))
             self._texts[i] = text
             self._instructions[i] = levels.VOCABULARY.encode(text)
-        yaw = self.agents[:, kernels.YAW]
-        dx, dy = (self.items[:, 0, :2] - self.agents[:, :2]).T
+        yaw = worlds.agents[:, YAW]
+        dx, dy = (worlds.objects[:, 0, :2] - worlds.agents[:, :2]).T
         self._side[mask] = (np.cos(yaw) * dy < np.sin(yaw) * dx)[mask]
-        self._view.begin(mask, self)
+        self._view.begin(mask)
 
     def _advance(
         self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
@@ -186,60 +143,23 @@ class PlayroomVectorEnv(ZipfVectorEnv):
     def _play(
         self, mask: NDArray[np.bool_], actions: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
-        """One step of the worlds of `mask`: the hand, the physics, the judgement."""
-        level = self.level
-        before = self.items[:, :, :2].copy()
-        kernels.control(
-            mask,
-            actions,
-            level.furnished,
-            self.ranks,
-            self.extents,
-            self.furniture,
-            self.agents,
-            self.hands,
-            self.items,
-            self.orientation,
-            self.status,
-            self._layers,
-            self._forces,
-            self._drives,
-            self._turned,
-        )
-        self._simulate(mask)
+        """Steps the worlds of `mask`; returns reward, terminated and success [N]."""
+        before = self.worlds.objects[:, :, :2].copy()
         reward = np.zeros(self.num_envs)
         terminated = np.zeros(self.num_envs, np.bool_)
         success = np.zeros(self.num_envs, np.bool_)
-        kernels.settle(
-            mask,
-            level.finding,
-            level.furnished,
-            self.task,
-            self.ranks,
-            self.extents,
-            self.furniture,
-            before,
-            self.agents,
-            self.hands,
-            self.items,
-            self.orientation,
-            self.status,
-            self.still,
-            self.lifted,
-            reward,
-            terminated,
-            success,
-        )
+        hand.control(mask, actions, self.worlds, self._commands)
+        self._simulate(mask)
+        judgement.settle(mask, before, self.worlds, reward, terminated, success)
         return reward, terminated, success
 
     def _simulate(self, mask: NDArray[np.bool_]) -> None:
-        layers, forces, drives = (
-            self._layers.tolist(),
-            self._forces.tolist(),
-            self._drives.tolist(),
-        )
-        hands, turned = self.hands.tolist(), self._turned.tolist()
-        rows = range(self.num_envs) if mask.all() else np.flatnonzero(mask).tolist()
+        """Runs the physics of a step: moves the agents and objects of the worlds of `mask`."""
+        worlds, commands = self.worlds, self._commands
+        layers, forces = commands.layers.tolist(), commands.forces.tolist()
+        drives, turned = commands.drives.tolist(), commands.turned.tolist()
+        hands = worlds.hands.tolist()
+        rows = np.flatnonzero(mask).tolist()
         flat: list[float] = []
         for i in rows:
             room = self.rooms[i]
@@ -247,7 +167,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             if layers[i] != room.layers:
                 room.set_layers(layers[i])
             if turned[i] >= 0:
-                room.turn(turned[i], float(self.items[i, turned[i], kernels.ANGLE]))
+                room.turn(turned[i], float(worlds.objects[i, turned[i], ANGLE]))
             if hands[i] >= 0:
                 held = room.objects[hands[i]]
                 held.velocity = drives[i][0], drives[i][1]
@@ -255,16 +175,18 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             room.step(forces[i])
             flat += room.poses()
         poses = np.array(flat).reshape(len(rows), -1, 3)
-        self.agents[rows, :2] = poses[:, 0, :2]
-        self.items[rows, :, :3] = poses[:, 1:]
+        stepped = slice(None) if len(rows) == self.num_envs else rows  # a slice is much faster
+        worlds.agents[stepped, :2] = poses[:, 0, :2]
+        worlds.objects[stepped, :, :3] = poses[:, 1:]
 
     def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
-        self._view.draw(self, out["image"], mask)
-        out["instruction"][mask] = self._instructions[mask]
+        self._view.draw(out["image"], mask)
+        np.copyto(out["instruction"], self._instructions, where=mask[:, None])
 
     def _situations(self) -> dict[str, NDArray[np.int64]]:
-        columns = [*self.ranks.T, self.task]
-        return {name: column.copy() for name, column in zip(self.situation, columns, strict=False)}
+        # Without furniture the task is not a part of the situation.
+        columns = [*self.worlds.ranks.T.copy(), self.worlds.task.copy()]
+        return dict(zip(self.situation, columns, strict=False))
 
     def _describe(self) -> dict[str, NDArray[Any]]:
         told: dict[str, NDArray[Any]] = {"instruction": self._texts.copy()}
@@ -288,7 +210,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         return {"began": self._began, "forced": self._forced, "actions": self._actions}
 
     def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
-        # Kernels index with these and check no bounds.
+        # The compiled functions index with these and check no bounds.
         sizes = np.array(list(self.situation.values()))[:, None]
         if (
             (state["forced"] < -1).any()
@@ -308,7 +230,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._replay(state["seeded"], state["lengths"])
 
     def _replay(self, begun: NDArray[np.bool_], lengths: NDArray[np.int64]) -> None:
-        """Plays again what the worlds of `begun` did."""
+        """Replays the episodes of the worlds of `begun`."""
         self._start(begun, self._began.copy())
         for t in range(int(lengths.max(where=begun, initial=0))):
             self._play(begun & (lengths > t), self._actions[:, t].astype(np.int64))

@@ -1,155 +1,121 @@
-"""What is seen in the playroom: the room's scene, and frames for people to watch."""
-
-from __future__ import annotations
+"""The images of the playroom: the agent's view, and larger frames for people to watch."""
 
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from zipf.envs.playroom import kernels
+from zipf.compiled import compiled
+from zipf.envs.playroom.constants import CEILING, EYE, ROOM
+from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Worlds, X, Y, Z
 from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
 
-if TYPE_CHECKING:
-    from zipf.envs.playroom.vector import PlayroomVectorEnv
-
 FIELD_OF_VIEW = 75.0
-"""Horizontal, degrees. Ours: what is 0.4 m large 1.5 m away is 17 of 96 pixels wide."""
-
-# The colours of objects: Carvalho et al. 2021.
-PALETTE = np.array(
-    [
-        (205, 40, 40),  # red
-        (50, 160, 60),  # green
-        (45, 80, 200),  # blue
-        (90, 205, 180),  # aquamarine
-        (200, 50, 190),  # magenta
-        (235, 130, 30),  # orange
-        (125, 60, 170),  # purple
-        (240, 140, 180),  # pink
-        (235, 210, 50),  # yellow
-        (230, 230, 230),  # white
-    ],
-    np.uint8,
-)
+"""Horizontal, degrees. Ours: an object 0.4 m wide at 1.5 m is 17 of 96 pixels wide."""
 
 _FRAME = (240, 384)
 _CAPTION = 48
 
 
-def extents_of(objects: tuple[str, ...]) -> NDArray[np.float64]:
-    """Bounding boxes of these objects' meshes, float64 [len(objects), 3], metres."""
+def extents_of(names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Bounding boxes of the meshes of these names, float64 [len(names), 3], metres."""
     atlas = load_meshes()
-    return np.array([atlas.extent[atlas.index(name)] for name in objects], np.float64)
+    return np.array([atlas.extent[atlas.index(name)] for name in names], np.float64)
 
 
 class View:
-    """The scenes of `num_worlds` rooms, and what draws them."""
+    """Draws the images of a batch of playrooms.
 
-    def __init__(
-        self,
-        objects: tuple[str, ...],
-        num_worlds: int,
-        count: int,
-        furnished: bool,
-        width: int,
-        height: int,
-    ) -> None:
+    Args:
+        names: the objects' names by rank.
+        worlds: the state of the worlds, read again by every method.
+        width, height: of the agent's image, pixels.
+    """
+
+    def __init__(self, names: tuple[str, ...], worlds: Worlds, width: int, height: int) -> None:
         atlas = load_meshes()
-        self.furnished = furnished
-        self.meshes = np.array([atlas.index(name) for name in objects])
+        self.worlds = worlds
+        self.meshes = np.array([atlas.index(name) for name in names])
+        num_worlds, count = worlds.ranks.shape
         self.scenes = Scenes(num_worlds, walls=4, flats=2, instances=count + 2)
         for world in range(num_worlds):
             _build_room(self.scenes, world)
-        if furnished:
+        if worlds.furnished:
             self.scenes.mesh[:, count:] = [atlas.index("bed"), atlas.index("tray")]
         self.renderer = Renderer(
             atlas, textures.stack(), width=width, height=height, fov=FIELD_OF_VIEW
         )
 
-    def begin(self, mask: NDArray[np.bool_], worlds: PlayroomVectorEnv) -> None:
-        """Takes what stays the same for an episode, in the worlds of `mask`."""
+    def begin(self, mask: NDArray[np.bool_]) -> None:
+        """Reads what stays the same for an episode, in the worlds of `mask`."""
+        worlds, scenes = self.worlds, self.scenes
         count = worlds.ranks.shape[1]
-        self.scenes.mesh[mask, :count] = self.meshes[worlds.ranks[mask]]
-        self.scenes.colors[mask] = worlds.colors[mask]
-        if self.furnished:
+        scenes.mesh[mask, :count] = self.meshes[worlds.ranks[mask]]
+        scenes.colors[mask] = worlds.colours[mask]
+        if worlds.furnished:
             x, y, angle = worlds.furniture[mask].transpose(2, 0, 1)
-            self.scenes.position[mask, count:] = np.stack([x, y, np.zeros_like(x)], -1)
+            scenes.position[mask, count:] = np.stack([x, y, np.zeros_like(x)], -1)
             cos, sin = np.cos(angle), np.sin(angle)
             rotation = np.zeros((*angle.shape, 3, 3))
             rotation[..., 0, 0] = rotation[..., 1, 1] = cos
             rotation[..., 0, 1], rotation[..., 1, 0] = -sin, sin
             rotation[..., 2, 2] = 1
-            self.scenes.rotation[mask, count:] = rotation
+            scenes.rotation[mask, count:] = rotation
 
-    def draw(
-        self, worlds: PlayroomVectorEnv, out: NDArray[np.uint8], mask: NDArray[np.bool_]
-    ) -> None:
+    def draw(self, out: NDArray[np.uint8], mask: NDArray[np.bool_]) -> None:
         """Writes the images of the worlds of `mask` to their rows of `out`."""
-        self._update(worlds, mask)
+        self._update(mask)
         self.renderer.render(self.scenes, out, mask)
 
-    def frames(self, worlds: PlayroomVectorEnv, texts: list[str]) -> tuple[NDArray[np.uint8], ...]:
-        """Larger images with the instruction below, uint8 [288, 384, 3]."""
+    def frames(self, texts: list[str]) -> tuple[NDArray[np.uint8], ...]:
+        """Larger images with the worlds' texts below, uint8 [288, 384, 3]."""
         height, width = _FRAME
         images = np.zeros((len(texts), height, width, 3), np.uint8)
         everywhere = np.ones(len(texts), np.bool_)
-        self._update(worlds, everywhere)
+        self._update(everywhere)
         _large_renderer().render(self.scenes, images, everywhere)
         return tuple(_captioned(image, text) for image, text in zip(images, texts, strict=True))
 
-    def _update(self, worlds: PlayroomVectorEnv, mask: NDArray[np.bool_]) -> None:
-        _pose(
-            mask,
-            worlds.agents,
-            worlds.items,
-            worlds.orientation,
-            worlds.ranks,
-            worlds.extents,
-            self.scenes.camera,
-            self.scenes.position,
-            self.scenes.rotation,
-        )
+    def _update(self, mask: NDArray[np.bool_]) -> None:
+        scenes = self.scenes
+        _pose(mask, self.worlds, scenes.camera, scenes.position, scenes.rotation)
 
 
 def _build_room(scenes: Scenes, world: int) -> None:
-    """Four walls that differ a little, so that one can tell where one looks."""
-    half = kernels.ROOM / 2
+    """Adds floor, ceiling and four walls with different wallpapers, which show the direction."""
+    half = ROOM / 2
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
     papers = ("wallpaper", "wallpaper_blue", "stripes", "stripes_green")
     for k, paper in enumerate(papers):
         scenes.add_wall(
             world,
             (*corners[k], *corners[(k + 1) % 4]),
-            (0.0, kernels.CEILING),
+            (0.0, CEILING),
             textures.index(paper),
             repeat=(1.0, 1.0),
         )
     square = (-half, -half, half, half)
     scenes.add_flat(world, square, 0.0, textures.index("planks"), repeat=1.0)
-    scenes.add_flat(
-        world, square, kernels.CEILING, textures.index("ceiling"), flags=FACES_DOWN, repeat=2.0
-    )
+    scenes.add_flat(world, square, CEILING, textures.index("ceiling"), flags=FACES_DOWN, repeat=2.0)
 
 
-@njit(nogil=True, cache=True)
-def _pose(mask, agents, items, orientation, ranks, extents, camera, position, rotation):
-    """Writes camera and objects of the worlds of `mask` into their scenes."""
+@compiled()
+def _pose(mask, worlds, camera, position, rotation):
+    """Writes the poses of camera and objects to the scenes of the worlds of `mask`."""
     for i in range(mask.size):
         if not mask[i]:
             continue
-        camera[i, 0], camera[i, 1] = agents[i, kernels.AX], agents[i, kernels.AY]
-        camera[i, 2] = kernels.EYE
-        camera[i, 3], camera[i, 4] = agents[i, kernels.YAW], agents[i, kernels.PITCH]
-        for j in range(ranks.shape[1]):
-            frame = orientation[i, j]
-            half = extents[ranks[i, j], 2] / 2
-            # Objects turn about their middles.
-            position[i, j, 0] = items[i, j, kernels.X] - half * frame[0, 2]
-            position[i, j, 1] = items[i, j, kernels.Y] - half * frame[1, 2]
-            position[i, j, 2] = items[i, j, kernels.Z] + half - half * frame[2, 2]
+        agent, objects, ranks = worlds.agents[i], worlds.objects[i], worlds.ranks[i]
+        camera[i, 0], camera[i, 1] = agent[AX], agent[AY]
+        camera[i, 2] = EYE
+        camera[i, 3], camera[i, 4] = agent[YAW], agent[PITCH]
+        for j in range(ranks.size):
+            frame = worlds.orientation[i, j]
+            half = worlds.extents[ranks[j], 2] / 2
+            # Objects turn about their centres.
+            position[i, j, 0] = objects[j, X] - half * frame[0, 2]
+            position[i, j, 1] = objects[j, Y] - half * frame[1, 2]
+            position[i, j, 2] = objects[j, Z] + half - half * frame[2, 2]
             for r in range(3):
                 for c in range(3):
                     rotation[i, j, r, c] = frame[r, c]

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit
 from numba.extending import intrinsic as _intrinsic
 
+from zipf.compiled import compiled
 from zipf.envs.render3d.lanes import (
     ADDRESS,
     BYTE,
@@ -30,7 +30,7 @@ from zipf.envs.render3d.lanes import (
 intrinsic: Any = _intrinsic  # its annotations do not know what it makes of a function
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def address(array):
     """Where an array begins."""
     # Signed: numba adds unsigned and signed integers as floats.

@@ -11,16 +11,13 @@ where c(y) = cos p - b sin p, and its rise, sin p + b cos p, is the same along a
   found without projecting, clipping or sorting its corners. The near plane is one more condition.
 
 Depth is kept as 1/t, 0 being nothing yet. Colours in the making are uint32, 0x00BBGGRR.
-
-Compiled code is cached beside this file and renewed only when this file changes: after a change to
-what it imports (the other files here with compiled functions or constants of theirs), touch it.
 """
 
 import math
 
 import numpy as np
-from numba import njit
 
+from zipf.compiled import compiled
 from zipf.envs.render3d.blocks import (
     address,
     flat_block,
@@ -45,7 +42,7 @@ shows where two of them meet."""
 _SOLID = -(1 << 31)  # makes every texel opaque
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _bound(low, high, a, step, b):
     """Narrows each row's span to where a + step * y + b * x >= 0."""
     if abs(b) < 1e-30:
@@ -60,7 +57,7 @@ def _bound(low, high, a, step, b):
             high[y] = min(high[y], start + step * np.float32(y))
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+@compiled(error_model="numpy", fastmath=True)
 def _draw_wall(
     wall, texture, flags, repeat, tint, screen, view, sector, low, high, width, texels, color, depth
 ):
@@ -170,7 +167,7 @@ def _draw_wall(
             )  # fmt: skip
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _draw_screen(
     screen, z, dz_row, dz, u, du_row, du, v, dv_row, dv, per_u, per_v, low, high, color, depth
 ):  # fmt: skip
@@ -189,7 +186,7 @@ def _draw_screen(
                 color[y, x] = texel[0] | np.int32(texel[1]) << 8 | np.int32(texel[2]) << 16
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _draw_overlay(overlay, paint, image):
     """Draws a rectangle given as shares of `image`, uint8 [H, W, 3], in an RGBA colour."""
     height, width = image.shape[0], image.shape[1]
@@ -203,12 +200,12 @@ def _draw_overlay(overlay, paint, image):
                 image[y, x, k] = (mixed + 127) // 255
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _pixel(share, size):
     return min(max(math.floor(share * size + 0.5), 0), size)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _level(area):
     level = 0
     while area >= 4.0 and level < 6:
@@ -217,7 +214,7 @@ def _level(area):
     return level
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+@compiled(error_model="numpy", fastmath=True)
 def _draw_flat(
     flat, texture, flags, first, rows, columns, repeat, tint, tiles, view, width, texels, color,
     depth,
@@ -289,7 +286,7 @@ def _draw_flat(
                 )  # fmt: skip
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def draw(
     start, stop, mask, camera, walls, wall_looks, wall_repeat, wall_tint, wall_face, wall_count,
     flats, flat_looks, flat_tiles, flat_repeat, flat_tint, flat_count, tiles, mesh, position,

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from zipf.compiled import compiled
 from zipf.envs.render3d.blocks import (
     TRIANGLE_LANES,
     address,
@@ -18,7 +18,7 @@ from zipf.envs.render3d.optics import FADE2, MESH_DARK, MESH_SUN, NEAR, UNIT_SUN
 _EDGE = np.float32(1e-4)  # pixels this near outside of an edge are taken in, lest two let one slip
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+@compiled(error_model="numpy", fastmath=True)
 def draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, grow, image):
     """Fills a triangle given in pixels and 1/t (float32), seen from its front.
 
@@ -59,7 +59,7 @@ def draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, grow, image):
         start += stride
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+@compiled(error_model="numpy", fastmath=True)
 def draw_cut_triangle(
     seen, v0, v1, v2, focal, middle_x, middle_y, corners, paint, grow, image
 ):  # fmt: skip
@@ -93,7 +93,7 @@ def draw_cut_triangle(
         )  # fmt: skip
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+@compiled(error_model="numpy", fastmath=True)
 def draw_mesh(
     mesh, atlas, position, rotation, scale, colors, eye, frame, focal, middle_x, middle_y, slant_x,
     slant_y, seen, lit, front, image,
@@ -183,7 +183,7 @@ def draw_mesh(
         )  # fmt: skip
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+@compiled(error_model="numpy", fastmath=True)
 def _paint(colors, part, light):
     red, green, blue = colors[part, 0], colors[part, 1], colors[part, 2]
     return np.int32(red * light) | np.int32(green * light) << 8 | np.int32(blue * light) << 16

@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from zipf.compiled import compiled
 
 NEAR = 0.02
 FAR = 4000.0
@@ -18,7 +19,7 @@ UNIT_SUN = tuple(np.float32(s / math.sqrt(sum(s * s for s in SUN))) for s in SUN
 FADE2 = 1.0 / FADE**2
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def light_on(x, y, z, dark, sun):
     """The light on a surface with the unit normal x, y, z: wrapped around, to shade all sides."""
     return dark + sun * (0.5 + 0.5 * (x * UNIT_SUN[0] + y * UNIT_SUN[1] + z * UNIT_SUN[2]))

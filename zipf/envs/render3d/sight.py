@@ -2,10 +2,10 @@
 
 import math
 
-from numba import njit
+from zipf.compiled import compiled
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def narrow(low, high, a, b):
     """Narrows a span to where a + b * x >= 0."""
     if b > 0.0:
@@ -15,7 +15,7 @@ def narrow(low, high, a, b):
     return low, (high if a >= 0.0 else low - 1.0)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def look_around(solid, x, y, left_x, left_y, right_x, right_y, seen, spans):
     """Marks in `seen` the faces of solid cells that are seen from a place between two directions.
 

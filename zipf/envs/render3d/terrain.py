@@ -9,9 +9,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from zipf.compiled import compiled
 from zipf.envs.render3d.blocks import address, cell_block, terrain_block, vertex_block
 from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.mesh_kernels import draw_cut_triangle, draw_triangle
@@ -34,7 +34,7 @@ def terrain_scratch(rows: int, columns: int) -> tuple[NDArray[Any], ...]:
     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+@compiled(error_model="numpy", fastmath=True)
 def draw_terrain(
     heights, looks, place, tint, view, frame, focal, middle_x, middle_y, texels, image, color,
     depth, scratch,

@@ -1,0 +1,115 @@
+"""The cache of compiled code: it notices every change to the package, and does without a folder."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from zipf import compiled
+
+HELPERS = """
+from small.compiled import compiled
+from small.constants import FACTOR
+
+@compiled()
+def scaled(x):
+    return FACTOR * x
+"""
+KERNELS = """
+from small.compiled import compiled
+from small.helpers import scaled
+
+@compiled(error_model="numpy")
+def kernel(x):
+    return scaled(x) + 1
+"""
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A package with a constant, a compiled function that uses it, and one that calls that."""
+    package = tmp_path / "small"
+    package.mkdir()
+    shutil.copy(Path(compiled.__file__), package)
+    for name, source in (
+        ("__init__", ""),
+        ("constants", "FACTOR = 2\n"),
+        ("helpers", HELPERS),
+        ("kernels", KERNELS),
+    ):
+        (package / f"{name}.py").write_text(source)
+    return package
+
+
+def start(package: Path, program: str, **environment: str) -> subprocess.Popen[str]:
+    kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    return subprocess.Popen(
+        [sys.executable, "-W", "always", "-c", f"from small.kernels import kernel\n{program}"],
+        env={**kept, "PYTHONPATH": str(package.parent), **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[str, str]:
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    return output.strip(), errors
+
+
+HITS = "; print(sum(kernel.stats.cache_hits.values()))"
+
+
+def saved(package: Path) -> set[str]:
+    return {path.name for path in (package / "__pycache__").glob("*.nbc")}
+
+
+def test_a_changed_imported_constant_is_noticed(small: Path) -> None:
+    program = f"print(kernel(5)){HITS}"
+    assert finish(start(small, program))[0] == "11\n0"
+    assert finish(start(small, program))[0] == "11\n1"
+    before = saved(small)
+    assert len(before) == 2
+    (small / "constants.py").write_text("FACTOR = 3\n")
+    assert finish(start(small, program))[0] == "16\n0"
+    # Code that was compiled from the old sources has been deleted.
+    assert len(saved(small)) == 2
+    assert saved(small).isdisjoint(before)
+
+
+def test_where_no_folder_can_be_written_there_is_one_warning_and_no_cache(small: Path) -> None:
+    # Files in the place of folders: permissions would not stop root.
+    (small / "__pycache__").write_text("")
+    home = small.parent / "home"
+    home.write_text("")
+    places = {name: str(home) for name in ("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA")}
+    output, errors = finish(start(small, f"print(kernel(5)){HITS}", **places))
+    assert output == "11\n0"
+    assert errors.count("RuntimeWarning") == 1
+    assert "NUMBA_CACHE_DIR" in errors
+
+
+def test_processes_that_compile_at_the_same_time_save_all_signatures(small: Path) -> None:
+    calls = ["kernel(1); kernel(1.5)", "kernel(1.5); kernel(1)", "kernel(1j); kernel(1)"]
+    for process in [start(small, call) for call in calls]:
+        finish(process)
+    assert len(saved(small)) == 2 * 3
+    program = f"print(kernel(1), kernel(1.5), kernel(1j)){HITS}"
+    assert finish(start(small, program))[0] == "3 4.0 (1+2j)\n3"
+
+
+def test_functions_can_be_pickled(small: Path) -> None:
+    path = small.parent / "function"
+    finish(start(small, f"import pickle; pickle.dump(kernel, open({str(path)!r}, 'wb'))"))
+    program = f"import pickle; print(pickle.load(open({str(path)!r}, 'rb'))(5))"
+    assert finish(start(small, program))[0] == "11"
+
+
+def test_the_package_compiles_nothing_in_another_way() -> None:
+    package = Path(compiled.__file__).parent
+    users = {path.name for path in package.rglob("*.py") if "njit" in path.read_text()}
+    assert users == {"compiled.py"}

@@ -1,0 +1,122 @@
+"""The decorator of every function that numba compiles, and the cache of its compiled code.
+
+Compiled code contains the constants and functions that the function's module imports, but numba's
+own cache only notices changes to the file of the function itself. Here compiled code is valid for
+one state of all source files of the package.
+"""
+
+import contextlib
+import hashlib
+import pickle
+import sys
+import warnings
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+Function = Callable[..., Any]
+
+
+def compiled(**options: Any) -> Callable[[Function], Any]:
+    """Compiles a function by `numba.njit(nogil=True)` at its first call and saves the result.
+
+    It is saved where numba would save it: in `NUMBA_CACHE_DIR`, else in `__pycache__` beside the
+    function's file, else in the user's cache folder. Where none of them can be written, every
+    process compiles again, and a RuntimeWarning says so once.
+
+    Args:
+        options: further options of `numba.njit`, such as `error_model="numpy"`.
+    """
+
+    def decorate(function: Function) -> Any:
+        dispatcher = numba.njit(nogil=True, **options)(function)
+        try:
+            dispatcher._cache = _Cache(function)
+        except RuntimeError:  # numba found no folder that can be written
+            _warn_once()
+        return dispatcher
+
+    return decorate
+
+
+@cache
+def fingerprint() -> str:
+    """A hash of the package's source files and of numba's version, hexadecimal."""
+    package = Path(__file__).parent
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(package.rglob("*.py")):
+        source = path.read_bytes()
+        digest.update(f"\n{path.relative_to(package).as_posix()} {len(source)}\n".encode())
+        digest.update(source)
+    return digest.hexdigest()
+
+
+@cache
+def _warn_once() -> None:
+    warnings.warn(
+        "compiled code cannot be saved, so every process compiles it again, which takes up to a "
+        "minute: set the environment variable NUMBA_CACHE_DIR to a folder that can be written",
+        RuntimeWarning,
+        stacklevel=1,
+    )
+
+
+class _Cache(FunctionCache):
+    """The saved code of one function. Raises RuntimeError if no folder can be written."""
+
+    def __init__(self, function: Function) -> None:
+        super().__init__(function)
+        # The function's own file is outside the package where a third party uses the decorator.
+        sources = fingerprint(), self._impl.locator.get_source_stamp()
+        name = f"{function.__module__}.{function.__qualname__}".replace("<locals>", "locals")
+        self._cache_file = _Files(
+            self._cache_path, f"{name}.{sys.implementation.cache_tag}", sources
+        )
+
+
+class _Files(IndexDataCacheFile):
+    """One file for each signature of a function, named after the signature and the sources.
+
+    Numba's own files are numbered, and listed in an index. Two processes that compile different
+    signatures at the same time can use the same number, and the index that remains may belong to
+    one of them and the file to the other. Without an index there is nothing to get out of step.
+    """
+
+    def __init__(self, folder: str, name: str, sources: Any) -> None:
+        super().__init__(folder, name, sources)
+        self._folder = Path(folder)
+        self._name = name
+        self._prefix = f"{name}-{_short_hash(sources)}-"
+
+    def load(self, key: Any) -> Any:
+        """The code that was saved for a signature, or None."""
+        try:
+            saved_key, data = pickle.loads(self._path(key).read_bytes())
+        except FileNotFoundError:
+            return None
+        return data if saved_key == key else None
+
+    def save(self, key: Any, data: Any) -> None:
+        """Saves the code for a signature and deletes code of other states of the sources."""
+        with self._open_for_write(str(self._path(key))) as file:
+            file.write(self._dump((key, data)))
+        for path in self._folder.glob(f"{self._name}-*.nbc"):
+            if not path.name.startswith(self._prefix):
+                with contextlib.suppress(OSError):  # another process, or another user's file
+                    path.unlink()
+
+    def flush(self) -> None:
+        """Deletes all code of the function."""
+        for path in self._folder.glob(f"{self._name}-*.nbc"):
+            path.unlink(missing_ok=True)
+
+    def _path(self, key: Any) -> Path:
+        return self._folder / f"{self._prefix}{_short_hash(key)}.nbc"
+
+
+def _short_hash(value: Any) -> str:
+    return hashlib.sha256(repr(value).encode()).hexdigest()[:16]

@@ -1,0 +1,91 @@
+"""The end of a step: whether an episode has ended, and whether the task was done."""
+
+import math
+
+from zipf.compiled import compiled
+from zipf.envs.playroom.constants import FURNITURE_SIZE
+from zipf.envs.playroom.falling import STILL_STEPS, fall
+from zipf.envs.playroom.geometry import rectangle_gap
+from zipf.envs.playroom.levels import LIFT, NEAR, ON
+from zipf.envs.playroom.state import AX, AY, FLOOR, ON_BED, X, Y
+
+# Ours.
+NEAR_DISTANCE = 0.5
+"""An object is near a support up to this distance from its edge, metres."""
+APPROACH_DISTANCE = 0.7
+"""Between the centres of agent and object, in `supervised/` levels, metres."""
+
+
+@compiled()
+def settle(mask, before, worlds, reward, terminated, success):
+    """Lets the objects of the worlds of `mask` fall after the physics, and judges their episodes.
+
+    Args:
+        mask: bool [N].
+        before: the objects' x, y before the physics of this step, float64 [N, C, 2].
+        worlds: read and written.
+        reward, terminated, success: float64, bool, bool [N], written.
+    """
+    for i in range(mask.size):
+        if not mask[i]:
+            continue
+        fall(worlds, i, before[i])
+        outcome = _judge(worlds, i)
+        terminated[i] = outcome >= 0
+        success[i] = outcome == 1
+        reward[i] = 1.0 if outcome == 1 else 0.0
+
+
+@compiled()
+def _judge(worlds, i):
+    """1 if the task was done, 0 if it was done with the wrong object or place, -1 if neither.
+
+    An object counts as the target if it is of the target's rank.
+    """
+    ranks = worlds.ranks[i]
+    if worlds.finding:
+        return _judge_approach(ranks, worlds.agents[i], worlds.objects[i])
+    if worlds.task[i] != LIFT:
+        return _judge_put(worlds, i)
+    held = worlds.hands[i]
+    if held >= 0 and worlds.lifted[i, held]:
+        return 1 if ranks[held] == ranks[0] else 0
+    return -1
+
+
+@compiled()
+def _judge_approach(ranks, agent, objects):
+    """1 if the agent has come near the target, 0 if near another object, -1 if near none."""
+    outcome = -1
+    for j in range(ranks.size):
+        gap = math.hypot(objects[j, X] - agent[AX], objects[j, Y] - agent[AY])
+        if gap < APPROACH_DISTANCE:
+            outcome = max(outcome, 1 if ranks[j] == ranks[0] else 0)
+    return outcome
+
+
+@compiled()
+def _judge_put(worlds, i):
+    """1 if the target was put on or near the right support, 0 for any other, -1 if nothing was put.
+
+    An object has been put when it rests after having been lifted. Where the task is to put the
+    target near a support, putting it on the support is right, too.
+    """
+    task, ranks, status = worlds.task[i], worlds.ranks[i], worlds.status[i]
+    objects, furniture = worlds.objects[i], worlds.furniture[i]
+    near = task < ON
+    support = task - (NEAR if near else ON)
+    for j in range(ranks.size):
+        if not worlds.lifted[i, j] or worlds.still[i, j] < STILL_STEPS:
+            continue
+        somewhere = right = False
+        for k in range(2):
+            there = status[j] == ON_BED + k
+            if near and status[j] == FLOOR:
+                gap = rectangle_gap(furniture[k], FURNITURE_SIZE[k], objects[j, X], objects[j, Y])
+                there = gap <= NEAR_DISTANCE
+            somewhere |= there
+            right |= there and k == support
+        if somewhere:
+            return 1 if right and ranks[j] == ranks[0] else 0
+    return -1

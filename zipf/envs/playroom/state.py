@@ -1,0 +1,101 @@
+"""The state of a batch of playrooms, as the arrays that the compiled functions work on."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+AX, AY, YAW, PITCH, HOLD, BASE = range(6)
+"""Columns of `agents`: pose, distance of the held object from the eye, its height when gripped."""
+X, Y, ANGLE, Z, VZ = range(5)
+"""Columns of `objects`: pose on the floor plane, height of the lowest point, vertical speed."""
+
+FLOOR, AIR, HELD, ON_BED, ON_TRAY = range(5)
+"""Values of `status`: where an object is."""
+GROUND_LAYER, RAISED_LAYER, LOW_LAYER, CARRIED_LAYER, SUPPORTED_LAYER = range(5)
+"""Values of `layers`: what an object collides with, see `room.py`."""
+
+
+class Worlds(NamedTuple):
+    """The state of N worlds of one level, with C objects each, of which the target is the first.
+
+    Compiled functions check no bounds: ranks, tasks and held objects must be in range.
+    """
+
+    finding: bool
+    """Whether the task is to approach the target (`supervised/` levels)."""
+    furnished: bool
+    """Whether there are a bed and a tray."""
+    extents: NDArray[np.float64]
+    """Bounding boxes of the objects by rank, [50, 3], metres."""
+    ranks: NDArray[np.int64]
+    """Of the objects that are there, [N, C]."""
+    task: NDArray[np.int64]
+    """[N], see `levels.TASKS`."""
+    scenery: NDArray[np.uint64]
+    """[N, 4]: the random stream of an episode's poses and colours."""
+    agents: NDArray[np.float64]
+    """[N, 6], columns AX .. BASE."""
+    hands: NDArray[np.int64]
+    """[N]: the held object, or -1."""
+    objects: NDArray[np.float64]
+    """[N, C, 5], columns X .. VZ."""
+    orientation: NDArray[np.float64]
+    """Rotation matrices of the objects, [N, C, 3, 3]."""
+    furniture: NDArray[np.float64]
+    """x, y, angle of bed and tray, [N, 2, 3]."""
+    status: NDArray[np.int64]
+    """[N, C]: FLOOR .. ON_TRAY."""
+    still: NDArray[np.int64]
+    """[N, C]: for how many actions an object has been at rest, counted up to STILL_STEPS."""
+    lifted: NDArray[np.bool_]
+    """[N, C]: whether an object has been lifted in this episode."""
+    colours: NDArray[np.uint8]
+    """Main and accent colours of the objects, then of bed and tray, [N, C + 2, 2, 3]."""
+
+
+class Commands(NamedTuple):
+    """What a step's actions ask of the physics."""
+
+    layers: NDArray[np.int64]
+    """[N, C]: GROUND_LAYER .. SUPPORTED_LAYER, for each object."""
+    forces: NDArray[np.float64]
+    """On the agents, [N, 2], newtons."""
+    drives: NDArray[np.float64]
+    """Velocities of the held objects, [N, 2], m/s; meaningless where nothing is held."""
+    turned: NDArray[np.int64]
+    """[N]: an object that was just released, to be turned to its new angle, or -1."""
+
+
+def make_worlds(
+    num_worlds: int, num_objects: int, finding: bool, furnished: bool, extents: NDArray[np.float64]
+) -> Worlds:
+    """The state of worlds in which no episode has begun."""
+    n, count = num_worlds, num_objects
+    return Worlds(
+        finding=finding,
+        furnished=furnished,
+        extents=extents,
+        ranks=np.zeros((n, count), np.int64),
+        task=np.zeros(n, np.int64),
+        scenery=np.zeros((n, 4), np.uint64),
+        agents=np.zeros((n, 6)),
+        hands=np.full(n, -1, np.int64),
+        objects=np.zeros((n, count, 5)),
+        orientation=np.zeros((n, count, 3, 3)),
+        furniture=np.zeros((n, 2, 3)),
+        status=np.zeros((n, count), np.int64),
+        still=np.zeros((n, count), np.int64),
+        lifted=np.zeros((n, count), np.bool_),
+        colours=np.zeros((n, count + 2, 2, 3), np.uint8),
+    )
+
+
+def make_commands(num_worlds: int, num_objects: int) -> Commands:
+    """Commands to be written by `hand.control`."""
+    return Commands(
+        layers=np.zeros((num_worlds, num_objects), np.int64),
+        forces=np.zeros((num_worlds, 2)),
+        drives=np.zeros((num_worlds, 2)),
+        turned=np.full(num_worlds, -1, np.int64),
+    )
