@@ -28,12 +28,14 @@ from zipf.envs.playroom import FAMILY as _playroom
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
 
 if TYPE_CHECKING:
+    from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
     from zipf.envs.mixture import Mixture
     from zipf.envs.single import SingleWorld
     from zipf.envs.vector import ZipfVectorEnv
 
 # Imported when first asked for: these bring numba, and `import zipf` is to be quick.
 _LAZY = {
+    "GymnasiumVectorEnv": "zipf.envs.gymnasium_worlds",
     "Mixture": "zipf.envs.mixture",
     "SingleWorld": "zipf.envs.single",
     "ZipfVectorEnv": "zipf.envs.vector",
@@ -42,6 +44,7 @@ _LAZY = {
 __all__ = [
     "KINDS",
     "Family",
+    "GymnasiumVectorEnv",
     "Mixture",
     "Normalisation",
     "SingleWorld",
