@@ -28,20 +28,29 @@ from zipf.envs.playroom import FAMILY as _playroom
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
 
 if TYPE_CHECKING:
+    from zipf.envs.gymnasium_family import zipfian
+    from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
     from zipf.envs.mixture import Mixture
+    from zipf.envs.random_play import Chance, measure_chance
     from zipf.envs.single import SingleWorld
     from zipf.envs.vector import ZipfVectorEnv
 
 # Imported when first asked for: these bring numba, and `import zipf` is to be quick.
 _LAZY = {
+    "Chance": "zipf.envs.random_play",
+    "GymnasiumVectorEnv": "zipf.envs.gymnasium_worlds",
     "Mixture": "zipf.envs.mixture",
     "SingleWorld": "zipf.envs.single",
     "ZipfVectorEnv": "zipf.envs.vector",
+    "measure_chance": "zipf.envs.random_play",
+    "zipfian": "zipf.envs.gymnasium_family",
 }
 
 __all__ = [
     "KINDS",
+    "Chance",
     "Family",
+    "GymnasiumVectorEnv",
     "Mixture",
     "Normalisation",
     "SingleWorld",
@@ -60,9 +69,11 @@ __all__ = [
     "make_scored",
     "make_train",
     "make_vec",
+    "measure_chance",
     "questions",
     "register",
     "split",
+    "zipfian",
 ]
 
 for _family in (_gridworld, _playroom):

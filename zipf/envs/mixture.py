@@ -429,5 +429,13 @@ def _difference(expected: Any, first: str, given: Any, name: str) -> str:
         for key in {**expected.spaces, **given.spaces}:
             one, other = expected.spaces.get(key), given.spaces.get(key)
             if one != other:
-                return f"{key!r} is {one or 'absent'} in {first} and {other or 'absent'} in {name}"
+                return f"{key!r} is {_brief(one)} in {first} and {_brief(other)} in {name}"
     return f"it is {expected} in {first} and {given} in {name}"
+
+
+def _brief(space: spaces.Space | None) -> str:
+    """A space in a few words; that of many codes prints each of them."""
+    if space is None:
+        return "absent"
+    text = " ".join(str(space).split())
+    return text if len(text) <= 100 else f"{text[:100]}... of shape {space.shape}"

@@ -1,32 +1,90 @@
-"""How well uniformly random actions do on a level."""
+"""Chance: the score of uniformly random actions on a level."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
+
+import numpy as np
+
+from zipf.envs.family import make_vec
+from zipf.envs.splits import Level, SplitLevel
 
 
 @dataclass(frozen=True)
 class Chance:
     """The mean return of an episode of uniformly random actions.
 
-    `episodes` is how many it was measured over, None where it is exact.
+    Attributes:
+        score: the mean return.
+        episodes: how many it was measured over; None if it is exact.
     """
 
     score: float
     episodes: int | None = None
 
 
-def measured(package: str) -> Callable[..., Chance | None]:
-    """Chance as a family that has no exact figures measured it.
+def measure_chance(
+    level: Level | SplitLevel | Sequence[Level | SplitLevel],
+    *,
+    episodes: int = 1000,
+    seed: int = 0,
+    num_envs: int = 250,
+    **options: Any,
+) -> Chance:
+    """Plays uniformly random actions on a level.
 
-    A function of a level's name and constructor options reads it from the package's `chance.json`,
-    which `scripts/measure_chance.py` writes:
+    The first `episodes` episodes to start are counted, however long they are: of many worlds played
+    at a time those with short episodes finish more of them, and counting the first to end would
+    count short ones too often. The same arguments give the same figure on every machine.
+
+    Args:
+        level: what `make_vec` takes.
+        episodes: how many episodes, at least 1.
+        seed: of the worlds and of the actions.
+        num_envs: worlds played at a time; more of them take more RAM and less time.
+        options: constructor options of the level.
+
+    Raises:
+        ValueError: no episodes, an unknown level, or options out of range.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes must be at least 1, got {episodes}")
+    env = make_vec(level, min(num_envs, episodes), **options)
+    num_envs, num_actions = env.num_envs, int(env.single_action_space.n)
+    generator = np.random.default_rng([seed, 1])  # worlds are seeded seed, seed + 1, ...
+    returns = np.zeros(episodes)
+    # The episode that each world plays, numbered as they start; from `episodes` on, not counted.
+    playing = np.arange(num_envs)
+    started, unfinished = num_envs, episodes
+    out = env.allocate()
+    env.reset(seed=seed, out=out)
+    while unfinished:
+        actions = generator.integers(num_actions, size=num_envs)
+        _, _, terminated, truncated, info = env.step(actions, out=out)
+        ended = terminated | truncated
+        if not ended.any():
+            continue
+        counted = ended & (playing < episodes)
+        returns[playing[counted]] = info["final_info"]["return"][counted]
+        unfinished -= int(counted.sum())
+        new = int(ended.sum())
+        playing[ended] = np.arange(started, started + new)
+        started += new
+    env.close()
+    return Chance(float(returns.mean()), episodes)
+
+
+def measured(package: str) -> Callable[..., Chance | None]:
+    """The measured chance of a family's levels, from `chance.json` in its package.
+
+    Returns:
+        A function of a level's name and constructor options, as `Family.chance`. It returns None
+        for levels and options that were not measured. The file has for each level a list of
+        figures, as `scripts/measure_chance.py` writes it:
 
         {"lift/lift_shape_zipf3": [{"score": 0.3, "episodes": 1000, "options": {"max_steps": 900}}]}
-
-    It is None for levels and options that were not measured.
     """
 
     def chance(level: str, **options: Any) -> Chance | None:

@@ -1,0 +1,163 @@
+"""Zipfian families of existing Gymnasium environments."""
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import takewhile
+from typing import Any
+
+from zipf.envs import distributions
+from zipf.envs.family import Family
+from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
+from zipf.envs.mixture import Mixture
+from zipf.envs.random_play import Chance
+from zipf.envs.splits import Split
+from zipf.envs.vector import ZipfVectorEnv
+
+
+def zipfian(
+    ids: str | Sequence[str],
+    *,
+    exponent: float = 1.0,
+    over: Mapping[str, Iterable[Any]] | None = None,
+    order: str | int = "forward",
+    name: str | None = None,
+    chance: Mapping[str, Chance] | None = None,
+    options: Mapping[str, Any] | None = None,
+    **worlds: Any,
+) -> Family:
+    """A family of existing environments of which one is drawn at every reset.
+
+        family = zipfian(["MiniGrid-DoorKey-5x5-v0", "MiniGrid-Empty-8x8-v0", ...], exponent=1)
+        family = zipfian("MyEnv-v0", over={"goal": range(50)}, exponent=2)
+        zipf.envs.register(family)
+
+    Its environments, ranked by `order`, are drawn from Zipf's law on level `zipf_<exponent>` (of
+    any exponent >= 0), all alike on `uniform`, and from the rarest fifth on `rare`. Each of them is
+    a level of its own, too: `<family>/MiniGrid-DoorKey-5x5-v0`, or `<family>/goal_3`. The family
+    has one split, of its own name, that trains on `zipf_<exponent>`.
+
+    The situation of an episode is the rank of its environment: `info["level"]`, with its name in
+    `info["level_name"]`; with `over` both are called after the option, `info["goal"]` and
+    `info["goal_name"]`. Observations are equal in kind for all environments, and do not tell which
+    it is unless the environment's own do.
+
+    Args:
+        ids: Gymnasium ids, from the most frequent on; or one id, with `over`.
+        exponent: of the training level.
+        over: the name of one option of the environment and its values, from the most frequent on.
+        order: "forward", "reversed", or an integer that seeds a shuffle; see `Mixture`.
+        name: the family's; None: made from what the ids have in common, `minigrid` in the example.
+        chance: measured chance by level name, as `measure_chance` returns it.
+        options: arguments of `gymnasium.make` for all environments.
+        worlds: further arguments of `GymnasiumVectorEnv`: `wrap`, `codes`, `success`,
+            `text_length`, `vocabulary`.
+
+    Returns:
+        The family, not registered.
+
+    Raises:
+        ValueError: fewer than five environments, one of them twice, `over` missing or with several
+            ids, no name that fits, or a bad exponent or order.
+    """
+    rank = "level"
+    if isinstance(ids, str):
+        if over is None or len(over) != 1:
+            raise ValueError(
+                f"zipfian({ids!r}) needs over={{option: values}} with one option of the "
+                f"environment, got over={over}; or give a list of ids"
+            )
+        ((rank, values),) = over.items()
+        given = [(f"{rank}_{value}", ids, {rank: value}) for value in values]
+        ids = [ids]
+    else:
+        if over is not None:
+            raise ValueError(f"over={over} needs a single id, got {len(ids)}")
+        given = [(_without_module(id), id, {}) for id in ids]
+    makers = {
+        level: partial(GymnasiumVectorEnv, id=id, options={**(options or {}), **own}, **worlds)
+        for level, id, own in given
+    }
+    if len(makers) < len(given):
+        names = [level for level, _, _ in given]
+        twice = sorted({level for level in names if names.count(level) > 1})
+        raise ValueError(f"a family has every environment once, got {', '.join(twice)} twice")
+    if len(makers) < 5:
+        raise ValueError(
+            "a family needs at least five environments, or its rarest fifth is empty: "
+            f"got {len(makers)}"
+        )
+    trained = f"zipf_{float(exponent)!r}".removesuffix(".0")
+    distributions.by_name(trained)
+    name = name or _common_name(ids)
+    levels = _Levels(makers, order, rank)
+    return Family(
+        name=name,
+        summary=f"{len(makers)} environments of Gymnasium, one drawn at every reset",
+        levels=(trained, "uniform", "rare", *makers),
+        check=levels.check,
+        make_vec=levels.make_vec,
+        splits=(Split(name, f"{name}/{trained}", f"{name}/uniform", f"{name}/rare"),),
+        chance=partial(_known_chance, chance or {}),
+    )
+
+
+@dataclass(frozen=True)
+class _Levels:
+    """The levels of a family.
+
+    Attributes:
+        makers: what makes a batch of each environment, by level name.
+        order: see `Mixture`.
+        rank: name of the environments' rank.
+    """
+
+    makers: Mapping[str, Callable[..., ZipfVectorEnv]]
+    order: str | int
+    rank: str
+
+    def check(self, level: str) -> None:
+        """Raises ValueError for a name that is not a level."""
+        if level not in self.makers:
+            try:
+                distributions.by_name(level)
+            except ValueError as error:
+                raise ValueError(f"{error}, or one of {', '.join(self.makers)}") from None
+
+    def make_vec(self, num_envs: int, level: str, **kwargs: Any) -> ZipfVectorEnv:
+        self.check(level)
+        if level in self.makers:
+            return self.makers[level](num_envs, **kwargs)
+        return Mixture(
+            self.makers,
+            num_envs,
+            draw="resets",
+            probabilities=distributions.by_name(level)(len(self.makers)),
+            order=self.order,
+            rank=self.rank,
+            **kwargs,
+        )
+
+
+def _known_chance(known: Mapping[str, Chance], level: str, **options: Any) -> Chance | None:
+    return None if options else known.get(level)
+
+
+def _without_module(id: str) -> str:
+    return id.rpartition(":")[2]
+
+
+def _common_name(ids: Sequence[str]) -> str:
+    """The words that all ids begin with, in lower case.
+
+    Raises ValueError if there are none.
+    """
+    words = [re.split(r"\W+", re.sub(r"-v\d+$", "", _without_module(id))) for id in ids]
+    alike = takewhile(lambda places: len(set(places)) == 1, zip(*words, strict=False))
+    common = "_".join(places[0].lower() for places in alike)
+    if not common:
+        raise ValueError(
+            f"{', '.join(ids)} have nothing in common to name the family after: give name=..."
+        )
+    return common

@@ -1,0 +1,466 @@
+"""Existing Gymnasium environments as batched worlds."""
+
+import hashlib
+import re
+import struct
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import chain
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from zipf.envs import pcg64
+from zipf.envs.vector import Observation, ZipfVectorEnv
+
+Success = Callable[[float, bool, dict[str, Any]], bool]
+"""Whether an episode was a success: `success(episode_return, terminated, last_info)`."""
+
+_REPORTED = ("is_success", "success")
+_NOT_DETERMINISTIC: set[str] = set()
+"""Ids of the environments that this process has warned about."""
+
+
+class GymnasiumVectorEnv(ZipfVectorEnv):
+    """`N` worlds of an existing Gymnasium environment, each made when it is first needed.
+
+        env = GymnasiumVectorEnv(16, "CartPole-v1")
+        env = GymnasiumVectorEnv(
+            16,
+            "MiniGrid-DoorKey-5x5-v0",
+            codes={"image": 11},
+            success=lambda episode_return, terminated, info: episode_return > 0,
+        )
+
+    **Observations** become a Dict: a Dict space stays one, any other becomes a Dict with the one
+    part `image`, if it is uint8 [H, W, 3], or `observation`. Dict and Tuple spaces within are
+    flattened: `{"arm": {"angle": ...}}` becomes `arm.angle`, the first part of a tuple
+    `observation.0`. Box and MultiBinary stay as they are; Discrete and MultiDiscrete count from 0.
+    Text becomes int64 [text_length]: a code of 1 .. vocabulary - 1 for each word (or punctuation
+    mark) in lower case, from a hash that is the same on every machine, and 0 after the last one.
+    Two words may share a code; the larger the vocabulary, the fewer do.
+
+    **Actions** are Discrete, counted from 0.
+
+    **Randomness.** Every episode is seeded by `reset(seed=...)` with a number of the world's own
+    stream, so seed and actions determine an episode of a deterministic environment. Environments
+    cannot save their state in general: `get_state` holds seed, actions and a digest of the
+    observations, rewards and ends of the running episodes, and `set_state` replays them, which
+    takes as long as playing them did. If a digest differs, the environment is not deterministic: a
+    warning names it, once in a process, and all its worlds begin their episodes again. Pickling
+    replays likewise.
+
+    The situation has no ranks; `Mixture` and `zipfian` give it one.
+
+    Args:
+        num_envs: number of worlds N.
+        id: the environment's Gymnasium id; `module:id` imports the module that registers it.
+        options: further arguments of `gymnasium.make`.
+        wrap: applied to each environment made, for instance a wrapper's class.
+        codes: for the names of integer parts of the observation the number of codes n: their
+            values are codes in 0 .. n - 1 (kinds of things, not quantities). These parts become
+            MultiDiscrete (or Discrete, where the part is a single number).
+        success: whether an episode was a success: a name in the last step's `info`, or a function
+            `success(episode_return, terminated, last_info)`. None: `is_success` or `success` of
+            `info` if the environment reports one of them in its first step, otherwise the
+            environment does not report success.
+        text_length: codes of a text.
+        vocabulary: number of different codes, 0 included.
+        autoreset_mode, copy: see `ZipfVectorEnv`.
+        render_mode: "rgb_array" (if the environment offers it) or None.
+
+    Raises:
+        ValueError: the environment cannot be made, or its observations or actions are of another
+            kind; while stepping, for observations that are not in the space, codes out of range, a
+            text of more words than `text_length`, or an `info` without the name given as success.
+    """
+
+    _resizable = frozenset({"actions"})
+
+    def __init__(
+        self,
+        num_envs: int,
+        id: str,
+        *,
+        options: Mapping[str, Any] | None = None,
+        wrap: Callable[[gym.Env], gym.Env] | None = None,
+        codes: Mapping[str, int] | None = None,
+        success: str | Success | None = None,
+        text_length: int = 16,
+        vocabulary: int = 1000,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        copy: bool = True,
+        render_mode: str | None = None,
+    ) -> None:
+        self.id = id
+        self.options = dict(options or {})
+        self.wrap = wrap
+        self.render_mode = render_mode
+        if render_mode not in ("rgb_array", None):
+            raise ValueError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}")
+        first = self._make()
+        words = Words(text_length, vocabulary)
+        self.parts = _parts(id, first.observation_space, codes or {}, words)
+        action_space = first.action_space
+        if not isinstance(action_space, spaces.Discrete):
+            raise ValueError(
+                f"the actions of {id} are {action_space}: only Discrete actions are supported; "
+                "give a wrapper that makes them Discrete as `wrap`"
+            )
+        self._first_action = action_space.start
+        self.success = self._reported(first) if success is None else success
+        self.reports_success = self.success is not None
+        offered = first.metadata.get("render_modes") or []
+        self.metadata = {
+            "render_modes": [mode for mode in ("rgb_array",) if mode in offered],
+            "render_fps": first.metadata.get("render_fps", 30),
+        }
+        super().__init__(
+            num_envs,
+            single_observation_space=spaces.Dict({part.name: part.space for part in self.parts}),
+            single_action_space=spaces.Discrete(int(action_space.n)),
+            situation={},
+            autoreset_mode=autoreset_mode,
+            copy=copy,
+            render_mode=render_mode,
+        )
+        self._envs: list[gym.Env | None] = [None] * num_envs
+        self._envs[0] = first
+        # The running episodes: how to repeat them, and what they returned last and so far.
+        self._seeds = np.zeros(num_envs, np.int64)
+        self._actions: list[list[int]] = [[] for _ in range(num_envs)]
+        self._digests = np.zeros(num_envs, np.uint64)
+        self._current = self.allocate()
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One frame of each world, uint8 [height, width, 3], with `render_mode="rgb_array"`.
+
+        Worlds that have not begun are a single black pixel.
+        """
+        if self.render_mode is None:
+            return None
+        return tuple(
+            np.asarray(env.render()) if env is not None and begun else np.zeros((1, 1, 3), np.uint8)
+            for env, begun in zip(self._envs, self._seeded.tolist(), strict=True)
+        )
+
+    def close_extras(self, **kwargs: Any) -> None:
+        for env in self._envs:
+            if env is not None:
+                env.close()
+
+    def _make(self) -> gym.Env:
+        options = self.options
+        if self.render_mode is not None:
+            options = {**options, "render_mode": self.render_mode}
+        try:
+            # Our own checks take the place of Gymnasium's, which cost time in every step.
+            env = gym.make(self.id, disable_env_checker=True, **options)
+            return env if self.wrap is None else self.wrap(env)
+        except Exception as error:
+            given = f" with {options}" if options else ""
+            raise ValueError(
+                f"environment {self.id!r}{given} cannot be made: {type(error).__name__}: {error}"
+            ) from error
+
+    def _reported(self, env: gym.Env) -> str | None:
+        """The name under which an environment reports success in its first step, if it does."""
+        env.reset(seed=0)
+        info = env.step(self._first_action)[4]
+        return next((name for name in _REPORTED if name in info), None)
+
+    def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
+        for i in np.flatnonzero(mask).tolist():
+            # Some environments take seeds of 31 bits only.
+            self._begin_world(i, int(pcg64.next_double(self._streams[i]) * 2**31))
+
+    def _begin_world(self, i: int, seed: int) -> None:
+        env = self._envs[i]
+        if env is None:
+            env = self._envs[i] = self._make()
+        self._seeds[i] = seed
+        self._actions[i] = []
+        self._digests[i] = 0
+        self._take(i, env.reset(seed=seed)[0], 0.0, False, False)
+
+    def _advance(
+        self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        reward = np.zeros(self.num_envs)
+        terminated, truncated, success = np.zeros((3, self.num_envs), np.bool_)
+        for i in np.flatnonzero(mask).tolist():
+            reward[i], terminated[i], truncated[i], info = self._step_world(i, int(actions[i]))
+            if self.success is not None and (terminated[i] or truncated[i]):
+                episode_return = float(self._returns[i] + reward[i])
+                success[i] = self._succeeded(episode_return, bool(terminated[i]), info)
+        return reward, terminated, truncated, success
+
+    def _step_world(self, i: int, action: int) -> tuple[float, bool, bool, dict[str, Any]]:
+        env = self._envs[i]
+        assert env is not None
+        self._actions[i].append(action)
+        observation, reward, terminated, truncated, info = env.step(self._first_action + action)
+        # There is no future after a terminal state, whatever the time limit says.
+        ends = bool(terminated), bool(truncated) and not terminated
+        self._take(i, observation, float(reward), *ends)
+        return float(reward), *ends, info
+
+    def _succeeded(self, episode_return: float, terminated: bool, info: dict[str, Any]) -> bool:
+        if callable(self.success):
+            return bool(self.success(episode_return, terminated, info))
+        if self.success not in info:
+            raise ValueError(
+                f"success={self.success!r}, but {self.id} has no such entry in the info of an "
+                f"episode's last step: {sorted(info)}"
+            )
+        return bool(info[self.success])
+
+    def _take(
+        self, i: int, observation: Any, reward: float, terminated: bool, truncated: bool
+    ) -> None:
+        """Keeps a world's observation, and what the world returned in its digest."""
+        previous = int(self._digests[i])
+        digest = hashlib.blake2b(
+            struct.pack("<Qd??", previous, reward, terminated, truncated), digest_size=8
+        )
+        for part in self.parts:
+            row = self._current[part.name]
+            row[i] = part.read(observation)
+            digest.update(row[i].tobytes())
+        self._digests[i] = int.from_bytes(digest.digest(), "little")
+
+    def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
+        for name, array in out.items():
+            array[mask] = self._current[name][mask]
+
+    def _situations(self) -> dict[str, NDArray[np.int64]]:
+        return {}
+
+    def _get_worlds(self) -> dict[str, NDArray[Any]]:
+        begun = self._seeded
+        actions = [self._actions[i] for i in np.flatnonzero(begun).tolist()]
+        counts = np.zeros(self.num_envs, np.int64)
+        counts[begun] = [len(one) for one in actions]
+        dtype = np.min_scalar_type(int(self.single_action_space.n) - 1)
+        return {
+            "seeds": self._seeds * begun,
+            "digests": self._digests * begun,
+            "counts": counts,
+            "actions": np.fromiter(chain.from_iterable(actions), dtype, int(counts.sum())),
+        }
+
+    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+        seeds, counts, actions = state["seeds"], state["counts"], state["actions"]
+        begun = state["seeded"]
+        if (
+            (seeds < 0).any()
+            or (counts != state["lengths"] * begun).any()
+            or counts.sum() != len(actions)
+            or (actions >= self.single_action_space.n).any()
+        ):
+            raise ValueError(
+                "the state is of another environment, or damaged: seeds, actions or lengths out "
+                "of range"
+            )
+        worlds = np.flatnonzero(begun).tolist()
+        episodes = np.split(actions, np.cumsum(counts)[:-1])
+        same = [
+            self._replay(i, int(seeds[i]), episodes[i].tolist())
+            and self._digests[i] == state["digests"][i]
+            for i in worlds
+        ]
+        if not all(same):
+            self._warn()
+            for i in worlds:
+                self._begin_world(i, int(seeds[i]))
+                self._restarted[i] = True
+
+    def _replay(self, i: int, seed: int, actions: list[int]) -> bool:
+        """Plays a world's episode again; whether it was as long as these actions."""
+        self._begin_world(i, seed)
+        ended = False
+        for action in actions:
+            if ended:
+                return False
+            _, terminated, truncated, _ = self._step_world(i, action)
+            ended = terminated or truncated
+        return True
+
+    def _warn(self) -> None:
+        if self.id not in _NOT_DETERMINISTIC:
+            _NOT_DETERMINISTIC.add(self.id)
+            warnings.warn(
+                f"environment {self.id!r} is not deterministic: an episode replayed from its seed "
+                "and actions was another one. Its worlds begin their episodes again, here and "
+                "whenever a state of it is restored",
+                stacklevel=2,
+            )
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {"_envs": [None] * self.num_envs, "_actions": [[] for _ in range(self.num_envs)]}
+        return {**super().__getstate__(), **kept, "_saved": self.get_state()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        saved = state.pop("_saved")
+        self.__dict__.update(state)
+        self.set_state(saved)
+
+
+@dataclass(frozen=True)
+class Words:
+    """Texts as codes of their words, by a hash.
+
+    Attributes:
+        length: codes of a text.
+        size: number of different codes, 0 included.
+
+    Raises:
+        ValueError: `length` is below 1 or `size` below 2.
+    """
+
+    length: int
+    size: int
+
+    def __post_init__(self) -> None:
+        if self.length < 1 or self.size < 2:
+            raise ValueError(
+                "text_length must be at least 1 and vocabulary at least 2, "
+                f"got {self.length} and {self.size}"
+            )
+
+    def space(self) -> spaces.Box:
+        """The space of `encode`, that of an instruction in the benchmark's families."""
+        return spaces.Box(0, self.size - 1, (self.length,), dtype=np.int64)
+
+    def encode(self, text: str) -> NDArray[np.int64]:
+        """The codes of a text's words, int64 [length], 0 after the last one.
+
+        Raises:
+            ValueError: the text has more words than `length`.
+        """
+        return np.array(_encoded(text, self.length, self.size), np.int64)
+
+
+@lru_cache(maxsize=4096)
+def _encoded(text: str, length: int, size: int) -> tuple[int, ...]:
+    words = re.findall(r"\w+|[^\w\s]", text.lower())
+    if len(words) > length:
+        raise ValueError(
+            f"{text!r} has {len(words)} words, more than text_length={length}: give a larger one"
+        )
+    hashes = [hashlib.blake2b(word.encode(), digest_size=8).digest() for word in words]
+    codes = [1 + int.from_bytes(digest, "little") % (size - 1) for digest in hashes]
+    return (*codes, *[0] * (length - len(words)))
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of an environment's observation.
+
+    Attributes:
+        id: of the environment.
+        name: of the part, as agents see it.
+        path: the keys and indices that lead to it in the environment's observation.
+        space: its space, as agents see it.
+        start: subtracted from what the environment gives.
+        codes: how many codes its values are, None where they are not checked.
+        words: for texts.
+    """
+
+    id: str
+    name: str
+    path: tuple[Any, ...]
+    space: spaces.Space
+    start: Any = 0
+    codes: int | None = None
+    words: Words | None = None
+
+    def read(self, observation: Any) -> NDArray[Any]:
+        """The part of an observation of the environment, in the shape of `space`.
+
+        Raises:
+            ValueError: another shape, a code out of range, or too many words.
+        """
+        for key in self.path:
+            observation = observation[key]
+        if self.words is not None:
+            return self.words.encode(observation)
+        value = np.asarray(observation)
+        if value.shape != self.space.shape:
+            raise ValueError(
+                f"{self.id}: observation {self.name!r} has shape {value.shape}, its space "
+                f"{self.space.shape}"
+            )
+        codes = self.codes
+        if codes is not None and value.size and not 0 <= value.min() <= value.max() < codes:
+            raise ValueError(
+                f"{self.id}: observation {self.name!r} has values {value.min()} .. {value.max()}, "
+                f"but codes says {codes}: they must be in 0 .. {codes - 1}"
+            )
+        return value - self.start if np.any(self.start) else value
+
+
+def _parts(
+    id: str, space: spaces.Space, codes: Mapping[str, int], words: Words
+) -> tuple[Part, ...]:
+    """The parts of an observation space."""
+    name = ""
+    if not isinstance(space, spaces.Dict):
+        shape = space.shape or ()
+        picture = isinstance(space, spaces.Box) and space.dtype == np.uint8
+        name = "image" if picture and len(shape) == 3 and shape[2] == 3 else "observation"
+    parts = tuple(_flattened(id, space, name, (), codes, words))
+    names = [part.name for part in parts]
+    if unknown := codes.keys() - set(names):
+        raise ValueError(f"{id} has no observation {sorted(unknown)} for codes, only {names}")
+    if len(set(names)) < len(names):
+        raise ValueError(f"{id} has two observations of the same name: {names}")
+    return parts
+
+
+def _flattened(
+    id: str,
+    space: spaces.Space,
+    name: str,
+    path: tuple[Any, ...],
+    codes: Mapping[str, int],
+    words: Words,
+) -> Iterator[Part]:
+    if isinstance(space, spaces.Dict | spaces.Tuple):
+        inner = space.items() if isinstance(space, spaces.Dict) else enumerate(space)
+        for key, part in inner:
+            full = f"{name}.{key}" if name else str(key)
+            yield from _flattened(id, part, full, (*path, key), codes, words)
+    elif name in codes:
+        n = codes[name]
+        if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.integer) or n < 1:
+            raise ValueError(
+                f"codes={{{name!r}: {n}}} of {id}: expected a number >= 1, for a Box of integers; "
+                f"the observation is {space}"
+            )
+        coded: spaces.Space = spaces.Discrete(n)
+        if space.shape:
+            dtype = np.uint8 if n < 256 else np.int64
+            coded = spaces.MultiDiscrete(np.full(space.shape, n), dtype=dtype)
+        yield Part(id, name, path, coded, codes=n)
+    elif isinstance(space, spaces.Discrete):
+        yield Part(id, name, path, spaces.Discrete(int(space.n)), start=space.start)
+    elif isinstance(space, spaces.MultiDiscrete):
+        counted = spaces.MultiDiscrete(space.nvec, dtype=space.dtype)
+        yield Part(id, name, path, counted, start=space.start)
+    elif isinstance(space, spaces.Box | spaces.MultiBinary):
+        yield Part(id, name, path, space)
+    elif space.dtype is not None and space.dtype.kind == "U":  # Text, and MiniGrid's MissionSpace
+        yield Part(id, name, path, words.space(), words=words)
+    else:
+        raise ValueError(
+            f"{id}: observation {name!r} is {space}: expected Box, Discrete, MultiDiscrete, "
+            "MultiBinary, Text, or a Dict or Tuple of these; give a wrapper that changes it as "
+            "`wrap`"
+        )
