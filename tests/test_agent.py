@@ -16,7 +16,7 @@ from zipf.agents.encoders import CompactOptions
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
-from zipf.experiments.command_line import CONFIG_DIR
+from zipf.experiments.composing import CONFIG_DIR
 from zipf.experiments.running.collector import Collector
 from zipf.options import Options
 

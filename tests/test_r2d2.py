@@ -23,8 +23,8 @@ from zipf.agents.network import Inputs
 from zipf.agents.r2d2 import R2D2, R2D2Options
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.unroll import Unroll
-from zipf.experiments import command_line
-from zipf.experiments.config import Config
+from zipf.experiments import command_line, composing, feasibility
+from zipf.experiments.config import schema
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder, runner
 from zipf.experiments.running.collector import Collector
@@ -499,7 +499,7 @@ def test_impossible_options_are_refused(changes, told):
 
 def test_impossible_options_are_told_before_a_run(tmp_path):
     wrong = config(tmp_path, burn_in=7, samples_per_insert=0.25)
-    assert list(command_line._impossible(wrong)) == [
+    assert list(feasibility.problems(wrong)) == [
         "agent.samples_per_insert=0.25: times collector.num_envs=6 is 1.5 sequences a batch; "
         "should be a whole number",
         "agent.burn_in=7: should be at most collector.unroll_length=5",
@@ -511,7 +511,7 @@ def test_impossible_options_are_told_before_a_run(tmp_path):
 def test_the_papers_values():
     """Its table for the playroom, lifting tasks."""
     options = R2D2Options.model_validate(
-        OmegaConf.to_container(OmegaConf.load(command_line.CONFIG_DIR / "agent" / "r2d2.yaml"))
+        OmegaConf.to_container(OmegaConf.load(composing.CONFIG_DIR / "agent" / "r2d2.yaml"))
     )
     assert options.importance_exponent == 0.6
     assert options.priority_max_weight == 0.5
@@ -540,7 +540,7 @@ def config(root, *overrides, **changes):
         | {"replay_capacity": 24, "replay_min": 12, "target_period": 2}
         | changes
     )
-    return Config.model_validate(values | {"condition": "r2d2"})
+    return schema().model_validate(values | {"condition": "r2d2"})
 
 
 def train_until_killed(options, update):

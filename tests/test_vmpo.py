@@ -16,7 +16,7 @@ from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import SMALLEST_DUAL, VMPO, VMPOOptions, is_top, vmpo_losses
-from zipf.experiments import command_line
+from zipf.experiments import command_line, composing
 from zipf.experiments.running import checkpoint, run_folder
 from zipf.experiments.running.runner import Run
 
@@ -416,7 +416,7 @@ def test_it_continues_from_its_state(precision):
 
 
 def shipped():
-    return yaml.safe_load((command_line.CONFIG_DIR / "agent" / "vmpo.yaml").read_text())
+    return yaml.safe_load((composing.CONFIG_DIR / "agent" / "vmpo.yaml").read_text())
 
 
 def test_the_papers_values():
