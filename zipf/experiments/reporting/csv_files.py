@@ -2,12 +2,14 @@
 
 A last line without its newline is what a crash leaves behind: it is dropped and noted. Any other
 damage is an error that names file and line, because a score computed around a hole would look like
-any other score. Lines are split here and not by pandas, which fills up a short line in silence.
+any other score. pandas reads the files; that every line has as many fields as the header is checked
+before, because pandas fills up short lines without a word.
 """
 
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
@@ -43,17 +45,26 @@ def read_table(path: Path, columns: Mapping[str, Kind], notes: list[str]) -> pd.
     lines, torn = _complete_lines(path)
     if torn:
         notes.append(f"{path.as_posix()}: the last line is torn and was left out")
-    header, *rows = _fields(path, lines) or [list(columns)]
+    header = _check_fields(path, lines) or list(columns)
     if missing := [name for name in columns if name not in header]:
         raise UserError(f"{path.as_posix()}, line 1: no column {', '.join(missing)}")
-    texts = pd.DataFrame(rows, range(2, len(rows) + 2), header, dtype=str)
+    texts = pd.read_csv(
+        io.StringIO("\n".join(lines)),
+        header=0 if lines else None,
+        names=header,
+        usecols=list(columns),
+        dtype=str,
+        na_filter=False,
+        skip_blank_lines=False,
+    )
+    texts.index += 2
     return pd.DataFrame({name: _convert(path, texts[name], kind) for name, kind in columns.items()})
 
 
 def read_header(path: Path) -> list[str]:
     """The names of the columns; empty where the file has no complete line."""
     lines, _ = _complete_lines(path)
-    return _fields(path, lines[:1])[0] if lines else []
+    return _check_fields(path, lines[:1])
 
 
 def read_bytes(path: Path) -> bytes:
@@ -77,22 +88,27 @@ def _complete_lines(path: Path) -> tuple[list[str], bool]:
     return (text.split("\n") if text else []), bool(torn)
 
 
-def _fields(path: Path, lines: list[str]) -> list[list[str]]:
-    """Each line's fields, as many in every line."""
-    rows: list[list[str]] = []
+def _check_fields(path: Path, lines: list[str]) -> list[str]:
+    """The header, empty where there is no line; raises `UserError` at a line with another number of
+    fields."""
+    header: list[str] = []
     reader = csv.reader(lines, strict=True)
+    checked = 0
     try:
-        for row in reader:
-            if reader.line_num != len(rows) + 1:
+        for fields in reader:
+            if reader.line_num != checked + 1:
                 raise csv.Error("a quoted field does not end")
-            if rows and len(row) != len(rows[0]):
-                raise csv.Error(f"{len(row)} fields where there are {len(rows[0])} columns")
-            rows.append(row)
+            if "\r" in lines[checked].removesuffix("\r"):
+                raise csv.Error("a carriage return inside the line")
+            header = header or fields
+            if len(fields) != len(header):
+                raise csv.Error(f"{len(fields)} fields where there are {len(header)} columns")
+            checked += 1
     except csv.Error as error:
-        raise UserError(f"{path.as_posix()}, line {len(rows) + 1}: {error}") from error
-    if rows and len(set(rows[0])) < len(rows[0]):
+        raise UserError(f"{path.as_posix()}, line {checked + 1}: {error}") from error
+    if len(set(header)) < len(header):
         raise UserError(f"{path.as_posix()}, line 1: two columns of the same name")
-    return rows
+    return header
 
 
 def _convert(path: Path, texts: pd.Series, kind: Kind) -> pd.Series:

@@ -54,7 +54,8 @@ def _escape(text: str) -> str:
 
 def _heading(text: str) -> str:
     """A heading in lines of at most 18 letters, where it has spaces."""
-    lines = [_escape(line) for line in textwrap.wrap(text, 18, break_long_words=False)]
+    wrapped = textwrap.wrap(text, 18, break_long_words=False, break_on_hyphens=False)
+    lines = [_escape(line) for line in wrapped]
     return lines[0] if len(lines) == 1 else rf"\shortstack[r]{{{LINE_BREAK.join(lines)}}}"
 
 

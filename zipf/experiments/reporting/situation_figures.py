@@ -81,7 +81,7 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None
         axis.set_xlim(-0.5, rank_counts(table)[name] - 0.5)
     if measure == "success":
         axes[0].set_ylim(0, 1.02)
-    axes[0].set_ylabel(f"{NAMES[measure]} on the uniform level")
+    axes[0].set_ylabel(_label(table, measure))
     return figure
 
 
@@ -139,10 +139,15 @@ def by_situation(table: ScoreTable) -> Figure | None:
         axes[lowest, column].set_xlabel(f"{column_name.capitalize()} rank")
         axes[lowest, column].tick_params(labelbottom=True)
     assert image is not None
-    figure.colorbar(image, ax=axes, label=f"{NAMES[measure]} on the uniform level", shrink=0.9)
+    figure.colorbar(image, ax=axes, label=_label(table, measure), shrink=0.9)
     key = "rank 0: most frequent; framed: rare" + ("; grey: no episode" if gaps else "")
     set_title(figure, f"{table.title}: {NAMES[measure].lower()} by situation ({key})")
     return figure
+
+
+def _label(table: ScoreTable, measure: Measure) -> str:
+    several = any(levels.level_kind == "uniform" for levels in table.groups)
+    return f"{NAMES[measure]} on the uniform {'levels' if several else 'level'}"
 
 
 def _frame(down: list[int], across: list[int]) -> Rectangle:
