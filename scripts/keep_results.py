@@ -3,8 +3,8 @@
     python scripts/keep_results.py runs/gridworld_compact/impala_mlp/seed0 ...
     make results
 
-Checkpoints, TensorBoard's files and the situations met outside the experiment's window stay behind,
-and so does `run_root`, which changes nothing and says where somebody keeps their runs.
+Checkpoints, TensorBoard's files and situations outside the window are not copied. `run_root` is
+left out of the options: it changes nothing and tells where somebody keeps their runs.
 """
 
 from __future__ import annotations
@@ -21,27 +21,31 @@ RESULTS = Path(__file__).parent.parent / "results"
 
 
 def keep(run: Path) -> Path:
-    """Copies one run; returns where to."""
+    """Copies one run; returns the folder of the copy."""
     description = json.loads((run / "run.json").read_text())
     target = RESULTS / description["experiment"] / description["condition"]
     target /= f"seed{description['seed']}"
     target.mkdir(parents=True, exist_ok=True)
-    for name in ("evaluations.csv", "metrics.csv"):
-        shutil.copy(run / name, target / name)
-    options = (run / "config.yaml").read_text()
-    (target / "config.yaml").write_text(re.sub("(?m)^run_root: .*", "run_root: runs", options))
-    for start_of in (description, *description.get("resumed", [])):
-        words = start_of["command"].split()
-        start_of["command"] = " ".join(w for w in words if not w.startswith("run_root="))
-    (target / "run.json").write_text(json.dumps(description, indent=2) + "\n")
-    start, end = description["window"]
+    shutil.copy(run / "evaluations.csv", target / "evaluations.csv")
     situations = pd.read_csv(run / "situations.csv")
-    situations = situations[situations["update"].between(start, end)]
-    situations.to_csv(target / "situations.csv", index=False)
+    if description["external"]:  # no options, no metrics, and scored at its last evaluation
+        start = end = situations["update"].max()
+    else:
+        shutil.copy(run / "metrics.csv", target / "metrics.csv")
+        options = (run / "config.yaml").read_text()
+        (target / "config.yaml").write_text(re.sub("(?m)^run_root: .*", "run_root: runs", options))
+        for start_of in (description, *description["resumed"]):
+            words = start_of["command"].split()
+            start_of["command"] = " ".join(w for w in words if not w.startswith("run_root="))
+        start, end = description["window"]
+    (target / "run.json").write_text(json.dumps(description, indent=2) + "\n")
+    inside = situations[situations["update"].between(start, end)]
+    inside.to_csv(target / "situations.csv", index=False)
     return target
 
 
 def main() -> None:
+    """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", nargs="+", type=Path, help="run folders")
     for run in parser.parse_args().runs:

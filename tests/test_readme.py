@@ -80,7 +80,7 @@ def test_report_commands_are_accepted(arguments, monkeypatch):
     calls = []
 
     def report(folders, output, window, *, record):
-        from zipf.experiments.reporting.tables import parse_window
+        from zipf.experiments.reporting.windows import parse_window
 
         calls.append((folders, output, window and parse_window(window), record))
 

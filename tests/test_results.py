@@ -1,10 +1,23 @@
-"""RESULTS.md is what its command makes of the files in results/."""
+"""The record and the page on result files: RESULTS.md and docs/results.md agree with the files."""
 
+import re
 from pathlib import Path
 
+import pandas as pd
+
+from zipf.experiments.reporting.tables import CSV_COLUMNS
 from zipf.report import report
 
 ROOT = Path(__file__).parent.parent
+PAGE = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+RUN = ROOT / "results" / "demo" / "impala_mlp" / "seed0"
+
+
+def documented(heading: str) -> list[str]:
+    """The names in the first column of the table under a heading."""
+    text = PAGE.split(f"### `{heading}`\n")[1].split("\n#")[0]
+    rows = re.findall(r"^\| (.*?) \|", text, re.MULTILINE)[2:]
+    return [name for row in rows for name in re.findall(r"`(\w+)`", row)]
 
 
 def test_the_record_is_up_to_date(tmp_path, monkeypatch):
@@ -14,3 +27,28 @@ def test_the_record_is_up_to_date(tmp_path, monkeypatch):
     ours = (ROOT / "RESULTS.md").read_text().splitlines()
     assert record.read_text().splitlines()[1:] == ours[1:]
     assert "make results" in ours[0] or "zipf.report results" in ours[0]
+
+
+def test_every_column_is_documented():
+    evaluations = pd.read_csv(RUN / "evaluations.csv")
+    assert documented("evaluations.csv") == list(evaluations.columns)
+    situations = pd.read_csv(RUN / "situations.csv")
+    assert documented("situations.csv") == [
+        name for name in situations.columns if name not in ("map", "target")
+    ]
+    assert documented("report.csv") == list(CSV_COLUMNS)
+    metrics = pd.read_csv(RUN / "metrics.csv")
+    common = list(metrics.columns).index("exploration_bonus") + 1
+    assert documented("metrics.csv")[:common] == list(metrics.columns)[:common]
+
+
+def test_every_field_of_run_json_is_documented():
+    written = set(pd.read_json(RUN / "run.json", typ="series").index)
+    assert set(documented("run.json")) == written
+
+
+def test_the_example_runs(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    (code,) = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    exec(compile(code, "docs/results.md", "exec"), {"__name__": "__main__"})
+    assert "level_kind" in capsys.readouterr().out

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Report:
-    """What a report holds and where it lies; `files` are in the order they should be shown."""
+    """What a report holds, and its files in the order in which they should be shown."""
 
     tables: tuple[ScoreTable, ...]
     files: tuple[Path, ...]
@@ -51,19 +51,21 @@ def report(
     """
     from rich.console import Console
 
-    from zipf.experiments.reporting import figures, rendering, results, side_by_side, tables
+    from zipf.experiments.reporting import figures, latex, markdown, results, tables, terminal
+    from zipf.experiments.reporting.side_by_side import side_by_side
+    from zipf.experiments.reporting.windows import parse_window
 
-    chosen = tables.parse_window(window) if window is not None else None
+    chosen = parse_window(window) if window is not None else None
     found = tables.score_tables(results.load_runs(folders), chosen)
     if console is None:
         console = Console()
         if not console.is_terminal:
             console = Console(width=120)
     for table in found:
-        rendering.print_table(table, console)
+        terminal.print_table(table, console)
         console.print()
-    for beside in side_by_side.side_by_side(found):
-        rendering.print_side_by_side(beside, console)
+    for beside in side_by_side(found):
+        terminal.print_side_by_side(beside, console)
         console.print()
 
     target = Path(output) if output is not None else Path(folders[0]) / "report"
@@ -72,12 +74,12 @@ def report(
         _remove_earlier_plots(target)
         drawn = figures.draw(found, target)
         texts = {
-            target / "report.md": rendering.markdown_report(found, drawn),
-            target / "report.tex": rendering.latex_report(found),
-            target / "report.csv": rendering.csv_report(found),
+            target / "report.md": markdown.markdown_report(found, drawn),
+            target / "report.tex": latex.latex_report(found),
+            target / "report.csv": tables.csv_report(found),
         }
         if record is not None:
-            texts[Path(record)] = rendering.record(found, _command(folders, output, window, record))
+            texts[Path(record)] = markdown.record(found, _command(folders, output, window, record))
         for path, text in texts.items():
             path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -91,11 +93,11 @@ def report(
 
 def _remove_earlier_plots(folder: Path) -> None:
     """Remove the plots that the report in `folder`, if there is one, says are its own."""
-    from zipf.experiments.reporting import rendering
+    from zipf.experiments.reporting.markdown import linked_plots
 
     earlier = folder / "report.md"
     if earlier.is_file():
-        for name in rendering.linked_plots(earlier.read_text(encoding="utf-8", errors="replace")):
+        for name in linked_plots(earlier.read_text(encoding="utf-8", errors="replace")):
             (folder / name).unlink(missing_ok=True)
 
 

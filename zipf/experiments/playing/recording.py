@@ -1,18 +1,15 @@
-"""Recordings: frames to a GIF or an MP4 file, with no screen."""
+"""Recordings: frames to a GIF or an MP4 file, without a screen."""
 
 from __future__ import annotations
 
-import itertools
 import os
-from collections import deque
-from fractions import Fraction
 from math import ceil
 from pathlib import Path
-from typing import IO, Protocol
+from typing import Any
 
+import imageio.v3 as iio
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from zipf.experiments.errors import UserError
 
@@ -22,20 +19,18 @@ GIF_MAX_FPS = 50  # browsers play frames shorter than 1/50 s five times slower t
 _GIF_TICKS = 100  # a GIF counts time in hundredths of a second
 
 
-class _Encoder(Protocol):
-    def add(self, frame: NDArray[np.uint8]) -> None: ...
-
-    def finish(self) -> None: ...
-
-
 class Recording:
     """A video file that frames are added to.
 
-    The file is there when the recording ends, however it ends, with the frames added until then;
-    without any, none is written. A file that was there before is kept until then.
+    The file is written when the recording ends, also by an exception, with the frames added until
+    then; without any frame none is written. An earlier file of that name is kept until then.
 
         with Recording(Path("out.gif"), fps=8) as recording:
             recording.add(frame)
+
+    A GIF has its own palette of 256 colours for each frame, so that images of few colours are
+    exact; its frames stay in RAM until it is written. An MP4 is H.264 with 4:2:0 chroma, the format
+    that every browser plays; it needs even sizes, so that an odd one gains a row or a column.
 
     Args:
         path: ends in `.gif` or `.mp4`.
@@ -52,34 +47,34 @@ class Recording:
         self.frames = 0
         self.size = (0, 0)  # width, height
         self.written = False
-        ending = path.suffix.lower()
-        if ending not in ENDINGS:
+        self._ending = path.suffix.lower()
+        if self._ending not in ENDINGS:
             raise UserError(f"record={path}: should end in {' or '.join(ENDINGS)}")
-        if ending == ".gif" and fps > GIF_MAX_FPS:
+        if self._ending == ".gif" and fps > GIF_MAX_FPS:
             raise UserError(f"fps={fps}: a GIF shows at most {GIF_MAX_FPS} frames per second")
-        self._make_encoder = _Gif if ending == ".gif" else _Mp4
-        if ending == ".mp4":
-            _av()
-        self._encoder: _Encoder | None = None
+        if self._ending == ".mp4":
+            _check_video_library()
+        self._writer: Any = None
+        self._durations: list[int] = []  # milliseconds, of each frame of a GIF
         self._last = np.zeros((0, 0, 3), np.uint8)
         self._temporary = path.with_name(path.name + ".new")
         try:
             self._file = open(self._temporary, "wb")  # noqa: SIM115
         except OSError as error:
-            raise UserError(f"record={path}: cannot be written: {error.strerror}") from None
+            raise self._cannot_be_written(error) from None
 
     def add(self, frame: NDArray[np.uint8], *, repeat: int = 1) -> None:
         """Adds a frame, uint8 [height, width, 3], all of one size, `repeat` times."""
         self._last = frame
         try:
-            if self._encoder is None:
+            if self._writer is None:
                 self.size = (frame.shape[1], frame.shape[0])
-                self._encoder = self._make_encoder(self._file, self.fps, self.size)
+                self._writer = self._open()
             for _ in range(repeat):
-                self._encoder.add(frame)
+                self._write(frame)
                 self.frames += 1
         except OSError as error:
-            raise UserError(f"record={self.path}: cannot be written: {error.strerror}") from None
+            raise self._cannot_be_written(error) from None
 
     def hold(self, seconds: float) -> None:
         """Shows the last frame for so long more, in whole frames."""
@@ -90,74 +85,45 @@ class Recording:
 
     def __exit__(self, *_: object) -> None:
         try:
-            if self._encoder is not None:
-                self._encoder.finish()
+            if self._writer is not None:
+                self._writer.close()
                 self._file.close()
                 os.replace(self._temporary, self.path)
                 self.written = True
-        except OSError as problem:
-            raise UserError(f"record={self.path}: cannot be written: {problem.strerror}") from None
+        except OSError as error:
+            raise self._cannot_be_written(error) from None
         finally:
             self._file.close()
             self._temporary.unlink(missing_ok=True)
 
+    def _open(self) -> Any:
+        if self._ending == ".gif":
+            return iio.imopen(self._file, "w", plugin="pillow", extension=".gif")
+        writer: Any = iio.imopen(self._file, "w", plugin="pyav", extension=".mp4", container="mp4")
+        writer.init_video_stream("libx264", fps=self.fps, pixel_format="yuv420p")
+        return writer
 
-class _Gif:
-    """Keeps all frames until the end, with one byte a pixel: a GIF is for what is short."""
+    def _write(self, frame: NDArray[np.uint8]) -> None:
+        if self._ending == ".gif":
+            # Frames end at the nearest whole tick, so that the whole lasts as long as it should.
+            start, end = (round(i * _GIF_TICKS / self.fps) for i in (self.frames, self.frames + 1))
+            self._durations.append(1000 // _GIF_TICKS * (end - start))
+            # Without save_all Pillow takes no list of durations for a GIF of one frame.
+            timing = {"duration": self._durations, "save_all": True, "loop": 0, "disposal": 1}
+            self._writer.write(frame, **timing)
+        else:
+            width, height = self.size
+            even = ((0, height % 2), (0, width % 2), (0, 0))
+            self._writer.write_frame(np.pad(frame, even, mode="edge"))
 
-    def __init__(self, file: IO[bytes], fps: float, size: tuple[int, int]) -> None:
-        self.file = file
-        self.fps = fps
-        self.frames: deque[Image.Image] = deque()
-
-    def add(self, frame: NDArray[np.uint8]) -> None:
-        # Each frame has its own palette; the gridworld's, of few colours, are exact.
-        image = Image.fromarray(frame)
-        self.frames.append(image.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE))
-
-    def finish(self) -> None:
-        ends = [round(i * _GIF_TICKS / self.fps) for i in range(len(self.frames) + 1)]
-        lasts = [1000 // _GIF_TICKS * (b - a) for a, b in itertools.pairwise(ends)]
-        first = self.frames.popleft()
-        rest = (self.frames.popleft() for _ in range(len(self.frames)))
-        first.save(
-            self.file, "GIF", save_all=True, append_images=rest, duration=lasts, loop=0, disposal=1
-        )
-
-
-class _Mp4:
-    """H.264, as every browser plays it: an even number of pixels each way, 4:2:0."""
-
-    def __init__(self, file: IO[bytes], fps: float, size: tuple[int, int]) -> None:
-        self.av = _av()
-        width, height = size
-        self.margin = ((0, height % 2), (0, width % 2), (0, 0))
-        self.container = self.av.open(file, "w", format="mp4")
-        self.stream = self.container.add_stream(
-            "libx264", rate=Fraction(fps).limit_denominator(1000)
-        )
-        self.stream.width, self.stream.height = width + width % 2, height + height % 2
-        self.stream.pix_fmt = "yuv420p"
-        self.stream.options = {"crf": "18"}  # no loss that the eye sees
-
-    def add(self, frame: NDArray[np.uint8]) -> None:
-        padded = np.ascontiguousarray(np.pad(frame, self.margin, mode="edge"))
-        self._write(self.av.VideoFrame.from_ndarray(padded, format="rgb24"))
-
-    def finish(self) -> None:
-        self._write(None)
-        self.container.close()
-
-    def _write(self, frame: object) -> None:
-        for packet in self.stream.encode(frame):
-            self.container.mux(packet)
+    def _cannot_be_written(self, error: OSError) -> UserError:
+        return UserError(f"record={self.path}: cannot be written: {error.strerror or error}")
 
 
-def _av():
+def _check_video_library() -> None:
     try:
-        import av
+        import av  # noqa: F401
     except ImportError:
         raise UserError(
             'record: an .mp4 needs PyAV: pip install "zipf-rl[video]"; a .gif needs nothing more'
         ) from None
-    return av

@@ -1,8 +1,9 @@
-"""The paper's published numbers, and the names of its conditions.
+"""The paper's published numbers and the layout of its tables.
 
 Source: Chan, Lampinen, Richemond and Hill (2022), "Zipfian environments for reinforcement
-learning". ``paper_tables.json`` beside this file copies the tables whose LaTeX labels it lists.
-What the copy leaves out or adds:
+learning". ``paper_tables.json`` beside this file copies the tables whose LaTeX labels it lists,
+``paper_layouts.json`` says which of them the paper prints side by side. What the copy leaves out or
+adds:
 
 - "IMPALA + LSTM memory" repeats the numbers of "IMPALA" (the same runs): one condition here.
 - "R2D2 without prioritised replay" stands in the text only, on putting, without an error.
@@ -17,35 +18,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
+from typing import Any
 
 from zipf.experiments.errors import UserError
 
 LEVEL_KINDS = ("train", "uniform", "rare")
-
-# In the order of the paper's tables: algorithms, self-supervised losses, memories; the supervised
-# classifier has a table of its own.
-CONDITION_NAMES: Mapping[str, str] = {
-    "impala": "IMPALA",
-    "vmpo": "V-MPO",
-    "r2d2": "R2D2",
-    "r2d2_uniform_replay": "R2D2, uniform replay",
-    "impala_vision": "IMPALA + vis recon",
-    "impala_vision_language": "IMPALA + vis+lang recon",
-    "impala_byol": "IMPALA + BYOL",
-    "impala_mlp": "IMPALA + MLP",
-    "impala_transformer": "IMPALA + transformer",
-    "impala_transformer_vision_language": "IMPALA + transformer + vis+lang recon",
-    "supervised": "Supervised classifier",
-}
-
-
-TABLE_OF_SPLIT: Mapping[str, str] = {
-    "gridworld": "gridworld",
-    "playroom_lift": "playroom_lifting",
-    "playroom_put": "playroom_putting",
-    "playroom_find": "playroom_finding",
-}
-"""Which of the paper's experiments, by our key, a split repeats."""
 
 
 @dataclass(frozen=True)
@@ -76,10 +53,32 @@ class PaperTable:
         return self.rows.get(condition, {}).get(column)
 
 
+@dataclass(frozen=True)
+class PaperLayout:
+    """Tables that have the columns of several of the paper's experiments side by side.
+
+    `tables` are titles and, for each heading, the experiment by our key and its level kind or group
+    of train levels.
+    """
+
+    name: str
+    tables: tuple[tuple[str, Mapping[str, tuple[str, str]]], ...]
+
+    @property
+    def experiments(self) -> tuple[str, ...]:
+        """The experiments whose columns it has, in order."""
+        used = [experiment for _, columns in self.tables for experiment, _ in columns.values()]
+        return tuple(dict.fromkeys(used))
+
+
+def _read(name: str) -> Any:
+    file = resources.files("zipf.experiments.reporting").joinpath(name)
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
 @functools.cache
 def _tables() -> Mapping[str, PaperTable]:
-    file = resources.files("zipf.experiments.reporting").joinpath("paper_tables.json")
-    data = json.loads(file.read_text(encoding="utf-8"))
+    data = _read("paper_tables.json")
     return {
         experiment: PaperTable(
             source=data["source"],
@@ -114,20 +113,16 @@ def paper_table(experiment: str) -> PaperTable:
     return tables[experiment]
 
 
-def condition_name(condition: str) -> str:
-    """The name of a condition as tables and plots show it.
-
-    A condition may add settings to a known one: ``impala_mlp,agent.learning_rate=0.001``.
-    """
-    known, *settings = condition.split(",")
-    return ", ".join([CONDITION_NAMES.get(known, known), *settings])
-
-
-def condition_order(condition: str) -> tuple[int, str]:
-    """Sort key: the paper's conditions in the paper's order, then all others by name.
-
-    A condition that adds settings to a known one follows it.
-    """
-    names = list(CONDITION_NAMES)
-    known = condition.split(",")[0]
-    return (names.index(known) if known in names else len(names), condition)
+@functools.cache
+def paper_layouts() -> tuple[PaperLayout, ...]:
+    """The paper's tables of several experiments."""
+    return tuple(
+        PaperLayout(
+            name,
+            tuple(
+                (title, {heading: (key, column) for heading, (key, column) in columns.items()})
+                for title, columns in tables.items()
+            ),
+        )
+        for name, tables in _read("paper_layouts.json").items()
+    )

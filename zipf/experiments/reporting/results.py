@@ -1,83 +1,159 @@
 """Run folders as data: what each run is and what it measured, read from its files alone.
 
 A run folder is a folder with a `run.json`. Files that a run has not written yet count as empty.
-A last line without its newline is what a crash leaves behind: it is dropped and noted. Any other
-damage is an error that names the file and the line, because a score computed around a hole would
-look like any other score.
+docs/results.md describes every file and column.
 """
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-import numpy as np
 import pandas as pd
-from omegaconf import OmegaConf
-from pydantic import BaseModel, ConfigDict, PositiveInt, ValidationError, model_validator
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from zipf.experiments.errors import UserError
-from zipf.experiments.reporting.paper import LEVEL_KINDS, condition_order
+from zipf.experiments.reporting.csv_files import Kind, read_bytes, read_header, read_table
+from zipf.experiments.reporting.paper import LEVEL_KINDS
+from zipf.experiments.reporting.wording import EXTERNAL_MARK
 
 # Differences between two seeds of a condition that cannot change what was learned.
 BOOKKEEPING = frozenset(
-    {"seed", "condition", "updates", "run_root", "device", "compile", "resume", "schedule"}
+    [
+        *("seed", "condition", "row", "plugins", "updates", "run_root", "device", "compile"),
+        *("resume", "schedule"),
+    ]
 )
 
+Line = Annotated[str, Field(min_length=1, pattern=r"^[^\r\n]*$")]
+Whole = Annotated[int, Field(gt=-(2**63), lt=2**63)]
+Count = Annotated[int, Field(ge=0, lt=10**15)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
-class LevelDescription(BaseModel):
-    """A level of a run, with the score of random actions there and over how many episodes that
-    was measured; None where it is exact, or not known."""
 
+class _Described(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
 
-    level_kind: Literal["train", "uniform", "rare"]
-    level: str
-    chance: float | None
-    chance_episodes: int | None
 
+class RowDescription(_Described):
+    """How a condition appears in tables and plots.
 
-class RunDescription(BaseModel):
-    """`run.json`: what a run is.
-
-    `window` is in updates, both ends included; `situation` has the number of ranks of each of the
-    situation's columns, None in files of a version that did not write it; nor did it write
-    `levels`, and there was one of each kind.
+    Rows are in ascending `order`; those without one follow, by name. A `colour` that is not given
+    is assigned.
     """
 
-    model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
+    title: Line
+    order: Finite | None
+    colour: Annotated[str, Field(pattern="^#[0-9a-fA-F]{6}$")] | None
+    line: Literal["solid", "dashed"]
 
-    experiment: str
-    condition: str
-    seed: int
-    split: str
-    command: str
-    commit: str | None
-    version: str
-    torch: str
-    device: str
-    precision: str
-    window: tuple[int, int]
-    num_updates: int
-    chance: dict[Literal["train", "uniform", "rare"], float | None] | None
-    levels: tuple[LevelDescription, ...] = ()
+
+class LevelDescription(_Described):
+    """A level of a run.
+
+    `weight` is its share in the score of its kind, relative to those of the kind's other levels.
+    `chance` is the score of random actions there, None where it is not known, and
+    `chance_episodes` over how many episodes it was measured, None where it is exact or not known.
+    """
+
+    level_kind: Literal["train", "uniform", "rare"]
+    level: Line
+    weight: Positive
+    chance: Finite | None
+    chance_episodes: Count | None
+
+
+class ExternalDescription(_Described):
+    """An agent of another program, recorded by `zipf.evaluate.record`."""
+
+    name: Line
+
+
+class RunDescription(_Described):
+    """`run.json`: what a run is.
+
+    `window` is in updates, both ends included. `spread` is what the ± of the table is: the spread
+    across seeds or across the levels (tasks) of a kind. `situation` has the number of ranks of each
+    of the situation's columns. What describes the training (`window` to `precision`) may be missing
+    in the description of an external agent.
+    """
+
+    experiment: Line
+    condition: Line
+    row: RowDescription
+    seed: Whole
+    split: Line
+    spread: Literal["seeds", "tasks"]
     environment: dict[str, Any]
-    paper: str | None
-    situation: dict[str, PositiveInt] | None = None
+    levels: tuple[LevelDescription, ...]
+    situation: dict[str, Annotated[int, Field(gt=0, lt=10**9)]]
+    version: str
+    external: ExternalDescription | None
+    paper: str | None = None
+    window: tuple[Count, Count] | None = None
+    command: str | None = None
+    commit: str | None = None
+    torch: str | None = None
+    device: str | None = None
+    precision: str | None = None
 
     @model_validator(mode="after")
-    def _window_is_in_order(self) -> RunDescription:
-        if self.window[0] > self.window[1]:
+    def _is_consistent(self) -> RunDescription:
+        if self.window is None and self.external is None:
+            raise ValueError("window: missing")
+        if self.window is not None and self.window[0] > self.window[1]:
             raise ValueError(f"window {list(self.window)} ends before it starts")
+        for level_kind in LEVEL_KINDS:
+            names = [one.level for one in self.levels if one.level_kind == level_kind]
+            if not names:
+                raise ValueError(f"levels: there is no {level_kind} level")
+            if len(set(names)) < len(names):
+                raise ValueError(f"levels: two {level_kind} levels have the same name")
         return self
 
-    def names(self, level_kind: str) -> list[str]:
-        """The levels of a kind; empty where the file does not tell."""
-        return [one.level for one in self.levels if one.level_kind == level_kind]
+    @property
+    def row_key(self) -> str:
+        """The row of a table that the run belongs to: its condition, marked if it is external."""
+        return self.condition + (f" {EXTERNAL_MARK}" if self.external else "")
+
+    @property
+    def row_order(self) -> tuple[Any, ...]:
+        """The sort key of rows."""
+        return (self.row.order is None, self.row.order or 0, self.condition, bool(self.external))
+
+    def levels_of(self, level_kind: str) -> LevelGroup:
+        """All levels of a kind."""
+        chosen = [one for one in self.levels if one.level_kind == level_kind]
+        return LevelGroup(level_kind, "", {one.level: one.weight for one in chosen})
+
+
+@dataclass(frozen=True)
+class LevelGroup:
+    """Levels of a kind that are scored together.
+
+    Attributes:
+        level_kind: train, uniform or rare.
+        name: of the group; empty for all levels of the kind.
+        weights: of each level by its name.
+    """
+
+    level_kind: str
+    name: str
+    weights: Mapping[str, float]
+
+    @property
+    def column(self) -> str:
+        """Unique among the groups of a table."""
+        return f"{self.level_kind}: {self.name}" if self.name else self.level_kind
+
+    @property
+    def is_weighted(self) -> bool:
+        """Whether the weighted and the plain mean may differ."""
+        return len(set(self.weights.values())) > 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,21 +162,21 @@ class Run:
 
     Attributes:
         folder: as the user gave it, plus the path below.
-        evaluations: one row per (update, level_kind), a mean over the levels of that kind:
-            `update`, `level_kind`, `frames`, `seconds`, `episodes` (of all levels), `score`.
-        level_evaluations: one row per (update, level_kind, level); columns as in
-            `evaluations.csv`.
-        situations: one row per (update, level_kind, situation); columns as in `situations.csv`.
+        evaluations: one row per (update, level_kind, level), in order of updates: `update`,
+            `frames`, `seconds`, `level_kind`, `level`, `episodes`, `score`, `success` (NaN where
+            the level reports none), `return`.
+        situations: one row per (update, level_kind, situation): `update`, `level_kind`, the
+            situation's ranks, `episodes`, `successes` (NaN where the level reports none),
+            `return_sum`.
         situation_names: the situation's columns, e.g. ("map", "target"); ranks, 0 most frequent.
         updates, frames, seconds: how far the run has come.
-        settings: the flattened `config.yaml` without bookkeeping; empty if there is none.
+        settings: the flattened `config.yaml` without bookkeeping; empty for an external run.
         notes: what the reader of the files had to leave out.
     """
 
     folder: Path
     description: RunDescription
     evaluations: pd.DataFrame
-    level_evaluations: pd.DataFrame
     situations: pd.DataFrame
     situation_names: tuple[str, ...]
     updates: int
@@ -114,10 +190,32 @@ class Run:
         """The run's folder, as messages show it."""
         return self.folder.as_posix()
 
-    def mean_over(self, level_kind: str, levels: Collection[str]) -> pd.DataFrame:
-        """As `evaluations`, of these levels of a kind alone."""
-        rows = self.level_evaluations
-        return _mean_over(rows[rows["level_kind"] == level_kind], levels)
+    def evaluations_of(self, levels: LevelGroup) -> pd.DataFrame:
+        """The rows of `evaluations` of these levels, of the updates at which all were scored."""
+        rows = self.evaluations
+        chosen = rows[
+            (rows["level_kind"] == levels.level_kind) & rows["level"].isin(levels.weights)
+        ]
+        scored = chosen.groupby("update")["level"].transform("size")
+        return chosen[scored == len(levels.weights)]
+
+    def mean_scores(self, levels: LevelGroup) -> pd.DataFrame:
+        """The levels' mean score at every update at which all of them were scored.
+
+        Returns:
+            One row per update, in their order: `update`, `frames`, `episodes` (of all levels),
+            `score` (the weighted mean) and `plain_score` (the plain mean).
+        """
+        rows = self.evaluations_of(levels)
+        weights = rows["level"].map(dict(levels.weights)).astype(float)
+        rows = rows.assign(weighted=rows["score"] * weights / sum(levels.weights.values()))
+        means = rows.groupby("update", as_index=False).agg(
+            frames=("frames", "first"),
+            episodes=("episodes", "sum"),
+            score=("weighted", "sum"),
+            plain_score=("score", "mean"),
+        )
+        return means if levels.is_weighted else means.assign(score=means["plain_score"])
 
 
 def load_runs(folders: Iterable[str | Path]) -> list[Run]:
@@ -141,7 +239,7 @@ def load_runs(folders: Iterable[str | Path]) -> list[Run]:
         runs,
         key=lambda run: (
             run.description.experiment,
-            condition_order(run.description.condition),
+            run.description.row_order,
             run.description.seed,
             run.label,
         ),
@@ -156,80 +254,31 @@ def load_run(folder: Path) -> Run:
     """
     description = _read_description(folder / "run.json")
     notes: list[str] = []
-
-    level_evaluations = _read_table(
-        folder / "evaluations.csv",
-        {
-            "update": int,
-            "frames": int,
-            "seconds": float,
-            "level_kind": _level_kind,
-            "level": str,
-            "episodes": int,
-            "score": float,
-        },
-        notes,
-    )
-    level_evaluations = _latest(level_evaluations, ["update", "level_kind", "level"])
-    means = []
-    for level_kind, rows in level_evaluations.groupby("level_kind"):
-        found = sorted(rows["level"].unique())
-        levels = description.names(str(level_kind)) or found[:1]
-        if not set(found) <= set(levels):
-            several = f"several {level_kind} levels" if len(found) > 1 else f"a {level_kind} level"
-            raise UserError(
-                f"{folder.as_posix()}/evaluations.csv: {several} ({', '.join(found)}); "
-                f"the run has {', '.join(levels)}"
-            )
-        means.append(_mean_over(rows, levels))
-    evaluations = pd.concat(means) if means else level_evaluations
-
-    path = folder / "situations.csv"
-    situation_names = _situation_names(path)
-    situations = _read_table(
-        path,
-        {
-            "update": int,
-            "level_kind": _level_kind,
-            **dict.fromkeys(situation_names, int),
-            "episodes": int,
-            "successes": int,
-        },
-        notes,
-    )
-    situations = _latest(situations, ["update", "level_kind", *situation_names])
-    for name, size in (description.situation or {}).items():
-        if name in situation_names and (situations[name] >= size).any():
-            raise UserError(
-                f"{path.as_posix()}: {name} {situations[name].max()}, but by run.json the ranks "
-                f"are 0 to {size - 1}"
-            )
-
+    evaluations = _read_evaluations(folder / "evaluations.csv", description, notes)
+    situations, situation_names = _read_situations(folder / "situations.csv", description, notes)
     progress = {"update": 0.0, "frames": 0.0, "seconds": 0.0}
-    metrics = _read_table(folder / "metrics.csv", dict.fromkeys(progress, float), notes)
-    for frame in (level_evaluations, metrics):
+    metrics = read_table(folder / "metrics.csv", dict.fromkeys(progress, "number"), notes)
+    for frame in (evaluations, metrics):
         for column in progress:
             if len(frame):
                 progress[column] = max(progress[column], float(frame[column].max()))
-
     return Run(
         folder=folder,
         description=description,
-        evaluations=evaluations.sort_values("update", kind="stable").reset_index(drop=True),
-        level_evaluations=level_evaluations,
+        evaluations=evaluations,
         situations=situations,
         situation_names=situation_names,
         updates=int(progress["update"]),
         frames=int(progress["frames"]),
         seconds=progress["seconds"],
-        settings=_read_settings(folder / "config.yaml"),
+        settings=_read_settings(folder / "config.yaml", description),
         notes=tuple(notes),
     )
 
 
 def _read_description(path: Path) -> RunDescription:
     try:
-        return RunDescription.model_validate_json(_read_bytes(path))
+        return RunDescription.model_validate_json(read_bytes(path))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
@@ -237,13 +286,91 @@ def _read_description(path: Path) -> RunDescription:
         raise UserError(f"{path.as_posix()}: not a run's description: {problem}") from error
 
 
-def _read_settings(path: Path) -> dict[str, Any]:
-    if not path.is_file():
+def _read_evaluations(path: Path, description: RunDescription, notes: list[str]) -> pd.DataFrame:
+    columns: dict[str, Kind] = {
+        "update": "count",
+        "frames": "count",
+        "seconds": "number",
+        "level_kind": "text",
+        "level": "text",
+        "episodes": "count",
+        "score": "number",
+        "success": "number or empty",
+        "return": "number",
+    }
+    rows = read_table(path, columns, notes)
+    _check_kinds(path, rows)
+    for level_kind in LEVEL_KINDS:
+        known = description.levels_of(level_kind).weights
+        of_kind = rows[rows["level_kind"] == level_kind]
+        unknown = of_kind[~of_kind["level"].isin(known)]
+        if len(unknown):
+            raise UserError(
+                f"{path.as_posix()}, line {unknown.index[0]}: {level_kind} level "
+                f"{unknown['level'].iloc[0]!r}; by run.json the run has {', '.join(known)}"
+            )
+    return _latest(rows, ["update", "level_kind", "level"])
+
+
+def _read_situations(
+    path: Path, description: RunDescription, notes: list[str]
+) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    header = read_header(path)
+    names: tuple[str, ...] = ()
+    if "level_kind" in header and "episodes" in header:
+        names = tuple(header[header.index("level_kind") + 1 : header.index("episodes")])
+    columns: dict[str, Kind] = {
+        "update": "count",
+        "level_kind": "text",
+        **{name: "count" for name in names},
+        "episodes": "count",
+        "successes": "number or empty",
+        "return_sum": "number",
+    }
+    rows = read_table(path, columns, notes)
+    _check_kinds(path, rows)
+    for name in names:
+        size = description.situation.get(name)
+        if size is None:
+            raise UserError(
+                f"{path.as_posix()}, line 1: column {name}, but run.json's situation has "
+                f"{', '.join(description.situation) or 'no rank'}"
+            )
+        too_large = rows[rows[name] >= size]
+        if len(too_large):
+            raise UserError(
+                f"{path.as_posix()}, line {too_large.index[0]}: {name} "
+                f"{too_large[name].iloc[0]}, but by run.json the ranks are 0 to {size - 1}"
+            )
+    return _latest(rows, ["update", "level_kind", *names]), names
+
+
+def _check_kinds(path: Path, rows: pd.DataFrame) -> None:
+    wrong = rows[~rows["level_kind"].isin(LEVEL_KINDS)]
+    if len(wrong):
+        raise UserError(
+            f"{path.as_posix()}, line {wrong.index[0]}: column level_kind has "
+            f"{wrong['level_kind'].iloc[0]!r}, expected one of {', '.join(LEVEL_KINDS)}"
+        )
+
+
+def _latest(rows: pd.DataFrame, key: list[str]) -> pd.DataFrame:
+    """One row per key, in order of updates.
+
+    A run that was killed and resumed repeats the evaluations after its last checkpoint, with the
+    same outcome because resuming is exact; the later row is kept.
+    """
+    rows = rows.drop_duplicates(key, keep="last")
+    return rows.sort_values("update", kind="stable").reset_index(drop=True)
+
+
+def _read_settings(path: Path, description: RunDescription) -> dict[str, Any]:
+    """The flattened options of a run of this package. An external agent has none: a configuration
+    in its folder would be that of somebody else's training."""
+    if description.external:
+        if path.exists():
+            raise UserError(f"{path.as_posix()}: by run.json the agent is external and has none")
         return {}
-    try:
-        tree = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-    except Exception as error:  # the YAML library's errors have no common, documented base
-        raise UserError(f"{path.as_posix()}: not a YAML file") from error
 
     def flatten(node: Any, prefix: str) -> dict[str, Any]:
         if not isinstance(node, dict):
@@ -254,110 +381,9 @@ def _read_settings(path: Path) -> dict[str, Any]:
             for key, value in flatten(child, f"{prefix}.{name}" if prefix else str(name)).items()
         }
 
-    flat = flatten(tree, "")
-    return {key: value for key, value in flat.items() if key.split(".")[0] not in BOOKKEEPING}
-
-
-def _read_bytes(path: Path) -> bytes:
+    content = read_bytes(path)
     try:
-        return path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{path.as_posix()}: cannot be read: {error.strerror}") from error
-
-
-def _lines(path: Path) -> tuple[list[str], bool]:
-    """The file's complete lines, and whether a torn one was left out."""
-    if not path.exists():
-        return [], False
-    complete, _, torn = _read_bytes(path).rpartition(b"\n")
-    text = complete.decode("utf-8", errors="replace")
-    return (text.split("\n") if text else []), bool(torn)
-
-
-def _situation_names(path: Path) -> tuple[str, ...]:
-    lines, _ = _lines(path)
-    header = lines[0].rstrip("\r").split(",") if lines else []
-    if "level_kind" not in header or "episodes" not in header:
-        return ()
-    return tuple(header[header.index("level_kind") + 1 : header.index("episodes")])
-
-
-def _level_kind(text: str) -> str:
-    if text not in LEVEL_KINDS:
-        raise ValueError(text)
-    return text
-
-
-def _read_table(
-    path: Path, columns: Mapping[str, Callable[[str], Any]], notes: list[str]
-) -> pd.DataFrame:
-    """The named columns of a CSV file, in file order; `notes` gains what was left out.
-
-    Raises:
-        UserError: naming file and line, for anything but a torn last line.
-    """
-    lines, torn = _lines(path)
-    if torn:
-        notes.append(f"{path.as_posix()}: the last line is torn and was left out")
-    if not lines:
-        return pd.DataFrame({name: [] for name in columns})
-    header, *rows = csv.reader(io.StringIO("\n".join(lines)), quoting=csv.QUOTE_NONE)
-    missing = [name for name in columns if name not in header]
-    if missing:
-        raise UserError(f"{path.as_posix()}, line 1: no column {', '.join(missing)}")
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(header):
-            raise UserError(
-                f"{path.as_posix()}, line {number}: {len(row)} fields where there are "
-                f"{len(header)} columns"
-            )
-    return pd.DataFrame(
-        {
-            name: _convert(path, name, kind, [row[header.index(name)] for row in rows])
-            for name, kind in columns.items()
-        }
-    )
-
-
-def _convert(path: Path, name: str, kind: Callable[[str], Any], texts: Sequence[str]) -> list[Any]:
-    values = []
-    for number, text in enumerate(texts, start=2):
-        try:
-            value = kind(text)
-            if kind is float and not np.isfinite(value):
-                raise ValueError(text)
-        except ValueError as error:
-            raise UserError(
-                f"{path.as_posix()}, line {number}: column {name} has {text!r}, "
-                f"expected {_EXPECTED[kind]}"
-            ) from error
-        values.append(value)
-    return values
-
-
-_EXPECTED: Mapping[Callable[[str], Any], str] = {
-    int: "a whole number",
-    float: "a finite number",
-    _level_kind: f"one of {', '.join(LEVEL_KINDS)}",
-}
-
-
-def _mean_over(evaluations: pd.DataFrame, levels: Collection[str]) -> pd.DataFrame:
-    """The mean score over levels of a kind, at every update at which all of them were scored."""
-    chosen = evaluations[evaluations["level"].isin(levels)]
-    scored = chosen.groupby("update")["level"].transform("size")
-    return (
-        chosen[scored == len(levels)]
-        .groupby(["update", "level_kind"], as_index=False)
-        .agg({"frames": "first", "seconds": "first", "episodes": "sum", "score": "mean"})
-    )
-
-
-def _latest(frame: pd.DataFrame, key: list[str]) -> pd.DataFrame:
-    """One row per key, in order of updates.
-
-    A run that was killed and resumed repeats the evaluations after its last checkpoint, with the
-    same outcome because resuming is exact; the later row is kept.
-    """
-    frame = frame.drop_duplicates(key, keep="last")
-    return frame.sort_values("update", kind="stable").reset_index(drop=True)
+        flat = flatten(yaml.safe_load(content), "")
+    except Exception as error:  # the YAML library's errors have no common, documented base
+        raise UserError(f"{path.as_posix()}: not a YAML file") from error
+    return {key: value for key, value in flat.items() if key.split(".")[0] not in BOOKKEEPING}

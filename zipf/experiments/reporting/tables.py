@@ -7,21 +7,22 @@ The protocol, and what it leaves open (Chan et al. 2022, section on training and
    the table shows the median of the seeds' scores, for each level kind by itself. For an odd
    number of seeds this is the window median of the median run; for an even number, where no run
    is the median one, it is the mean of the middle two.
-2. "± median absolute deviation across runs": the median of the seeds' distances from their median,
-   without the factor 1.4826 that would make it estimate a standard deviation, since the paper
-   names none. One seed has no deviation: none is shown.
-3. The window is part of the result. A run with no evaluation inside it has no score, and a note
-   says so; it is never scored somewhere else unless the reader asks for another window.
+2. What an evaluation measures on a kind of several levels is the mean of the levels' scores,
+   weighted as the split says; the plain mean is kept beside it.
+3. ± is what the split says. "Seeds": "± median absolute deviation across runs", the median of the
+   seeds' distances from their median, unscaled. One seed has no deviation: none is shown. "Tasks":
+   "an average or weighted average across tasks (± standard error across tasks)". There the medians
+   of window and seeds are taken for each level by itself, then the weighted mean and its standard
+   error across levels. One level has no such error.
+4. The window is part of the result. A run with no evaluation inside it has no score, and a note
+   says so; it is never scored somewhere else unless the reader asks for another window. An external
+   agent, which has no updates, is scored at its last evaluation.
 
-Runs are pooled only if they can be compared: same experiment, split, environment options, window
-and published counterpart. Others of the same experiment get a table of their own, whose title says
-what differs.
+`comparable.py` says which runs share a table.
 """
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,29 +30,43 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from zipf.experiments.errors import UserError
-from zipf.experiments.reporting.paper import (
-    LEVEL_KINDS,
-    PaperTable,
-    condition_name,
-    condition_order,
-    paper_table,
+from zipf.experiments.reporting.comparable import group_runs, paper_of
+from zipf.experiments.reporting.notes import notes
+from zipf.experiments.reporting.paper import LEVEL_KINDS, PaperTable
+from zipf.experiments.reporting.results import LevelGroup, Run, RunDescription
+from zipf.experiments.reporting.statistics import (
+    median_absolute_deviation,
+    standard_error,
+    weighted_mean,
 )
-from zipf.experiments.reporting.results import Run
+from zipf.experiments.reporting.windows import (
+    LastEvaluations,
+    UpdateWindow,
+    Window,
+    evaluations_inside,
+    window_of,
+)
+from zipf.experiments.reporting.wording import EXTERNAL_MARK
 
-PROTOCOL_SEEDS = 3  # the paper trains three replicas per condition
-
-SCORE_COLUMNS = (
+CSV_COLUMNS = (
     "table",
     "experiment",
     "condition",
+    "title",
+    "external",
     "level_kind",
+    "level",
+    "levels",
     "seeds",
-    "median",
-    "mad",
+    "score",
+    "error",
+    "plain_score",
+    "plain_error",
+    "spread",
     "paper_value",
     "paper_error",
     "chance",
+    "plain_chance",
     "window",
     "evaluations",
     "episodes",
@@ -60,58 +75,30 @@ SCORE_COLUMNS = (
 )
 
 
-@dataclass(frozen=True)
-class UpdateWindow:
-    """All evaluations at updates `start` to `end`, both included."""
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A row of a table: the runs of a condition, or of an external agent.
 
-    start: int
-    end: int
-
-    def select(self, updates: pd.Series) -> pd.Series:
-        """Mask of the updates inside."""
-        return updates.between(self.start, self.end)
-
-    def __str__(self) -> str:
-        return f"{self.start}:{self.end}"
-
-
-@dataclass(frozen=True)
-class LastEvaluations:
-    """The last `count` evaluations of each run, wherever they are."""
-
-    count: int
-
-    def select(self, updates: pd.Series) -> pd.Series:
-        """Mask of the updates inside."""
-        return updates.isin(np.unique(updates)[-self.count :])
-
-    def __str__(self) -> str:
-        return "last" if self.count == 1 else f"last:{self.count}"
-
-
-Window = UpdateWindow | LastEvaluations
-
-TrainGroups = Mapping[str, tuple[str, ...]]
-
-
-def parse_window(text: str) -> Window:
-    """The window that `text` names: `2000000:3000000`, `2M:3M`, `last` or `last:10`.
-
-    Raises:
-        UserError: none of these.
+    Attributes:
+        key: unique among the rows of a report.
+        title: as tables and plots show it; an external agent's ends in a mark.
+        external: whether it was recorded from outside this package.
+        colour: as #rrggbb; None if it is to be assigned.
+        line: "solid" or "dashed".
+        runs: its seeds.
     """
-    if match := re.fullmatch(r"last(?::([1-9]\d*))?", text):
-        return LastEvaluations(int(match[1] or 1))
-    if match := re.fullmatch(r"(\d+)([kM]?):(\d+)([kM]?)", text):
-        factor = {"": 1, "k": 1_000, "M": 1_000_000}
-        start, end = int(match[1]) * factor[match[2]], int(match[3]) * factor[match[4]]
-        if start <= end:
-            return UpdateWindow(start, end)
-        raise UserError(f"window {text!r} ends before it starts")
-    raise UserError(
-        f"window {text!r} is neither START:END in updates (2000000:3000000, 2M:3M) "
-        f"nor last or last:N (the last N evaluations of each run)"
-    )
+
+    key: str
+    title: str
+    external: bool
+    colour: str | None
+    line: str
+    runs: tuple[Run, ...]
+
+    @property
+    def condition(self) -> str:
+        """The condition's name, or the external agent's."""
+        return self.runs[0].description.condition
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,31 +108,36 @@ class ScoreTable:
     Attributes:
         name: unique among the tables of a report, and safe in file names.
         title: the experiment, and what sets the table apart from others of that experiment.
+        description: of its first run, which is one of this package if there is any.
+        rows: in the table's order.
         window: over which the scores are taken.
         own_window: whether that is the experiment's own.
-        paper: what was published; None where it has a number for none of the conditions.
-        scores: one row per (condition, level kind), in the table's order; see `score_table`.
-        train_groups: the train levels apart, or in the groups that the paper averages, by the
-            group's name; empty where there is one train level.
-        train_scores: as `scores`, with these groups in the place of level kinds.
+        paper: what was published; None where it has a number for none of the rows.
+        kinds: the levels of each kind.
+        scores: one line per row and level kind; see `score_frame`.
+        groups: the levels of every kind that has several: those that the paper averages together,
+            then each by itself.
+        group_scores: as `scores`, one line per row and group.
         notes: what is missing or doubtful, one sentence each.
     """
 
     name: str
     title: str
-    runs: tuple[Run, ...]
+    description: RunDescription
+    rows: tuple[Row, ...]
     window: Window
     own_window: bool
     paper: PaperTable | None
+    kinds: tuple[LevelGroup, ...]
     scores: pd.DataFrame
-    train_groups: TrainGroups
-    train_scores: pd.DataFrame
+    groups: tuple[LevelGroup, ...]
+    group_scores: pd.DataFrame
     notes: tuple[str, ...]
 
     @property
-    def conditions(self) -> list[str]:
-        """The table's rows, in order."""
-        return list(dict.fromkeys(self.scores["condition"]))
+    def runs(self) -> list[Run]:
+        """All runs, in the order of rows."""
+        return [run for row in self.rows for run in row.runs]
 
     @property
     def chance(self) -> dict[str, float]:
@@ -169,114 +161,70 @@ class ScoreTable:
         return [
             int(count)
             for run in self.runs
-            for count in run.level_evaluations["episodes"][
-                self.window.select(run.level_evaluations["update"])
-            ]
+            for count in evaluations_inside(run, self.window)["episodes"]
         ]
 
     @property
-    def situation_sizes(self) -> dict[str, int]:
-        """How many ranks each of the situation's columns has; empty where runs do not tell."""
+    def frames(self) -> dict[str, int]:
+        """The frames behind each row's score, by the row's key; without rows that have none."""
         return {
-            name: size
-            for run in self.runs
-            for name, size in (run.description.situation or {}).items()
+            str(key): int(frames)
+            for key, frames in self.scores.groupby("row", sort=False)["frames"].min().items()
+            if not pd.isna(frames)
         }
 
-
-def seed_scores(
-    runs: Sequence[Run], window: Window, train_groups: TrainGroups | None = None
-) -> pd.DataFrame:
-    """Every run's score: the median of its evaluations inside the window.
-
-    Args:
-        train_groups: score these in the place of the level kinds.
-
-    Returns:
-        One row per run and level kind: `condition`, `seed`, `level_kind`, `evaluations` (how many
-        lie inside the window), `episodes` (the fewest behind one of them) and `score`, NaN where
-        there is none.
-    """
-    rows: list[dict[str, Any]] = []
-    for run in runs:
-        updates = run.level_evaluations["update"]
-        updates = updates[window.select(updates)]
-        for level_kind in train_groups or LEVEL_KINDS:
-            if train_groups:
-                evaluations = run.mean_over("train", train_groups[level_kind])
-            else:
-                evaluations = run.evaluations[run.evaluations["level_kind"] == level_kind]
-            evaluations = evaluations[evaluations["update"].isin(updates)]
-            rows.append(
-                {
-                    "condition": run.description.condition,
-                    "seed": run.description.seed,
-                    "level_kind": level_kind,
-                    "evaluations": len(evaluations),
-                    "episodes": evaluations["episodes"].min() if len(evaluations) else 0,
-                    "score": evaluations["score"].median() if len(evaluations) else np.nan,
-                }
-            )
-    return pd.DataFrame(rows)
+    @property
+    def budgets_differ(self) -> bool:
+        """Whether the rows' scores were reached after different numbers of frames."""
+        return len(set(self.frames.values())) > 1
 
 
-def median_absolute_deviation(values: pd.Series) -> float:
-    """Median distance from the median, unscaled; NaN for fewer than two values."""
-    return float((values - values.median()).abs().median()) if len(values) > 1 else float("nan")
-
-
-def score_table(
-    runs: Sequence[Run],
+def score_frame(
+    rows: Sequence[Row],
+    groups: Sequence[LevelGroup],
     window: Window,
-    *,
-    name: str = "",
-    paper: PaperTable | None = None,
-    train_groups: TrainGroups | None = None,
+    name: str,
+    experiment: str,
+    paper: PaperTable | None,
 ) -> pd.DataFrame:
-    """The scores of comparable runs, one row per condition and level kind.
-
-    Args:
-        train_groups: score these in the place of the level kinds.
+    """The scores of comparable runs, one line per row and group of levels.
 
     Returns:
-        `SCORE_COLUMNS`: `seeds` counts the seeds that have a score; `median` and `mad` are over
-        these; `evaluations` and `episodes` are the fewest behind one of their scores; `updates`
-        and `frames` the fewest that a run of the condition has reached. NaN is "none".
+        The columns that docs/results.md describes for `report.csv`, and `row` and `column`, the
+        keys of the row and of the group of levels. NaN is "none".
     """
-    scores = seed_scores(runs, window, train_groups)
-    chance = _chance_of_groups(runs, train_groups) if train_groups else _chance(runs)
-    rows: list[dict[str, Any]] = []
-    for condition in sorted({run.description.condition for run in runs}, key=condition_order):
-        of_condition = [run for run in runs if run.description.condition == condition]
-        for level_kind in train_groups or LEVEL_KINDS:
-            chosen = scores[
-                (scores["condition"] == condition)
-                & (scores["level_kind"] == level_kind)
-                & scores["score"].notna()
-            ]
-            published = paper.score(condition, level_kind) if paper else None
-            rows.append(
+    lines = []
+    for row in rows:
+        for levels in groups:
+            published = (
+                paper.score(row.condition, levels.name or levels.level_kind)
+                if paper and not row.external
+                else None
+            )
+            error = published.error if published else None
+            lines.append(
                 {
+                    "row": row.key,
+                    "column": levels.column,
                     "table": name,
-                    "experiment": of_condition[0].description.experiment,
-                    "condition": condition,
-                    "level_kind": level_kind,
-                    "seeds": len(chosen),
-                    "median": chosen["score"].median() if len(chosen) else np.nan,
-                    "mad": median_absolute_deviation(chosen["score"]),
+                    "experiment": experiment,
+                    "condition": row.condition,
+                    "title": row.title,
+                    "external": row.external,
+                    "level_kind": levels.level_kind,
+                    "level": levels.name,
+                    "levels": len(levels.weights),
+                    **_score(row.runs, levels, window),
+                    "spread": row.runs[0].description.spread,
                     "paper_value": published.value if published else np.nan,
-                    "paper_error": (
-                        published.error if published and published.error is not None else np.nan
-                    ),
-                    "chance": chance.get(level_kind, np.nan),
-                    "window": str(window),
-                    "evaluations": int(chosen["evaluations"].min()) if len(chosen) else 0,
-                    "episodes": int(chosen["episodes"].min()) if len(chosen) else 0,
-                    "updates": min(run.updates for run in of_condition),
-                    "frames": min(run.frames for run in of_condition),
+                    "paper_error": error if error is not None else np.nan,
+                    **_chance([run for row in rows for run in row.runs], levels),
+                    "window": str(window_of(row.runs[0], window)),
                 }
             )
-    return pd.DataFrame(rows, columns=list(SCORE_COLUMNS))
+    frame = pd.DataFrame(lines, columns=["row", "column", *CSV_COLUMNS])
+    whole = ["levels", "seeds", "evaluations", "episodes", "updates", "frames"]
+    return frame.astype({column: "Int64" for column in whole})
 
 
 def score_tables(runs: Sequence[Run], window: Window | None = None) -> list[ScoreTable]:
@@ -289,234 +237,148 @@ def score_tables(runs: Sequence[Run], window: Window | None = None) -> list[Scor
         UserError: two runs of a table are the same condition and seed, or a run names a published
             experiment that the paper does not have.
     """
-    groups: dict[str, list[Run]] = {}
-    for run in runs:
-        identity = _identity(run, window)
-        key = json.dumps([run.description.experiment, identity], sort_keys=True)
-        groups.setdefault(key, []).append(run)
-
     tables: list[ScoreTable] = []
-    for key in sorted(groups):
-        group = groups[key]
-        _refuse_duplicates(group)
-        description = group[0].description
-        siblings = [
-            _identity(other[0], window)
-            for other in groups.values()
-            if other[0].description.experiment == description.experiment
-        ]
-        name = _unused_name(description.experiment, [table.name for table in tables])
-        used = window or UpdateWindow(*description.window)
-        paper = _paper(group)
-        scores = score_table(group, used, name=name, paper=paper)
-        train_groups = _train_groups(group, paper)
+    for group in group_runs(runs, window):
+        rows = _rows(group.runs)
+        paper = paper_of(group.runs)
+        description = group.runs[0].description
+        used: Window = LastEvaluations(1)
+        if not description.external:
+            assert description.window is not None  # checked when it was read
+            used = window or UpdateWindow(*description.window)
+        kinds = tuple(description.levels_of(level_kind) for level_kind in LEVEL_KINDS)
+        groups = tuple(part for levels in kinds for part in _parts(levels, paper))
+        whole = score_frame(rows, kinds, used, group.name, description.experiment, paper)
+        parts = score_frame(rows, groups, used, group.name, description.experiment, paper)
         tables.append(
             ScoreTable(
-                name=name,
-                title=_title(description.experiment, _identity(group[0], window), siblings),
-                runs=tuple(group),
+                name=group.name,
+                title=group.title,
+                description=description,
+                rows=rows,
                 window=used,
-                own_window=window is None,
-                paper=paper if scores["paper_value"].notna().any() else None,
-                scores=scores,
-                train_groups=train_groups,
-                train_scores=(
-                    score_table(group, used, name=name, paper=paper, train_groups=train_groups)
-                    if train_groups
-                    else scores[:0]
-                ),
-                notes=_notes(group, used),
+                own_window=window is None or description.external is not None,
+                paper=paper if whole["paper_value"].notna().any() else None,
+                kinds=kinds,
+                scores=whole,
+                groups=groups,
+                group_scores=parts,
+                notes=notes(group.runs, used),
             )
         )
     return tables
 
 
-def wilson_interval(successes: pd.Series, episodes: pd.Series) -> tuple[pd.Series, pd.Series]:
-    """95 % interval of a success rate (Wilson 1927, without continuity correction)."""
-    z = 1.959964
-    rate = successes / episodes
-    centre = (rate + z**2 / (2 * episodes)) / (1 + z**2 / episodes)
-    half = (
-        z / (1 + z**2 / episodes) * np.sqrt(rate * (1 - rate) / episodes + z**2 / (4 * episodes**2))
-    )
-    return (centre - half).clip(lower=0), (centre + half).clip(upper=1)
+def csv_report(tables: Sequence[ScoreTable]) -> str:
+    """`report.csv`: one line per row and level kind, at full precision, empty for none.
 
-
-def success_rates(
-    table: ScoreTable, ranks: Sequence[str], level_kind: str = "uniform"
-) -> pd.DataFrame:
-    """Success by the named ranks of the situation, pooled over window and seeds.
-
-    On the uniform level, by default: there every situation weighs the same, so that the success
-    at one rank is not a mixture that follows the law of the others.
-
-    Returns:
-        One row per condition and combination of ranks that occurred: `condition`, the ranks,
-        `episodes`, `successes`, `success`, and `low` and `high`, its 95 % Wilson interval. The
-        interval covers the chance of the episodes, not the difference between seeds.
+    Where a kind has several levels, lines for each level and for the paper's groups of levels
+    follow those of the table.
     """
-    parts = []
-    for run in table.runs:
-        if not set(ranks) <= set(run.situation_names):
-            continue
-        inside = run.situations[table.window.select(run.situations["update"])]
-        inside = inside[inside["level_kind"] == level_kind]
-        parts.append(inside.assign(condition=run.description.condition))
-    keys = ["condition", *ranks]
-    columns = [*keys, "episodes", "successes"]
-    pooled = (
-        pd.concat([part[columns] for part in parts]) if parts else pd.DataFrame([], None, columns)
+    parts = [part for table in tables for part in (table.scores, table.group_scores)]
+    return pd.concat([part for part in parts if len(part)])[list(CSV_COLUMNS)].to_csv(
+        index=False, float_format="%.10g", lineterminator="\n"
     )
-    rates = pooled.groupby(keys, as_index=False)[["episodes", "successes"]].sum()
-    rates = rates[rates["episodes"] > 0].reset_index(drop=True)
-    rates["success"] = rates["successes"] / rates["episodes"]
-    rates["low"], rates["high"] = wilson_interval(rates["successes"], rates["episodes"])
-    return rates
 
 
-def count_text(count: int) -> str:
-    """A count as captions show it: 12,345,678 below ten million, 12.3 billion above."""
-    for size, word in ((10**9, "billion"), (10**6, "million")):
-        if count >= max(size, 10**7):
-            return f"{count / size:.3g} {word}"
-    return f"{count:,}"
+def _rows(runs: Sequence[Run]) -> tuple[Row, ...]:
+    by_key: dict[str, list[Run]] = {}
+    for run in sorted(runs, key=lambda run: run.description.row_order):
+        by_key.setdefault(run.description.row_key, []).append(run)
+    rows = []
+    for key, of_row in by_key.items():
+        description = of_row[0].description
+        external = description.external is not None
+        rows.append(
+            Row(
+                key=key,
+                title=description.row.title + (f" {EXTERNAL_MARK}" if external else ""),
+                external=external,
+                colour=description.row.colour,
+                line=description.row.line,
+                runs=tuple(of_row),
+            )
+        )
+    return tuple(rows)
 
 
-def window_text(window: Window) -> str:
-    """The window in words."""
-    if isinstance(window, UpdateWindow):
-        return f"updates {count_text(window.start)} to {count_text(window.end)}"
-    return f"the last {window.count} evaluations" if window.count > 1 else "the last evaluation"
+def _parts(levels: LevelGroup, paper: PaperTable | None) -> list[LevelGroup]:
+    """The groups that the paper averages, then every other level; empty for a single level."""
+    if len(levels.weights) < 2:
+        return []
+    published = paper.train_groups if paper and levels.level_kind == "train" else {}
+    named = {
+        name: names for name, names in published.items() if levels.weights.keys() >= set(names)
+    }
+    alone = {name: (name,) for name in levels.weights if (name,) not in named.values()}
+    return [
+        LevelGroup(levels.level_kind, name, {one: levels.weights[one] for one in names})
+        for name, names in (named | alone).items()
+    ]
 
 
-def _identity(run: Run, window: Window | None) -> dict[str, Any]:
-    """What runs of one table have in common, beside the experiment."""
-    description = run.description
+def _score(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str, Any]:
+    """A row's score on these levels, and what is behind it."""
+    inside = {run: _mean_scores_inside(run, levels, window) for run in runs}
+    scored = {run: evaluations for run, evaluations in inside.items() if len(evaluations)}
+    effort = {
+        "seeds": len(scored),
+        "evaluations": min((len(rows) for rows in scored.values()), default=0),
+        "episodes": min((rows["episodes"].min() for rows in scored.values()), default=0),
+        "updates": min((rows["update"].max() for rows in scored.values()), default=pd.NA),
+        "frames": min((rows["frames"].max() for rows in scored.values()), default=pd.NA),
+    }
+    if not scored:
+        measured = dict.fromkeys(("score", "error", "plain_score", "plain_error"), np.nan)
+    elif runs[0].description.spread == "seeds":
+        measured = _across_seeds(list(scored.values()))
+    else:
+        measured = _across_tasks(scored, levels)
+    return effort | measured
+
+
+def _mean_scores_inside(run: Run, levels: LevelGroup, window: Window) -> pd.DataFrame:
+    means = run.mean_scores(levels)
+    return means[means["update"].isin(evaluations_inside(run, window)["update"])]
+
+
+def _across_seeds(scored: Sequence[pd.DataFrame]) -> dict[str, float]:
+    score = pd.Series([evaluations["score"].median() for evaluations in scored])
+    plain = pd.Series([evaluations["plain_score"].median() for evaluations in scored])
     return {
-        "split": description.split,
-        "paper": description.paper,
-        "window": str(window or UpdateWindow(*description.window)),
-        **{f"environment.{name}": value for name, value in description.environment.items()},
+        "score": float(score.median()),
+        "error": median_absolute_deviation(score),
+        "plain_score": float(plain.median()),
+        "plain_error": median_absolute_deviation(plain),
     }
 
 
-def _title(experiment: str, identity: dict[str, Any], siblings: list[dict[str, Any]]) -> str:
-    names = sorted({name for sibling in siblings for name in sibling})
-    differing = [
-        f"{name.removeprefix('environment.')} {identity.get(name, 'as by default')}"
-        for name in names
-        if any(sibling.get(name) != siblings[0].get(name) for sibling in siblings)
-    ]
-    return f"{experiment} ({', '.join(differing)})" if differing else experiment
+def _across_tasks(scored: Mapping[Run, pd.DataFrame], levels: LevelGroup) -> dict[str, float]:
+    of_seeds = []  # by level
+    for run, means in scored.items():
+        rows = run.evaluations_of(levels)
+        rows = rows[rows["update"].isin(means["update"])]
+        of_seeds.append(rows.groupby("level")["score"].median())
+    of_levels = pd.concat(of_seeds, axis=1).median(axis=1)[list(levels.weights)]
+    weights, equal = list(levels.weights.values()), np.ones(len(levels.weights))
+    return {
+        "score": weighted_mean(of_levels, weights),
+        "error": standard_error(of_levels, weights),
+        "plain_score": weighted_mean(of_levels, equal),
+        "plain_error": standard_error(of_levels, equal),
+    }
 
 
-def _unused_name(experiment: str, used: list[str]) -> str:
-    name = re.sub(r"[^\w.-]", "_", experiment)
-    numbered = (f"{name}-{number}" for number in range(2, len(used) + 3))
-    return name if name not in used else next(other for other in numbered if other not in used)
-
-
-def _refuse_duplicates(runs: Sequence[Run]) -> None:
-    seen: dict[tuple[str, int], Run] = {}
-    for run in runs:
-        key = (run.description.condition, run.description.seed)
-        if key in seen:
-            raise UserError(
-                f"{seen[key].label} and {run.label} are the same run twice: experiment "
-                f"{run.description.experiment}, condition {key[0]}, seed {key[1]}"
-            )
-        seen[key] = run
-
-
-def _paper(runs: Sequence[Run]) -> PaperTable | None:
-    key = runs[0].description.paper
-    if key is None:
-        return None
-    try:
-        return paper_table(key)
-    except UserError as error:
-        raise UserError(f"{runs[0].label}/run.json: paper: {error}") from error
-
-
-def _chance(runs: Sequence[Run]) -> dict[str, float]:
-    """The first known value for each level kind."""
-    chance: dict[str, float] = {}
-    for run in runs:
-        for level_kind, value in (run.description.chance or {}).items():
-            if value is not None:
-                chance.setdefault(level_kind, value)
-    return chance
-
-
-def _chance_of_groups(runs: Sequence[Run], groups: TrainGroups) -> dict[str, float]:
-    """The mean over each group's levels, of the first known values."""
+def _chance(runs: Sequence[Run], levels: LevelGroup) -> dict[str, float]:
+    """The first known values of each level, averaged; NaN where a level's is not known."""
     known: dict[str, float] = {}
     for level in (level for run in runs for level in run.description.levels):
-        if level.chance is not None:
+        if level.level_kind == levels.level_kind and level.chance is not None:
             known.setdefault(level.level, level.chance)
+    if not known.keys() >= levels.weights.keys():
+        return {"chance": np.nan, "plain_chance": np.nan}
+    values = [known[name] for name in levels.weights]
     return {
-        name: float(np.mean([known[level] for level in levels]))
-        for name, levels in groups.items()
-        if known.keys() >= set(levels)
+        "chance": weighted_mean(values, list(levels.weights.values())),
+        "plain_chance": weighted_mean(values, np.ones(len(values))),
     }
-
-
-def _train_groups(runs: Sequence[Run], paper: PaperTable | None) -> TrainGroups:
-    """The groups that the paper averages, then every other train level; empty if there is one."""
-    names = next((names for run in runs if (names := run.description.names("train"))), [])
-    if len(names) < 2:
-        return {}
-    groups = dict(paper.train_groups) if paper else {}
-    alone = [(name,) for name in names]
-    return groups | {levels[0]: levels for levels in alone if levels not in groups.values()}
-
-
-def _notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
-    notes: list[str] = []
-    for run in runs:
-        notes += run.notes
-        notes += _window_notes(run, window)
-    chances = {json.dumps(run.description.chance, sort_keys=True): run for run in reversed(runs)}
-    if len(chances) > 1:
-        names = " and ".join(sorted(run.label for run in chances.values())[:2])
-        notes.append(f"{names} disagree about chance: the first known value is shown.")
-    for condition in dict.fromkeys(run.description.condition for run in runs):
-        notes += _settings_notes([run for run in runs if run.description.condition == condition])
-    return tuple(notes)
-
-
-def _window_notes(run: Run, window: Window) -> list[str]:
-    if not len(run.evaluations):
-        return [f"{run.label}: no evaluation yet; not counted."]
-    inside = window.select(run.evaluations["update"])
-    if isinstance(window, UpdateWindow) and not inside.any():
-        last = count_text(int(run.evaluations["update"].max()))
-        return [
-            f"{run.label}: no evaluation at {window_text(window)} (the last is at update {last}); "
-            f"not counted. --window last shows it."
-        ]
-    notes = []
-    missing = set(LEVEL_KINDS) - set(run.evaluations.loc[inside, "level_kind"])
-    if missing:
-        notes.append(
-            f"{run.label}: no evaluation of {', '.join(sorted(missing))}; not counted there."
-        )
-    if isinstance(window, UpdateWindow) and run.updates < window.end:
-        evaluations = run.evaluations.loc[inside, "update"].nunique()
-        notes.append(
-            f"{run.label}: at update {count_text(run.updates)}, before the window's end: scored "
-            f"over the {evaluations} evaluations so far."
-        )
-    return notes
-
-
-def _settings_notes(runs: Sequence[Run]) -> list[str]:
-    """Seeds of a condition should differ in nothing else."""
-    known = [run for run in runs if run.settings]
-    names = sorted({name for run in known for name in run.settings})
-    differing = [name for name in names if len({repr(run.settings.get(name)) for run in known}) > 1]
-    if not differing:
-        return []
-    shown = ", ".join(differing[:5]) + (" and more" if len(differing) > 5 else "")
-    condition = condition_name(runs[0].description.condition)
-    return [f"The seeds of {condition} were not trained with the same settings: {shown} differ."]

@@ -1,0 +1,334 @@
+"""The plots of the report: what they show, and that their text fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from run_folders import (
+    ROWS,
+    SITUATIONS,
+    constant,
+    level,
+    only_table,
+    row_of,
+    write_external,
+    write_run,
+)
+
+from zipf import report
+from zipf.experiments.reporting import situation_figures, statistics
+from zipf.experiments.reporting.figures import learning_curves
+from zipf.experiments.reporting.situations import chance_on_uniform, measure_of, rare_ranks, rates
+from zipf.experiments.reporting.styles import COLOURS, STYLE, LineStyle, line_styles
+from zipf.experiments.reporting.tables import ScoreTable
+
+
+def drawn(table: ScoreTable) -> list[Figure]:
+    """All figures of a table with two ranks."""
+    styles = line_styles(table.rows)
+    figures = [
+        learning_curves(table, styles),
+        situation_figures.by_rank(table, styles),
+        situation_figures.by_situation(table),
+    ]
+    found = [figure for figure in figures if figure is not None]
+    assert len(found) == 3
+    return found
+
+
+def legend(figure: Figure) -> list[str]:
+    """The labels, unwrapped."""
+    return [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()]
+
+
+# --- what is measured at a rank --------------------------------------------------------------
+
+
+def test_success_by_rank_by_hand(tmp_path: Path) -> None:
+    first = (
+        SITUATIONS,
+        "50,uniform,0,0,500,500,500.0",
+        "100,uniform,0,0,30,27,27.0",
+        "100,uniform,0,1,20,10,10.0",
+        "300,uniform,1,0,40,8,8.0",
+        "300,uniform,1,1,10,0,0.0",
+        "300,rare,1,1,100,5,5.0",
+    )
+    second = (SITUATIONS, "200,uniform,0,0,10,9,9.0", "200,uniform,1,1,10,10,10.0")
+    write_run(tmp_path, constant(0.5), situations=first)
+    write_run(tmp_path, constant(0.5), seed=1, situations=second)
+    table = only_table(tmp_path)
+    found = rates(table, ["map"])
+    # Rank 0: 27/30 + 10/20 of seed 0, 9/10 of seed 1; update 50 is outside the window.
+    # Rank 1: 8/40 + 0/10 of seed 0, 10/10 of seed 1.
+    assert found[["row", "map", "episodes"]].to_numpy().tolist() == [
+        ["impala", 0, 60],
+        ["impala", 1, 60],
+    ]
+    assert found["value"].tolist() == [pytest.approx(46 / 60), pytest.approx(0.3)]
+    assert rates(table, ["map", "target"])["value"].tolist() == [0.9, 0.5, 0.2, 0.5]
+    assert rates(table, ["map"], "rare")["map"].tolist() == [1]
+
+
+def test_wilson_interval() -> None:
+    # Agresti and Coull (1998), The American Statistician 52(2): 0 of 10 gives (0, 0.28).
+    low, high = statistics.wilson_interval(pd.Series([0, 8, 10]), pd.Series([10, 10, 10]))
+    assert low.tolist() == pytest.approx([0, 0.4902, 0.7225], abs=1e-4)
+    assert high.tolist() == pytest.approx([0.2775, 0.9433, 1], abs=1e-4)
+
+
+RETURNS = (
+    SITUATIONS,
+    "100,uniform,0,0,10,,30.0",
+    "100,uniform,0,1,10,,10.0",
+    "200,uniform,0,0,30,,30.0",
+    "300,uniform,1,1,50,,-50.0",
+    "300,rare,19,19,50,,-50.0",
+)
+
+
+def test_the_mean_return_stands_in_for_success(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5), situations=RETURNS, success=False)
+    table = only_table(tmp_path)
+    assert measure_of(table) == "return"
+    found = rates(table, ["map"], measure="return")
+    assert found["value"].tolist() == [1.4, -1.0]
+    # Evaluations of rank 0: 2.0 of 20 episodes, 1.0 of 30; of rank 1: only one.
+    error = (2 / 1 * ((20 / 50 * (2 - 1.4)) ** 2 + (30 / 50 * (1 - 1.4)) ** 2)) ** 0.5
+    assert found["low"].iloc[0] == pytest.approx(1.4 - 1.96 * error, abs=1e-3)
+    assert found["high"].iloc[0] == pytest.approx(1.4 + 1.96 * error, abs=1e-3)
+    assert np.isnan(found["low"].iloc[1])
+    with matplotlib.rc_context(STYLE):
+        curves, ranks, heat_map = drawn(table)
+        for figure in (curves, ranks, heat_map):
+            assert_text_is_inside(figure)
+    assert ranks.axes[0].get_ylabel() == "Mean return on the uniform level"
+    assert "95 % interval (1.96 standard errors across evaluations)" in legend(ranks)
+    assert "Wilson" not in " ".join(legend(ranks))
+    assert "mean return by situation" in heat_map.get_suptitle()
+    assert heat_map.axes[0].images[1].get_clim() == (-1.0, 1.5)
+
+
+def test_one_run_without_success_is_enough(tmp_path: Path) -> None:
+    with_success = (SITUATIONS, "100,uniform,0,0,30,27,27.0")
+    write_run(tmp_path, constant(0.5), situations=with_success)
+    assert measure_of(only_table(tmp_path)) == "success"
+    write_run(tmp_path, constant(0.5), condition="r2d2", situations=RETURNS, success=False)
+    assert measure_of(only_table(tmp_path)) == "return"
+
+
+@pytest.mark.parametrize(("normalised", "drawn"), [(1.0, True), (40.0, False)])
+def test_chance_is_drawn_where_it_has_the_same_unit(
+    tmp_path: Path, normalised: float, drawn: bool
+) -> None:
+    run = {"situations": RETURNS, "success": False, "normalised": normalised}
+    write_run(tmp_path, constant(0.5), **run)
+    table = only_table(tmp_path)
+    assert chance_on_uniform(table, "return") == (table.chance["uniform"] if drawn else None)
+    figure = situation_figures.by_rank(table, line_styles(table.rows))
+    assert figure is not None
+    assert ("Chance (random actions)" in legend(figure)) == drawn
+
+
+def test_ranks_that_the_rare_level_does_not_choose_by_are_not_marked(tmp_path: Path) -> None:
+    header = "update,level_kind,target,task,episodes,successes,return_sum"
+    cells = ("300,uniform,3,4,10,5,5.0", "300,rare,45,3,10,5,5.0", "300,rare,46,4,10,5,5.0")
+    sizes = {"target": 50, "task": 5}
+    write_run(tmp_path, constant(0.5), situations=(header, *cells), situation=sizes)
+    table = only_table(tmp_path)
+    assert rare_ranks(table, "target") == list(range(40, 50))
+    assert rare_ranks(table, "task") == []
+
+
+def test_all_ranks_are_shown(tmp_path: Path) -> None:
+    rows = ("300,uniform,0,1,10,5,5.0", "300,rare,18,9,10,5,5.0")
+    sizes = {"map": 20, "target": 10}
+    write_run(tmp_path, constant(0.5), situations=(SITUATIONS, *rows), situation=sizes)
+    _, ranks, heat_map = drawn(only_table(tmp_path))
+    panel = heat_map.axes[0]
+    (frame,) = (patch for patch in panel.patches if isinstance(patch, Rectangle))
+    image = panel.images[0].get_array()
+    assert image is not None
+    assert image.shape == (20, 10)
+    corners = [frame.get_y(), frame.get_y() + frame.get_height(), frame.get_x()]
+    assert corners == [15.5, 19.5, 7.5]
+    assert [axis.get_xlim() for axis in ranks.axes] == [(-0.5, 19.5), (-0.5, 9.5)]
+
+
+# --- learning curves -------------------------------------------------------------------------
+
+
+def test_few_updates_have_whole_ticks(tmp_path: Path) -> None:
+    write_run(tmp_path, {0: (0.1, 0.1, 0.1), 1: (0.2, 0.2, 0.2)}, window=[0, 1], num_updates=1)
+    table = only_table(tmp_path)
+    figure = learning_curves(table, line_styles(table.rows))
+    assert figure is not None
+    figure.draw_without_rendering()
+    axis = figure.axes[0].xaxis
+    ticks = [tick for tick in axis.get_ticklocs() if tick <= 1]
+    assert axis.get_major_formatter().format_ticks(ticks) == ["0", "1"]
+
+
+def test_a_curve_is_the_weighted_mean_of_levels(tmp_path: Path) -> None:
+    levels = [
+        level("train", "a", 3.0),
+        level("train", "b", 1.0),
+        level("uniform", "a"),
+        level("rare", "b"),
+    ]
+    scores = {100: (0.4, 0.8, 0.1, 0.1), 200: (0.8, 0.0, 0.1, 0.1)}
+    write_run(tmp_path, scores, levels=levels)
+    table = only_table(tmp_path)
+    figure = learning_curves(table, line_styles(table.rows))
+    assert figure is not None
+    curve = figure.axes[0].lines[0]
+    np.testing.assert_allclose(curve.get_xdata(), [100, 200])
+    np.testing.assert_allclose(curve.get_ydata(), [0.5, 0.6])
+
+
+def test_an_external_agent_is_drawn_against_frames(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5))
+    write_external(tmp_path, {3: (0.9, 0.9, 0.9), 7: (0.3, 0.2, 0.1)})
+    table = only_table(tmp_path)
+    with matplotlib.rc_context(STYLE):
+        figure = learning_curves(table, line_styles(table.rows))
+        assert_text_is_inside(figure)
+    assert figure is not None
+    axis = figure.axes[0]
+    assert axis.get_xlabel() == "Frames"
+    assert legend(figure)[:2] == ["IMPALA", "PPO †"]
+    own, external = axis.lines[:2]
+    np.testing.assert_array_equal(own.get_xdata(), [409_600, 819_200, 1_228_800])
+    np.testing.assert_array_equal(external.get_xdata(), [3 * 4096, 7 * 4096])
+    (window,) = (patch for patch in axis.patches if isinstance(patch, Rectangle))
+    assert (window.get_x(), window.get_width()) == (409_600, 819_200)
+    # Rows of other numbers of frames an update have no common window in frames.
+    path = write_run(tmp_path, constant(0.5), condition="r2d2") / "evaluations.csv"
+    path.write_text(path.read_text().replace(",409600,", ",4096,"))
+    table = only_table(tmp_path)
+    figure = learning_curves(table, line_styles(table.rows))
+    assert figure is not None
+    assert "Window of the table" not in legend(figure)
+
+
+# --- lines -----------------------------------------------------------------------------------
+
+
+def styles_of(root: Path, conditions: Sequence[str]) -> dict[str, LineStyle]:
+    for condition in conditions:
+        write_run(root, constant(0.5), condition=condition)
+    return line_styles(only_table(root).rows)
+
+
+def test_a_condition_looks_the_same_in_any_company(tmp_path: Path) -> None:
+    alone = styles_of(tmp_path / "alone", ["impala_mlp"])
+    many = styles_of(tmp_path / "many", [*ROWS, "a", "b", "impala_mlp,agent.discount=0.9"])
+    assert alone["impala_mlp"] == many["impala_mlp"] == LineStyle("#E69F00", "-")
+    assert len(set(many.values())) == len(many)
+    # Those with no colour of their own get what is left.
+    assert many["a"].color in COLOURS
+    assert many["vmpo"].linestyle == (0, (5, 1.5))
+
+
+def test_a_row_without_a_colour_keeps_its_line(tmp_path: Path) -> None:
+    row = row_of("mine") | {"line": "dashed"}
+    write_run(tmp_path, constant(0.5), condition="mine", row=row)
+    assert line_styles(only_table(tmp_path).rows)["mine"] == LineStyle(COLOURS[0], (0, (5, 1.5)))
+
+
+def test_more_rows_than_styles(tmp_path: Path) -> None:
+    styles = styles_of(tmp_path, [f"condition{number}" for number in range(30)])
+    assert len(styles) == 30
+    assert len(set(styles.values())) == 28
+
+
+# --- text and files --------------------------------------------------------------------------
+
+CELLS = [f"300,uniform,{m},{t},10,5,5.0" for m in range(5) for t in range(5)]
+
+
+def test_figures_keep_their_text_inside(tmp_path: Path) -> None:
+    names = ["impala_transformer_vision_language", "impala_mlp,agent.learning_rate=0.001,network=w"]
+    for condition in [*ROWS, *(f"condition{number}" for number in range(4)), *names]:
+        write_run(tmp_path, constant(0.5), condition=condition, situations=(SITUATIONS, *CELLS))
+    with matplotlib.rc_context(STYLE):
+        for figure in drawn(only_table(tmp_path)):
+            assert_text_is_inside(figure)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 5])
+def test_a_heat_map_makes_room_for_its_titles(tmp_path: Path, count: int) -> None:
+    settings = ",precision=bfloat16,collector.num_envs=2"
+    for number in range(count):
+        write_run(
+            tmp_path,
+            constant(0.5),
+            experiment="demo (an experiment whose title has several lines)",
+            condition=f"impala_mlp,number={number}{settings if number else ''}",
+            situations=(SITUATIONS, *CELLS),
+            situation={"map": 5, "target": 5},
+        )
+    with matplotlib.rc_context(STYLE):
+        figure = situation_figures.by_situation(only_table(tmp_path))
+        assert_text_is_inside(figure)
+    assert figure is not None
+    panel = figure.axes[0].get_window_extent()
+    assert 0.7 < panel.width / panel.height < 1.4
+
+
+def assert_text_is_inside(figure: Figure | None) -> None:
+    assert figure is not None
+    figure.draw_without_rendering()
+    inside = figure.get_tightbbox().padded(-0.01)
+    assert inside.x0 >= 0
+    assert inside.y0 >= 0
+    assert inside.x1 <= figure.get_figwidth()
+    assert inside.y1 <= figure.get_figheight()
+    # Inside, but one above the other, is no better.
+    for axis in figure.axes:
+        title = axis.title.get_window_extent()
+        heading = figure._suptitle.get_window_extent()  # type: ignore[attr-defined]
+        assert not axis.get_title() or title.y1 <= heading.y0
+
+
+def test_situations_with_other_ranks(tmp_path: Path) -> None:
+    header = "update,level_kind,left,right,task,episodes,successes,return_sum"
+    rows = (header, "300,uniform,0,1,2,10,5,5.0")
+    sizes = {"left": 3, "right": 3, "task": 3}
+    write_run(tmp_path, constant(0.5), situations=rows, situation=sizes)
+    made = report.report([tmp_path], tmp_path / "out")
+    assert sorted(path.name for path in made.files if path.suffix == ".png") == [
+        "gridworld_learning.png",
+        "gridworld_ranks.png",
+    ]
+
+
+def test_a_figure_without_data_does_not_stay_behind(tmp_path: Path) -> None:
+    rows = (SITUATIONS, "300,uniform,0,1,10,5,5.0")
+    write_run(tmp_path, constant(0.5), situations=rows)
+    figure = tmp_path / "report/gridworld_ranks.png"
+    report.report([tmp_path])
+    assert figure.exists()
+    report.report([tmp_path], window="100:200")
+    assert not figure.exists()
+
+
+def test_only_the_plots_of_the_earlier_report_are_removed(tmp_path: Path) -> None:
+    write_run(tmp_path / "a", constant(0.5))
+    write_run(tmp_path / "b", constant(0.5), environment={"num_maps": 5})
+    output = tmp_path / "out"
+    report.report([tmp_path], output)
+    assert (output / "gridworld-2_learning.png").exists()
+    (output / "my_learning.png").write_text("")
+    report.report([tmp_path / "b"], output)
+    assert sorted(path.name for path in output.glob("*.png")) == [
+        "gridworld_learning.png",
+        "my_learning.png",
+    ]

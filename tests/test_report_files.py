@@ -1,0 +1,207 @@
+"""Damaged and unfinished run folders: what is left out, and what is refused, by file and line."""
+
+from __future__ import annotations
+
+import csv
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from run_folders import (
+    EVALUATIONS,
+    SITUATIONS,
+    change_description,
+    constant,
+    level,
+    line,
+    only_table,
+    refusal,
+    row_of,
+    write_run,
+)
+
+from zipf.experiments.errors import UserError
+from zipf.experiments.reporting import captions, markdown, paper, results, tables
+
+
+def test_a_torn_last_line_is_left_out_and_noted(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, constant(0.5), situations=("update,level_kind,map,episodes,succ",))
+    (folder / "situations.csv").write_text("update,level_kind,ma")
+    with (folder / "evaluations.csv").open("a") as file:
+        file.write("400,1638400,1000,train,gridworld/train,1000,0.9,0.9,0.9,1")
+    table = only_table(tmp_path, "last")
+    assert line(table, "impala", "train")["score"] == 0.5
+    assert table.notes == (
+        f"{folder.as_posix()}/evaluations.csv: the last line is torn and was left out",
+        f"{folder.as_posix()}/situations.csv: the last line is torn and was left out",
+    )
+
+
+def test_either_line_ending_is_read(tmp_path: Path) -> None:
+    situations = (SITUATIONS, "300,uniform,0,1,10,5,5.0")
+    write_run(tmp_path, {100: (0.1, 0.2, 0.3), 200: (0.3, 0.4, 0.5)}, situations=situations)
+    (before,) = results.load_runs([tmp_path])
+    for path in tmp_path.rglob("*.csv"):
+        path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    (after,) = results.load_runs([tmp_path])
+    pd.testing.assert_frame_equal(after.evaluations, before.evaluations)
+    pd.testing.assert_frame_equal(after.situations, before.situations)
+
+
+def test_a_name_may_need_quotes(tmp_path: Path) -> None:
+    name = 'MyEnv-v0(size=5,goal="a")'
+    levels = [level(kind, name) for kind in paper.LEVEL_KINDS]
+    folder = write_run(tmp_path, {}, levels=levels)
+    with (folder / "evaluations.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(EVALUATIONS.split(","))
+        writer.writerow([100, 1, 1.0, "train", name, 10, 0.5, "", 0.5, 3.0])
+    assert line(only_table(tmp_path), "impala", "train")["score"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("damaged", "problem"),
+    [
+        ("100,409600,250", "line 5: 3 fields where there are 10 columns"),
+        ("", "line 5: 0 fields where there are 10 columns"),
+        ("1e2,409600,250,train,g,1000,0.5,0.5,0.5,17", "line 5: column update has '1e2'"),
+        ("-1,409600,250,train,g,1000,0.5,0.5,0.5,17", "expected a whole number"),
+        ("100,409600,250,train,g,1000,o.5,0.5,0.5,17", "line 5: column score has 'o.5'"),
+        ("100,409600,250,train,g,1000,nan,0.5,0.5,17", "expected a finite number"),
+        ("100,409600,250,train,g,1000,0.5,inf,0.5,17", "expected a finite number or nothing"),
+        ("100,409600,250,train,g,1000,0.5,0.5,,17", "column return has '', expected a finite"),
+        ("100,409600,250,test,g,1000,0.5,0.5,0.5,17", "expected one of train, uniform, rare"),
+        ("100,409600,250,\x00\xff,g,1000,0.5,0.5,0.5,17", "line 5: column level_kind"),
+        ("100,409600,250,train,\xff,1000,0.5,0.5,0.5,17", "line 5: train level"),
+        ("600,409600,250,train,g,1000,0.5,0.5,0.5,17", "line 5: train level 'g'; by run.json"),
+        (f"{'9' * 400},1,250,train,g,1000,0.5,0.5,0.5,17", "line 5: column update has '9999"),
+        (f"100,1,{'9' * 400},train,g,1000,0.5,0.5,0.5,17", "line 5: column seconds has '9999"),
+        ("100,1,250,train\rg,1000,0.5,0.5,0.5,17,1", "line 5: "),
+        ('100,1,250,train,"g,1000,0.5,0.5,0.5,17', "line 5: "),
+        ('100,1,250,train,"g"h,1000,0.5,0.5,0.5,17', "line 5: "),
+        (f"100,1,250,train,{'g' * 200_000},1000,0.5,0.5,0.5,17", "line 5: "),
+    ],
+)
+def test_other_damage_names_file_and_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], damaged: str, problem: str
+) -> None:
+    folder = write_run(tmp_path, {100: (0.5, 0.5, 0.5)})
+    with (folder / "evaluations.csv").open("ab") as file:
+        file.write(damaged.encode("latin-1") + b"\n")
+        file.write(b"500,409600,250,rare,gridworld/rare,1000,0.5,0.5,0.5,17\n")
+    message = refusal(capsys, str(tmp_path))
+    assert f"{folder.as_posix()}/evaluations.csv" in message
+    assert problem in message
+    assert len(message) < 500
+
+
+DAMAGE = [b"\x80", b"\xff\xfe", b"\r", b"\n", b"\x00", b'"', b"abc", b",,,", b"9" * 400]
+FILES = ["run.json", "evaluations.csv", "situations.csv", "metrics.csv", "config.yaml"]
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(FILES), st.data())
+def test_no_damage_ends_in_a_traceback(name: str, data: st.DataObject) -> None:
+    """A piece of a file is replaced: the runs are read, or the file is named in one line."""
+    with tempfile.TemporaryDirectory() as root:
+        situations = (SITUATIONS, "300,uniform,0,1,10,5,5.0")
+        folder = write_run(Path(root), constant(0.5), situations=situations)
+        (folder / "metrics.csv").write_text("update,frames,seconds,loss\n10,40960,5.0,1.5\n")
+        content = (folder / name).read_bytes()
+        start = data.draw(st.integers(0, len(content)))
+        end = start + data.draw(st.integers(0, 20))
+        put = data.draw(st.sampled_from(DAMAGE) | st.binary(max_size=5))
+        (folder / name).write_bytes(content[:start] + put + content[end:])
+        refused = ""
+        try:
+            found = tables.score_tables(results.load_runs([root]))
+            markdown.record(found, "")
+            tables.csv_report(found)
+        except UserError as error:
+            refused = str(error)
+        assert not refused or name in refused
+        assert "\n" not in refused
+
+
+def test_a_missing_column_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_run(tmp_path, constant(0.5))
+    (folder / "evaluations.csv").write_text("update,level_kind,score\n")
+    message = refusal(capsys, str(tmp_path))
+    assert "evaluations.csv, line 1: no column frames, seconds, level, episodes" in message
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ('{"experiment": ', "not a run's description"),
+        ({"seed": None}, "seed: Input should be a valid integer"),
+        ({"window": [300, 100]}, "window [300, 100] ends before it starts"),
+        ({"levels": [level("all", "a")]}, "levels.0.level_kind: Input should be 'train'"),
+        ({"levels": [level("train", "a"), level("train", "a")]}, "two train levels have the same"),
+        ({"levels": [level("train", "a")]}, "levels: there is no uniform level"),
+        ({"levels": [level("train", "a", -1.0)]}, "levels.0.weight: Input should be greater than"),
+        ({"row": row_of("impala") | {"colour": "blue"}}, "row.colour: String should match"),
+        ({"row": row_of("impala") | {"line": "wavy"}}, "row.line: Input should be 'solid'"),
+        ({"spread": "levels"}, "spread: Input should be 'seeds' or 'tasks'"),
+        ({"situation": {"map": 0}}, "situation.map: Input should be greater than 0"),
+        ({"window": None}, "window: missing"),
+        ({"external": {}}, "external.name: Field required"),
+        ({"paper": "atari"}, "paper: the paper has no experiment 'atari'; it has gridworld"),
+    ],
+)
+def test_a_damaged_description_names_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str | dict[str, Any], problem: str
+) -> None:
+    path = write_run(tmp_path, constant(0.5)) / "run.json"
+    if isinstance(change, str):
+        path.write_text(change)
+    else:
+        path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    message = refusal(capsys, str(tmp_path))
+    assert path.as_posix() in message
+    assert problem in message
+
+
+def test_a_run_without_its_options_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_run(tmp_path, constant(0.5), settings=None)
+    assert f"{folder.as_posix()}/config.yaml: cannot be read" in refusal(capsys, str(tmp_path))
+
+
+def test_a_rank_that_cannot_be_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = (SITUATIONS, "300,uniform,20,1,10,5,5.0")
+    folder = write_run(tmp_path, constant(0.5), situations=rows)
+    message = refusal(capsys, str(tmp_path))
+    assert "situations.csv, line 2: map 20, but by run.json the ranks are 0 to 19" in message
+    change_description(folder, situation={"target": 20})
+    message = refusal(capsys, str(tmp_path))
+    assert "situations.csv, line 1: column map, but run.json's situation has target" in message
+
+
+def test_a_run_without_evaluations_is_noted(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5))
+    folder = write_run(tmp_path, {}, seed=1)
+    (folder / "evaluations.csv").unlink()
+    (folder / "metrics.csv").write_text("update,frames,seconds,loss\n10,40960,5.0,nan\n")
+    table = only_table(tmp_path)
+    assert line(table, "impala", "train")["seeds"] == 1
+    assert table.notes == (f"{folder.as_posix()}: no evaluation yet; not counted.",)
+    assert "Updates reached: 10 to 300; frames: 40,960 to 1,228,800." in captions.caption(table)
+
+
+def test_a_missing_level_is_noted(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, constant(0.5))
+    path = folder / "evaluations.csv"
+    kept = [line for line in path.read_text().splitlines() if ",rare," not in line]
+    path.write_text("\n".join(kept) + "\n")
+    table = only_table(tmp_path)
+    assert table.notes == (f"{folder.as_posix()}: no evaluation of rare; not counted there.",)
+    assert "| IMPALA | 0/3 | 0.50 |" in markdown.markdown(table)

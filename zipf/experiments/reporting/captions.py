@@ -1,0 +1,82 @@
+"""The text below a table: how to read its numbers."""
+
+from __future__ import annotations
+
+from zipf.experiments.reporting.side_by_side import SideBySide
+from zipf.experiments.reporting.tables import ScoreTable
+from zipf.experiments.reporting.windows import UpdateWindow, window_text
+from zipf.experiments.reporting.wording import EXTERNAL_MARK, PROTOCOL_SEEDS, range_text
+
+PLAIN_MEAN = "plain mean"
+
+
+def caption(table: ScoreTable) -> str:
+    """Window, statistics, effort, chance, the paper."""
+    sentences = [*_statistics(table)]
+    if (table.scores["seeds"] < PROTOCOL_SEEDS).any():
+        sentences.append(f"n/{PROTOCOL_SEEDS}: fewer seeds than the protocol's {PROTOCOL_SEEDS}.")
+    if table.episodes:
+        sentences.append(f"Episodes per estimate: {range_text(table.episodes)}.")
+    own = [run for row in table.rows if not row.external for run in row.runs]
+    if own:
+        sentences.append(
+            f"Updates reached: {range_text([run.updates for run in own])}; "
+            f"frames: {range_text([run.frames for run in own])}."
+        )
+    if table.budgets_differ:
+        sentences.append("The column Frames has the training frames behind a row's scores.")
+    if any(row.external for row in table.rows):
+        sentences.append(
+            f"{EXTERNAL_MARK}: recorded from outside this package and scored at its last "
+            f"evaluation."
+        )
+    if table.chance and table.chance_episodes:
+        sentences.append(
+            f"Chance: uniformly random actions, measured over {range_text(table.chance_episodes)} "
+            f"episodes of each level."
+        )
+    elif table.chance:
+        sentences.append("Chance: uniformly random actions.")
+    if table.paper:
+        sentences.append(f"Paper: {table.paper.source}, ± {table.paper.error_kind}.")
+        if table.paper.note:
+            sentences.append(table.paper.note)
+    return " ".join(sentences)
+
+
+def side_by_side_caption(beside: SideBySide) -> str:
+    """Where the columns come from."""
+    titles = " and ".join(table.title for table in beside.tables)
+    text = (
+        f"Columns of {titles} side by side, as the paper prints them; windows, episodes and notes "
+        f"stand there."
+    )
+    marked = any(row.external for row in beside.rows)
+    return f"{text} {EXTERNAL_MARK}: recorded from outside this package." if marked else text
+
+
+def _statistics(table: ScoreTable) -> list[str]:
+    window = table.window
+    what = window_text(window)
+    if isinstance(window, UpdateWindow):
+        what = f"Median over the evaluations at {what}"
+    elif window.count > 1:
+        what = f"Median over {what}"
+    what = f"{what[0].upper()}{what[1:]}"
+    own = "" if table.own_window else " (not the experiment's own window)"
+    weighted = any(levels.is_weighted for levels in table.kinds)
+    mean = "weighted mean" if weighted else "mean"
+    if table.description.spread == "tasks":
+        sentences = [
+            f"{what} of the median seed{own} for each level, then the {mean} over the levels of a "
+            f"kind, ± standard error across these levels (tasks)."
+        ]
+    else:
+        sentences = [
+            f"{what} of the median seed{own}, ± median absolute deviation across seeds (unscaled)."
+        ]
+        if any(len(levels.weights) > 1 for levels in table.kinds):
+            sentences.append(f"The score of several levels is their {mean}.")
+    if weighted:
+        sentences.append(f"In a {PLAIN_MEAN} all levels have the same weight.")
+    return sentences

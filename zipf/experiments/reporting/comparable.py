@@ -1,0 +1,152 @@
+"""Which runs share a table.
+
+Runs are pooled only if they can be compared: same experiment, worlds, window and published
+counterpart. Others of the same experiment get a table of their own, whose title says what differs.
+An external agent has no window and none of our options. It stands in the tables of its experiment
+that have the same worlds, or, if there is none, of every experiment that has. It is a row of its
+own there, never pooled with runs of this package.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from zipf.experiments.errors import UserError
+from zipf.experiments.reporting.paper import LEVEL_KINDS, PaperTable, paper_table
+from zipf.experiments.reporting.results import Run
+from zipf.experiments.reporting.windows import UpdateWindow, Window
+
+
+@dataclass(frozen=True, eq=False)
+class RunGroup:
+    """The runs of a table.
+
+    Attributes:
+        name: unique among the groups, and safe in file names.
+        title: the experiment, and what sets the group apart from others of that experiment.
+        runs: those of this package first.
+    """
+
+    name: str
+    title: str
+    runs: tuple[Run, ...]
+
+
+def group_runs(runs: Sequence[Run], window: Window | None) -> list[RunGroup]:
+    """The runs of each table, in the order of tables.
+
+    Args:
+        window: instead of each run's own.
+
+    Raises:
+        UserError: two runs of a group are the same condition and seed.
+    """
+    by_key: dict[str, list[Run]] = {}
+    for run in runs:
+        if not run.description.external:
+            by_key.setdefault(_key(run, window), []).append(run)
+    tabled = list(by_key.values())
+    for run in runs:
+        if run.description.external:
+            places = [group for group in tabled if _worlds(group[0]) == _worlds(run)]
+            experiment = run.description.experiment
+            own = [group for group in places if group[0].description.experiment == experiment]
+            for group in own or places or [by_key.setdefault(_key(run, window), [])]:
+                group.append(run)
+
+    groups: list[RunGroup] = []
+    for key in sorted(by_key):
+        group = by_key[key]
+        _refuse_duplicates(group)
+        experiment = group[0].description.experiment
+        siblings = [
+            _identity(other[0], window)
+            for other in by_key.values()
+            if other[0].description.experiment == experiment
+        ]
+        name = _unused_name(experiment, [group.name for group in groups])
+        title = _title(experiment, _identity(group[0], window), siblings)
+        groups.append(RunGroup(name, title, tuple(group)))
+    return groups
+
+
+def paper_of(runs: Sequence[Run]) -> PaperTable | None:
+    """What the paper published for the runs of a group; None if it has nothing.
+
+    Raises:
+        UserError: they name an experiment that the paper does not have.
+    """
+    key = runs[0].description.paper
+    if key is None:
+        return None
+    try:
+        return paper_table(key)
+    except UserError as error:
+        raise UserError(f"{runs[0].label}/run.json: paper: {error}") from error
+
+
+def _worlds(run: Run) -> dict[str, Any]:
+    """What a run is scored on, and how."""
+    description = run.description
+    levels = [
+        f"{kind}: {', '.join(f'{level} x {w:g}' for level, w in group.weights.items())}"
+        for kind, group in ((kind, description.levels_of(kind)) for kind in LEVEL_KINDS)
+    ]
+    return {
+        "split": description.split,
+        "levels": "; ".join(levels),
+        "spread": description.spread,
+        **{f"environment.{name}": value for name, value in description.environment.items()},
+    }
+
+
+def _identity(run: Run, window: Window | None) -> dict[str, Any]:
+    """What the runs of a group have in common, beside the experiment."""
+    description = run.description
+    if description.external or description.window is None:
+        return _worlds(run)
+    used = window or UpdateWindow(*description.window)
+    return {"paper": description.paper, "window": str(used), **_worlds(run)}
+
+
+def _key(run: Run, window: Window | None) -> str:
+    return _text([run.description.experiment, _identity(run, window)])
+
+
+def _text(value: Any) -> str:
+    return json.dumps(value, sort_keys=True)
+
+
+def _title(experiment: str, identity: dict[str, Any], siblings: list[dict[str, Any]]) -> str:
+    names = sorted({name for sibling in siblings for name in sibling})
+    differing = [
+        f"{name.removeprefix('environment.')} "
+        + textwrap.shorten(str(identity.get(name, "as by default")), 60, placeholder=" ...")
+        for name in names
+        if any(sibling.get(name) != siblings[0].get(name) for sibling in siblings)
+    ]
+    return f"{experiment} ({', '.join(differing)})" if differing else experiment
+
+
+def _unused_name(experiment: str, used: list[str]) -> str:
+    name = re.sub(r"[^\w.-]", "_", experiment)
+    numbered = (f"{name}-{number}" for number in range(2, len(used) + 3))
+    return name if name not in used else next(other for other in numbered if other not in used)
+
+
+def _refuse_duplicates(runs: Sequence[Run]) -> None:
+    seen: dict[tuple[str, int], Run] = {}
+    for run in runs:
+        key = (run.description.row_key, run.description.seed)
+        if key in seen:
+            raise UserError(
+                f"{seen[key].label} and {run.label} are the same run twice: experiment "
+                f"{run.description.experiment}, condition {run.description.condition}, "
+                f"seed {key[1]}"
+            )
+        seen[key] = run

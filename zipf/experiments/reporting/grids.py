@@ -1,0 +1,215 @@
+"""Score tables as cells of text, before any markup."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from zipf.experiments.reporting.captions import PLAIN_MEAN
+from zipf.experiments.reporting.results import LevelGroup
+from zipf.experiments.reporting.side_by_side import SideBySide
+from zipf.experiments.reporting.tables import Row, ScoreTable
+from zipf.experiments.reporting.wording import (
+    KIND_NAMES,
+    NONE,
+    count_text,
+    score_text,
+    seeds_text,
+    short_name,
+)
+
+MOST_COLUMNS = 5  # of scores, as many as fit a page; more levels than that become lines
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a grid: its leading cells, then one of `ours` and of `paper` for each column."""
+
+    leading: list[str]
+    ours: list[str]
+    paper: list[str]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table's cells as text.
+
+    Attributes:
+        title: of the table; of a grid of levels, which levels these are.
+        name: unique among the grids of a report.
+        leading: the headings of the leading columns, the first of which is text, the rest numbers.
+        columns: the headings of the columns of scores.
+        lines: without the last.
+        last: chance, apart from the others; None where it is not known or not at the bottom.
+    """
+
+    title: str
+    name: str
+    leading: list[str]
+    columns: list[str]
+    lines: list[Line]
+    last: Line | None
+
+    @property
+    def has_paper(self) -> bool:
+        """Whether the paper has a number for any cell."""
+        return any(text != NONE for line in self.lines for text in line.paper)
+
+    def cells(self, line: Line) -> list[str]:
+        """A line's cells, the paper's beside ours where there are any."""
+        if not self.has_paper:
+            return [*line.leading, *line.ours]
+        return [
+            *line.leading,
+            *(t for pair in zip(line.ours, line.paper, strict=True) for t in pair),
+        ]
+
+
+def main_grid(table: ScoreTable) -> Grid:
+    """A line for each row of the table, a column for each level kind."""
+    columns, frame = _with_plain_means(table)
+    return _by_row(table.rows, frame, columns, _chance_name(table), table.title, table.name, table)
+
+
+def group_grids(table: ScoreTable) -> Iterator[Grid]:
+    """The levels of every kind that has several: columns, or lines if they are too many."""
+    for levels in table.kinds:
+        groups = [group for group in table.groups if group.level_kind == levels.level_kind]
+        if not groups:
+            continue
+        title = f"{levels.level_kind} levels"
+        name = f"{table.name}-{levels.level_kind}"
+        if len(groups) <= MOST_COLUMNS:
+            columns = dict(zip((group.column for group in groups), _names(groups), strict=True))
+            frame = table.group_scores
+            yield _by_row(table.rows, frame, columns, _chance_name(table), title, name, table)
+        else:
+            for first in range(0, len(table.rows), MOST_COLUMNS):
+                part = "" if first == 0 else f"-{first // MOST_COLUMNS + 1}"
+                rows = table.rows[first : first + MOST_COLUMNS]
+                yield _by_level(rows, table, groups, levels, title, name + part)
+
+
+def side_by_side_grids(beside: SideBySide) -> list[Grid]:
+    """The tables of one of the paper's layouts."""
+    measured = [table for table in beside.tables if table.chance_episodes]
+    return [
+        _by_row(
+            beside.rows,
+            frame,
+            {heading: heading for heading in headings},
+            _chance_name((measured or beside.tables)[0]),
+            title,
+            f"{beside.name}-{number}",
+            None,
+        )
+        for number, (title, headings, frame) in enumerate(beside.parts)
+    ]
+
+
+def _with_plain_means(table: ScoreTable) -> tuple[dict[str, str], pd.DataFrame]:
+    """The headings of the level kinds and their scores, a plain mean after a weighted one."""
+    columns: dict[str, str] = {}
+    parts = [table.scores]
+    for levels in table.kinds:
+        kind = levels.level_kind
+        columns[kind] = KIND_NAMES[kind]
+        if levels.is_weighted:
+            column = f"{kind}, {PLAIN_MEAN}"
+            columns[column] = column.capitalize()
+            of_kind = table.scores[table.scores["level_kind"] == kind]
+            parts.append(
+                of_kind.assign(
+                    column=column,
+                    score=of_kind["plain_score"],
+                    error=of_kind["plain_error"],
+                    chance=of_kind["plain_chance"],
+                    paper_value=math.nan,
+                    paper_error=math.nan,
+                )
+            )
+    return columns, pd.concat(parts)
+
+
+def _by_row(
+    rows: Sequence[Row],
+    frame: pd.DataFrame,
+    columns: Mapping[str, str],
+    chance_name: str,
+    title: str,
+    name: str,
+    table: ScoreTable | None,
+) -> Grid:
+    """A line for each row; `columns` are headings by the frame's `column`; frames of the table
+    where its rows differ in them."""
+    frame = frame[frame["column"].isin(columns)]
+    frames = table.frames if table and table.budgets_differ else {}
+    lines = []
+    for row in rows:
+        scores = frame[frame["row"] == row.key].set_index("column").reindex(list(columns))
+        if scores["seeds"].isna().all():
+            continue  # a row of another table than the columns'
+        leading = [row.title, seeds_text(int(scores["seeds"].min()))]
+        if frames:
+            leading.append(count_text(frames[row.key]) if row.key in frames else NONE)
+        lines.append(_line(leading, scores))
+    chance = frame.groupby("column")["chance"].first().reindex(list(columns))
+    leading = ["Condition", "Seeds", *(["Frames"] if frames else [])]
+    last = Line(
+        [chance_name, *[""] * (len(leading) - 1)],
+        [score_text(value) for value in chance],
+        [""] * len(columns),
+    )
+    return Grid(
+        title, name, leading, list(columns.values()), lines, last if chance.notna().any() else None
+    )
+
+
+def _by_level(
+    rows: Sequence[Row],
+    table: ScoreTable,
+    groups: Sequence[LevelGroup],
+    levels: LevelGroup,
+    title: str,
+    name: str,
+) -> Grid:
+    """A line for each group of levels, a column for each row of the table."""
+    leading = ["Level"]
+    if levels.is_weighted:
+        leading.append("Weight")
+    chance = table.group_scores.groupby("column")["chance"].first()
+    if chance.notna().any():
+        leading.append(_chance_name(table))
+    total = sum(levels.weights.values())
+    lines = []
+    for group, shown in zip(groups, _names(groups), strict=True):
+        cells = {
+            "Level": shown,
+            "Weight": f"{sum(group.weights.values()) / total:.3f}",
+            _chance_name(table): score_text(chance[group.column]),
+        }
+        scores = table.group_scores[table.group_scores["column"] == group.column]
+        scores = scores.set_index("row").reindex([row.key for row in rows])
+        lines.append(_line([cells[heading] for heading in leading], scores))
+    return Grid(title, name, leading, [row.title for row in rows], lines, None)
+
+
+def _names(groups: Sequence[LevelGroup]) -> list[str]:
+    """Short names of the groups, or the full ones if two short ones are the same."""
+    short = [short_name(group.name) for group in groups]
+    return short if len(set(short)) == len(short) else [group.name for group in groups]
+
+
+def _line(leading: list[str], scores: pd.DataFrame) -> Line:
+    ours = zip(scores["score"], scores["error"], strict=True)
+    paper = zip(scores["paper_value"], scores["paper_error"], strict=True)
+    return Line(
+        leading, [score_text(*pair) for pair in ours], [score_text(*pair) for pair in paper]
+    )
+
+
+def _chance_name(table: ScoreTable) -> str:
+    return "Chance (measured)" if table.chance_episodes else "Chance"

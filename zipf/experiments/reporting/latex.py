@@ -1,0 +1,99 @@
+"""Score tables as a LaTeX document."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Sequence
+
+from zipf.experiments.reporting.captions import caption, side_by_side_caption
+from zipf.experiments.reporting.grids import Grid, group_grids, main_grid, side_by_side_grids
+from zipf.experiments.reporting.side_by_side import side_by_side
+from zipf.experiments.reporting.tables import ScoreTable
+
+LINE_BREAK = r" \\ "
+
+
+def latex_report(tables: Sequence[ScoreTable]) -> str:
+    """`report.tex`: a document that compiles by itself, booktabs tables for each experiment."""
+    parts = []
+    for table in tables:
+        text = caption(table) + "".join(f" {note}" for note in table.notes)
+        parts.append(_grid(main_grid(table), table.title, text))
+        parts += [_grid(grid, f"{table.title}: {grid.title}", "") for grid in group_grids(table)]
+    for beside in side_by_side(tables):
+        text = side_by_side_caption(beside)
+        parts += [_grid(grid, grid.title, text) for grid in side_by_side_grids(beside)]
+    return _HEAD + "\n".join(parts) + "\\end{document}\n"
+
+
+_HEAD = r"""% Compiles by itself; a paper that loads booktabs and docmute can also \input it.
+\documentclass{article}
+\usepackage[margin=2cm]{geometry}
+\usepackage{booktabs}
+\begin{document}
+
+"""
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "±": r"$\pm$",
+    "†": r"\dag{}",
+    "–": "--",
+    **{character: "\\" + character for character in "&%$#_{}"},
+    **{character: f"${character}$" for character in "<>|"},
+}
+
+
+def _escape(text: str) -> str:
+    escaped = [_SPECIAL.get(character, character) for character in text.replace("--", "-\0-")]
+    return "".join(escaped).replace("\0", "{}")  # keeps "--" from becoming a dash
+
+
+def _heading(text: str) -> str:
+    """A heading in lines of at most 18 letters, where it has spaces."""
+    wrapped = textwrap.wrap(text, 18, break_long_words=False, break_on_hyphens=False)
+    lines = [_escape(line) for line in wrapped]
+    return lines[0] if len(lines) == 1 else rf"\shortstack[r]{{{LINE_BREAK.join(lines)}}}"
+
+
+def _grid(grid: Grid, title: str, text: str) -> str:
+    count = len(grid.columns)
+    width = 2 if grid.has_paper else 1
+    leading = len(grid.leading)
+    wide = leading + width * count > 8
+    lines = [
+        r"\begin{table}",
+        r"\centering",
+        r"\footnotesize",
+        rf"\setlength{{\tabcolsep}}{{{3 if wide else 4}pt}}",
+        rf"\begin{{tabular}}{{l{'r' * (leading - 1 + width * count)}}}",
+        r"\toprule",
+    ]
+    names = [_heading(column) for column in grid.columns]
+    headings = " & ".join(grid.leading)
+    if grid.has_paper:
+        spans = [rf"\multicolumn{{2}}{{c}}{{{name}}}" for name in names]
+        lines.append(rf"{' &' * leading} {' & '.join(spans)} \\")
+        ends = range(leading + 1, leading + 1 + 2 * count, 2)
+        lines.append("".join(rf"\cmidrule(lr){{{first}-{first + 1}}}" for first in ends))
+        lines.append(rf"{headings}{' & ours & paper' * count} \\")
+    else:
+        lines.append(rf"{headings} & {' & '.join(names)} \\")
+    lines.append(r"\midrule")
+    rows = [*grid.lines, *([grid.last] if grid.last else [])]
+    texts = [rf"{' & '.join(_escape(cell) for cell in grid.cells(row))} \\" for row in rows]
+    if grid.last:
+        texts.insert(-1, r"\midrule")
+    lines += [
+        *texts,
+        r"\bottomrule",
+        r"\end{tabular}",
+        rf"\caption{{\textbf{{{_escape(title)}.}} {_escape(text)}}}",
+        rf"\label{{tab:{re.sub(r'[^A-Za-z0-9-]', '-', grid.name)}}}",
+        r"\end{table}",
+        "",
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,82 @@
+"""What is missing or doubtful in a table, one sentence each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from zipf.experiments.reporting.paper import LEVEL_KINDS
+from zipf.experiments.reporting.results import Run
+from zipf.experiments.reporting.windows import (
+    UpdateWindow,
+    Window,
+    evaluations_inside,
+    window_of,
+    window_text,
+)
+from zipf.experiments.reporting.wording import count_text
+
+
+def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
+    """The notes of a table of these runs."""
+    found: list[str] = []
+    for run in runs:
+        found += run.notes
+        found += _window_notes(run, window_of(run, window))
+    found += _chance_notes(runs)
+    for key in dict.fromkeys(run.description.row_key for run in runs):
+        found += _seeds_notes([run for run in runs if run.description.row_key == key])
+    return tuple(found)
+
+
+def _window_notes(run: Run, window: Window) -> list[str]:
+    if not len(run.evaluations):
+        return [f"{run.label}: no evaluation yet; not counted."]
+    inside = evaluations_inside(run, window)
+    if isinstance(window, UpdateWindow) and not len(inside):
+        last = count_text(int(run.evaluations["update"].max()))
+        return [
+            f"{run.label}: no evaluation at {window_text(window)} (the last is at update {last}); "
+            f"not counted. --window last shows it."
+        ]
+    found = []
+    missing = set(LEVEL_KINDS) - set(inside["level_kind"])
+    if missing:
+        found.append(
+            f"{run.label}: no evaluation of {', '.join(sorted(missing))}; not counted there."
+        )
+    if isinstance(window, UpdateWindow) and run.updates < window.end:
+        found.append(
+            f"{run.label}: at update {count_text(run.updates)}, before the window's end: scored "
+            f"over the {inside['update'].nunique()} evaluations so far."
+        )
+    return found
+
+
+def _chance_notes(runs: Sequence[Run]) -> list[str]:
+    first: dict[tuple[str, str], tuple[float | None, Run]] = {}
+    for run in runs:
+        for level in run.description.levels:
+            known, other = first.setdefault((level.level_kind, level.level), (level.chance, run))
+            if known != level.chance:
+                names = " and ".join(sorted((run.label, other.label)))
+                return [f"{names} disagree about chance: the first known value is shown."]
+    return []
+
+
+def _seeds_notes(runs: Sequence[Run]) -> list[str]:
+    """Seeds of a condition should differ in nothing else."""
+    titles = list(dict.fromkeys(run.description.row.title for run in runs))
+    found = []
+    if len(titles) > 1:
+        found.append(
+            f"The seeds of {runs[0].description.condition} have different titles "
+            f"({', '.join(titles)}): the first is shown."
+        )
+    names = sorted({name for run in runs for name in run.settings})
+    differing = [name for name in names if len({repr(run.settings.get(name)) for run in runs}) > 1]
+    if differing:
+        shown = ", ".join(differing[:5]) + (" and more" if len(differing) > 5 else "")
+        found.append(
+            f"The seeds of {titles[0]} were not trained with the same settings: {shown} differ."
+        )
+    return found

@@ -1,0 +1,51 @@
+"""Score tables on a terminal."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from zipf.experiments.reporting.captions import caption, side_by_side_caption
+from zipf.experiments.reporting.grids import Grid, group_grids, main_grid, side_by_side_grids
+from zipf.experiments.reporting.side_by_side import SideBySide
+from zipf.experiments.reporting.tables import ScoreTable
+from zipf.experiments.reporting.wording import KIND_NAMES, NONE
+
+
+def print_table(table: ScoreTable, console: Console) -> None:
+    """Print the table, the paper's scores below ours, then its caption and notes."""
+    _print_grid(main_grid(table), table.title, console)
+    for grid in group_grids(table):
+        _print_grid(grid, f"{table.title}: {grid.title}", console)
+    console.print(f"[dim]{escape(caption(table))}[/dim]", highlight=False)
+    for note in table.notes:
+        console.print(f"[yellow]Note:[/yellow] {escape(note)}", highlight=False)
+
+
+def print_side_by_side(beside: SideBySide, console: Console) -> None:
+    """Print the tables of one of the paper's layouts."""
+    for grid in side_by_side_grids(beside):
+        _print_grid(grid, grid.title, console)
+    console.print(f"[dim]{escape(side_by_side_caption(beside))}[/dim]", highlight=False)
+
+
+def _print_grid(grid: Grid, title: str, console: Console) -> None:
+    shown = Table(title=escape(title), title_style="bold", title_justify="left")
+    first, *numbers = grid.leading
+    shown.add_column(first, overflow="fold")
+    for heading in numbers:
+        shown.add_column(heading, justify="right", no_wrap=True)
+    for column in grid.columns:
+        fits = len(column) <= len(KIND_NAMES["train"])
+        shown.add_column(escape(column), justify="right", no_wrap=fits, overflow="fold")
+    for line in grid.lines:
+        shown.add_row(*(escape(cell) for cell in line.leading), *line.ours)
+        if any(text != NONE for text in line.paper):
+            empty = [""] * len(numbers)
+            paper = (f"[dim]{text}[/dim]" for text in line.paper)
+            shown.add_row("[dim]  paper[/dim]", *empty, *paper)
+    if grid.last:
+        shown.add_section()
+        shown.add_row(*grid.last.leading, *grid.last.ours)
+    console.print(shown)
