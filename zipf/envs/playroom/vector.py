@@ -198,7 +198,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         level = self.level
         return (
             (level.furnished, level.finding, tuple(self.situation.items())),
-            (self.objects, self.max_steps, self.single_observation_space["image"].shape),
+            (self.object_names, self.max_steps, self.single_observation_space["image"].shape),
         )
 
     def _use_engine(self, other: Self) -> None:
