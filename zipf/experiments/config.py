@@ -38,11 +38,16 @@ class CollectorOptions(Options):
 
 
 class EvaluationOptions(Options):
-    """Evaluation on the split's levels, every so many updates."""
+    """Evaluation on the split's levels, every so many updates.
+
+    `episodes` is per level; None: as many as the split says. Chance that is not known is measured
+    over `chance_episodes` before a new run begins; 0: it stays unknown.
+    """
 
     every: PositiveInt
-    episodes: PositiveInt
+    episodes: PositiveInt | None
     num_envs: PositiveInt
+    chance_episodes: Annotated[int, Field(ge=0)]
 
 
 class ScheduleOptions(Options):

@@ -106,8 +106,10 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         began = read_description(config.folder)
         again = {"update": resumed_at, **{k: v for k, v in how.items() if k != "resumed"}}
         how = {k: began.get(k) for k in how} | {"resumed": [*began.get("resumed", []), again]}
+        described = began["levels"]
+    else:
+        described = _describe_levels(config)
     split = envs.split(config.environment.split)
-    described = _describe_levels(split, config.level_options)
     description = {
         "experiment": config.experiment,
         "condition": config.condition,
@@ -143,12 +145,16 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
             raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
 
 
-def _describe_levels(split: envs.Split, options: dict[str, Any]) -> list[dict[str, Any]]:
+def _describe_levels(config: Config) -> list[dict[str, Any]]:
     """The levels of a run, each with its weight and the score of random actions."""
+    split, options = envs.split(config.environment.split), config.level_options
     described = []
     for kind in envs.KINDS:
         for level in split.levels(kind):
             chance = envs.chance(level, **options)
+            if chance is None and config.evaluation.chance_episodes:
+                episodes = config.evaluation.chance_episodes
+                chance = envs.measure_chance(level, episodes=episodes, **options)
             described.append(
                 {
                     "level_kind": kind,
