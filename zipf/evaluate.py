@@ -16,14 +16,14 @@ USAGE = """Scores the agent of a run's checkpoint on its train, uniform and rare
     python -m zipf.evaluate run=runs/demo/impala_mlp/seed0
 
 run=FOLDER      a run's folder (holds checkpoint.pt)
-episodes=1000   episodes per level
+episodes=N      episodes per level (1000 in the paper's splits)
 num_envs=250    worlds played at a time
 seed=0          of the worlds and the agent's actions
 device=auto     auto, cpu, cuda or cuda:<number>
 plugins=NAMES   modules to import first, for runs on worlds or of agents from outside the package
 
-Writes evaluation-<update>-episodes<episodes>-seed<seed>.csv, and beside it a file of every
-situation met, into the run's folder."""
+Writes evaluation-<update>-episodes<N>-seed<seed>.csv (without -episodes<N> where you do not say how
+many), and beside it a file of every situation met, into the run's folder."""
 
 
 def main() -> None:
@@ -58,7 +58,8 @@ def _evaluate(arguments: list[str]) -> None:
     folder = Path(options.run)
     description = run_folder.read_description(folder)
     update, results = evaluate_run(options)
-    name = f"evaluation-{update}-episodes{options.episodes}-seed{options.seed}"
+    chosen = f"-episodes{options.episodes}" if options.episodes else ""
+    name = f"evaluation-{update}{chosen}-seed{options.seed}"
     files = write_results(folder / name, results)
     by_kind = scores(results)
     table = Table("", *by_kind)

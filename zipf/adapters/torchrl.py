@@ -61,7 +61,8 @@ class _EpisodeReader(BaseInfoDictReader):
             name: Bounded(0, size - 1, shape, dtype=torch.int64)
             for name, size in env.situation.items()
         }
-        specs["success"] = Binary(1, shape=shape, dtype=torch.bool)
+        if env.reports_success:
+            specs["success"] = Binary(1, shape=shape, dtype=torch.bool)
         specs["return"] = Unbounded(shape, dtype=torch.float32)
         specs["length"] = Unbounded(shape, dtype=torch.int64)
         self._spec = Composite(specs, shape=(env.num_envs,))

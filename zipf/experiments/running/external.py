@@ -6,11 +6,14 @@ import csv
 import io
 import json
 import platform
+import re
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 import zipf
 from zipf import envs
@@ -72,16 +75,22 @@ def record(
         ValueError, TypeError, ImportError: see `score`; or a count is negative, or a name empty.
         zipf.experiments.errors.UserError: the folder holds another run, or cannot be written.
     """
+    from zipf.experiments.running.run_folder import describe_levels  # imports PyTorch
+
     if isinstance(split, str):
         split = envs.split(split)
     folder = Path(folder)
     update = frames if update is None else update
     for option, value in (("frames", frames), ("update", update), ("seconds", seconds)):
-        if value < 0:
+        if not 0 <= value < np.inf:
             raise ValueError(f"{option}={value}: should be at least 0")
     for option, text in (("name", name), ("experiment", experiment or split.name)):
         if not text.strip() or len(text.splitlines()) > 1:
             raise ValueError(f"{option}={text!r}: should be one line of text")
+    if colour is not None and not re.fullmatch("#[0-9a-fA-F]{6}", colour):
+        raise ValueError(f"colour={colour!r}: should be '#rrggbb', six hexadecimal digits")
+    if line not in ("solid", "dashed"):
+        raise ValueError(f"line={line!r}: should be 'solid' or 'dashed'")
     description = {
         "experiment": experiment or split.name,
         "condition": name,
@@ -127,24 +136,6 @@ def record(
     except OSError as error:
         raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
     return evaluation
-
-
-def describe_levels(split: envs.Split, level_options: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The levels of `run.json`: each with its weight and the score of random actions."""
-    described = []
-    for kind in envs.KINDS:
-        for level in split.levels(kind):
-            chance = envs.chance(level, **level_options)
-            described.append(
-                {
-                    "level_kind": kind,
-                    "level": level.name,
-                    "weight": level.weight,
-                    "chance": chance and level.normalised(chance.score),
-                    "chance_episodes": chance and chance.episodes,
-                }
-            )
-    return described
 
 
 def _environment(split: envs.Split, level_options: Mapping[str, Any]) -> dict[str, Any]:

@@ -107,7 +107,7 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         again = {"update": resumed_at, **{k: v for k, v in how.items() if k != "resumed"}}
         how = {k: began.get(k) for k in how} | {"resumed": [*began.get("resumed", []), again]}
     split = envs.split(config.environment.split)
-    described = _describe_levels(split, config.level_options)
+    described = describe_levels(split, config.level_options)
     description = {
         "experiment": config.experiment,
         "condition": config.condition,
@@ -143,7 +143,7 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
             raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
 
 
-def _describe_levels(split: envs.Split, options: dict[str, Any]) -> list[dict[str, Any]]:
+def describe_levels(split: envs.Split, options: dict[str, Any]) -> list[dict[str, Any]]:
     """The levels of a run, each with its weight and the score of random actions."""
     described = []
     for kind in envs.KINDS:
@@ -213,10 +213,15 @@ def read_config(folder: Path, plugins: Collection[str] = ()) -> Config:
             because its file says so: a run's folder may come from anywhere.
 
     Raises:
-        UserError: the folder holds no run, one that needs other plugins, or one that this version
-            cannot read.
+        UserError: the folder holds no run, one that needs other plugins, one that this version
+            cannot read, or the record of an agent of another program.
     """
     path = folder / "config.yaml"
+    if (folder / "run.json").is_file() and (external := read_description(folder).get("external")):
+        raise UserError(
+            f"{folder}: records the scores of an agent of another program, {external['name']}; "
+            "the agent is not there"
+        )
     if not path.is_file():
         raise UserError(f"{folder}: is no run's folder (it has no config.yaml)")
     try:

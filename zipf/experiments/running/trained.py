@@ -52,7 +52,7 @@ def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Traine
 
 
 def evaluate_agent(
-    config: Config, agent: Agent, *, episodes: int, num_envs: int, seed: int
+    config: Config, agent: Agent, *, episodes: int | None, num_envs: int, seed: int
 ) -> list[Result]:
     """Scores an agent on its split's levels; all random draws derive from `seed`."""
     return evaluate(
