@@ -1,6 +1,9 @@
 """Our batches in other libraries' classes: the same worlds, and nothing they tell is lost."""
 
+import subprocess
 import sys
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +13,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as wrappers
 from numpy.typing import NDArray
 
-from zipf.envs import ZipfVectorEnv, make_vec
+from zipf.envs import Mixture, ZipfVectorEnv, make_vec
+from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 LEVEL = "gridworld/zipf_2"
 SMALL: dict[str, Any] = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 12}
@@ -171,6 +175,36 @@ def test_without_sb3_its_adapter_says_what_to_install(monkeypatch):
         import zipf.adapters.stable_baselines3  # noqa: F401
 
 
+class Quiet(GridworldVectorEnv):
+    """Worlds whose episodes neither succeed nor fail."""
+
+    reports_success = False
+
+
+def mixture(autoreset_mode: str) -> Mixture:
+    levels = {name: partial(make_vec, f"gridworld/{name}") for name in ("zipf_2", "uniform")}
+    return Mixture(
+        levels, WORLDS, draw="resets", exponent=1, autoreset_mode=autoreset_mode, **SMALL
+    )
+
+
+def test_sb3_is_told_of_levels_that_are_drawn(actions):
+    env = sb3_env(mixture("SameStep"))
+    env.reset()
+    assert {info["level_name"] for info in env.reset_infos} <= {"zipf_2", "uniform"}
+    ended = [info for action in actions for info in env.step(action)[3] if info]
+    assert {info["level"] for info in ended} == {0, 1}
+    assert all(info["level_name"] == ("zipf_2", "uniform")[info["level"]] for info in ended)
+
+
+def test_sb3_hears_of_no_success_where_there_is_none(actions):
+    env = sb3_env(Quiet(WORLDS, **SMALL))
+    env.reset()
+    ended = [info for action in actions for info in env.step(action)[3] if info]
+    assert ended
+    assert not any("is_success" in info for info in ended)
+
+
 # TorchRL
 
 
@@ -242,6 +276,22 @@ def test_torchrl_collects():
     collector.shutdown()
 
 
+def test_torchrl_is_told_of_levels_that_are_drawn():
+    from torchrl.envs.utils import check_env_specs
+
+    env = torchrl_env(mixture("Disabled"))
+    check_env_specs(env)
+    played = env.rollout(40, break_when_any_done=False)["next"]
+    assert set(played["level"].flatten().tolist()) == {0, 1}
+
+
+def test_torchrl_hears_of_no_success_where_there_is_none():
+    env = torchrl_env(Quiet(WORLDS, **SMALL, autoreset_mode="Disabled"))
+    played = env.rollout(20, break_when_any_done=False)["next"]
+    assert "success" not in played.keys()
+    assert (played["length"][played["done"]] > 0).all()
+
+
 def test_torchrl_needs_batches_that_it_resets_itself():
     with pytest.raises(ValueError, match=r"DISABLED .* got SAME_STEP"):
         torchrl_env(batch())
@@ -250,30 +300,32 @@ def test_torchrl_needs_batches_that_it_resets_itself():
 # Gymnasium's vector wrappers
 
 
-def played(env: Any, actions: NDArray[np.int64]) -> list[Any]:
-    """Every `info` of the steps, in `DISABLED` mode too."""
+MODES = ["SameStep", "NextStep", "Disabled"]
+
+
+def played(env: Any, actions: NDArray[np.int64]) -> Iterator[Any]:
+    """`info` of every step; in `DISABLED` mode worlds are reset as their episodes end."""
     env.reset(seed=0)
-    infos = []
     for action in actions:
         observation, _, terminated, truncated, info = env.step(action)
         assert env.observation_space.contains(observation)
-        infos.append(info)
+        yield info
         done = terminated | truncated
         if done.any() and env.metadata["autoreset_mode"] is AutoresetMode.DISABLED:
             env.reset(options={"reset_mask": done})
-    return infos
 
 
-def test_gymnasiums_statistics_are_ours(actions):
-    ours = episodes_of(batch(), actions)
-    same_step = played(wrappers.RecordEpisodeStatistics(batch()), actions)
-    theirs = [
-        (step, i, float(info["episode"]["r"][i]), int(info["episode"]["l"][i]))
-        for step, info in enumerate(same_step)
-        if "episode" in info
-        for i in np.flatnonzero(info["_episode"])
-    ]
-    assert theirs == [(one["step"], one["world"], one["return"], one["length"]) for one in ours]
+@pytest.mark.parametrize("mode", MODES)
+def test_gymnasiums_statistics_are_ours(mode, actions):
+    ended = 0
+    for info in played(wrappers.RecordEpisodeStatistics(batch(mode)), actions):
+        outcome = info["final_info"] if mode == "SameStep" and "final_info" in info else info
+        if "_episode" in info:
+            mask = info["_episode"]
+            ended += mask.sum()
+            np.testing.assert_array_equal(info["episode"]["r"][mask], outcome["return"][mask])
+            np.testing.assert_array_equal(info["episode"]["l"][mask], outcome["length"][mask])
+    assert ended > 20
 
 
 def test_gymnasiums_lists_of_infos_have_outcomes(actions):
@@ -281,8 +333,8 @@ def test_gymnasiums_lists_of_infos_have_outcomes(actions):
     infos = played(wrappers.DictInfoToList(batch()), actions)
     theirs = [
         {"step": step, "world": i, **info["final_info"]}
-        for step, batch_info in enumerate(infos)
-        for i, info in enumerate(batch_info)
+        for step, of_worlds in enumerate(infos)
+        for i, info in enumerate(of_worlds)
         if "final_info" in info
     ]
     assert theirs == ours
@@ -298,9 +350,9 @@ def test_gymnasiums_lists_of_infos_have_outcomes(actions):
     ],
     ids=["TransformReward", "NormalizeReward", "TransformAction", "DictInfoToList"],
 )
-@pytest.mark.parametrize("mode", ["SameStep", "Disabled"])
+@pytest.mark.parametrize("mode", MODES)
 def test_gymnasiums_wrappers_work(wrapper, mode, actions):
-    assert len(played(wrapper(batch(mode)), actions)) == len(actions)
+    assert len(list(played(wrapper(batch(mode)), actions))) == len(actions)
 
 
 @pytest.mark.parametrize(
@@ -312,6 +364,17 @@ def test_gymnasiums_wrappers_work(wrapper, mode, actions):
     ],
     ids=["FlattenObservation", "FilterObservation", "TransformObservation"],
 )
-def test_gymnasiums_observation_wrappers_work(wrapper, actions):
+@pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
+def test_gymnasiums_observation_wrappers_work(wrapper, mode, actions):
     """They refuse SAME_STEP, whatever the environment."""
-    assert len(played(wrapper(batch("Disabled")), actions)) == len(actions)
+    assert len(list(played(wrapper(batch(mode)), actions))) == len(actions)
+
+
+def test_importing_the_package_registers_the_environments():
+    code = (
+        "import sys, zipf, gymnasium; gymnasium.spec('zipf/Gridworld-v0'); "
+        "print(sorted({'numba', 'torch', 'pandas'} & sys.modules.keys())); "
+        "print(gymnasium.make_vec('zipf/Gridworld-v0', 3, level='rare').num_envs)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["[]", "3"]

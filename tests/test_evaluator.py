@@ -198,6 +198,35 @@ def test_levels_have_weights_options_and_normalisations():
     ] * 4
 
 
+DRAWN = envs.Split(
+    "drawn",
+    (
+        envs.SplitLevel("gridworld/uniform", weight=1.0),
+        envs.SplitLevel("gridworld/zipf_2", weight=3.0, options={"max_steps": 6}),
+    ),
+    ("gridworld/zipf_2", "gridworld/uniform"),
+    "gridworld/uniform",
+    draw="resets",
+)
+
+
+def test_levels_drawn_at_resets_are_scored_one_at_a_time():
+    """Long and short tasks get the same number of episodes, and situations have the rank."""
+    results = evaluator.evaluate(Plays(random_policy(0)), DRAWN, episodes=25, num_envs=6, **SMALL)
+    expected = [1, 0, 0, 1, 1]  # by weight
+    assert [len(result.episodes) for result in results] == [25] * 5
+    for result, rank in zip(results, expected, strict=True):
+        assert list(result.episodes.columns)[:3] == ["level", "map", "target"]
+        assert (result.episodes["level"] == rank).all()
+    assert results[1].episodes["length"].max() == 6 < results[2].episodes["length"].max()
+    assert set(evaluator.situations(results)["level"]) == {0, 1}
+    assert evaluator.scores(results)["train"] == pytest.approx(
+        (results[0].score + 3 * results[1].score) / 4
+    )
+    details = evaluate.score(scripted, DRAWN, episodes=5, details=True, **SMALL)
+    assert set(details.episodes["level_name"]) == {"gridworld/uniform", "gridworld/zipf_2"}
+
+
 class Quiet(GridworldVectorEnv):
     """Worlds whose episodes neither succeed nor fail."""
 

@@ -8,7 +8,7 @@ fails fast would get a different score than the same agent with slow failures.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -88,11 +88,11 @@ class Result:
         sums = {"episodes": ("return", "size"), "return_sum": ("return", "sum")}
         if "success" in self.episodes:
             sums["successes"] = ("success", "sum")
-        table = self.episodes.groupby(ranks, as_index=False).agg(**sums)
+        keys = ["level_kind", *ranks]
+        table = self.episodes.assign(level_kind=self.kind).groupby(keys, as_index=False).agg(**sums)
         if "success" not in self.episodes:
             table["successes"] = np.nan
-        table.insert(0, "level_kind", self.kind)
-        return table[["level_kind", *ranks, "episodes", "successes", "return_sum"]]
+        return table[[*keys, "episodes", "successes", "return_sum"]]
 
 
 def play(policy: Policy, env: ZipfVectorEnv, *, episodes: int, seed: int) -> pd.DataFrame:
@@ -157,8 +157,8 @@ def evaluate(
     """Plays a policy on every level of a split: those to train on, the uniform and the rare ones.
 
     Worlds are seeded from `seed` and the level's place in the split; no other random generator is
-    touched. Where the split draws a level at every reset, levels are played one at a time, and
-    situations have the level's rank, as they have in training.
+    touched. Where the split draws a level at every reset, levels are played one at a time all the
+    same, and situations begin with the level's rank, as in training.
 
     Args:
         episodes: on each level; None: as many as the split says.
@@ -171,45 +171,16 @@ def evaluate(
     """
     if episodes is not None and episodes < 1:
         raise ValueError(f"episodes={episodes}: should be at least 1")
-    drawn = _DrawnLevels(split, level_options) if split.draw == "resets" else None
     results = []
     for index, kind in enumerate(envs.KINDS):
         count = episodes or split.episodes[kind]
         for place, level in enumerate(split.levels(kind)):
-            env = envs.make_vec(level, min(num_envs, count), **level_options)
+            env = envs.make_scored(split, level, min(num_envs, count), **level_options)
             worlds = derive_seed(seed, "evaluation", index + place * len(envs.KINDS))
             played = play(policy, env, episodes=count, seed=worlds)
             env.close()
-            results.append(Result(kind, level, drawn.ranked(played, level) if drawn else played))
+            results.append(Result(kind, level, played))
     return results
-
-
-class _DrawnLevels:
-    """Gives episodes of one level the situation that they have in a mixture of the train levels.
-
-    A level on its own has no rank. It could be played through the mixture with probability 1, but
-    a mixture has worlds of all levels.
-    """
-
-    def __init__(self, split: envs.Split, level_options: Mapping[str, Any]) -> None:
-        mixture: Any = envs.make_train(split, 1, **level_options)
-        self.rank: str = mixture.rank
-        self.situation = list(mixture.situation)
-        self.names: list[str] = list(mixture.level_names)
-        mixture.close()
-        for kind in envs.KINDS:
-            for level in split.levels(kind):
-                if level.name not in self.names:
-                    raise ValueError(
-                        f"split {split.name!r} draws its level at every reset, but its {kind} "
-                        f"level {level.name} is not among those drawn and has no rank: "
-                        f"{', '.join(self.names)}"
-                    )
-
-    def ranked(self, episodes: pd.DataFrame, level: envs.SplitLevel) -> pd.DataFrame:
-        outcomes = [name for name in OUTCOMES if name in episodes]
-        ranks = episodes.assign(**{self.rank: self.names.index(level.name)})
-        return ranks[[*self.situation, *outcomes]]
 
 
 def scores(results: Sequence[Result]) -> dict[str, float]:

@@ -153,7 +153,7 @@ def _paper(split: envs.Split, level_options: Mapping[str, Any]) -> str | None:
 
 
 def _situation(split: envs.Split, level_options: Mapping[str, Any]) -> dict[str, int]:
-    env = envs.make_train(split, len(split.train), **level_options)
+    env = envs.make_scored(split, split.train[0], 1, **level_options)
     env.close()
     return env.situation
 
