@@ -1,13 +1,15 @@
-"""The evaluator: exact accounting, any policy, nobody else's randomness."""
+"""The evaluator: exact accounting, scores by level and kind, intervals."""
 
-from types import SimpleNamespace
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from zipf import envs, evaluate
-from zipf.experiments.running import evaluator
+from zipf.envs.gridworld.vector import GridworldVectorEnv
+from zipf.experiments.running import evaluator, scoring
 
 SMALL = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
 
@@ -23,12 +25,24 @@ def scripted(observation):
     return (images.astype(np.int64) * np.arange(images.shape[1])).sum(-1) // 7 % 8
 
 
+class Plays:
+    """A function from observations to actions as a policy."""
+
+    def __init__(self, function):
+        self.function = function
+
+    def start(self, num_envs): ...
+
+    def __call__(self, observation, reward, is_first):
+        return self.function(observation)
+
+
 @pytest.mark.parametrize("num_envs", [1, 3, 16, 40])
 def test_the_first_episodes_to_start_are_the_ones_scored(num_envs):
     """Against a loop that notes every episode with its start time, then sorts."""
     episodes = 40
     env = envs.make_vec("gridworld/uniform", num_envs, **SMALL)
-    policy = evaluator._as_policy(scripted, batched=True)
+    policy = Plays(scripted)
     result = evaluator.play(policy, env, episodes=episodes, seed=5)
 
     records = []
@@ -60,7 +74,7 @@ def test_short_episodes_are_not_over_counted():
     chance = envs.chance("gridworld/uniform", **SMALL).score
     for num_envs in (7, 1000):
         env = envs.make_vec("gridworld/uniform", num_envs, **SMALL)
-        policy = evaluator._as_policy(random_policy(0), batched=True)
+        policy = Plays(random_policy(0))
         result = evaluator.play(policy, env, episodes=4000, seed=1)
         assert abs(result["return"].mean() - chance) < 4 * np.sqrt(chance * (1 - chance) / 4000)
 
@@ -72,48 +86,13 @@ def test_score_of_a_function():
         assert abs(scores[kind] - exact) < 4 * np.sqrt(exact * (1 - exact) / 3000)
 
 
-class Remembering:
-    """Stable-Baselines3's convention; checks that it is told where episodes begin."""
-
-    def __init__(self):
-        self.rng = np.random.default_rng(0)
-        self.began = 0
-
-    def predict(self, observation, state, episode_start):
-        worlds = len(observation["image"])
-        if state is None:
-            assert episode_start.all()
-            state = np.zeros(worlds)
-        self.began += episode_start.sum()
-        state = np.where(episode_start, 0, state) + 1
-        assert (state <= 20).all()
-        return self.rng.integers(8, size=worlds), state
-
-
-def test_score_of_an_agent_with_predict():
-    agent = Remembering()
-    scores = evaluate.score(agent, episodes=50, num_envs=10, **SMALL)
-    assert agent.began >= 3 * 50
-    assert all(0 <= score <= 1 for score in scores.values())
-
-
-def test_score_of_an_agent_for_one_environment():
-    def policy(observation):
-        assert observation["image"].shape == (63, 63, 3)
-        return int(scripted({"image": observation["image"][None]})[0])
-
-    single = evaluate.score(policy, episodes=30, seed=4, batched=False, **SMALL)
-    batch = evaluate.score(scripted, episodes=30, num_envs=1, seed=4, **SMALL)
-    assert single == batch
-
-
 TWO = envs.Split(
     "two", ("gridworld/zipf_2", "gridworld/zipf_1"), "gridworld/uniform", "gridworld/rare"
 )
 
 
 def test_every_train_level_is_scored_apart():
-    policy = evaluator._as_policy(scripted, batched=True)
+    policy = Plays(scripted)
     one = evaluator.evaluate(policy, envs.split("gridworld"), episodes=50, seed=3, **SMALL)
     two = evaluator.evaluate(policy, TWO, episodes=50, seed=3, **SMALL)
     assert [(result.kind, result.level) for result in two] == [
@@ -134,7 +113,7 @@ def test_every_train_level_is_scored_apart():
 
 
 def test_situations_of_the_train_levels_are_taken_together():
-    policy = evaluator._as_policy(scripted, batched=True)
+    policy = Plays(scripted)
     results = evaluator.evaluate(policy, TWO, episodes=50, seed=3, **SMALL)
     table = evaluator.situations(results).set_index(["level_kind", "map", "target"])
     assert table.index.is_unique
@@ -156,15 +135,28 @@ def test_bad_requests():
         evaluate.score(scripted, num_envs=0)
     with pytest.raises(ValueError, match="gridworld"):
         evaluate.score(scripted, split="gridwrld")
-    with pytest.raises(ValueError, match="batched=False"):
-        evaluate.score(lambda observation: 3, episodes=5)
-    with pytest.raises(TypeError, match="policy"):
-        evaluate.score(SimpleNamespace(), episodes=5)
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        (3, r"int64 of shape \(\) as actions; should be integers in 0 \.\. 7 of shape \(5,\)"),
+        (np.zeros((5, 1), np.int64), r"int64 of shape \(5, 1\)"),
+        (np.zeros(4, np.int64), r"int64 of shape \(4,\)"),
+        (np.zeros(5), r"float64 of shape \(5,\)"),
+        (np.zeros(5, np.bool_), r"bool of shape \(5,\)"),
+        (np.array([0, 1, 8, 3, 4]), "values from 0 to 8 as actions"),
+        (np.array([0, 1, -1, 3, 4]), "values from -1 to 4 as actions"),
+    ],
+)
+def test_what_is_no_action_is_refused(actions, message):
+    with pytest.raises(ValueError, match=message):
+        evaluate.score(lambda observation: actions, episodes=5)
 
 
 def test_per_situation_results_add_up():
     results = evaluator.evaluate(
-        evaluator._as_policy(scripted, batched=True),
+        Plays(scripted),
         envs.split("gridworld"),
         episodes=200,
         seed=0,
@@ -176,3 +168,163 @@ def test_per_situation_results_add_up():
         if result.kind == "rare":
             assert situations["map"].min() >= 16
             assert situations["target"].min() >= 16
+
+
+WEIGHTED = envs.Split(
+    "weighted",
+    (
+        envs.SplitLevel("gridworld/zipf_2", weight=3.0, options={"max_steps": 10}),
+        envs.SplitLevel("gridworld/zipf_1", normalisation=envs.Normalisation(0.1, 0.6, cap=0.5)),
+    ),
+    "gridworld/uniform",
+    "gridworld/rare",
+    episodes={"train": 30, "uniform": 20, "rare": 10},
+)
+
+
+def test_levels_have_weights_options_and_normalisations():
+    results = evaluator.evaluate(Plays(random_policy(0)), WEIGHTED, seed=1, **SMALL)
+    assert [len(result.episodes) for result in results] == [30, 30, 20, 10]
+    first, second = results[:2]
+    assert first.episodes["length"].max() == 10 < second.episodes["length"].max()
+    mean = second.episodes["return"].mean()
+    assert second.score == pytest.approx(min((mean - 0.1) / 0.5, 0.5))
+    assert evaluator.scores(results)["train"] == pytest.approx((3 * first.score + second.score) / 4)
+    assert evaluator.plain_scores(results)["train"] == pytest.approx(
+        (first.score + second.score) / 2
+    )
+    assert [len(r.episodes) for r in evaluator.evaluate(Plays(scripted), WEIGHTED, episodes=7)] == [
+        7
+    ] * 4
+
+
+DRAWN = envs.Split(
+    "drawn",
+    (
+        envs.SplitLevel("gridworld/uniform", weight=1.0),
+        envs.SplitLevel("gridworld/zipf_2", weight=3.0, options={"max_steps": 6}),
+    ),
+    ("gridworld/zipf_2", "gridworld/uniform"),
+    "gridworld/uniform",
+    draw="resets",
+)
+
+
+def test_levels_drawn_at_resets_are_scored_one_at_a_time():
+    """Long and short tasks get the same number of episodes, and situations have the rank."""
+    results = evaluator.evaluate(Plays(random_policy(0)), DRAWN, episodes=25, num_envs=6, **SMALL)
+    expected = [1, 0, 0, 1, 1]  # by weight
+    assert [len(result.episodes) for result in results] == [25] * 5
+    for result, rank in zip(results, expected, strict=True):
+        assert list(result.episodes.columns)[:3] == ["level", "map", "target"]
+        assert (result.episodes["level"] == rank).all()
+    assert results[1].episodes["length"].max() == 6 < results[2].episodes["length"].max()
+    assert set(evaluator.situations(results)["level"]) == {0, 1}
+    assert evaluator.scores(results)["train"] == pytest.approx(
+        (results[0].score + 3 * results[1].score) / 4
+    )
+    details = evaluate.score(scripted, DRAWN, episodes=5, details=True, **SMALL)
+    assert set(details.episodes["level_name"]) == {"gridworld/uniform", "gridworld/zipf_2"}
+
+
+class Quiet(GridworldVectorEnv):
+    """Worlds whose episodes neither succeed nor fail."""
+
+    reports_success = False
+
+
+def test_worlds_may_report_no_success():
+    split = envs.Split("quiet", lambda n, **o: Quiet(n, **o), "gridworld/uniform", "gridworld/rare")
+    results = evaluator.evaluate(Plays(scripted), split, episodes=20, **SMALL)
+    assert list(results[0].episodes.columns) == ["map", "target", "return", "length"]
+    assert results[0].row()["success"] is None
+    table = evaluator.situations(results)
+    of_train = table["level_kind"] == "train"
+    assert table.loc[of_train, "successes"].map(lambda value: value is None).all()
+    assert table.loc[~of_train, "successes"].notna().all()
+    assert table.loc[of_train, "episodes"].sum() == 20
+
+
+# Details
+
+
+def test_details_hold_everything():
+    scores = evaluate.score(scripted, TWO, episodes=40, seed=3, **SMALL)
+    details = evaluate.score(scripted, TWO, episodes=40, seed=3, details=True, **SMALL)
+    assert details.scores == details.plain_scores == scores
+    assert details.split == "two"
+    assert details.geometry["gridworld/rare"] == {
+        "num_maps": 5,
+        "num_rooms": [2, 2],
+        "room_size": [3, 3],
+        "num_objects": 5,
+        "max_steps": 20,
+        "observation": "image",
+    }
+    assert list(details.episodes.columns) == [
+        *("level_kind", "level_name", "map", "target", "success", "return", "length")
+    ]
+    names = ["gridworld/zipf_2", "gridworld/zipf_1", "gridworld/uniform", "gridworld/rare"]
+    assert list(details.levels["level_name"]) == names
+    assert list(details.episodes["level_name"]) == [name for name in names for _ in range(40)]
+    by_level = details.episodes.groupby("level_name", sort=False)["return"].mean()
+    assert list(by_level) == list(details.levels["score"])
+    assert details.situations["episodes"].sum() == 160
+    assert list(details.kinds["level_kind"]) == ["train", "uniform", "rare"]
+    assert dict(zip(details.kinds["level_kind"], details.kinds["score"], strict=True)) == scores
+    for row in (*details.levels.itertuples(), *details.kinds.itertuples()):
+        assert 0 <= row.score_low <= row.score <= row.score_high <= 1
+
+
+def result(returns, **level):
+    split_level = envs.SplitLevel("gridworld/rare", **level)
+    return evaluator.Result("rare", split_level, pd.DataFrame({"return": np.array(returns)}))
+
+
+def test_intervals_cover_the_mean_as_often_as_they_say():
+    rng = np.random.default_rng(0)
+    for draw, mean in (
+        (lambda: rng.binomial(1, 0.1, size=60).astype(float), 0.1),
+        (lambda: rng.gamma(2, 1.5, size=60), 3.0),
+    ):
+        covered = 0
+        for _ in range(200):
+            low, high = scoring.score_interval(result(draw()))
+            covered += low <= mean <= high
+        assert 0.90 * 200 <= covered <= 0.99 * 200
+
+
+def test_intervals_of_scores_are_normalised():
+    returns = np.random.default_rng(0).normal(10, 3, size=50)
+    low, high = scoring.score_interval(result(returns))
+    assert low < returns.mean() < high
+    falling = envs.Normalisation(random=20, human=0)
+    ends = scoring.score_interval(result(returns, normalisation=falling))
+    assert ends == pytest.approx(((20 - high) / 20, (20 - low) / 20))
+    capped = envs.Normalisation(random=0, human=1, cap=1.0)
+    assert scoring.score_interval(result(returns, normalisation=capped)) == (1.0, 1.0)
+    assert np.isnan(scoring.score_interval(result([0.5]))).all()
+    assert scoring.score_interval(result([0.0, 0.0])) == pytest.approx((0, 0.6576), abs=1e-4)
+
+
+def test_intervals_of_kinds_combine_those_of_levels():
+    details = evaluate.score(random_policy(0), WEIGHTED, seed=1, details=True, **SMALL)
+    train = details.kinds.iloc[0]
+    of_train = details.levels[details.levels["level_kind"] == "train"]
+    shares = np.array([0.75, 0.25])
+    below = (of_train["score"] - of_train["score_low"]) * shares
+    assert train["score"] == pytest.approx(shares @ of_train["score"])
+    assert train["score_low"] == pytest.approx(train["score"] - np.hypot(*below))
+    rare = details.levels.iloc[-1]
+    columns = ["score", "score_low", "score_high"]
+    assert list(details.kinds.iloc[-1][columns]) == pytest.approx(list(rare[columns]))
+
+
+def test_scoring_imports_neither_pytorch_nor_tensorboard():
+    code = (
+        "import sys, numpy as np; from zipf.evaluate import score; "
+        "score(lambda o: np.zeros(len(o['image']), int), episodes=2, max_steps=2); "
+        "print(sorted({'torch', 'tensorboard', 'hydra', 'torchrl'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

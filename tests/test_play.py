@@ -328,7 +328,8 @@ def test_a_run_plays_its_levels(run, level, played, tmp_path):
 
 
 def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
-    from zipf.experiments.running.evaluator import AgentPolicy, derive_seed
+    from zipf.experiments.running.agent_policy import AgentPolicy
+    from zipf.experiments.running.evaluator import derive_seed
     from zipf.experiments.running.evaluator import play as score
     from zipf.experiments.running.trained import load_agent
 

@@ -27,8 +27,9 @@ from zipf.experiments import command_line, composing, feasibility
 from zipf.experiments.config import schema
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder, runner
+from zipf.experiments.running.agent_policy import AgentPolicy
 from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import AgentPolicy, play
+from zipf.experiments.running.evaluator import play
 from zipf.experiments.running.trained import load_agent
 
 ACTIONS, STEPS, WORLDS, BURN_IN = 3, 6, 4, 2

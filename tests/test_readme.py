@@ -1,9 +1,7 @@
-"""The README keeps its word: its code runs, its commands are accepted, its paths and options exist.
-
-CONTRIBUTING.md and CHANGELOG.md are held to the paths and commands that they name.
-"""
+"""The pages keep their word: their code runs, their commands are accepted, their paths exist."""
 
 import re
+import runpy
 import shlex
 from pathlib import Path
 
@@ -16,7 +14,8 @@ from zipf.experiments.config import Config, EvaluateOptions
 from zipf.experiments.playing.playing import PlayOptions
 
 ROOT = Path(__file__).parent.parent
-PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
+DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md"))
+PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", *DOCS)
 TEXT = {page: (ROOT / page).read_text(encoding="utf-8") for page in PAGES}
 README = TEXT["README.md"]
 ENVIRONMENTS = {"zipf/Gridworld-v0", "zipf/Playroom-v0"}  # look like paths
@@ -41,10 +40,15 @@ def section(heading: str) -> str:
     return re.split(r"^## ", README.split(f"\n## {heading}\n")[1], flags=re.MULTILINE)[0]
 
 
-@pytest.mark.parametrize("code", blocks("python"), ids=lambda code: code.splitlines()[0])
+@pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
+@pytest.mark.parametrize(
+    "code",
+    [pytest.param(code, id=page) for page in PAGES for code in blocks("python", page)],
+)
 def test_python_code_runs(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
+    (tmp_path / "example.py").write_text(code)  # TorchScript reads the source of what it compiles
+    runpy.run_path("example.py", run_name="__main__")
 
 
 def test_there_is_code_to_run():

@@ -10,8 +10,9 @@ from zipf.agents.encoders import CompactOptions
 from zipf.agents.gtrxl import GTrXLOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
+from zipf.experiments.running.agent_policy import AgentPolicy
 from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import AgentPolicy, play
+from zipf.experiments.running.evaluator import play
 
 DELAY = 10
 IMPALA = ImpalaOptions(

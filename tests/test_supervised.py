@@ -14,8 +14,9 @@ from zipf.agents.supervised import Supervised, SupervisedOptions
 from zipf.envs.check import check_vector_env
 from zipf.envs.playroom.first_frame import LEFT, RIGHT, FirstFrameVectorEnv
 from zipf.envs.single import SingleWorld
+from zipf.experiments.running.agent_policy import AgentPolicy
 from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import AgentPolicy, play
+from zipf.experiments.running.evaluator import play
 
 OPTIONS = SupervisedOptions(
     name="supervised",

@@ -3,8 +3,9 @@
 import torch
 
 from zipf import envs
+from zipf.experiments.running.agent_policy import AgentPolicy
 from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import AgentPolicy, play
+from zipf.experiments.running.evaluator import play
 
 WORLDS = {
     "num_maps": 1,

@@ -5,32 +5,25 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
-from zipf.experiments.command_line import read_options
-from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
-from zipf.experiments.running import run_folder
-from zipf.experiments.running.evaluator import score, scores
-from zipf.experiments.running.logger import write_results
-from zipf.experiments.running.trained import evaluate_run
+from zipf.experiments.running.external import record
+from zipf.experiments.running.scoring import Evaluation, geometry, score
 
-__all__ = ["main", "score"]
+__all__ = ["Evaluation", "geometry", "main", "record", "score"]
 
 USAGE = """Scores the agent of a run's checkpoint on its train, uniform and rare levels.
 
     python -m zipf.evaluate run=runs/demo/impala_mlp/seed0
 
 run=FOLDER      a run's folder (holds checkpoint.pt)
-episodes=1000   episodes per level
+episodes=N      episodes per level (1000 in the paper's splits)
 num_envs=250    worlds played at a time
 seed=0          of the worlds and the agent's actions
 device=auto     auto, cpu, cuda or cuda:<number>
 plugins=NAMES   modules to import first, for runs on worlds or of agents from outside the package
 
-Writes evaluation-<update>-episodes<episodes>-seed<seed>.csv, and beside it a file of every
-situation met, into the run's folder."""
+Writes evaluation-<update>-episodes<N>-seed<seed>.csv (without -episodes<N> where you do not say how
+many), and beside it a file of every situation met, into the run's folder."""
 
 
 def main() -> None:
@@ -40,18 +33,34 @@ def main() -> None:
         print(USAGE)
         sys.exit(0 if arguments else 2)
     try:
-        options = read_options(EvaluateOptions, arguments)
-        folder = Path(options.run)
-        description = run_folder.read_description(folder)
-        update, results = evaluate_run(options)
-        name = f"evaluation-{update}-episodes{options.episodes}-seed{options.seed}"
-        files = write_results(folder / name, results)
+        _evaluate(arguments)
     except KeyboardInterrupt:
         sys.exit(130)
     except UserError as error:
         for line in str(error).splitlines():
             print(f"error: {line}", file=sys.stderr)
         sys.exit(2)
+
+
+def _evaluate(arguments: list[str]) -> None:
+    # Here, because `score` needs none of these: they import PyTorch and TensorBoard.
+    from rich.console import Console
+    from rich.table import Table
+
+    from zipf.experiments.command_line import read_options
+    from zipf.experiments.config import EvaluateOptions
+    from zipf.experiments.running import run_folder
+    from zipf.experiments.running.evaluator import scores
+    from zipf.experiments.running.logger import write_results
+    from zipf.experiments.running.trained import evaluate_run
+
+    options = read_options(EvaluateOptions, arguments)
+    folder = Path(options.run)
+    description = run_folder.read_description(folder)
+    update, results = evaluate_run(options)
+    chosen = f"-episodes{options.episodes}" if options.episodes else ""
+    name = f"evaluation-{update}{chosen}-seed{options.seed}"
+    files = write_results(folder / name, results)
     by_kind = scores(results)
     table = Table("", *by_kind)
     table.add_row("score", *(f"{value:.3f}" for value in by_kind.values()))

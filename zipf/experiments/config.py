@@ -191,7 +191,7 @@ class EvaluateOptions(Options):
 
     run: Annotated[str, Field(min_length=1)]
     plugins: str = ""
-    episodes: PositiveInt = 1000
+    episodes: PositiveInt | None = None
     num_envs: PositiveInt = 250
     seed: Seed = 0
     device: Device = "auto"

@@ -25,7 +25,8 @@ from zipf.experiments.config import PositiveInt, Seed, module_names
 from zipf.experiments.errors import UserError
 from zipf.experiments.playing.recording import Recording
 from zipf.experiments.playing.screens import Screen, Text, enlarge, open_screen
-from zipf.experiments.running.evaluator import AgentPolicy, Policy, derive_seed
+from zipf.experiments.running.agent_policy import AgentPolicy
+from zipf.experiments.running.evaluator import Policy, derive_seed
 from zipf.experiments.running.trained import Trained, load_agent
 from zipf.options import Options
 

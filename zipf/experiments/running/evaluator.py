@@ -1,118 +1,107 @@
-"""The evaluator: scores any policy on the levels of a split.
+"""The evaluator: plays any policy on the levels of a split and scores it.
 
 Episodes are counted as they *start*: the first n to start are played to their end and scored,
-whatever their length. Counting the first n to *end* would over-count short ones, and in these
-worlds an agent that fails fast would look worse, or better, than it is.
+whatever their length. Counting the first n to *end* would over-count short ones, and an agent that
+fails fast would get a different score than the same agent with slow failures.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
-import torch
 from numpy.typing import NDArray
 
 from zipf import envs
-from zipf.agents.agent import Agent
-from zipf.agents.network import Inputs
 from zipf.envs.vector import ZipfVectorEnv
+
+OUTCOMES = ("success", "return", "length")
+"""The columns of an episode that are not ranks of its situation."""
 
 
 class Policy(Protocol):
-    """Plays a batch of worlds; may remember.
+    """Plays a batch of worlds; may have a memory.
 
-    Observations are written over at the next step: keep copies.
+    The arrays of an observation are overwritten by the next step: copy what is to be kept.
     """
 
     def start(self, num_envs: int) -> None:
-        """Forgets everything: `num_envs` new worlds begin."""
+        """Clears the memory: `num_envs` new worlds begin."""
 
     def __call__(
         self, observation: dict[str, NDArray], reward: NDArray, is_first: NDArray
     ) -> NDArray:
         """Actions int [N] for observations `{name: [N, ...]}`.
 
-        `reward` float32 [N] is what the last action brought, and `is_first` bool [N] says where an
-        episode has just begun, so that memory is to be cleared.
+        `reward` float32 [N] is the reward of the last action. `is_first` bool [N] is True where an
+        episode begins: there the memory is to be cleared and the reward belongs to the episode
+        before.
         """
-
-
-class AgentPolicy:
-    """An agent with its memory; samples its actions from a generator of its own."""
-
-    def __init__(self, agent: Agent, *, seed: int, device: str):
-        self.agent = agent
-        self.device = device
-        self.generator = torch.Generator().manual_seed(seed)
-
-    def start(self, num_envs: int) -> None:
-        self.memory = self.agent.initial_memory(num_envs)
-        self.action = torch.full((num_envs,), -1, device=self.device)
-
-    def __call__(
-        self, observation: dict[str, NDArray], reward: NDArray, is_first: NDArray
-    ) -> NDArray:
-        first = torch.from_numpy(is_first).to(self.device)
-        inputs = Inputs(
-            {name: torch.from_numpy(part).to(self.device) for name, part in observation.items()},
-            self.action.masked_fill(first, -1),
-            torch.from_numpy(reward).to(self.device).masked_fill(first, 0.0),
-            first,
-        )
-        self.action, self.memory, _ = self.agent.act(
-            inputs, self.memory, self.generator, training=False
-        )
-        return self.action.cpu().numpy()
 
 
 @dataclass(frozen=True)
 class Result:
-    """The episodes of one level, in the order in which they started."""
+    """The episodes of one level, in the order in which they started.
 
-    kind: str  # train, uniform or rare
-    level: str
-    episodes: pd.DataFrame  # a row each: the situation's ranks, success, return, length
+    Attributes:
+        kind: train, uniform or rare.
+        split_level: the level as the split has it, with weight and normalisation.
+        episodes: a row each: the situation's ranks, `success` (not in worlds that report none),
+            `return` and `length`.
+    """
+
+    kind: str
+    split_level: envs.SplitLevel
+    episodes: pd.DataFrame
+
+    @property
+    def level(self) -> str:
+        """The level's name."""
+        return self.split_level.name
 
     @property
     def score(self) -> float:
-        """Mean return: the paper's score."""
-        return float(self.episodes["return"].mean())
+        """The mean return, normalised where the split says so."""
+        return self.split_level.score(self.episodes["return"].to_numpy())
 
     def row(self) -> dict[str, Any]:
-        """The row of `evaluations.csv`, without when it was taken."""
-        means = self.episodes[["success", "return", "length"]].mean()
+        """The row of `evaluations.csv`, without when it was taken; `success` may be None."""
+        episodes = self.episodes
         return {
             "level_kind": self.kind,
             "level": self.level,
-            "episodes": len(self.episodes),
+            "episodes": len(episodes),
             "score": self.score,
-            "success": means["success"],
-            "return": means["return"],
-            "length": means["length"],
+            "success": episodes["success"].mean() if "success" in episodes else None,
+            "return": episodes["return"].mean(),
+            "length": episodes["length"].mean(),
         }
 
     def situations(self) -> pd.DataFrame:
-        """Every situation met, with what came of it."""
-        ranks = [c for c in self.episodes.columns if c not in ("success", "return", "length")]
-        table = self.episodes.groupby(ranks, as_index=False).agg(
-            **{
-                "episodes": ("success", "size"),
-                "successes": ("success", "sum"),
-                "return_sum": ("return", "sum"),
-            }
-        )
-        table.insert(0, "level_kind", self.kind)
-        return table
+        """One row per situation met: `level_kind`, its ranks, `episodes`, `successes` (NaN in
+        worlds that report none) and `return_sum`."""
+        ranks = [name for name in self.episodes.columns if name not in OUTCOMES]
+        sums = {"episodes": ("return", "size"), "return_sum": ("return", "sum")}
+        if "success" in self.episodes:
+            sums["successes"] = ("success", "sum")
+        keys = ["level_kind", *ranks]
+        table = self.episodes.assign(level_kind=self.kind).groupby(keys, as_index=False).agg(**sums)
+        if "success" not in self.episodes:
+            table["successes"] = np.nan
+        return table[[*keys, "episodes", "successes", "return_sum"]]
 
 
 def play(policy: Policy, env: ZipfVectorEnv, *, episodes: int, seed: int) -> pd.DataFrame:
-    """Plays the first `episodes` episodes to start; one row each, in that order."""
-    names = [*env.situation, "success", "return", "length"]
+    """Plays the first `episodes` episodes to start; one row each, in that order.
+
+    Raises:
+        ValueError: the policy returns something else than an action for each world.
+    """
+    names = [*env.situation, *(one for one in OUTCOMES if env.reports_success or one != "success")]
     records: dict[str, NDArray] = {}
     # Which episode each world plays; from `episodes` on they are not scored.
     playing = np.arange(env.num_envs)
@@ -124,7 +113,7 @@ def play(policy: Policy, env: ZipfVectorEnv, *, episodes: int, seed: int) -> pd.
     policy.start(env.num_envs)
     buffers = {name: np.empty_like(part) for name, part in observation.items()}
     while unfinished:
-        actions = policy(observation, reward, is_first)
+        actions = _checked(policy(observation, reward, is_first), env)
         observation, rewards, terminated, truncated, info = env.step(actions, out=buffers)
         reward = rewards.astype(np.float32)
         is_first = terminated | truncated
@@ -142,148 +131,95 @@ def play(policy: Policy, env: ZipfVectorEnv, *, episodes: int, seed: int) -> pd.
     return pd.DataFrame({name: records[name] for name in names})
 
 
+def _checked(actions: Any, env: ZipfVectorEnv) -> NDArray:
+    actions, count = np.asarray(actions), int(env.single_action_space.n)
+    if actions.shape == (env.num_envs,) and actions.dtype.kind in "iu":
+        if actions.min() >= 0 and actions.max() < count:
+            return actions
+        got = f"values from {actions.min()} to {actions.max()}"
+    else:
+        got = f"{actions.dtype} of shape {actions.shape}"
+    raise ValueError(
+        f"the policy returned {got} as actions; should be integers in 0 .. {count - 1} of shape "
+        f"({env.num_envs},), one for each world (batched=False is for policies of one observation)"
+    )
+
+
 def evaluate(
     policy: Policy,
     split: envs.Split,
     *,
-    episodes: int = 1000,
+    episodes: int | None = None,
     num_envs: int = 250,
     seed: int = 0,
     **level_options: Any,
 ) -> list[Result]:
-    """Scores a policy on every level of a split: those to train on, the uniform and the rare one.
+    """Plays a policy on every level of a split: those to train on, the uniform and the rare ones.
 
-    Worlds are seeded from `seed` and the level's place; nothing else's randomness is touched.
+    Worlds are seeded from `seed` and the level's place in the split; no other random generator is
+    touched. Where the split draws a level at every reset, levels are played one at a time all the
+    same, and situations begin with the level's rank, as in training.
+
+    Args:
+        episodes: on each level; None: as many as the split says.
+        num_envs: worlds played at a time.
+        level_options: constructor options of the levels.
 
     Raises:
-        ValueError: no episodes, no worlds, or options that no level can have.
+        ValueError: no episodes, no worlds, options that a level cannot have, or actions that are
+            none.
     """
-    if episodes < 1:
+    if episodes is not None and episodes < 1:
         raise ValueError(f"episodes={episodes}: should be at least 1")
     results = []
     for index, kind in enumerate(envs.KINDS):
+        count = episodes or split.episodes[kind]
         for place, level in enumerate(split.levels(kind)):
-            env = envs.make_vec(level, min(num_envs, episodes), **level_options)
+            env = envs.make_scored(split, level, min(num_envs, count), **level_options)
             worlds = derive_seed(seed, "evaluation", index + place * len(envs.KINDS))
-            played = play(policy, env, episodes=episodes, seed=worlds)
-            results.append(Result(kind, level.name, played))
+            played = play(policy, env, episodes=count, seed=worlds)
             env.close()
+            results.append(Result(kind, level, played))
     return results
 
 
 def scores(results: Sequence[Result]) -> dict[str, float]:
-    """The score on each kind of level: the mean over its levels."""
-    by_kind: dict[str, list[float]] = {}
+    """The score on each kind of level: the mean over its levels, by their weights."""
+    return _means(results, lambda result: result.split_level.weight)
+
+
+def plain_scores(results: Sequence[Result]) -> dict[str, float]:
+    """The mean over each kind's levels, each with the same weight."""
+    return _means(results, lambda result: 1.0)
+
+
+def _means(results: Sequence[Result], weight: Callable[[Result], float]) -> dict[str, float]:
+    by_kind: dict[str, list[Result]] = {}
     for result in results:
-        by_kind.setdefault(result.kind, []).append(result.score)
-    return {kind: float(np.mean(of_kind)) for kind, of_kind in by_kind.items()}
+        by_kind.setdefault(result.kind, []).append(result)
+    return {
+        kind: float(np.average([r.score for r in of_kind], weights=[weight(r) for r in of_kind]))
+        for kind, of_kind in by_kind.items()
+    }
 
 
 def situations(results: Sequence[Result]) -> pd.DataFrame:
-    """The rows of `situations.csv`: every situation met, levels of a kind taken together."""
-    table = pd.concat([result.situations() for result in results])
-    ranks = [c for c in table.columns if c not in ("episodes", "successes", "return_sum")]
-    return table.groupby(ranks, as_index=False, sort=False).sum()
+    """The rows of `situations.csv`: every situation met, levels of a kind taken together.
 
-
-def score(
-    policy: Any,
-    split: str | envs.Split = "gridworld",
-    *,
-    episodes: int = 1000,
-    num_envs: int = 250,
-    seed: int = 0,
-    batched: bool = True,
-    **level_options: Any,
-) -> dict[str, float]:
-    """Scores any policy as the paper does: {"train": ..., "uniform": ..., "rare": ...}.
-
-    Where a split has several levels to train on, the train score is the mean over them.
-
-    Args:
-        policy: one of
-            a function from observations `{name: [N, ...]}` to actions [N];
-            an agent with `predict(observation, state, episode_start)` returning actions and state,
-            as Stable-Baselines3's;
-            a `Policy` of this module.
-        split: the benchmark, for instance "gridworld", or a `zipf.envs.Split` of your own.
-        episodes: scored per level (the paper: 1000).
-        num_envs: worlds played at a time; `batched=False` plays one.
-        seed: of the worlds.
-        batched: False for a policy that takes one observation `{name: [...]}` and returns one
-            action, as agents written for a single Gymnasium environment do.
-        level_options: constructor options of the levels, for instance `num_maps=5`.
-
-    Raises:
-        ValueError: unknown split, no episodes, no worlds, or options that no level can have.
-        TypeError: the policy is neither of the above.
+    `successes` is None where a level that the situation was met on reports none.
     """
-    results = evaluate(
-        _as_policy(policy, batched),
-        envs.split(split) if isinstance(split, str) else split,
-        episodes=episodes,
-        num_envs=num_envs if batched else 1,
-        seed=seed,
-        **level_options,
-    )
-    return scores(results)
+    table = pd.concat([result.situations() for result in results])
+    columns = list(table.columns)
+    table["unknown"] = table["successes"].isna()
+    sums = ["episodes", "successes", "return_sum", "unknown"]
+    ranks = [name for name in columns if name not in sums]
+    table = table.groupby(ranks, as_index=False, sort=False)[sums].sum()
+    if table["unknown"].any():
+        table["successes"] = table["successes"].astype(object).where(table["unknown"] == 0, None)
+    return table[columns]
 
 
 def derive_seed(*parts: int | str) -> int:
     """A seed for one purpose, 62 bits hashed from a run's seed and the purpose's name."""
     digest = hashlib.sha256(repr(parts).encode()).digest()
     return int.from_bytes(digest[:8], "little") >> 2
-
-
-class _Function:
-    def __init__(self, function: Callable[[Any], Any], batched: bool):
-        self.function = function
-        self.batched = batched
-
-    def start(self, num_envs: int) -> None: ...
-
-    def __call__(
-        self, observation: Mapping[str, NDArray], reward: NDArray, is_first: NDArray
-    ) -> NDArray:
-        if self.batched:
-            actions = np.asarray(self.function(observation))
-            if actions.shape != is_first.shape:
-                raise ValueError(
-                    f"the policy returned actions of shape {actions.shape} for {len(is_first)} "
-                    f"observations; should be {is_first.shape}, or say batched=False for a policy "
-                    "that takes one observation"
-                )
-            return actions
-        return np.asarray([self.function({name: part[0] for name, part in observation.items()})])
-
-
-class _Predictor:
-    """An agent in Stable-Baselines3's convention."""
-
-    def __init__(self, predict: Callable[..., Any], batched: bool):
-        self.predict = predict
-        self.batched = batched
-
-    def start(self, num_envs: int) -> None:
-        self.state = None
-
-    def __call__(
-        self, observation: Mapping[str, NDArray], reward: NDArray, is_first: NDArray
-    ) -> NDArray:
-        if not self.batched:
-            observation = {name: part[0] for name, part in observation.items()}
-        actions, self.state = self.predict(observation, state=self.state, episode_start=is_first)
-        return np.atleast_1d(actions)
-
-
-def _as_policy(policy: Any, batched: bool) -> Policy:
-    if hasattr(policy, "start") and callable(policy):
-        return policy
-    if callable(getattr(policy, "predict", None)):
-        return _Predictor(policy.predict, batched)
-    if callable(policy):
-        return _Function(policy, batched)
-    raise TypeError(
-        f"policy is a {type(policy).__name__}; should be a function from observations to actions "
-        "or an agent with `predict`"
-    )

@@ -92,6 +92,7 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
     Raises:
         UserError: the folder cannot be written.
     """
+    split = envs.split(config.environment.split)
     how: dict[str, Any] = {
         "command": shlex.join(["python", "-m", "zipf.train", *sys.argv[1:]]),
         "commit": _commit(),
@@ -108,8 +109,9 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         how = {k: began.get(k) for k in how} | {"resumed": [*began.get("resumed", []), again]}
         described = began["levels"]
     else:
-        described = _describe_levels(config)
-    split = envs.split(config.environment.split)
+        described = describe_levels(
+            split, config.level_options, chance_episodes=config.evaluation.chance_episodes
+        )
     description = {
         "experiment": config.experiment,
         "condition": config.condition,
@@ -145,16 +147,21 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
             raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
 
 
-def _describe_levels(config: Config) -> list[dict[str, Any]]:
-    """The levels of a run, each with its weight and the score of random actions."""
-    split, options = envs.split(config.environment.split), config.level_options
+def describe_levels(
+    split: envs.Split, options: dict[str, Any], *, chance_episodes: int = 0
+) -> list[dict[str, Any]]:
+    """The levels of a run, each with its weight and the score of random actions.
+
+    Args:
+        options: constructor options of the levels.
+        chance_episodes: measure chance over so many episodes where it is not known; 0: do not.
+    """
     described = []
     for kind in envs.KINDS:
         for level in split.levels(kind):
             chance = envs.chance(level, **options)
-            if chance is None and config.evaluation.chance_episodes:
-                episodes = config.evaluation.chance_episodes
-                chance = envs.measure_chance(level, episodes=episodes, **options)
+            if chance is None and chance_episodes:
+                chance = envs.measure_chance(level, episodes=chance_episodes, **options)
             described.append(
                 {
                     "level_kind": kind,
@@ -219,10 +226,15 @@ def read_config(folder: Path, plugins: Collection[str] = ()) -> Config:
             because its file says so: a run's folder may come from anywhere.
 
     Raises:
-        UserError: the folder holds no run, one that needs other plugins, or one that this version
-            cannot read.
+        UserError: the folder holds no run, one that needs other plugins, one that this version
+            cannot read, or the record of an agent of another program.
     """
     path = folder / "config.yaml"
+    if (folder / "run.json").is_file() and (external := read_description(folder).get("external")):
+        raise UserError(
+            f"{folder}: records the scores of an agent of another program, {external['name']}; "
+            "the agent is not there"
+        )
     if not path.is_file():
         raise UserError(f"{folder}: is no run's folder (it has no config.yaml)")
     try:

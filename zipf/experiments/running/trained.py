@@ -11,8 +11,10 @@ from zipf.agents.agent import Agent
 from zipf.experiments import composing
 from zipf.experiments.config import Config, EvaluateOptions, module_names
 from zipf.experiments.running import checkpoint, run_folder
-from zipf.experiments.running.evaluator import AgentPolicy, Result, derive_seed, evaluate
+from zipf.experiments.running.agent_policy import AgentPolicy
+from zipf.experiments.running.evaluator import Result, derive_seed, evaluate
 from zipf.experiments.running.factory import build_agent
+from zipf.experiments.running.policies import Worlds, check_geometry
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Traine
 
 
 def evaluate_agent(
-    config: Config, agent: Agent, *, episodes: int, num_envs: int, seed: int
+    config: Config, agent: Agent, *, episodes: int | None, num_envs: int, seed: int
 ) -> list[Result]:
     """Scores an agent on its split's levels; all random draws derive from `seed`."""
     return evaluate(
@@ -78,3 +80,23 @@ def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
         seed=options.seed,
     )
     return trained.update, results
+
+
+def agent_of_run(folder: Path, worlds: Worlds, seed: int) -> AgentPolicy:
+    """The agent of a run's checkpoint, for worlds like those that it was trained in.
+
+    Raises:
+        UserError: no agent can be loaded from the folder.
+        ValueError: the agent was trained with other options, or in worlds with other spaces.
+    """
+    trained = load_agent(folder, "cpu")
+    check_geometry(trained.config.level_options, worlds)
+    env = envs.make_vec(trained.config.split.uniform[0], 1, **trained.config.level_options)
+    spaces = env.single_observation_space, env.single_action_space
+    env.close()
+    if spaces != (worlds.observation_space, worlds.action_space):
+        raise ValueError(
+            f"{folder}: its agent was trained in worlds with {spaces[0]} and {spaces[1]}; split "
+            f"{worlds.split!r} has {worlds.observation_space} and {worlds.action_space}"
+        )
+    return AgentPolicy(trained.agent, seed=seed, device="cpu")

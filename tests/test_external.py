@@ -1,0 +1,212 @@
+"""Agents of other programs as rows of our tables, and what such a row must not be taken for."""
+
+import json
+import shutil
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from zipf import envs, evaluate, play, report
+from zipf.experiments import command_line
+from zipf.experiments.errors import UserError
+from zipf.experiments.reporting import results
+from zipf.experiments.running import run_folder, runner
+
+DEMO = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 9}
+PLAY = {"episodes": 12, "num_envs": 6}
+
+
+def policy(observation):
+    return observation["image"][:, 31, 31, 0].astype(int) % 8
+
+
+def recorded(folder, frames=1000, **options):
+    options = {"name": "Theirs", "experiment": "demo", **PLAY, **DEMO, **options}
+    return evaluate.record(policy, "gridworld", folder, frames=frames, **options)
+
+
+def test_a_record_is_a_run_that_the_report_reads(tmp_path):
+    evaluation = recorded(tmp_path / "seed0", colour="#123456", order=3)
+    run = results.load_run(tmp_path / "seed0")
+    description = run.description
+    assert description.experiment == "demo"
+    assert description.row.title == "Theirs"
+    assert (description.row.colour, description.row.order) == ("#123456", 3)
+    assert description.external.name == "Theirs"
+    assert description.situation == {"map": 5, "target": 5}
+    assert [level.level for level in description.levels] == [
+        *("gridworld/zipf_2", "gridworld/uniform", "gridworld/rare")
+    ]
+    assert description.levels[0].chance == envs.chance("gridworld/zipf_2", **DEMO).score
+    assert description.paper is None
+    rows = run.evaluations.set_index("level_kind")
+    for kind, score in evaluation.scores.items():
+        assert rows.loc[kind, "score"] == score
+        assert rows.loc[kind, "frames"] == rows.loc[kind, "update"] == 1000
+    assert run.situations["episodes"].sum() == 3 * 12
+    written = json.loads((tmp_path / "seed0" / "run.json").read_text())
+    assert written["external"]["geometry"] == evaluate.geometry("gridworld", **DEMO)
+    assert written["torch"] == sys.modules["torch"].__version__
+    report.report([tmp_path], tmp_path / "report")
+    assert "Theirs" in (tmp_path / "report" / "report.md").read_text()
+
+
+def test_the_benchmarks_own_worlds_are_the_papers(tmp_path):
+    evaluate.record(policy, "gridworld", tmp_path, name="Theirs", frames=1, episodes=2)
+    assert json.loads((tmp_path / "run.json").read_text())["paper"] == "gridworld"
+
+
+def test_several_records_are_a_curve(tmp_path):
+    for frames in (1000, 3000, 2000):
+        recorded(tmp_path, frames)
+    last = recorded(tmp_path, 3000, seconds=7.5, episodes=20)
+    table = pd.read_csv(tmp_path / "evaluations.csv")
+    assert sorted(table["update"]) == [1000] * 3 + [2000] * 3 + [3000] * 3
+    again = table[table["update"] == 3000]
+    assert (again["episodes"] == 20).all()
+    assert (again["seconds"] == 7.5).all()
+    assert list(again["score"]) == list(last.scores.values())
+    situations = pd.read_csv(tmp_path / "situations.csv")
+    assert situations.groupby("update")["episodes"].sum().to_dict() == {
+        1000: 36,
+        2000: 36,
+        3000: 60,
+    }
+    recorded(tmp_path, 4000, update=17)
+    table = pd.read_csv(tmp_path / "evaluations.csv")
+    assert set(table.loc[table["update"] == 17, "frames"]) == {4000}
+
+
+def test_worlds_without_success_leave_it_empty(tmp_path):
+    from zipf.envs.gridworld.vector import GridworldVectorEnv
+
+    class Quiet(GridworldVectorEnv):
+        reports_success = False
+
+    split = envs.Split("quiet", lambda n, **o: Quiet(n, **o), "gridworld/uniform", "gridworld/rare")
+    evaluate.record(policy, split, tmp_path, name="Theirs", frames=1, **PLAY, **DEMO)
+    evaluations = pd.read_csv(tmp_path / "evaluations.csv").set_index("level_kind")
+    assert evaluations["success"].isna().to_dict() == {
+        "train": True,
+        "uniform": False,
+        "rare": False,
+    }
+    assert ",," in (tmp_path / "situations.csv").read_text().splitlines()[1]
+    results.load_run(tmp_path)
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    recorded(tmp_path / "seed0")
+    before = (tmp_path / "seed0" / "run.json").read_text()
+    for other, told in (
+        ({"seed": 1}, "seed 0 there, 1 here"),
+        ({"name": "Others"}, "condition Theirs there, Others here"),
+        ({"max_steps": 8}, "environment"),
+    ):
+        with pytest.raises(UserError, match=f"holds another record .*{told}"):
+            recorded(tmp_path / "seed0", **other)
+    assert (tmp_path / "seed0" / "run.json").read_text() == before
+    (tmp_path / "ours").mkdir()
+    (tmp_path / "ours" / "config.yaml").write_text("")
+    with pytest.raises(UserError, match=r"holds a run of zipf\.train"):
+        recorded(tmp_path / "ours")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="cannot be written"):
+        recorded(tmp_path / "file" / "seed0")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"frames": -1}, "frames=-1"),
+        ({"update": -1}, "update=-1"),
+        ({"name": " "}, "name=' '"),
+        ({"name": "a\nb"}, "should be one line"),
+        ({"seconds": float("nan")}, "seconds=nan"),
+        ({"colour": "red"}, "colour='red': should be '#rrggbb'"),
+        ({"line": "dotted"}, "line='dotted': should be 'solid' or 'dashed'"),
+    ],
+)
+def test_what_cannot_be_recorded_leaves_no_folder(options, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        recorded(tmp_path / "seed0", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+# What is not an agent of ours
+
+
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory):
+    """A run of ours, trained for two updates."""
+    root = tmp_path_factory.mktemp("runs")
+    config = command_line.load(
+        [
+            *("experiment=demo", "device=cpu", "updates=2", "schedule.window=[0,2]"),
+            *("collector.num_envs=4", "collector.unroll_length=5", "evaluation.episodes=4"),
+            *("network.size=16", "memory.size=16", "environment.max_steps=9"),
+            f"run_root={root}",
+        ]
+    )
+    runner.train(config)
+    return config.folder
+
+
+def refused(monkeypatch, capsys, main, *arguments):
+    monkeypatch.setattr(sys, "argv", ["zipf", *arguments])
+    with pytest.raises(SystemExit) as exited:
+        main()
+    assert exited.value.code == 2
+    return capsys.readouterr().err
+
+
+def test_there_is_no_agent_in_a_record(tmp_path, monkeypatch, capsys, ours):
+    recorded(tmp_path / "seed0")
+    run = f"run={tmp_path / 'seed0'}"
+    told = "records the scores of an agent of another program, Theirs; the agent is not there"
+    assert told in refused(monkeypatch, capsys, evaluate.main, run)
+    assert told in refused(monkeypatch, capsys, play.main, run, "record=a.gif")
+    with pytest.raises(UserError, match="the agent is not there"):
+        evaluate.score(tmp_path / "seed0", **PLAY, **DEMO)
+    # Nor does somebody else's configuration and checkpoint make it one.
+    for name in ("config.yaml", "checkpoint.pt"):
+        shutil.copy(ours / name, tmp_path / "seed0")
+    assert told in refused(monkeypatch, capsys, evaluate.main, run)
+    assert told in refused(monkeypatch, capsys, play.main, run, "record=a.gif")
+    with pytest.raises(UserError, match=r"config.yaml: by run.json the agent is external"):
+        results.load_run(tmp_path / "seed0")
+
+
+def test_a_checkpoint_of_other_options_is_no_agent_of_this_run(tmp_path, monkeypatch, capsys, ours):
+    folder = tmp_path / "seed0"
+    shutil.copytree(ours, folder)
+    config = (folder / "config.yaml").read_text()
+    (folder / "config.yaml").write_text(config.replace("discount: ", "discount: 0.1  # "))
+    for main, arguments in ((evaluate.main, ()), (play.main, ("record=a.gif",))):
+        error = refused(monkeypatch, capsys, main, f"run={folder}", *arguments)
+        assert "was made with other options (agent.discount=" in error
+
+
+def test_a_runs_agent_is_scored_by_its_folder(ours):
+    scores = evaluate.score(ours, seed=3, **PLAY, **DEMO)
+    config = run_folder.read_config(ours)
+    from zipf.experiments.running.trained import evaluate_agent, load_agent
+
+    agent = load_agent(ours, "cpu").agent
+    expected = evaluate_agent(config, agent, seed=3, **PLAY)
+    assert scores == evaluate.score(str(ours), seed=3, **PLAY, **DEMO)
+    assert list(scores.values()) == [result.score for result in expected]
+    with pytest.raises(ValueError, match="num_maps=5 of the policy, 20 of gridworld/zipf_2"):
+        evaluate.score(ours)
+    with pytest.raises(UserError, match="is no run's folder"):
+        evaluate.score(ours.parent)
+
+
+def test_episodes_are_as_many_as_the_split_says(ours, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["zipf.evaluate", f"run={ours}"])
+    evaluate.main()
+    table = pd.read_csv(ours / "evaluation-2-seed0.csv")
+    assert (table["episodes"] == 1000).all()
+    assert np.isfinite(table["score"]).all()

@@ -1,0 +1,1 @@
+"""Our environments in the classes of other libraries, one library a module."""

@@ -1,0 +1,145 @@
+"""A batch of worlds as a `VecEnv` of Stable-Baselines3 (`pip install "zipf-rl[sb3]"`)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from zipf.envs.vector import Observation, ZipfVectorEnv
+
+try:
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
+except ImportError as error:
+    raise ImportError(
+        "zipf.adapters.stable_baselines3 needs Stable-Baselines3: pip install 'zipf-rl[sb3]'"
+    ) from error
+
+
+class ZipfVecEnv(VecEnv):
+    """The worlds of a batch, stepped together, for agents of Stable-Baselines3.
+
+        model = PPO("MultiInputPolicy", ZipfVecEnv(make_vec("gridworld/zipf_2", 64)))
+
+    Observations are dictionaries of arrays `[N, ...]`, rewards float32 [N] and dones bool [N].
+    `reset_infos[i]` has what the environment's `info` tells about the episode that runs in world
+    `i`: its ranks (int) and descriptions. `infos[i]` of the step that ends an episode has those of
+    that episode and:
+
+    - `terminal_observation`: its last observation, a dictionary of arrays;
+    - `TimeLimit.truncated` (bool): it was truncated and not terminated;
+    - `is_success` (bool), where the environment reports success;
+    - `episode`: `{"r": return, "l": length, "t": seconds since the start}`, as `Monitor` does. No
+      `VecMonitor` is needed.
+
+    `infos[i]` of other steps are empty.
+
+    Args:
+        env: a batch in `AutoresetMode.SAME_STEP`.
+
+    Raises:
+        ValueError: the batch has another autoreset mode.
+    """
+
+    def __init__(self, env: ZipfVectorEnv) -> None:
+        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(
+                f"autoreset_mode must be SAME_STEP for Stable-Baselines3, got "
+                f"{env.autoreset_mode.name}"
+            )
+        self.env = env
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self._actions: NDArray[Any] = np.zeros(env.num_envs, np.int64)
+        self._start = time.monotonic()
+
+    def reset(self) -> Observation:
+        """Starts new episodes, with the seeds of `seed` and the options of `set_options`, once.
+
+        Raises:
+            ValueError: the options force ranks in some worlds and not in others, or there are no
+                such ranks.
+        """
+        options = self._forced(self._options)
+        observation, info = self.env.reset(seed=self._seeds, options=options)
+        self._reset_seeds()
+        self._reset_options()
+        self.reset_infos = [_row(info, i) for i in range(self.num_envs)]
+        return observation
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        self._actions = actions
+
+    def step_wait(
+        self,
+    ) -> tuple[Observation, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Observations, rewards, dones and infos of the step that `step_async` began."""
+        observation, reward, terminated, truncated, info = self.env.step(self._actions)
+        dones = terminated | truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if dones.any():
+            final, final_observation = info["final_info"], info["final_obs"]
+            running = {k: v for k, v in info.items() if k not in ("final_info", "final_obs")}
+            seconds = round(time.monotonic() - self._start, 6)
+            for i in np.flatnonzero(dones).tolist():
+                told = _row(final, i)
+                episode = {"r": told.pop("return"), "l": told.pop("length"), "t": seconds}
+                if "success" in told:
+                    told["is_success"] = told.pop("success")
+                infos[i] = {
+                    **told,
+                    "episode": episode,
+                    "terminal_observation": {k: v[i] for k, v in final_observation.items()},
+                    "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                }
+                self.reset_infos[i] = _row(running, i)
+        return observation, reward.astype(np.float32), dones, infos
+
+    def close(self) -> None:
+        self.env.close()
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """The frame of each world; None without `render_mode="rgb_array"`."""
+        frames: Any = self.env.render()
+        return [None] * self.num_envs if frames is None else frames
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """The batch's attribute, once for every world asked about."""
+        value = getattr(self.env, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Worlds of a batch have no attributes of their own: raises `NotImplementedError`."""
+        raise NotImplementedError(f"worlds of a batch have no {attr_name!r} of their own to set")
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        """Worlds of a batch have no methods of their own: raises `NotImplementedError`."""
+        raise NotImplementedError(
+            f"worlds of a batch have no method {method_name!r} of their own; "
+            "call the batch's, by the attribute `env`"
+        )
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
+        """True for `Monitor`, whose statistics `infos` has; no other wrapper is inside a batch."""
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
+
+    def _forced(self, options: list[dict[str, Any]]) -> dict[str, NDArray[Any]]:
+        """Options of each world as arrays [N]."""
+        if any(one.keys() != options[0].keys() for one in options):
+            raise ValueError("options must name the same ranks in every world")
+        return {name: np.array([one[name] for one in options]) for name in options[0]}
+
+
+def _row(info: dict[str, Any], i: int) -> dict[str, Any]:
+    """One world's entries as Python values."""
+    return {key: value[i].item() for key, value in info.items() if not key.startswith("_")}

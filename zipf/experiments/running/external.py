@@ -1,0 +1,206 @@
+"""Rows of our tables for agents of other programs."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import platform
+import re
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+import zipf
+from zipf import envs
+from zipf.experiments.errors import UserError
+from zipf.experiments.running.evaluator import derive_seed
+from zipf.experiments.running.scoring import Evaluation, geometry, score
+
+LIBRARIES = ("torch", "tensordict", "torchrl", "stable_baselines3", "sb3_contrib", "onnxruntime")
+"""Whose versions are recorded where they are in use."""
+
+
+def record(
+    policy: Any,
+    split: str | envs.Split,
+    folder: str | Path,
+    *,
+    name: str,
+    frames: int,
+    update: int | None = None,
+    seconds: float = 0.0,
+    seed: int = 0,
+    experiment: str | None = None,
+    order: int | None = None,
+    colour: str | None = None,
+    line: Literal["solid", "dashed"] = "solid",
+    episodes: int | None = None,
+    num_envs: int = 250,
+    batched: bool = True,
+    deterministic: bool = False,
+    **level_options: Any,
+) -> Evaluation:
+    """Scores somebody else's agent and makes it a row of the tables of `python -m zipf.report`.
+
+    The folder becomes a run's folder with `run.json`, `evaluations.csv` and `situations.csv`, and
+    is marked as external: no configuration of our agents belongs to it, and there is no agent in
+    it to evaluate or play. Call this again with other `frames` as training goes on for a learning
+    curve; the same `update` again replaces its evaluation. Every seed has a folder of its own.
+
+    The row stands in the table of the runs of the same experiment, split and constructor options,
+    with the score of its last evaluation.
+
+    Args:
+        policy: see `score`.
+        split: the benchmark, by its name or as an object.
+        folder: the run's folder, for instance `runs/demo/ppo/seed0`.
+        name: of the agent: the row's title, the same for all seeds.
+        frames: environment steps that it was trained for so far.
+        update: by which its evaluations are counted; None: `frames`.
+        seconds: that training has taken so far, 0 where it is not known.
+        seed: of the agent's training. The worlds of the evaluation are seeded from it and `update`.
+        experiment: whose table the row stands in; None: the split's name.
+        order: the row's place among the conditions; None: after those that have one, by name.
+        colour: of the row's curves, "#rrggbb"; None: one is chosen.
+        line: of its curves.
+        episodes, num_envs, batched, deterministic: see `score`.
+        level_options: constructor options of the levels; see `score`.
+
+    Raises:
+        ValueError, TypeError, ImportError: see `score`; or a count is negative, or a name empty.
+        zipf.experiments.errors.UserError: the folder holds another run, or cannot be written.
+    """
+    from zipf.experiments.running.run_folder import describe_levels  # imports PyTorch
+
+    if isinstance(split, str):
+        split = envs.split(split)
+    folder = Path(folder)
+    update = frames if update is None else update
+    for option, value in (("frames", frames), ("update", update), ("seconds", seconds)):
+        if not 0 <= value < np.inf:
+            raise ValueError(f"{option}={value}: should be at least 0")
+    for option, text in (("name", name), ("experiment", experiment or split.name)):
+        if not text.strip() or len(text.splitlines()) > 1:
+            raise ValueError(f"{option}={text!r}: should be one line of text")
+    if colour is not None and not re.fullmatch("#[0-9a-fA-F]{6}", colour):
+        raise ValueError(f"colour={colour!r}: should be '#rrggbb', six hexadecimal digits")
+    if line not in ("solid", "dashed"):
+        raise ValueError(f"line={line!r}: should be 'solid' or 'dashed'")
+    description = {
+        "experiment": experiment or split.name,
+        "condition": name,
+        "row": {"title": name, "order": order, "colour": colour, "line": line},
+        "seed": seed,
+        "split": split.name,
+        "spread": split.spread,
+        "environment": _environment(split, level_options),
+        "paper": _paper(split, level_options),
+        "levels": describe_levels(split, level_options),
+        "situation": _situation(split, level_options),
+        "external": {"name": name, "geometry": geometry(split, **level_options)},
+        "version": zipf.__version__,
+        "python": platform.python_version(),
+        **{library: _version(library) for library in LIBRARIES},
+        "recorded": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+    }
+    _refuse_other_runs(folder, description)
+    evaluation = score(
+        policy,
+        split,
+        episodes=episodes,
+        num_envs=num_envs,
+        seed=derive_seed(seed, "evaluation", update),
+        batched=batched,
+        deterministic=deterministic,
+        details=True,
+        **level_options,
+    )
+    when = {"update": update, "frames": frames, "seconds": seconds}
+    tables: dict[str, list[dict[str, Any]]] = {
+        "evaluations.csv": [{**when, **result.row()} for result in evaluation.results],
+        "situations.csv": [
+            {"update": update, **{str(name): value for name, value in row.items()}}
+            for row in evaluation.situations.to_dict("records")
+        ],
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _replace(folder / "run.json", json.dumps(description, indent=2) + "\n")
+        for file, rows in tables.items():
+            _replace(folder / file, _with_rows(folder / file, update, rows))
+    except OSError as error:
+        raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
+    return evaluation
+
+
+def _environment(split: envs.Split, level_options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that all levels are made with, as a run of ours has them."""
+    options = {}
+    if split.name in envs.all_splits():
+        options = envs.family_of_split(split.name).options_class().model_dump()
+    plain = {k: list(v) if isinstance(v, tuple) else v for k, v in level_options.items()}
+    return options | plain
+
+
+def _paper(split: envs.Split, level_options: Mapping[str, Any]) -> str | None:
+    """The paper's experiment, where the worlds are those of the benchmark."""
+    return split.paper if _environment(split, level_options) == _environment(split, {}) else None
+
+
+def _situation(split: envs.Split, level_options: Mapping[str, Any]) -> dict[str, int]:
+    env = envs.make_scored(split, split.train[0], 1, **level_options)
+    env.close()
+    return env.situation
+
+
+def _version(library: str) -> str | None:
+    return getattr(sys.modules.get(library), "__version__", None)
+
+
+def _refuse_other_runs(folder: Path, description: Mapping[str, Any]) -> None:
+    """Raises `UserError` where the folder belongs to something else."""
+    if (folder / "config.yaml").exists() or (folder / "checkpoint.pt").exists():
+        raise UserError(f"{folder}: holds a run of zipf.train; choose another folder")
+    path = folder / "run.json"
+    if not path.exists():
+        return
+    try:
+        there = json.loads(path.read_text(encoding="utf-8"))
+        if not there["external"]:
+            raise UserError(f"{folder}: holds a run of zipf.train; choose another folder")
+        same = ("condition", "seed", "experiment", "split", "environment", "external", "levels")
+        differing = [
+            f"{key} {there[key]} there, {description[key]} here"
+            for key in same
+            if there[key] != description[key]
+        ]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise UserError(f"{path}: is not a run's description; choose another folder") from None
+    if differing:
+        raise UserError(
+            f"{folder}: holds another record ({'; '.join(differing)}); choose another folder"
+        )
+
+
+def _with_rows(path: Path, update: int, rows: Sequence[Mapping[str, Any]]) -> str:
+    """The file's rows of other updates, then these."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    if path.exists():
+        header, *lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        text.write(header + "".join(one for one in lines if one.split(",")[0] != str(update)))
+    else:
+        writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _replace(path: Path, text: str) -> None:
+    replacement = path.with_name(f"{path.name}.new")
+    replacement.write_text(text, encoding="utf-8")
+    replacement.replace(path)

@@ -1,0 +1,232 @@
+"""Agents from elsewhere as policies of the evaluator."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from zipf.experiments.running.evaluator import Policy, derive_seed
+
+
+@dataclass(frozen=True)
+class Worlds:
+    """What a policy has to fit.
+
+    Attributes:
+        split: its name.
+        observation_space, action_space: of one world, alike on all levels of the split.
+        geometry: each level's constructor options.
+    """
+
+    split: str
+    observation_space: spaces.Dict
+    action_space: spaces.Discrete
+    geometry: Mapping[str, Mapping[str, Any]]
+
+
+def as_policy(
+    policy: Any, worlds: Worlds, *, batched: bool, deterministic: bool, seed: int
+) -> Policy:
+    """What `zipf.evaluate.score` takes, as a policy of the evaluator.
+
+    Args:
+        policy: see `zipf.evaluate.score`.
+        worlds: what it is to play.
+        batched: False for a function, or an object with `predict`, that takes one observation.
+        deterministic: its most probable actions in the place of draws.
+        seed: of the evaluation.
+
+    Raises:
+        ValueError: the policy has other spaces or another geometry, or cannot be played as the
+            options say.
+        TypeError: the policy is of no known kind.
+        UserError: a run's folder from which no agent can be loaded.
+    """
+    if isinstance(policy, str | Path):
+        _refuse(batched=batched)
+        return _from_path(Path(policy), worlds, deterministic, derive_seed(seed, "actions"))
+    check_geometry(getattr(policy, "geometry", None), worlds)
+    if _is_tensordict_module(policy):
+        from zipf.experiments.running.tensordict_policy import TensorDictPolicy
+
+        _refuse(batched=batched)
+        return TensorDictPolicy(
+            policy, worlds.observation_space, worlds.action_space, deterministic=deterministic
+        )
+    if callable(getattr(policy, "predict", None)):
+        return _Predictor(policy, worlds, batched, deterministic)
+    if not callable(policy):
+        raise TypeError(
+            f"policy is a {type(policy).__name__}; should be a function from observations to "
+            "actions, an object with `predict`, a TensorDict module, or the path of a .onnx file, "
+            "a TorchScript file (.pt, .ts) or a run's folder"
+        )
+    if deterministic:
+        raise ValueError("deterministic=True: a function decides for itself how it acts")
+    if hasattr(policy, "start"):
+        _refuse(batched=batched)
+        return policy
+    return _Function(policy, batched)
+
+
+def check_geometry(geometry: Mapping[str, Any] | None, worlds: Worlds) -> None:
+    """Raises `ValueError` where a policy was made for levels with other constructor options.
+
+    Args:
+        geometry: the options that matter to the policy; None where it names none.
+        worlds: what the policy is to play.
+    """
+    differing = []
+    for name, value in (geometry or {}).items():
+        for level, options in worlds.geometry.items():
+            if name not in options:
+                differing.append(f"{name}={value} of the policy, and {level} has no {name}")
+            elif _plain(value) != _plain(options[name]):
+                differing.append(f"{name}={value} of the policy, {options[name]} of {level}")
+    if differing:
+        raise ValueError(
+            f"the policy's geometry differs from that of split {worlds.split!r}: "
+            f"{'; '.join(differing)}"
+        )
+
+
+@contextmanager
+def own_torch_draws(seed: int) -> Iterator[None]:
+    """PyTorch's global generators begin at `seed` here, and afterwards are as they were before.
+
+    Where PyTorch is not in use it is not imported.
+    """
+    if "torch" not in sys.modules:
+        yield
+        return
+    import torch
+
+    with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
+        torch.manual_seed(seed)
+        yield
+
+
+def _refuse(*, batched: bool) -> None:
+    if not batched:
+        raise ValueError(
+            "batched=False: only for functions and objects with `predict` that take one observation"
+        )
+
+
+def _from_path(path: Path, worlds: Worlds, deterministic: bool, seed: int) -> Policy:
+    if path.is_dir():
+        from zipf.experiments.running.trained import agent_of_run
+
+        if deterministic:
+            raise ValueError("deterministic=True: agents of runs act as they do when evaluated")
+        return agent_of_run(path, worlds, seed)
+    from zipf.experiments.running.network_files import FilePolicy, Network, network_of
+
+    network: Network = network_of(path)
+    check_geometry(network.geometry, worlds)
+    return FilePolicy(
+        str(path),
+        network,
+        worlds.observation_space,
+        worlds.action_space,
+        seed=seed,
+        deterministic=deterministic,
+    )
+
+
+def _is_tensordict_module(policy: Any) -> bool:
+    # Such an object can exist only where the library has been imported.
+    library = sys.modules.get("tensordict.nn")
+    return library is not None and isinstance(policy, library.TensorDictModuleBase)
+
+
+class _Function:
+    """A function from observations to actions."""
+
+    def __init__(self, function: Callable[[Any], Any], batched: bool) -> None:
+        self.function = function
+        self.batched = batched
+
+    def start(self, num_envs: int) -> None: ...
+
+    def __call__(
+        self, observation: Mapping[str, NDArray], reward: NDArray, is_first: NDArray
+    ) -> NDArray:
+        if self.batched:
+            return np.asarray(self.function(observation))
+        return np.asarray([self.function({name: part[0] for name, part in observation.items()})])
+
+
+class _Predictor:
+    """An object with `predict`, in the convention of Stable-Baselines3.
+
+    Raises:
+        ValueError: it declares other spaces than the worlds'.
+    """
+
+    def __init__(self, agent: Any, worlds: Worlds, batched: bool, deterministic: bool) -> None:
+        self.predict = agent.predict
+        self.batched = batched
+        self.options = {"deterministic": True} if deterministic else {}
+        self.alone: str | None = None
+        declared = getattr(agent, "observation_space", None)
+        expected: spaces.Space = worlds.observation_space
+        if declared is not None:
+            if len(worlds.observation_space) == 1 and not isinstance(declared, spaces.Dict):
+                self.alone = next(iter(worlds.observation_space))
+                expected = worlds.observation_space[self.alone]
+            if not _same_space(declared, expected):
+                raise ValueError(
+                    f"the policy's observation space, {declared}, differs from that of split "
+                    f"{worlds.split!r}, {expected}"
+                )
+        actions = getattr(agent, "action_space", worlds.action_space)
+        if actions != worlds.action_space:
+            raise ValueError(
+                f"the policy's action space, {actions}, differs from that of split "
+                f"{worlds.split!r}, {worlds.action_space}"
+            )
+
+    def start(self, num_envs: int) -> None:
+        self.state = None
+
+    def __call__(
+        self, observation: Mapping[str, NDArray], reward: NDArray, is_first: NDArray
+    ) -> NDArray:
+        given: Any = observation
+        if not self.batched:
+            given = {name: part[0] for name, part in observation.items()}
+        if self.alone:
+            given = given[self.alone]
+        actions, self.state = self.predict(
+            given, state=self.state, episode_start=is_first, **self.options
+        )
+        return np.atleast_1d(actions)
+
+
+def _same_space(declared: spaces.Space, expected: spaces.Space) -> bool:
+    """Whether they are equal, or the declared one has an image's channels first.
+
+    Stable-Baselines3 declares images so where they came with channels last, and transposes what
+    `predict` is given.
+    """
+    if isinstance(declared, spaces.Dict) and isinstance(expected, spaces.Dict):
+        return declared.keys() == expected.keys() and all(
+            _same_space(declared[name], expected[name]) for name in expected
+        )
+    if isinstance(declared, spaces.Box) and len(declared.shape) == 3:
+        low, high = (np.moveaxis(bound, 0, -1) for bound in (declared.low, declared.high))
+        return expected in (declared, spaces.Box(low, high, dtype=declared.dtype.type))
+    return declared == expected
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
