@@ -4,8 +4,11 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-CONDITIONS := vmpo,r2d2,r2d2_uniform_replay,impala,impala_vision,impala_byol,impala_mlp,$\
-  impala_transformer,impala_transformer_vision_language
+# Every condition but those that need an instruction or two objects in view.
+CONDITIONS := $(filter-out impala_vision_language supervised,$\
+  $(basename $(notdir $(sort $(wildcard configs/condition/*.yaml)))))
+EMPTY :=
+COMMA := ,
 
 .PHONY: demo conditions test lint types wheel results clean
 
@@ -16,7 +19,7 @@ demo: $(VENV)/.installed  ## train on a small gridworld for a few minutes, then 
 conditions: $(VENV)/.installed  ## every agent on the same gridworld, three seeds each: an hour on 2 cores
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[sweep]"
 	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=demo_conditions \
-	  condition=$(CONDITIONS) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
+	  condition=$(subst $(EMPTY) $(EMPTY),$(COMMA),$(CONDITIONS)) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
 	$(BIN)/python -m zipf.report runs/demo_conditions
 
 test: $(VENV)/.installed  ## run all tests

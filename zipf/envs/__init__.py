@@ -23,8 +23,6 @@ from zipf.envs.family import (
     register,
     split,
 )
-from zipf.envs.gridworld import FAMILY as _gridworld
-from zipf.envs.playroom import FAMILY as _playroom
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
 
 if TYPE_CHECKING:
@@ -76,8 +74,8 @@ __all__ = [
     "zipfian",
 ]
 
-for _family in (_gridworld, _playroom):
-    register(_family)
+for _package in ("gridworld", "playroom"):
+    register(import_module(f"zipf.envs.{_package}").FAMILY)
 
 
 def __getattr__(name: str) -> Any:
