@@ -6,6 +6,7 @@ from copy import deepcopy
 import numpy as np
 import pytest
 import torch
+from scipy.stats import chisquare
 from tensordict import TensorDict
 
 from zipf.agents import free_space, replay
@@ -62,12 +63,9 @@ def test_the_tree_is_a_list_with_sums(size):
             assert mass <= plain[: found + 1].sum() + 1e-12
 
 
-def chi_square(counts, probabilities):
-    """How many standard deviations of its own the statistic lies above its mean."""
-    expected = counts.sum() * probabilities
-    statistic = ((counts - expected) ** 2 / expected).sum()
-    freedom = len(counts) - 1
-    return (statistic - freedom) / np.sqrt(2 * freedom)
+def follows(counts, probabilities):
+    """Whether counts fit probabilities no worse than one time in a million."""
+    return chisquare(counts, counts.sum() * probabilities).pvalue > 1e-6
 
 
 def sampler_with(priorities, exponent, beta=0.6):
@@ -89,10 +87,10 @@ def test_draws_follow_priorities(exponent):
     for _ in range(2000):
         counts += np.bincount(sampler.sample(None, 32)[0].numpy(), minlength=100)
     choices = np.random.default_rng(1).choice(100, size=64_000, p=probabilities)
-    assert chi_square(np.bincount(choices, minlength=100), probabilities) < 5
-    assert chi_square(counts, probabilities) < 5
+    assert follows(np.bincount(choices, minlength=100), probabilities)
+    assert follows(counts, probabilities)
     wrong = priorities ** (exponent + 0.1) / (priorities ** (exponent + 0.1)).sum()
-    assert chi_square(counts, wrong) > 5
+    assert not follows(counts, wrong)
 
 
 def test_the_place_in_a_batch_says_nothing_of_the_share_drawn():
@@ -100,7 +98,7 @@ def test_the_place_in_a_batch_says_nothing_of_the_share_drawn():
     priorities = np.arange(1.0, 11.0)
     sampler = sampler_with(priorities, 1.0)
     counts = np.bincount([int(sampler.sample(None, 1)[0]) for _ in range(20_000)], minlength=10)
-    assert chi_square(counts, priorities / priorities.sum()) < 5
+    assert follows(counts, priorities / priorities.sum())
 
 
 @pytest.mark.parametrize("beta", [0.0, 0.6, 1.0])

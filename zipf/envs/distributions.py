@@ -32,7 +32,7 @@ def zipfian(n: int, exponent: float) -> NDArray[np.float64]:
 
 
 def uniform(n: int) -> NDArray[np.float64]:
-    """Every rank alike. Returns float64 [n]; raises `ValueError` if `n < 1`."""
+    """Every rank is equally likely. Returns float64 [n]; raises `ValueError` if `n < 1`."""
     _check_size(n)
     return np.full(n, 1.0 / n)
 

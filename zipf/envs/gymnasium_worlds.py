@@ -225,15 +225,13 @@ class GymnasiumVectorEnv(ZipfVectorEnv):
         self, i: int, observation: Any, reward: float, terminated: bool, truncated: bool
     ) -> None:
         """Keeps a world's observation, and what the world returned in its digest."""
-        previous = int(self._digests[i])
-        digest = hashlib.blake2b(
-            struct.pack("<Qd??", previous, reward, terminated, truncated), digest_size=8
-        )
+        content = [struct.pack("<Qd??", self._digests[i], reward, terminated, truncated)]
         for part in self.parts:
-            row = self._current[part.name]
-            row[i] = part.read(observation)
-            digest.update(row[i].tobytes())
-        self._digests[i] = int.from_bytes(digest.digest(), "little")
+            row = self._current[part.name][i : i + 1]
+            row[0] = part.read(observation)
+            content.append(row.tobytes())
+        digest = hashlib.blake2b(b"".join(content), digest_size=8).digest()
+        self._digests[i] = int.from_bytes(digest, "little")
 
     def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
         for name, array in out.items():
@@ -344,19 +342,21 @@ class Words:
         Raises:
             ValueError: the text has more words than `length`.
         """
-        return np.array(_encoded(text, self.length, self.size), np.int64)
+        return _encoded(text, self.length, self.size)
 
 
 @lru_cache(maxsize=4096)
-def _encoded(text: str, length: int, size: int) -> tuple[int, ...]:
+def _encoded(text: str, length: int, size: int) -> NDArray[np.int64]:
     words = re.findall(r"\w+|[^\w\s]", text.lower())
     if len(words) > length:
         raise ValueError(
             f"{text!r} has {len(words)} words, more than text_length={length}: give a larger one"
         )
     hashes = [hashlib.blake2b(word.encode(), digest_size=8).digest() for word in words]
-    codes = [1 + int.from_bytes(digest, "little") % (size - 1) for digest in hashes]
-    return (*codes, *[0] * (length - len(words)))
+    codes = np.zeros(length, np.int64)
+    codes[: len(words)] = [1 + int.from_bytes(one, "little") % (size - 1) for one in hashes]
+    codes.flags.writeable = False  # it is given out again
+    return codes
 
 
 @dataclass(frozen=True)
@@ -368,7 +368,7 @@ class Part:
         name: of the part, as agents see it.
         path: the keys and indices that lead to it in the environment's observation.
         space: its space, as agents see it.
-        start: subtracted from what the environment gives.
+        start: subtracted from what the environment gives, None for 0.
         codes: how many codes its values are, None where they are not checked.
         words: for texts.
     """
@@ -377,7 +377,7 @@ class Part:
     name: str
     path: tuple[Any, ...]
     space: spaces.Space
-    start: Any = 0
+    start: Any = None
     codes: int | None = None
     words: Words | None = None
 
@@ -398,12 +398,12 @@ class Part:
                 f"{self.space.shape}"
             )
         codes = self.codes
-        if codes is not None and value.size and not 0 <= value.min() <= value.max() < codes:
+        if codes is not None and (value.astype(np.uint64) >= codes).any():  # -1 is a huge one
             raise ValueError(
                 f"{self.id}: observation {self.name!r} has values {value.min()} .. {value.max()}, "
                 f"but codes says {codes}: they must be in 0 .. {codes - 1}"
             )
-        return value - self.start if np.any(self.start) else value
+        return value if self.start is None else value - self.start
 
 
 def _parts(
@@ -450,10 +450,10 @@ def _flattened(
             coded = spaces.MultiDiscrete(np.full(space.shape, n), dtype=dtype)
         yield Part(id, name, path, coded, codes=n)
     elif isinstance(space, spaces.Discrete):
-        yield Part(id, name, path, spaces.Discrete(int(space.n)), start=space.start)
+        yield Part(id, name, path, spaces.Discrete(int(space.n)), start=space.start or None)
     elif isinstance(space, spaces.MultiDiscrete):
         counted = spaces.MultiDiscrete(space.nvec, dtype=space.dtype)
-        yield Part(id, name, path, counted, start=space.start)
+        yield Part(id, name, path, counted, start=space.start if space.start.any() else None)
     elif isinstance(space, spaces.Box | spaces.MultiBinary):
         yield Part(id, name, path, space)
     elif space.dtype is not None and space.dtype.kind == "U":  # Text, and MiniGrid's MissionSpace
