@@ -149,7 +149,7 @@ def measure(
     with FlopCounterMode(display=False) as counter:
         agent.update(unroll_of(agent, spaces, 3, 2, device))
     flops = counter.get_total_flops() / 8 * rows * worlds  # of 4 rows of 2 worlds
-    see = agent.network.encoder.image
+    see = agent.network.encoder.reader("image")
     if not variant.channels_last and isinstance(see, ResNet):
         see.layers.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
         see.layers.register_forward_pre_hook(lambda _, inputs: (inputs[0].contiguous(),))
@@ -210,11 +210,11 @@ def parts(agent: Impala, unroll: Unroll, precision: str) -> dict[str, Callable[[
         *inputs.is_first.shape, features, dtype=dtype, device=device, requires_grad=True
     )
     found = {
-        "image": alone(lambda: network.encoder.image(seen)),
+        "image": alone(lambda: network.encoder.reader("image")(seen)),
         "memory": alone(lambda: network.memory(remembered, inputs.is_first, unroll.memory)[0]),
     }
-    read = network.encoder.instruction
-    if read is not None:
+    if "instruction" in inputs.observation:
+        read = network.encoder.reader("instruction")
         words = inputs.observation["instruction"].flatten(0, 1)
         found["instruction"] = alone(lambda: read(words))
     return found

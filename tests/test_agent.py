@@ -3,16 +3,16 @@
 from typing import Literal
 
 import gymnasium as gym
+import noise
 import numpy as np
 import pytest
 import torch
-from noise import Noise
+from networks import compact
 from omegaconf import OmegaConf
 
 from zipf.agents import agent as registry
 from zipf.agents.agent import Agent, Setting, agents, register
 from zipf.agents.auxiliary.reconstruction import VisionOptions
-from zipf.agents.encoders import CompactOptions
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
@@ -23,7 +23,7 @@ from zipf.options import Options
 ACTIONS, WORLDS, STEPS = 2, 4, 5
 SPACE = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8))
 ACTION_SPACE = gym.spaces.Discrete(ACTIONS)
-NETWORK = CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=0)
+NETWORK = compact()
 LSTM = LSTMOptions(name="lstm", size=8, layers=1)
 
 
@@ -37,9 +37,9 @@ def options_of(name):
     return agents()[name].Options.model_validate(values)
 
 
-def build(name, seed=0, actions=ACTION_SPACE, **changes):
+def build(name, seed=0, space=SPACE, actions=ACTION_SPACE, network=NETWORK, **changes):
     batch = {"num_envs": WORLDS, "unroll_length": STEPS}
-    setting = Setting(SPACE, actions, NETWORK, LSTM, seed=seed, **batch, **changes)
+    setting = Setting(space, actions, network, LSTM, seed=seed, **batch, **changes)
     made = agents()[name](options_of(name), setting)
     made.begin_learning()
     return made
@@ -47,7 +47,8 @@ def build(name, seed=0, actions=ACTION_SPACE, **changes):
 
 def unrolls(made, count):
     """Unrolls that the agent, which does not learn meanwhile, collects."""
-    collector = Collector(Noise(WORLDS, SPACE), made, unroll_length=STEPS, seed=0)
+    env = noise.Noise(WORLDS, made.setting.observation_space)
+    collector = Collector(env, made, unroll_length=STEPS, seed=0)
     for _ in range(count):
         unroll = collector.collect()
         yield Unroll(unroll.steps.clone(), unroll.memory, unroll.late_memory)
@@ -131,8 +132,8 @@ def test_copies_are_compiled_where_the_original_is(name):
         made = build(name)
         getattr(made, first)()
         getattr(made, second)()
-        assert made.actor.encoder.image._compiled_call_impl is not None
-        assert made.network.encoder.image._compiled_call_impl is not None
+        assert made.actor.encoder.reader("image")._compiled_call_impl is not None
+        assert made.network.encoder.reader("image")._compiled_call_impl is not None
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -143,6 +144,20 @@ def test_an_agent_without_auxiliary_losses_refuses_one(name):
     else:
         with pytest.raises(ValueError, match="choose auxiliary=none, or agent=impala or vmpo"):
             build(name, auxiliary=auxiliary)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("space", noise.SPACES)
+def test_every_agent_learns_from_any_space(space, name):
+    """Two updates, whose gradients reach every encoder."""
+    made = build(name, space=noise.SPACES[space], network=compact(patch=None))
+    before = {key: value.clone() for key, value in made.network.state_dict().items()}
+    for unroll in unrolls(made, 3):  # R2D2's first has no prefix and is not learned from
+        metrics = made.update(unroll)
+    assert np.isfinite(metrics["loss"])
+    after = made.network.state_dict()
+    for key in before:
+        assert not torch.equal(before[key], after[key]), key
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import torch
 import torch.nn.functional as F
+from networks import compact
 from tensordict import TensorDict
 
 from zipf import envs
@@ -24,7 +25,7 @@ from zipf.agents.auxiliary import (
 )
 from zipf.agents.auxiliary.byol import BYOLHorizonOptions, BYOLOptions, random_shift
 from zipf.agents.auxiliary.reconstruction import VisionLanguageOptions, VisionOptions
-from zipf.agents.encoders import CompactOptions, ResNetOptions, ShallowOptions
+from zipf.agents.encoders import ResNetOptions, ShallowOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs
@@ -35,10 +36,17 @@ from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, runner
 
 ACTIONS, STEPS, BATCH, WORDS, LENGTH = 3, 7, 4, 6, 5
-COMPACT = CompactOptions(name="compact", patch=None, channels=8, size=16, head_size=0)
-RESNET = ResNetOptions(name="resnet", channels=[4, 6, 5], blocks=2, head_size=0)
+COMPACT = compact(patch=None, channels=8, size=16, head_size=0)
+OF_PARTS = {"code_channels": 4, "code_size": 6, "vector_layers": [5]}
+RESNET = ResNetOptions(name="resnet", channels=[4, 6, 5], blocks=2, **OF_PARTS, head_size=0)
 SHALLOW = ShallowOptions(
-    name="shallow", channels=[4, 6], kernels=[6, 3], strides=[3, 2], size=16, head_size=0
+    name="shallow",
+    channels=[4, 6],
+    kernels=[6, 3],
+    strides=[3, 2],
+    size=16,
+    **OF_PARTS,
+    head_size=0,
 )
 NETWORKS = {"compact": COMPACT, "resnet": RESNET, "shallow": SHALLOW}
 MEMORIES = {
@@ -293,7 +301,7 @@ def test_bfloat16_computes_the_same(options):
 def test_every_network_has_a_mirror_image(network, shape):
     actor, loss_of = build(VISION, network, shape=shape)
     assert loss_of.image(torch.zeros(2, 16)).shape == (2, *shape, 3)
-    decoder, encoder = loss_of.image, actor.encoder.image
+    decoder, encoder = loss_of.image, actor.encoder.reader("image")
     if network is COMPACT:
         assert decoder.patch == encoder.patch
         assert decoder.unembed.weight.shape == encoder.embed.weight.T.shape
@@ -785,12 +793,12 @@ def share_decoded(actor, train, test):
 def test_reconstruction_teaches_a_memory_the_cue():
     """From an encoder that is blind where the cue is, so that nothing is decoded at first."""
     env = envs.make_vec("gridworld/uniform", 1, num_maps=1, num_objects=GOALS)
-    network = CompactOptions(name="compact", patch=9, channels=32, size=64, head_size=0)
+    network = compact(patch=9, channels=32, size=64, head_size=0)
     memory = LSTMOptions(name="lstm", size=64, layers=1)
     torch.manual_seed(0)
     actor = ActorCritic(env.single_observation_space, env.single_action_space, network, memory)
     with torch.no_grad():
-        actor.encoder.image.mix.weight[:, :32] = 0.0  # the first square's share
+        actor.encoder.reader("image").mix.weight[:, :32] = 0.0  # the first square's share
     loss_of = build_auxiliary(VISION, env.single_observation_space, network, actor, 0)
     train, test = walks(96, 0), walks(96, 1)
     chance = 1 / GOALS

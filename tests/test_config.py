@@ -183,7 +183,7 @@ def test_the_compact_network_fits_every_family(experiment, patch):
     loaded = command_line.load([f"experiment={experiment}", "network=compact"])
     env = envs.make_vec(envs.split(loaded.environment.split).uniform[0], 1)
     encoder = Encoder(env.single_observation_space, loaded.network)
-    assert encoder.image.patch == patch
+    assert encoder.reader("image").patch == patch
 
 
 MISTAKES = [

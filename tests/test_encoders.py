@@ -1,20 +1,37 @@
 """Encoders and the actor-critic against plain versions of themselves."""
 
 import gymnasium as gym
+import noise
 import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from networks import compact
 
-from zipf.agents.encoders import CompactOptions, Encoder, ResNetOptions, ShallowOptions
+from zipf.agents.encoders import (
+    CodeEncoder,
+    Encoder,
+    InstructionEncoder,
+    ResNet,
+    ResNetOptions,
+    ShallowOptions,
+    VectorEncoder,
+)
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs
 
-COMPACT = CompactOptions(name="compact", patch=9, channels=5, size=7, head_size=0)
+COMPACT = compact(patch=9, channels=5, size=7, head_size=0)
+SIZES = {"code_channels": 4, "code_size": 6, "vector_layers": [5]}
 SHALLOW = ShallowOptions(
-    name="shallow", channels=[16, 32], kernels=[8, 4], strides=[4, 2], size=256, head_size=0
+    name="shallow",
+    channels=[16, 32],
+    kernels=[8, 4],
+    strides=[4, 2],
+    size=256,
+    **SIZES,
+    head_size=0,
 )
-RESNET = ResNetOptions(name="resnet", channels=[16, 32, 32], blocks=2, head_size=8)
+RESNET = ResNetOptions(name="resnet", channels=[16, 32, 32], blocks=2, **SIZES, head_size=8)
 
 
 def image_space(height=63, width=63):
@@ -34,7 +51,7 @@ def test_the_patch_encoder_is_a_convolution():
     torch.manual_seed(0)
     encoder = Encoder(gym.spaces.Dict(image=image_space(18, 27)), COMPACT)
     image = images(4, 18, 27)
-    patches = encoder.image
+    patches = encoder.reader("image")
     kernel = patches.embed.weight.view(5, 9, 9, 3).permute(0, 3, 1, 2)
     pixels = image.permute(0, 3, 1, 2) / 255
     embedded = F.conv2d(pixels, kernel, patches.embed.bias, stride=9).relu()
@@ -72,16 +89,33 @@ def test_the_resnet_sees_pixels_between_0_and_1():
     torch.manual_seed(0)
     encoder = Encoder(gym.spaces.Dict(image=image_space(8, 8)), RESNET)
     image = images(3, 8, 8)
-    expected = encoder.image.layers(image.permute(0, 3, 1, 2).double().float() / 255)
+    expected = encoder.reader("image").layers(image.permute(0, 3, 1, 2).double().float() / 255)
     torch.testing.assert_close(encoder({"image": image}), expected)
 
 
-def test_tiles_are_told_apart():
+TILES = gym.spaces.Dict(
+    tiles=gym.spaces.Box(0, 227, (7, 7), np.uint8), cue=gym.spaces.Box(0, 227, (1,), np.uint8)
+)
+
+
+def test_the_code_encoder_embeds_all_codes_by_one_table():
+    """For the gridworld's tiles: one table, the tiles before the cue."""
     torch.manual_seed(0)
-    space = gym.spaces.Dict(
-        tiles=gym.spaces.Box(0, 227, (7, 7), np.uint8), cue=gym.spaces.Box(0, 227, (1,), np.uint8)
-    )
-    encoder = Encoder(space, COMPACT)
+    encoder = Encoder(TILES, COMPACT)
+    codes = encoder.reader("tiles")
+    assert codes is encoder.reader("cue")
+    assert [tuple(p.shape) for p in encoder.parameters()] == [(228, 5), (7, 250), (7,)]
+    rng = np.random.default_rng(0)
+    tiles = torch.from_numpy(rng.integers(228, size=(3, 7, 7), dtype=np.uint8))
+    cue = torch.from_numpy(rng.integers(228, size=(3, 1), dtype=np.uint8))
+    cells = torch.cat([tiles.flatten(1), cue], -1).long()
+    expected = codes.mix(codes.embed.weight[cells].relu().flatten(1)).relu()
+    torch.testing.assert_close(encoder({"tiles": tiles, "cue": cue}), expected)
+
+
+def test_codes_are_told_apart():
+    torch.manual_seed(0)
+    encoder = Encoder(TILES, COMPACT)
     tiles = torch.zeros(3, 7, 7, dtype=torch.uint8)
     cue = torch.full((3, 1), 227, dtype=torch.uint8)
     tiles[1, 3, 4] = 5
@@ -90,6 +124,119 @@ def test_tiles_are_told_apart():
     assert not torch.equal(one, other)
     assert not torch.equal(one, third)
     assert not torch.equal(other, third)
+
+
+def test_codes_count_from_their_start():
+    torch.manual_seed(0)
+    shifted = gym.spaces.Dict(
+        cell=gym.spaces.Discrete(4, start=-2), more=gym.spaces.MultiDiscrete([3, 5], start=[7, 1])
+    )
+    plain = gym.spaces.Dict(cell=gym.spaces.Discrete(4), more=gym.spaces.MultiDiscrete([3, 5]))
+    encoder, other = Encoder(shifted, COMPACT), Encoder(plain, COMPACT)
+    other.load_state_dict(encoder.state_dict())
+    cell, more = torch.tensor([0, 3]), torch.tensor([[2, 4], [0, 0]])
+    torch.testing.assert_close(
+        encoder({"cell": cell - 2, "more": more + torch.tensor([7, 1])}),
+        other({"cell": cell, "more": more}),
+    )
+
+
+def test_vectors_are_scaled_by_their_bounds_or_by_symlog():
+    space = gym.spaces.Dict(
+        {
+            "a": gym.spaces.Box(np.float32([-4, -np.inf, 0]), np.float32([4, np.inf, np.inf])),
+            "b": gym.spaces.Box(10, 30, (2,), np.int32),
+            "c": gym.spaces.MultiBinary(2),
+            "d": gym.spaces.Box(-3e38, 3e38, (1,), np.float32),  # bounds that stand for none
+            "e": gym.spaces.Box(5, 5, (1,), np.float32),
+        }
+    )
+    vectors = Encoder(space, COMPACT).reader("a")
+    read = []
+    vectors.layers.register_forward_pre_hook(lambda _, inputs: read.append(inputs[0]))
+    vectors(
+        torch.tensor([[2.0, -100.0, 3.0]]),
+        torch.tensor([[10, 25]], dtype=torch.int32),
+        torch.tensor([[0, 1]], dtype=torch.int8),
+        torch.tensor([[1e4]]),
+        torch.tensor([[5.0]]),
+    )
+    expected = [0.5, -np.log(101), np.log(4), -1.0, 0.5, -1.0, 1.0, np.log(10001), -1.0]
+    np.testing.assert_allclose(read[0][0], expected, rtol=1e-5)
+
+
+def test_vectors_go_through_an_mlp():
+    torch.manual_seed(0)
+    options = COMPACT.model_copy(update={"vector_layers": [6, 3]})
+    encoder = Encoder(gym.spaces.Dict(x=gym.spaces.Box(-1, 1, (4,))), options)
+    assert encoder.size == 3
+    first, first_bias, second, second_bias = encoder.parameters()
+    x = torch.rand(5, 4)
+    expected = F.linear(F.linear(x, first, first_bias).relu(), second, second_bias).relu()
+    torch.testing.assert_close(encoder({"x": x}), expected)
+
+
+KINDS = {
+    ResNet: ["image", "arm.camera"],
+    InstructionEncoder: ["instruction", "mission"],
+    CodeEncoder: ["cell", "cells", "tiles", "cue", "board"],
+    VectorEncoder: ["position", "lights", "ram", "counts", "switches"],
+}
+
+
+@pytest.mark.parametrize("space", noise.SPACES)
+def test_the_space_of_a_part_says_which_encoder_reads_it(space):
+    encoder = Encoder(noise.SPACES[space], RESNET)
+    known = 0
+    for kind, names in KINDS.items():
+        for name in set(names) & set(noise.SPACES[space]):
+            assert type(encoder.reader(name)) is kind, name
+            known += 1
+    assert known or set(noise.SPACES[space]) == {"x"}
+    each = {name for names in encoder.names for name in names}
+    assert each == set(noise.SPACES[space])
+
+
+@pytest.mark.parametrize("options", [RESNET, SHALLOW, COMPACT], ids=lambda options: options.name)
+@pytest.mark.parametrize("space", noise.SPACES)
+def test_every_network_reads_every_space(space, options):
+    """Every part changes the result, and gradients reach every parameter."""
+    torch.manual_seed(0)
+    if options.name == "compact":
+        options = options.model_copy(update={"patch": None})
+    encoder = Encoder(noise.SPACES[space], options)
+    noise.SPACES[space].seed(0)
+    samples = [noise.SPACES[space].sample() for _ in range(4)]
+    parts = {
+        name: torch.from_numpy(np.stack([sample[name] for sample in samples]))
+        for name in noise.SPACES[space]
+    }
+    encoded = encoder(parts)
+    assert encoded.shape == (4, encoder.size)
+    encoded.square().sum().backward()
+    for name, parameter in encoder.named_parameters():
+        assert parameter.grad.any(), name
+    for name, part in parts.items():
+        others = parts | {name: part.flip(0)}
+        assert not torch.equal(encoder(others), encoded), name
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (RESNET, None),
+        (COMPACT.model_copy(update={"patch": None}), None),
+        (COMPACT, r"network.patch=9 does not divide the image of 7 x 7 .* null"),
+        (SHALLOW, "leaves nothing of an image of 7 x 7 .* or network=compact"),
+    ],
+)
+def test_small_images(options, told):
+    space = gym.spaces.Dict(image=image_space(7, 7))
+    if told is None:
+        assert Encoder(space, options)({"image": images(2, 7, 7)}).shape[0] == 2
+    else:
+        with pytest.raises(ValueError, match=told):
+            Encoder(space, options)
 
 
 def test_an_instruction_is_read_to_its_last_word():
@@ -109,16 +256,16 @@ def test_an_instruction_is_read_to_its_last_word():
 
 
 @pytest.mark.parametrize(
-    ("space", "options"),
+    ("space", "told"),
     [
-        (gym.spaces.Dict(sound=image_space()), COMPACT),
-        (gym.spaces.Dict(tiles=image_space(), cue=image_space()), RESNET),
-        (gym.spaces.Dict(image=image_space(64, 64)), COMPACT),
+        (gym.spaces.Dict(words=gym.spaces.Text(9)), "no encoder reads 'words'.*Text.*MultiBinary"),
+        (gym.spaces.Dict(arm=gym.spaces.Dict(x=gym.spaces.Discrete(2))), "no encoder reads 'arm'"),
+        (gym.spaces.Dict(), "nothing to read"),
     ],
 )
-def test_what_cannot_be_read_is_refused(space, options):
-    with pytest.raises(ValueError, match="resnet"):
-        Encoder(space, options)
+def test_what_no_encoder_reads_is_refused(space, told):
+    with pytest.raises(ValueError, match=told):
+        Encoder(space, COMPACT)
 
 
 @pytest.mark.parametrize(

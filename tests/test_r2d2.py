@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from networks import compact
 from omegaconf import OmegaConf
 from recall import Recall
 from tensordict import TensorDict
@@ -16,7 +17,6 @@ from test_train import TINY, assert_equal, learned, untimed
 from zipf import envs
 from zipf.agents import r2d2, replay
 from zipf.agents.agent import Setting
-from zipf.agents.encoders import CompactOptions
 from zipf.agents.gtrxl import GTrXLOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
@@ -55,7 +55,7 @@ OPTIONS = R2D2Options(
     importance_exponent=0.6,
     priority_max_weight=0.8,
 )
-NETWORK = CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=8)
+NETWORK = compact(channels=8, size=16, head_size=8)
 LSTM = LSTMOptions(name="lstm", size=16, layers=1)
 
 
@@ -653,7 +653,7 @@ def test_it_learns_to_find_three_goals_in_a_room(seed):
     }
     policy = trained(
         envs.make_vec("gridworld/uniform", 16, **options),
-        CompactOptions(name="compact", patch=None, channels=16, size=64, head_size=0),
+        compact(patch=None, channels=16, size=64),
         MLPOptions(name="mlp", size=64, layers=1),
         unroll_length=10,
         updates=450,
@@ -668,7 +668,7 @@ def test_it_learns_to_recall():
     delay = 4
     policy = trained(
         Recall(32, delay),
-        CompactOptions(name="compact", patch=9, channels=16, size=16, head_size=0),
+        compact(channels=16, size=16),
         LSTMOptions(name="lstm", size=32, layers=1),
         unroll_length=2 * (delay + 1),
         updates=350,

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import torch
+from networks import compact
 from recall import CUES, Recall
 
 from zipf.agents.agent import Setting
-from zipf.agents.encoders import CompactOptions
 from zipf.agents.gtrxl import GTrXLOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
@@ -30,7 +30,7 @@ IMPALA = ImpalaOptions(
     clip_c=1.0,
     trace_lambda=1.0,
 )
-NETWORK = CompactOptions(name="compact", patch=9, channels=16, size=16, head_size=0)
+NETWORK = compact(channels=16, size=16)
 
 
 def trained(memory, updates, seed=0, **changes):

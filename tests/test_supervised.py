@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from networks import compact
 
 from zipf import envs
 from zipf.agents.agent import Setting
-from zipf.agents.encoders import CompactOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.supervised import Supervised, SupervisedOptions
@@ -26,7 +26,7 @@ OPTIONS = SupervisedOptions(
     adam_epsilon=1e-8,
     max_gradient_norm=1.0,
 )
-NETWORK = CompactOptions(name="compact", patch=12, channels=8, size=16, head_size=8)
+NETWORK = compact(patch=12, channels=8, size=16, head_size=8)
 MLP = MLPOptions(name="mlp", size=16, layers=1)
 LEVEL = "supervised/find_shape_zipf3"
 

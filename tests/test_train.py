@@ -499,7 +499,7 @@ def test_what_is_compiled_learns_the_same(tmp_path):
     env = envs.make_vec(compiled.split.uniform[0], 1, **compiled.level_options)
     agent = build_agent(compiled, env)
     for network in (agent.network, agent.target):
-        assert network.encoder.image._compiled_call_impl is not None
+        assert network.encoder.reader("image")._compiled_call_impl is not None
     for config in (plain, compiled):
         assert runner.train(config) == 0
     one, other = (pd.read_csv(config.folder / "metrics.csv") for config in (plain, compiled))

@@ -8,10 +8,10 @@ import pytest
 import tiny_gridworld
 import torch
 import yaml
+from networks import compact
 from tensordict import TensorDict
 
 from zipf.agents.agent import Setting
-from zipf.agents.encoders import CompactOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
@@ -43,7 +43,7 @@ def agent(**changes):
     setting = Setting(
         gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
         gym.spaces.Discrete(ACTIONS),
-        CompactOptions(name="compact", patch=9, channels=8, size=16, head_size=0),
+        compact(),
         LSTMOptions(name="lstm", size=16, layers=1),
     )
     return VMPO(OPTIONS.model_copy(update=changes), setting)
@@ -492,7 +492,7 @@ def test_it_learns_a_tiny_gridworld(seed):
             "initial_alpha": 1.0,
         }
     )
-    network = CompactOptions(name="compact", patch=9, channels=16, size=64, head_size=0)
+    network = compact(channels=16, size=64)
     memory = MLPOptions(name="mlp", size=32, layers=1)
     episodes = tiny_gridworld.after_learning(
         lambda *spaces: VMPO(options, Setting(*spaces, network, memory, seed=seed)), seed

@@ -189,7 +189,7 @@ class Agent(ABC):
         self._is_compiled = True
         for network in vars(self).values():
             if isinstance(network, Torso):
-                network.encoder.image.compile()
+                network.encoder.compile_images()
 
 
 def no_auxiliary_losses(agent: str, auxiliary: str) -> str:

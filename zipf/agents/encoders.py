@@ -1,4 +1,16 @@
-"""Encoders: one observation in, one vector out. They read `[N, ...]` and know nothing of time."""
+"""Encoders: one observation in, one vector out. They read `[N, ...]` and know nothing of time.
+
+An observation is a Dict of parts. Which encoder reads a part follows from its space:
+
+    image    uint8 Box [H, W, C] with C = 1, 3 or 4       the network chosen, one for each image
+    text     int64 Box [L] from 0, or any integer Box     word embeddings and an LSTM, one for each
+             [L] from 0 named `instruction`
+    codes    Discrete, MultiDiscrete, integer Box from    embeddings and a dense layer, one for all
+             0 to less than 255
+    vector   any other Box, MultiBinary                   an MLP, one for all
+
+What they compute is concatenated.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +18,7 @@ import math
 from typing import Annotated, Literal
 
 import gymnasium as gym
+import numpy as np
 import torch
 import torch.nn.functional as F
 from pydantic import Field
@@ -15,30 +28,45 @@ from zipf.options import Options
 
 Size = Annotated[int, Field(ge=1)]
 
+LARGEST_VOCABULARY = 2**16  # ours: integers beyond that are quantities rather than words
+LARGEST_RANGE = 1e4  # ours: wider bounds stand for none, as float32's largest number does
 
-class ResNetOptions(Options):
-    """The paper's vision encoder (its architecture table)."""
+
+class EncoderOptions(Options):
+    """Options that all networks have.
+
+    `code_channels` is the size of a code's embedding, `code_size` that of the dense layer over all
+    of them; `vector_layers` are the layers of the MLP for vectors; `head_size` is the hidden layer
+    of policy and value, 0 for linear heads.
+    """
+
+    code_channels: Size
+    code_size: Size
+    vector_layers: Annotated[list[Size], Field(min_length=1)]
+    head_size: Annotated[int, Field(ge=0)]
+
+
+class ResNetOptions(EncoderOptions):
+    """The paper's image encoder (its architecture table)."""
 
     name: Literal["resnet"]
     channels: Annotated[list[Size], Field(min_length=1)]
     blocks: Annotated[int, Field(ge=0)]
-    head_size: Annotated[int, Field(ge=0)]
 
 
-class CompactOptions(Options):
+class CompactOptions(EncoderOptions):
     """One convolution whose patches do not overlap, then a dense layer: made for CPUs.
 
-    `patch` None is the largest common divisor of the picture's sides up to 12.
+    `patch` None is the largest common divisor of the image's sides up to 12.
     """
 
     name: Literal["compact"]
     patch: Size | None
     channels: Size
     size: Size
-    head_size: Annotated[int, Field(ge=0)]
 
 
-class ShallowOptions(Options):
+class ShallowOptions(EncoderOptions):
     """The shallow network of Espeholt et al. 2018: strided convolutions, then a dense layer."""
 
     name: Literal["shallow"]
@@ -46,7 +74,6 @@ class ShallowOptions(Options):
     kernels: Annotated[list[Size], Field(min_length=1)]
     strides: Annotated[list[Size], Field(min_length=1)]
     size: Size
-    head_size: Annotated[int, Field(ge=0)]
 
 
 NetworkOptions = Annotated[
@@ -71,9 +98,9 @@ class ResidualBlock(nn.Module):
 
 
 class ResNet(nn.Module):
-    """Sections of convolution, max-pool and residual blocks: uint8 [N, H, W, 3] -> [N, F].
+    """Sections of convolution, max-pool and residual blocks: uint8 [N, H, W, C] -> [N, F].
 
-    Every section halves the picture, rounding up.
+    Every section halves the image, rounding up.
     """
 
     def __init__(self, shape: tuple[int, ...], options: ResNetOptions):
@@ -93,7 +120,7 @@ class ResNet(nn.Module):
 
 
 class ShallowNet(nn.Module):
-    """Strided convolutions without padding, then a dense layer: uint8 [N, H, W, 3] -> [N, F]."""
+    """Strided convolutions without padding, then a dense layer: uint8 [N, H, W, C] -> [N, F]."""
 
     def __init__(self, shape: tuple[int, ...], options: ShallowOptions):
         super().__init__()
@@ -107,7 +134,7 @@ class ShallowNet(nn.Module):
             if min(height, width) < 1:
                 raise ValueError(
                     f"network=shallow leaves nothing of an image of {shape[0]} x {shape[1]} "
-                    "pixels; choose smaller network.kernels or network.strides"
+                    "pixels; choose smaller network.kernels or network.strides, or network=compact"
                 )
         self.size = options.size
         dense = nn.Linear(height * width * channels, options.size)
@@ -119,7 +146,7 @@ class ShallowNet(nn.Module):
 
 
 class PatchEncoder(nn.Module):
-    """Patches, each embedded alike, then a dense layer: uint8 [N, H, W, 3] -> [N, F].
+    """Patches, each embedded alike, then a dense layer: uint8 [N, H, W, C] -> [N, F].
 
     The stride-`patch` convolution is written as the matrix product it is, which is several times
     faster on CPUs than the convolution routine.
@@ -132,7 +159,7 @@ class PatchEncoder(nn.Module):
         if height % self.patch or width % self.patch:
             raise ValueError(
                 f"network.patch={self.patch} does not divide the image of {height} x {width} "
-                "pixels; choose a common divisor, or network=resnet"
+                "pixels; choose a common divisor, or null for the largest up to 12"
             )
         self.size = options.size
         rows, columns = height // self.patch, width // self.patch
@@ -159,30 +186,107 @@ def _compute_dtype(tensor: Tensor) -> torch.dtype:
     return torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else torch.float32
 
 
-class TileEncoder(nn.Module):
-    """Cell codes in the place of pixels, each embedded alike: uint8 [N, ...] each -> [N, F].
+def image_network(
+    shape: tuple[int, ...], options: NetworkOptions
+) -> ResNet | ShallowNet | PatchEncoder:
+    """The network that the options name, for images [H, W, C].
 
-    The arithmetic of `PatchEncoder` without its first product.
+    Raises:
+        ValueError: it cannot read images of that size.
+    """
+    match options:
+        case ResNetOptions():
+            return ResNet(shape, options)
+        case ShallowOptions():
+            return ShallowNet(shape, options)
+        case CompactOptions():
+            return PatchEncoder(shape, options)
+
+
+class CodeEncoder(nn.Module):
+    """Codes, each embedded by one table, then a dense layer: integers [N, ...] each -> [N, F].
+
+    With the cells of an image as codes this is `PatchEncoder` without its first product.
     """
 
-    def __init__(self, spaces: list[gym.Space], options: CompactOptions):
-        super().__init__()
-        self.size = options.size
-        boxes = [space for space in spaces if isinstance(space, gym.spaces.Box)]
-        codes = max(int(box.high.max()) for box in boxes) + 1
-        cells = sum(math.prod(box.shape) for box in boxes)
-        self.embed = nn.Embedding(codes, options.channels)
-        self.mix = nn.Linear(cells * options.channels, options.size)
+    offsets: Tensor
 
-    def forward(self, parts: list[Tensor]) -> Tensor:
-        cells = torch.cat([part.flatten(1) for part in parts], -1)
-        return self.mix(self.embed(cells.int()).relu().flatten(1)).relu()
+    def __init__(self, parts: list[gym.Space], options: EncoderOptions):
+        super().__init__()
+        counts, offsets = zip(*(_codes(space) for space in parts), strict=True)
+        offsets = np.concatenate(offsets)
+        self.size = options.code_size
+        self.register_buffer("offsets", torch.tensor(offsets, dtype=torch.int32), persistent=False)
+        self.embed = nn.Embedding(max(counts), options.code_channels)
+        self.mix = nn.Linear(len(offsets) * options.code_channels, options.code_size)
+
+    def forward(self, *parts: Tensor) -> Tensor:
+        codes = torch.cat([part.reshape(len(part), -1).int() for part in parts], -1) - self.offsets
+        return self.mix(self.embed(codes).relu().flatten(1)).relu()
+
+
+def _codes(space: gym.Space) -> tuple[int, np.ndarray]:
+    """How many codes a part has, and the least code of each of its entries, int64 [entries]."""
+    if isinstance(space, gym.spaces.Discrete):
+        return int(space.n), np.array([space.start])
+    if isinstance(space, gym.spaces.MultiDiscrete):
+        return int(space.nvec.max()), space.start.reshape(-1)
+    assert isinstance(space, gym.spaces.Box)
+    return int(space.high.max()) + 1, np.zeros(space.low.size, np.int64)
+
+
+class VectorEncoder(nn.Module):
+    """Numbers of any kind, brought to a common scale, then an MLP: [N, ...] each -> [N, F].
+
+    An entry with finite bounds is scaled from them to [-1, 1]. Any other becomes
+    sign(x) log(1 + |x|) (symlog, Hafner et al. 2023), which leaves small numbers nearly as they are
+    and needs no statistics of the data.
+    """
+
+    low: Tensor
+    width: Tensor
+    bounded: Tensor
+
+    def __init__(self, parts: list[gym.Space], options: EncoderOptions):
+        super().__init__()
+        bounds = [_bounds(space) for space in parts]
+        low = np.concatenate([one for one, _ in bounds])
+        high = np.concatenate([other for _, other in bounds])
+        with np.errstate(over="ignore", invalid="ignore"):
+            width = high - low
+        bounded = width <= LARGEST_RANGE
+        low, width = np.where(bounded, low, 0.0), np.where(bounded & (width > 0), width, 1.0)
+        self.register_buffer("low", torch.tensor(low, dtype=torch.float32), persistent=False)
+        self.register_buffer("width", torch.tensor(width, dtype=torch.float32), persistent=False)
+        self.register_buffer("bounded", torch.tensor(bounded), persistent=False)
+        layers: list[nn.Module] = []
+        inputs = len(low)
+        for outputs in options.vector_layers:
+            layers += [nn.Linear(inputs, outputs), nn.ReLU()]
+            inputs = outputs
+        self.layers = nn.Sequential(*layers)
+        self.size = inputs
+
+    def forward(self, *parts: Tensor) -> Tensor:
+        x = torch.cat([part.reshape(len(part), -1).float() for part in parts], -1)
+        scaled = 2 * (x - self.low) / self.width - 1
+        return self.layers(torch.where(self.bounded, scaled, x.sign() * x.abs().log1p()))
+
+
+def _bounds(space: gym.Space) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bound of each entry, float64 [entries]."""
+    if isinstance(space, gym.spaces.MultiBinary):
+        entries = math.prod(space.shape)
+        return np.zeros(entries), np.ones(entries)
+    assert isinstance(space, gym.spaces.Box)
+    low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+    return low.reshape(-1), high.reshape(-1)
 
 
 class InstructionEncoder(nn.Module):
     """Word embeddings and an LSTM, its output at the last word: int64 [N, L] -> [N, 32].
 
-    Sizes 32 and 32 from the paper's architecture table; word 0 is padding.
+    Sizes 32 and 32 from the paper's architecture table; word 0 is padding, after the last word.
     """
 
     def __init__(self, vocabulary: int):
@@ -197,49 +301,111 @@ class InstructionEncoder(nn.Module):
         return outputs[torch.arange(len(outputs), device=outputs.device), last]
 
 
+PartEncoder = ResNet | ShallowNet | PatchEncoder | CodeEncoder | VectorEncoder | InstructionEncoder
+
+
+def is_image(space: gym.Space) -> bool:
+    """Whether a part is an image: uint8 [H, W, C] with C = 1, 3 or 4."""
+    return (
+        isinstance(space, gym.spaces.Box)
+        and space.dtype == np.uint8
+        and len(space.shape) == 3
+        and space.shape[2] in (1, 3, 4)
+    )
+
+
+def is_text(name: str, space: gym.Space) -> bool:
+    """Whether a part is a text as codes of its words: [L], 0 = padding."""
+    return (
+        isinstance(space, gym.spaces.Box)
+        and (space.dtype == np.int64 or name == "instruction")
+        and np.issubdtype(space.dtype, np.integer)
+        and len(space.shape) == 1
+        and bool((space.low == 0).all())
+        and int(space.high.max()) < LARGEST_VOCABULARY
+    )
+
+
+def is_codes(space: gym.Space) -> bool:
+    """Whether the numbers of a part name kinds of things. Those of an integer Box do where its
+    bounds are narrower than a byte's, which would be those of a quantity."""
+    if isinstance(space, gym.spaces.Discrete | gym.spaces.MultiDiscrete):
+        return True
+    return (
+        isinstance(space, gym.spaces.Box)
+        and np.issubdtype(space.dtype, np.integer)
+        and bool((space.low == 0).all())
+        and int(space.high.max()) < 255
+    )
+
+
 class Encoder(nn.Module):
     """Encodes every part of a dictionary observation and concatenates ("flatten+concat").
 
-    An observation has an `image`, or `tiles` and `cue` in its place, and may have an `instruction`.
+    Attributes:
+        encoders: for each of `names`, the parts it reads, an encoder of [N, ...] -> [N, its size].
+        size: of the result.
 
     Raises:
-        ValueError: no encoder reads such observations.
+        ValueError: a part is of a kind that no encoder reads.
     """
 
     def __init__(self, space: gym.spaces.Dict, options: NetworkOptions):
         super().__init__()
-        names = set(space) - {"instruction"}
-        self.image: ResNet | ShallowNet | PatchEncoder | TileEncoder  # what sees, pixels or tiles
-        if names == {"image"}:
-            shape = space["image"].shape
-            assert shape is not None
-            if isinstance(options, ResNetOptions):
-                self.image = ResNet(shape, options)
-            elif isinstance(options, ShallowOptions):
-                self.image = ShallowNet(shape, options)
+        images, codes, vectors, texts = [], [], [], []
+        for name, part in space.items():
+            if is_image(part):
+                images.append(name)
+            elif is_text(name, part):
+                texts.append(name)
+            elif is_codes(part):
+                codes.append(name)
+            elif isinstance(part, gym.spaces.Box | gym.spaces.MultiBinary):
+                vectors.append(name)
             else:
-                self.image = PatchEncoder(shape, options)
-        elif names == {"tiles", "cue"} and isinstance(options, CompactOptions):
-            self.image = TileEncoder([space["tiles"], space["cue"]], options)
-        else:
-            raise ValueError(
-                f"network={options.name} does not read observations of {', '.join(sorted(space))}; "
-                "resnet and shallow read an image, compact an image or tiles"
-            )
-        self.size = self.image.size
-        self.instruction = None
-        if "instruction" in space.spaces:
-            words = space["instruction"]
-            assert isinstance(words, gym.spaces.Box)
-            self.instruction = InstructionEncoder(int(words.high.max()) + 1)
-            self.size += self.instruction.size
+                raise ValueError(
+                    f"no encoder reads {name!r} of the observations, {part}; they may have Box, "
+                    "Discrete, MultiDiscrete and MultiBinary parts"
+                )
+        # The largest first: the gridworld's tiles before its cue, and not by name.
+        codes.sort(key=lambda name: (-math.prod(space[name].shape or ()), name))
+
+        self.size = 0
+        self.names: list[tuple[str, ...]] = []
+        self.encoders = nn.ModuleList()
+        for name in images:
+            self._add([name], image_network(space[name].shape or (), options))
+        if codes:
+            self._add(codes, CodeEncoder([space[name] for name in codes], options))
+        if vectors:
+            self._add(vectors, VectorEncoder([space[name] for name in vectors], options))
+        for name in texts:
+            self._add([name], InstructionEncoder(vocabulary(space[name])))
+        if not self.names:
+            raise ValueError(f"the observations are {space}: there is nothing to read")
+
+    def _add(self, names: list[str], encoder: PartEncoder) -> None:
+        self.names.append(tuple(names))
+        self.encoders.append(encoder)
+        self.size += encoder.size
+
+    def reader(self, name: str) -> nn.Module:
+        """The encoder that reads a part."""
+        return next(e for n, e in zip(self.names, self.encoders, strict=True) if name in n)
+
+    def compile_images(self) -> None:
+        """Compiles the networks that read images (`torch.compile`)."""
+        for encoder in self.encoders:
+            if isinstance(encoder, ResNet | ShallowNet | PatchEncoder):
+                encoder.compile()
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """`{name: [N, ...]}` -> `[N, size]`."""
-        if "image" in observation:
-            parts = [self.image(observation["image"])]
-        else:
-            parts = [self.image([observation["tiles"], observation["cue"]])]
-        if self.instruction is not None:
-            parts.append(self.instruction(observation["instruction"]))
-        return torch.cat(parts, -1)
+        parts = zip(self.names, self.encoders, strict=True)
+        return torch.cat([encode(*(observation[n] for n in names)) for names, encode in parts], -1)
+
+
+def vocabulary(space: gym.Space) -> int:
+    """How many words a text has to choose from, padding included."""
+    assert isinstance(space, gym.spaces.Box)
+    return int(space.high.max()) + 1

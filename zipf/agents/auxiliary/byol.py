@@ -18,7 +18,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
-from zipf.agents.encoders import Encoder, NetworkOptions
+from zipf.agents.encoders import Encoder, NetworkOptions, is_image
 from zipf.agents.network import Inputs, Torso, head
 
 Size = Annotated[int, Field(ge=1)]
@@ -262,7 +262,8 @@ def build(
     Raises:
         ValueError: `byol_horizon` for observations without an image.
     """
-    if options.name == "byol_horizon" and "image" not in space.spaces:
+    has_image = "image" in space.spaces and is_image(space["image"])
+    if isinstance(options, BYOLHorizonOptions) and not has_image:
         raise ValueError(
             f"auxiliary=byol_horizon needs an image, and the observations here have only "
             f"{', '.join(sorted(space))}; auxiliary=byol reads whatever the network does"

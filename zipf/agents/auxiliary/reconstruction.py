@@ -20,7 +20,10 @@ from zipf.agents.encoders import (
     ResidualBlock,
     ResNetOptions,
     ShallowOptions,
+    is_image,
+    is_text,
     largest_patch,
+    vocabulary,
 )
 from zipf.agents.network import Inputs, Torso
 
@@ -74,9 +77,7 @@ class Reconstruction(Auxiliary):
         self.register_buffer("mean_image", torch.zeros(shape))  # as logits
         self.instruction = None
         if isinstance(options, VisionLanguageOptions):
-            words = space["instruction"]
-            assert isinstance(words, gym.spaces.Box)
-            self.instruction = InstructionDecoder(core_size, int(words.high.max()) + 1)
+            self.instruction = InstructionDecoder(core_size, vocabulary(space["instruction"]))
 
     def forward(self, inputs: Inputs, core: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """The weighted sum of `auxiliary_vision` and `auxiliary_language`, nats each."""
@@ -239,8 +240,14 @@ def build(
     Raises:
         ValueError: the observations have no image, or no instruction where that is reconstructed.
     """
-    needed = {"image", "instruction"} if isinstance(options, VisionLanguageOptions) else {"image"}
-    if missing := needed - set(space):
+    missing = set()
+    if "image" not in space.spaces or not is_image(space["image"]):
+        missing.add("image")
+    if isinstance(options, VisionLanguageOptions) and not (
+        "instruction" in space.spaces and is_text("instruction", space["instruction"])
+    ):
+        missing.add("instruction")
+    if missing:
         raise ValueError(
             f"auxiliary={options.name} needs an {' and an '.join(sorted(missing))}, and the "
             f"observations here have only {', '.join(sorted(space))}; "
