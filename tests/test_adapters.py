@@ -208,26 +208,25 @@ def test_sb3_hears_of_no_success_where_there_is_none(actions):
 # TorchRL
 
 
-def torchrl_env(env: ZipfVectorEnv, **options: Any) -> Any:
+def torchrl_env(env: ZipfVectorEnv) -> Any:
     from zipf.adapters.torchrl import torchrl_env
 
-    return torchrl_env(env, **options)
+    return torchrl_env(env)
 
 
-@pytest.mark.parametrize("categorical", [True, False])
 @pytest.mark.parametrize(
     ("level", "options"),
     [(LEVEL, SMALL), ("playroom/lift/lift_shape_zipf3", {"image_size": [36, 48], "max_steps": 5})],
 )
-def test_torchrl_accepts_the_specs(level, options, categorical):
+def test_torchrl_accepts_the_specs(level, options):
     from torchrl.envs.utils import check_env_specs
 
     env = make_vec(level, WORLDS, autoreset_mode="Disabled", **options)
-    check_env_specs(torchrl_env(env, categorical_action_encoding=categorical))
+    check_env_specs(torchrl_env(env))
 
 
 def test_torchrl_sees_what_the_batch_shows(actions):
-    env = torchrl_env(batch("Disabled"), categorical_action_encoding=True)
+    env = torchrl_env(batch("Disabled"))
     state, reference = env.reset(seed=3), batch()
     expected, info = reference.reset(seed=3)
     for action in actions:
@@ -246,7 +245,7 @@ def test_torchrl_sees_what_the_batch_shows(actions):
 
 
 def test_torchrl_is_told_how_episodes_ended(actions):
-    env = torchrl_env(batch("Disabled"), categorical_action_encoding=True)
+    env = torchrl_env(batch("Disabled"))
     state = env.reset(seed=0)
     ended = []
     names = ("map", "target", "success", "return", "length")
@@ -272,7 +271,7 @@ def test_torchrl_collects():
     assert collected.batch_size == (WORLDS, 20)
     following = collected["next"]
     assert (following["length"][following["done"]] > 0).all()
-    assert collected["action"].shape == (WORLDS, 20, 8)
+    assert collected["action"].shape == (WORLDS, 20)
     collector.shutdown()
 
 

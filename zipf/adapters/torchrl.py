@@ -16,13 +16,12 @@ from torchrl.envs.gym_like import BaseInfoDictReader
 from zipf.envs.vector import ZipfVectorEnv
 
 
-def torchrl_env(
-    env: ZipfVectorEnv, *, categorical_action_encoding: bool = False, device: str | None = None
-) -> GymWrapper:
+def torchrl_env(env: ZipfVectorEnv, *, device: str | None = None) -> GymWrapper:
     """The worlds of a batch as a TorchRL environment of batch size [N].
 
         env = torchrl_env(make_vec("gridworld/zipf_2", 64, autoreset_mode="Disabled"))
 
+    Actions, and observations from a `Discrete` space, are indices (int64 [N]), not one-hot.
     Observations stand at the root of its TensorDicts by their names. Beside them, and after a step
     in "next", stand as tensors [N, 1]:
 
@@ -32,7 +31,6 @@ def torchrl_env(
 
     Args:
         env: a batch in `AutoresetMode.DISABLED`: TorchRL resets the worlds that are done itself.
-        categorical_action_encoding: actions are indices [N] rather than one-hot [N, actions].
         device: where TorchRL puts the tensors.
 
     Raises:
@@ -46,9 +44,7 @@ def torchrl_env(
     with warnings.catch_warnings():
         # The bounds of the observation space are views; TorchRL only reads them.
         warnings.filterwarnings("ignore", message="The given NumPy array is not writable")
-        wrapped = GymWrapper(
-            env, categorical_action_encoding=categorical_action_encoding, device=device
-        )
+        wrapped = GymWrapper(env, categorical_action_encoding=True, device=device)
     return wrapped.set_info_dict_reader(_EpisodeReader(env))
 
 
