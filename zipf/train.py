@@ -9,14 +9,17 @@ import sys
 import hydra
 from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
-from zipf.experiments import command_line, composing
+from zipf.experiments import catalogue, command_line, composing
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import run_folder, runner
 
 _command_process = os.getpid()
 _failed: list[UserError] = []
+
+# For the help text in configs/train.yaml.
+OmegaConf.register_new_resolver("zipf_choices", catalogue.help_text, replace=True)
 
 
 @hydra.main(version_base="1.3", config_path=str(composing.CONFIG_DIR), config_name="train")

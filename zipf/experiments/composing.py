@@ -127,20 +127,25 @@ def _composed(search_path: str, *overrides: str) -> Composed:
     return Composed({str(k): v for k, v in values.items()}, choices)
 
 
+def find_file(group: str, name: str) -> Path | None:
+    """The file of a choice; None for a name without a file."""
+    paths = (folder / group / f"{name}.yaml" for folder in _folders())
+    return next((path for path in paths if path.is_file()), None)
+
+
 def condition_file(condition: str) -> dict[str, Any]:
-    """What the file of a condition holds; empty for a name without a file.
+    """The contents of a condition's file; empty for a name without a file.
 
     Raises:
         UserError: the file is not YAML.
     """
-    for folder in _folders():
-        path = folder / "condition" / f"{condition}.yaml"
-        if path.is_file():
-            try:
-                return dict(OmegaConf.to_container(OmegaConf.load(path)) or {})  # type: ignore[arg-type]
-            except (YAMLError, OmegaConfBaseException, ValueError) as error:
-                raise UserError(f"{path}: is not a configuration: {error}") from None
-    return {}
+    path = find_file("condition", condition)
+    if path is None:
+        return {}
+    try:
+        return dict(OmegaConf.to_container(OmegaConf.load(path)) or {})  # type: ignore[arg-type]
+    except (YAMLError, OmegaConfBaseException, ValueError) as error:
+        raise UserError(f"{path}: is not a configuration: {error}") from None
 
 
 def _folders() -> list[Path]:
@@ -172,7 +177,7 @@ def _store_registered() -> None:
     store = ConfigStore.instance()
     for group, choices in _registered().items():
         for name, node in choices.items():
-            if not any((folder / group / f"{name}.yaml").is_file() for folder in _folders()):
+            if find_file(group, name) is None:
                 store.store(group=group, name=name, node=node)
 
 

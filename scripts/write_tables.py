@@ -1,0 +1,164 @@
+"""Writes the tables of families, levels, splits, experiments and conditions into the documentation.
+
+    python scripts/write_tables.py
+
+A page marks the place of a table by comments, for instance
+
+    <!-- levels gridworld -->
+    <!-- /levels -->
+
+and the lines between them are replaced by the table that `TABLES` makes of the registries and of
+`configs/`. Run it after a change of these; the tests fail where a page is out of date.
+"""
+
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from zipf import envs
+from zipf.experiments import catalogue, composing
+
+ROOT = Path(__file__).parent.parent
+BLOCK = re.compile(
+    r"^<!-- (\w+)(?: (\w+))? -->\n(?:.*?\n)??<!-- /\1 -->$", re.MULTILINE | re.DOTALL
+)
+
+
+def pages() -> list[Path]:
+    """The pages that may have tables."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def rewritten(text: str) -> str:
+    """A page's text with its tables renewed.
+
+    Raises:
+        KeyError: it marks the place of an unknown table.
+    """
+
+    def table(match: re.Match[str]) -> str:
+        name, argument = match.groups()
+        rows = TABLES[name](argument) if argument else TABLES[name]()
+        opening = " ".join(filter(None, [name, argument]))
+        return "\n".join([f"<!-- {opening} -->", *rows, f"<!-- /{name} -->"])
+
+    return BLOCK.sub(table, text)
+
+
+def families() -> list[str]:
+    return markdown(
+        ("Family", "Task", "Gymnasium id", "Splits"),
+        (
+            (
+                code(family.name),
+                family.summary,
+                code(family.id) if family.id else "",
+                ", ".join(code(split.name) for split in family.splits),
+            )
+            for family in envs.families().values()
+        ),
+    )
+
+
+def levels(family: str) -> list[str]:
+    found = envs.find_family(family)
+    uses: dict[str, list[str]] = {}
+    for split in found.splits:
+        for kind in envs.KINDS:
+            for level in split.levels(kind):
+                uses.setdefault(level.name, []).append(f"{code(split.name)} ({kind})")
+    rows = []
+    for name in (f"{family}/{level}" for level in found.levels):
+        chance = envs.chance(name)
+        score = "" if chance is None else f"{chance.score:.3f}"
+        rows.append((code(name), ", ".join(uses.get(name, [])), score))
+    return markdown(("Level", "Used by split", "Chance"), rows)
+
+
+def constructor_options(family: str) -> list[str]:
+    fields = envs.find_family(family).options_class.model_fields
+    return markdown(
+        ("Option", "Default"),
+        (
+            (code(name), code(str(field.get_default(call_default_factory=True))))
+            for name, field in fields.items()
+        ),
+    )
+
+
+def splits() -> list[str]:
+    rows = []
+    for split in envs.all_splits().values():
+        kinds = [", ".join(code(one.name) for one in split.levels(kind)) for kind in envs.KINDS]
+        rows.append((code(split.name), *kinds))
+    return markdown(("Split", *(kind.capitalize() for kind in envs.KINDS)), rows)
+
+
+def experiments() -> list[str]:
+    rows = []
+    for name in composing.choices("experiment"):
+        values = composing.composed(f"experiment={name}").values
+        collector = values["collector"]
+        frames = values["updates"] * collector["num_envs"] * collector["unroll_length"]
+        rows.append(
+            (
+                code(name),
+                catalogue.summary("experiment", name),
+                code(values["environment"]["split"]),
+                f"{values['updates']:,}",
+                f"{frames / 1e6:,.1f} M",
+            )
+        )
+    return markdown(("Experiment", "What it is", "Split", "Updates", "Frames"), rows)
+
+
+def conditions() -> list[str]:
+    return markdown(
+        ("Condition", "Title in tables", "What it is"),
+        (
+            (code(name), row.title, catalogue.summary("condition", name))
+            for name, row in catalogue.conditions().items()
+        ),
+    )
+
+
+def choices() -> list[str]:
+    groups = [group for group in composing.groups() if group not in ("experiment", "condition")]
+    return markdown(
+        ("Group", "Choices"),
+        ((code(group), ", ".join(map(code, composing.choices(group)))) for group in groups),
+    )
+
+
+TABLES: dict[str, Callable[..., list[str]]] = {
+    "families": families,
+    "levels": levels,
+    "constructor_options": constructor_options,
+    "splits": splits,
+    "experiments": experiments,
+    "conditions": conditions,
+    "choices": choices,
+}
+
+
+def code(text: str) -> str:
+    return f"`{text}`"
+
+
+def markdown(heading: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
+    """A table's lines."""
+    dashes = tuple(":--" for _ in heading)
+    return [f"| {' | '.join(cells)} |" for cells in (heading, dashes, *rows)]
+
+
+def main() -> None:
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        new = rewritten(text)
+        if new != text:
+            page.write_text(new, encoding="utf-8")
+            print(f"written: {page.relative_to(ROOT)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+"""The choices that a user has, with a line about each: for `--help` and the documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from zipf import envs
+from zipf.experiments import composing
+from zipf.experiments.config import RowOptions
+
+EXPLAINED = ("experiment", "condition", "environment")
+"""Groups that are listed with a line about each choice."""
+
+
+def conditions() -> dict[str, RowOptions]:
+    """How tables show each condition, in their order."""
+    rows = {
+        name: RowOptions(**(composing.condition_file(name).get("row") or {"title": name}))
+        for name in composing.choices("condition")
+    }
+    unordered = float("inf")
+    return dict(sorted(rows.items(), key=lambda item: (item[1].order or unordered, item[0])))
+
+
+def summary(group: str, name: str) -> str:
+    """The comment at the top of a choice's file, on one line; empty without a file."""
+    path = composing.find_file(group, name)
+    if path is None:
+        return ""
+    lines: list[str] = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            break
+        if not line.startswith("# @package"):
+            lines.append(line.removeprefix("#").strip())
+    return " ".join(lines)
+
+
+def help_text() -> str:
+    """All choices, for `python -m zipf.train --help`."""
+    parts = {
+        "experiment=": [
+            (name, summary("experiment", name)) for name in composing.choices("experiment")
+        ],
+        "condition=": [(name, row.title) for name, row in conditions().items()],
+        "environment= (a family of worlds)": [
+            (family.name, _described(family))
+            for family in envs.families().values()
+            if family.splits
+        ],
+        "Other groups:": [
+            (f"{group}=", ", ".join(composing.choices(group)))
+            for group in composing.groups()
+            if group not in EXPLAINED
+        ],
+    }
+    return "\n\n".join(f"{heading}\n{_columns(rows)}" for heading, rows in parts.items())
+
+
+def _described(family: envs.Family) -> str:
+    splits = ", ".join(split.name for split in family.splits)
+    return f"{family.summary}; environment.split={splits}"
+
+
+def _columns(rows: Iterable[tuple[str, str]]) -> str:
+    rows = list(rows)
+    width = max(len(name) for name, _ in rows)
+    return "\n".join(f"  {name:{width}}  {text}".rstrip() for name, text in rows)
