@@ -97,6 +97,35 @@ def test_worlds_without_success_leave_it_empty(tmp_path):
     results.load_run(tmp_path)
 
 
+def test_chance_is_measured_once_on_request(tmp_path, monkeypatch):
+    own = envs.Split(
+        "own",
+        lambda n, **o: envs.make_vec("gridworld/zipf_2", n, **o),
+        "gridworld/uniform",
+        "gridworld/rare",
+    )
+    options = {"name": "Theirs", **PLAY, **DEMO}
+    evaluate.record(policy, own, tmp_path / "unknown", frames=1, **options)
+    levels = json.loads((tmp_path / "unknown" / "run.json").read_text())["levels"]
+    assert levels[0]["chance"] is None
+    assert levels[1]["chance"] is not None
+    evaluate.record(policy, own, tmp_path / "known", frames=1, chance_episodes=20, **options)
+    levels = json.loads((tmp_path / "known" / "run.json").read_text())["levels"]
+    assert levels[0]["chance_episodes"] == 20
+    assert levels[1]["chance_episodes"] is None
+    monkeypatch.delattr(envs, "chance")  # which is how chance is looked up
+    evaluate.record(policy, own, tmp_path / "known", frames=2, chance_episodes=20, **options)
+    assert json.loads((tmp_path / "known" / "run.json").read_text())["levels"] == levels
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", "nothing", '{"external": null}'])
+def test_a_description_of_something_else_is_refused(text, tmp_path):
+    (tmp_path / "run.json").write_text(text)
+    with pytest.raises(UserError, match="choose another folder"):
+        recorded(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
+
+
 def test_a_folder_of_something_else_is_refused(tmp_path):
     recorded(tmp_path / "seed0")
     before = (tmp_path / "seed0" / "run.json").read_text()

@@ -43,6 +43,7 @@ def record(
     num_envs: int = 250,
     batched: bool = True,
     deterministic: bool = False,
+    chance_episodes: int = 0,
     **level_options: Any,
 ) -> Evaluation:
     """Scores somebody else's agent and makes it a row of the tables of `python -m zipf.report`.
@@ -69,6 +70,8 @@ def record(
         colour: of the row's curves, "#rrggbb"; None: one is chosen.
         line: of its curves.
         episodes, num_envs, batched, deterministic: see `score`.
+        chance_episodes: measure the score of random actions over so many episodes, at the first
+            record, on levels on which it is not known; 0: do not.
         level_options: constructor options of the levels; see `score`.
 
     Raises:
@@ -91,7 +94,7 @@ def record(
         raise ValueError(f"colour={colour!r}: should be '#rrggbb', six hexadecimal digits")
     if line not in ("solid", "dashed"):
         raise ValueError(f"line={line!r}: should be 'solid' or 'dashed'")
-    description = {
+    description: dict[str, Any] = {
         "experiment": experiment or split.name,
         "condition": name,
         "row": {"title": name, "order": order, "colour": colour, "line": line},
@@ -100,7 +103,6 @@ def record(
         "spread": split.spread,
         "environment": _environment(split, level_options),
         "paper": _paper(split, level_options),
-        "levels": describe_levels(split, level_options),
         "situation": _situation(split, level_options),
         "external": {"name": name, "geometry": geometry(split, **level_options)},
         "version": zipf.__version__,
@@ -108,7 +110,7 @@ def record(
         **{library: _version(library) for library in LIBRARIES},
         "recorded": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
-    _refuse_other_runs(folder, description)
+    levels = _recorded_levels(folder, description)
     evaluation = score(
         policy,
         split,
@@ -119,6 +121,9 @@ def record(
         deterministic=deterministic,
         details=True,
         **level_options,
+    )
+    description["levels"] = levels or describe_levels(
+        split, level_options, chance_episodes=chance_episodes
     )
     when = {"update": update, "frames": frames, "seconds": seconds}
     tables: dict[str, list[dict[str, Any]]] = {
@@ -162,29 +167,36 @@ def _version(library: str) -> str | None:
     return getattr(sys.modules.get(library), "__version__", None)
 
 
-def _refuse_other_runs(folder: Path, description: Mapping[str, Any]) -> None:
-    """Raises `UserError` where the folder belongs to something else."""
-    if (folder / "config.yaml").exists() or (folder / "checkpoint.pt").exists():
-        raise UserError(f"{folder}: holds a run of zipf.train; choose another folder")
+def _recorded_levels(folder: Path, description: Mapping[str, Any]) -> list[dict[str, Any]] | None:
+    """The levels as an earlier record of the same agent described them; None where there is none.
+
+    Raises:
+        UserError: the folder belongs to something else.
+    """
     path = folder / "run.json"
+    ours = f"{folder}: holds a run of zipf.train; choose another folder"
+    if (folder / "config.yaml").exists() or (folder / "checkpoint.pt").exists():
+        raise UserError(ours)
     if not path.exists():
-        return
+        return None
+    same = ("condition", "seed", "experiment", "split", "environment", "external")
     try:
         there = json.loads(path.read_text(encoding="utf-8"))
         if not there["external"]:
-            raise UserError(f"{folder}: holds a run of zipf.train; choose another folder")
-        same = ("condition", "seed", "experiment", "split", "environment", "external", "levels")
+            raise UserError(ours)
         differing = [
             f"{key} {there[key]} there, {description[key]} here"
             for key in same
             if there[key] != description[key]
         ]
+        levels = there["levels"]
     except (OSError, ValueError, KeyError, TypeError):
         raise UserError(f"{path}: is not a run's description; choose another folder") from None
     if differing:
         raise UserError(
             f"{folder}: holds another record ({'; '.join(differing)}); choose another folder"
         )
+    return levels
 
 
 def _with_rows(path: Path, update: int, rows: Sequence[Mapping[str, Any]]) -> str:

@@ -109,8 +109,12 @@ def own_torch_draws(seed: int) -> Iterator[None]:
         return
     import torch
 
-    with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
-        torch.manual_seed(seed)
+    in_use = torch.cuda.is_initialized()
+    with torch.random.fork_rng(devices=range(torch.cuda.device_count()) if in_use else ()):
+        # `torch.manual_seed` would also seed a CUDA that is initialised later, for good.
+        torch.default_generator.manual_seed(seed)
+        if in_use:
+            torch.cuda.manual_seed_all(seed)
         yield
 
 
