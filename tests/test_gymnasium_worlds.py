@@ -337,6 +337,24 @@ def test_in_a_mixture_only_its_own_worlds_begin_again() -> None:
     np.testing.assert_array_equal(pickled.get_state()["lengths"], [1, 0, 0, 1])
 
 
+class Counted(gym.Wrapper[Any, Any, Any, Any]):
+    resets = 0
+
+    def reset(self, **options: Any) -> Any:
+        Counted.resets += 1
+        return self.env.reset(**options)
+
+
+def test_an_unpickled_mixture_replays_every_world_once() -> None:
+    levels = {name: partial(everything, wrap=Counted) for name in ("a", "b")}
+    env = Mixture(levels, 4, draw="resets", exponent=0.0)
+    env.reset(seed=0)
+    pickled = pickle.dumps(env)
+    Counted.resets = 0
+    pickle.loads(pickled)
+    assert Counted.resets == 4
+
+
 def test_an_ended_episode_that_cannot_be_replayed_begins_again() -> None:
     env, other = (
         everything(2, options={"sound": False}, autoreset_mode="Disabled") for _ in range(2)

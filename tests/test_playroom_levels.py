@@ -75,7 +75,7 @@ def first_and_target(p: NDArray[np.float64], count: int) -> NDArray[np.float64]:
 
 
 def fits(counts: NDArray[np.int64], p: NDArray[np.float64]) -> bool:
-    """Whether counts fit probabilities no worse than one time in a million; rare ones are joined."""
+    """Whether counts fit probabilities no worse than once in a million; rare ones are joined."""
     assert counts[p == 0].sum() == 0
     order = np.argsort(-p)
     expected, counts = p[order] * counts.sum(), counts[order]
