@@ -226,7 +226,7 @@ def test_every_network_reads_every_space(space, options):
     [
         (RESNET, None),
         (COMPACT.model_copy(update={"patch": None}), None),
-        (COMPACT, r"network.patch=9 does not divide the image of 7 x 7 .* null"),
+        (COMPACT, r"network.patch=9 does not divide the image of 7 x 7 .*null is the largest"),
         (SHALLOW, "leaves nothing of an image of 7 x 7 .* or network=compact"),
     ],
 )

@@ -229,7 +229,8 @@ def by_hand(made, items, weights):
                 following = 0.0
             following = float(rows["reward"][t]) + o.discount * following
             errors[t] = h(following) - q[t][rows["action"][t]]
-        loss = loss + weights[b] * 0.5 * sum(error**2 for error in errors) / len(items)
+        squares = sum(error**2 for error in errors) / STEPS
+        loss = loss + weights[b] * 0.5 * squares / len(items)
         sizes = [abs(float(error.detach())) for error in errors]
         eta = o.priority_max_weight
         priorities.append(eta * max(sizes) + (1 - eta) * sum(sizes) / STEPS)
@@ -274,6 +275,28 @@ def test_gradients_are_clipped():
     norms = [p.grad.norm() for p in made.network.parameters()]
     assert metrics["gradient_norm"] > 1e-3
     assert torch.stack(norms).norm().item() == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_a_mean_teaches_what_a_sum_over_time_does():
+    """If the gradient's bound and Adam's epsilon are divided alike: the paper's are for sums. Both
+    matter here: the bound always, the epsilon in many entries of the gradient."""
+    bound, epsilon = 0.2, 1e-3
+    summed = agent(max_gradient_norm=bound, adam_epsilon=epsilon)
+    mean = agent(max_gradient_norm=bound / STEPS, adam_epsilon=epsilon / STEPS)
+    unscaled = agent(max_gradient_norm=bound, adam_epsilon=epsilon)
+    for seed in range(20):
+        items, weights = sequences(5, seed), torch.rand(5)
+        metrics, _ = summed._learn(items, STEPS * weights)
+        assert metrics["gradient_norm"] > bound
+        mean._learn(items, weights)
+        unscaled._learn(items, weights)
+
+    def parameters(made):
+        return torch.cat([p.detach().flatten() for p in made.network.parameters()])
+
+    moved = (parameters(summed) - parameters(agent())).norm()
+    assert (parameters(mean) - parameters(summed)).norm() < 1e-3 * moved
+    assert (parameters(unscaled) - parameters(summed)).norm() > 0.05 * moved
 
 
 def test_divergence_changes_no_weights():
@@ -521,9 +544,9 @@ def test_the_papers_values():
     assert options.discount == 0.99
     assert options.trace_lambda == 0.8
     assert options.learning_rate == 5e-4
-    assert options.adam_epsilon == 1.25e-6
+    assert 128 * options.adam_epsilon == 1.25e-6  # the paper's losses are sums over 128 steps
     assert options.weight_decay == 1e-4
-    assert options.max_gradient_norm == 0.5
+    assert 128 * options.max_gradient_norm == 0.5
     assert options.target_period == 400
     assert options.burn_in == 20
     assert options.replay_capacity == 10**5
@@ -608,7 +631,7 @@ def test_what_replay_takes_is_said_and_refused_where_there_is_less(tmp_path, mon
 LEARNER = OPTIONS.model_copy(
     update={
         "learning_rate": 2e-3,
-        "max_gradient_norm": 10.0,
+        "max_gradient_norm": 1.0,
         "discount": 0.95,
         "trace_lambda": 0.8,
         "target_period": 20,

@@ -13,6 +13,12 @@ give it a class of options and register it:
         ...
 
 `zipf.agents.impala` is a complete example.
+
+**All losses here are means** over the time and the batch that an update learns from, auxiliary
+losses included. So the bound on the gradient's norm and Adam's epsilon keep their meaning with
+another batch size or unroll length. Where a source takes sums over n terms, its bound and its
+epsilon are divided by n, which leaves Adam's steps as they were; the files in `configs/` say where
+that was done.
 """
 
 from __future__ import annotations

@@ -159,7 +159,7 @@ class PatchEncoder(nn.Module):
         if height % self.patch or width % self.patch:
             raise ValueError(
                 f"network.patch={self.patch} does not divide the image of {height} x {width} "
-                "pixels; choose a common divisor, or null for the largest up to 12"
+                "pixels; choose a common divisor (null is the largest up to 12), or network=resnet"
             )
         self.size = options.size
         rows, columns = height // self.patch, width // self.patch

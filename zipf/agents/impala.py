@@ -4,8 +4,7 @@ The actor samples from the policy; the learner takes one optimiser step per unro
 
     mean_{t,b}[ -log pi(a_t|x_t) A_t + c_b/2 (v_t - V(x_t))^2 + c_e sum_a pi log pi ]
 
-with v_t and A_t from V-trace, and what `zipf.agents.auxiliary` adds to it. The losses are means
-over the unroll; where a source sums, divide its gradient clip and Adam's epsilon by T x B.
+with v_t and A_t from V-trace, plus the auxiliary loss (`zipf.agents.auxiliary`).
 """
 
 from __future__ import annotations

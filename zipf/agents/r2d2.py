@@ -5,13 +5,11 @@ before those. A burn-in without gradient brings the memory up to date for the on
 the target network, each on its own; then, on the T rows of the unroll, the online network takes one
 optimiser step on
 
-    mean_b w_b 1/2 sum_t (h(G_t) - Q(x_t, a_t))^2
+    mean_{t,b} w_b 1/2 (h(G_t) - Q(x_t, a_t))^2
 
 with G_t the lambda-return over h^-1(Q-(x_t+1, argmax_a Q(x_t+1, a))), Q- the target network, h the
 rescaling of values and w_b the importance weight of the sequence. Its next priority is
 eta max_t |h(G_t) - Q| + (1 - eta) mean_t |h(G_t) - Q|.
-
-The loss sums over time as Acme's does: the paper's bound on the gradient's norm is for such a loss.
 """
 
 from __future__ import annotations
@@ -327,7 +325,7 @@ class R2D2(Agent):
         )
         taken = q[:-1].gather(-1, steps["action"].unsqueeze(-1)).squeeze(-1)
         errors = rescale(returns) - taken
-        loss = (weights * 0.5 * errors.square().sum(0)).mean()
+        loss = (weights * 0.5 * errors.square()).mean()
 
         self.optimiser.zero_grad()
         loss.backward()
