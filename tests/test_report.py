@@ -409,6 +409,7 @@ def test_external_agents_alone_have_a_table(tmp_path: Path) -> None:
     caption = captions.caption(table)
     assert caption.startswith("The last evaluation of the median seed, ± median absolute")
     assert "Updates reached" not in caption
+    assert "Frames: 28,672." in caption
 
 
 def test_an_external_agent_has_no_configuration_of_ours(
