@@ -203,6 +203,17 @@ def test_a_resumed_run_counts_its_repeated_evaluations_once(tmp_path: Path) -> N
     assert line(only_table(tmp_path), "impala", "train")["score"] == pytest.approx(0.25)
 
 
+def test_the_frames_of_a_row_are_those_behind_its_score(tmp_path: Path) -> None:
+    write_run(tmp_path, {100: (0.1,) * 3, 300: (0.1,) * 3, 400: (0.1,) * 3})
+    write_run(tmp_path, {100: (0.1,) * 3, 200: (0.1,) * 3}, seed=1)
+    write_run(tmp_path, {100: (0.1,) * 3, 300: (0.1,) * 3}, condition="r2d2")
+    table = only_table(tmp_path)
+    impala = line(table, "impala", "uniform")
+    assert (impala["updates"], impala["frames"]) == (200, 200 * 4096)
+    assert "| IMPALA | 2/3 | 819,200 | 0.10 ± 0.00 |" in markdown.markdown(table)
+    assert "| R2D2 | 1/3 | 1,228,800 | 0.10 |" in markdown.markdown(table)
+
+
 def test_overlapping_folders_count_a_run_once(runs: Path) -> None:
     found = results.load_runs([runs, runs / "gridworld", runs / "gridworld/impala/seed0"])
     assert len(found) == 8
@@ -398,6 +409,7 @@ def test_external_agents_alone_have_a_table(tmp_path: Path) -> None:
     caption = captions.caption(table)
     assert caption.startswith("The last evaluation of the median seed, ± median absolute")
     assert "Updates reached" not in caption
+    assert "Frames: 28,672." in caption
 
 
 def test_an_external_agent_has_no_configuration_of_ours(

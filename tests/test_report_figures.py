@@ -68,7 +68,7 @@ def test_success_by_rank_by_hand(tmp_path: Path) -> None:
     found = rates(table, ["map"])
     # Rank 0: 27/30 + 10/20 of seed 0, 9/10 of seed 1; update 50 is outside the window.
     # Rank 1: 8/40 + 0/10 of seed 0, 10/10 of seed 1.
-    assert found[["row", "map", "episodes"]].to_numpy().tolist() == [
+    assert found[["row_key", "map", "episodes"]].to_numpy().tolist() == [
         ["impala", 0, 60],
         ["impala", 1, 60],
     ]
@@ -299,9 +299,9 @@ def assert_text_is_inside(figure: Figure | None) -> None:
 
 
 def test_situations_with_other_ranks(tmp_path: Path) -> None:
-    header = "update,level_kind,left,right,task,episodes,successes,return_sum"
+    header = "update,level_kind,row,run,task,episodes,successes,return_sum"
     rows = (header, "300,uniform,0,1,2,10,5,5.0")
-    sizes = {"left": 3, "right": 3, "task": 3}
+    sizes = {"row": 3, "run": 3, "task": 3}
     write_run(tmp_path, constant(0.5), situations=rows, situation=sizes)
     made = report.report([tmp_path], tmp_path / "out")
     assert sorted(path.name for path in made.files if path.suffix == ".png") == [

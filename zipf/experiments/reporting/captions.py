@@ -23,6 +23,8 @@ def caption(table: ScoreTable) -> str:
             f"Updates reached: {range_text([run.updates for run in own])}; "
             f"frames: {range_text([run.frames for run in own])}."
         )
+    elif table.frames:
+        sentences.append(f"Frames: {range_text(list(table.frames.values()))}.")
     if table.budgets_differ:
         sentences.append("The column Frames has the training frames behind a row's scores.")
     if any(row.external for row in table.rows):

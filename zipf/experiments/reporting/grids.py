@@ -70,8 +70,9 @@ class Grid:
 
 def main_grid(table: ScoreTable) -> Grid:
     """A line for each row of the table, a column for each level kind."""
-    columns, frame = _with_plain_means(table)
-    return _by_row(table.rows, frame, columns, _chance_name(table), table.title, table.name, table)
+    columns, scores = _with_plain_means(table)
+    lines, last = _by_row(table.rows, scores, columns, _chance_name(table), _frames(table))
+    return Grid(table.title, table.name, _leading(table), list(columns.values()), lines, last)
 
 
 def group_grids(table: ScoreTable) -> Iterator[Grid]:
@@ -84,8 +85,10 @@ def group_grids(table: ScoreTable) -> Iterator[Grid]:
         name = f"{table.name}-{levels.level_kind}"
         if len(groups) <= MOST_COLUMNS:
             columns = dict(zip((group.column for group in groups), _names(groups), strict=True))
-            frame = table.group_scores
-            yield _by_row(table.rows, frame, columns, _chance_name(table), title, name, table)
+            lines, last = _by_row(
+                table.rows, table.group_scores, columns, _chance_name(table), _frames(table)
+            )
+            yield Grid(title, name, _leading(table), list(columns.values()), lines, last)
         else:
             for first in range(0, len(table.rows), MOST_COLUMNS):
                 part = "" if first == 0 else f"-{first // MOST_COLUMNS + 1}"
@@ -96,18 +99,14 @@ def group_grids(table: ScoreTable) -> Iterator[Grid]:
 def side_by_side_grids(beside: SideBySide) -> list[Grid]:
     """The tables of one of the paper's layouts."""
     measured = [table for table in beside.tables if table.chance_episodes]
-    return [
-        _by_row(
-            beside.rows,
-            frame,
-            {heading: heading for heading in headings},
-            _chance_name((measured or beside.tables)[0]),
-            title,
-            f"{beside.name}-{number}",
-            None,
-        )
-        for number, (title, headings, frame) in enumerate(beside.parts)
-    ]
+    chance_name = _chance_name((measured or beside.tables)[0])
+    grids = []
+    for number, (title, headings, scores) in enumerate(beside.parts):
+        columns = {heading: heading for heading in headings}
+        lines, last = _by_row(beside.rows, scores, columns, chance_name, {})
+        name = f"{beside.name}-{number}"
+        grids.append(Grid(title, name, ["Condition", "Seeds"], list(headings), lines, last))
+    return grids
 
 
 def _with_plain_means(table: ScoreTable) -> tuple[dict[str, str], pd.DataFrame]:
@@ -134,19 +133,25 @@ def _with_plain_means(table: ScoreTable) -> tuple[dict[str, str], pd.DataFrame]:
     return columns, pd.concat(parts)
 
 
+def _frames(table: ScoreTable) -> dict[str, int]:
+    """The frames behind each row's score where they differ, else empty: there is no such column."""
+    return table.frames if table.budgets_differ else {}
+
+
+def _leading(table: ScoreTable) -> list[str]:
+    return ["Condition", "Seeds", *(["Frames"] if _frames(table) else [])]
+
+
 def _by_row(
     rows: Sequence[Row],
     frame: pd.DataFrame,
     columns: Mapping[str, str],
     chance_name: str,
-    title: str,
-    name: str,
-    table: ScoreTable | None,
-) -> Grid:
-    """A line for each row; `columns` are headings by the frame's `column`; frames of the table
-    where its rows differ in them."""
+    frames: Mapping[str, int],
+) -> tuple[list[Line], Line | None]:
+    """A line for each row that has scores in these columns, which are headings by the frame's
+    `column`; and the last line, of chance."""
     frame = frame[frame["column"].isin(columns)]
-    frames = table.frames if table and table.budgets_differ else {}
     lines = []
     for row in rows:
         scores = frame[frame["row"] == row.key].set_index("column").reindex(list(columns))
@@ -157,14 +162,11 @@ def _by_row(
             leading.append(count_text(frames[row.key]) if row.key in frames else NONE)
         lines.append(_line(leading, scores))
     chance = frame.groupby("column")["chance"].first().reindex(list(columns))
-    leading = ["Condition", "Seeds", *(["Frames"] if frames else [])]
-    last = Line(
-        [chance_name, *[""] * (len(leading) - 1)],
-        [score_text(value) for value in chance],
-        [""] * len(columns),
-    )
-    return Grid(
-        title, name, leading, list(columns.values()), lines, last if chance.notna().any() else None
+    if chance.isna().all():
+        return lines, None
+    empty = [""] * (2 if frames else 1)
+    return lines, Line(
+        [chance_name, *empty], [score_text(value) for value in chance], [""] * len(columns)
     )
 
 

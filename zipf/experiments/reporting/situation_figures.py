@@ -63,7 +63,7 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None
     figure, axes = panels(len(found), title, handles)
     for axis, (name, of_rank) in zip(axes, found.items(), strict=True):
         for row in table.rows:
-            of_row = of_rank[of_rank["row"] == row.key]
+            of_row = of_rank[of_rank["row_key"] == row.key]
             style = styles[row.key]
             axis.plot(of_row[name], of_row["value"], **style._asdict(), marker="o", markersize=3.5)
             axis.fill_between(
@@ -99,7 +99,7 @@ def by_situation(table: ScoreTable) -> Figure | None:
         return None
     row_name, column_name = names
     shape = tuple(rank_counts(table)[name] for name in names)
-    rows = [row for row in table.rows if (found["row"] == row.key).any()]
+    rows = [row for row in table.rows if (found["row_key"] == row.key).any()]
     across = min(4, len(rows))
     down = math.ceil(len(rows) / across)
     titles = [textwrap.fill(row.title, 27) for row in rows]
@@ -114,7 +114,7 @@ def by_situation(table: ScoreTable) -> Figure | None:
     rare = [rare_ranks(table, name) for name in names]
     image, gaps = None, False
     for axis, row, title in zip(axes.flat, rows, titles, strict=False):
-        of_row = found[found["row"] == row.key]
+        of_row = found[found["row_key"] == row.key]
         grid = np.full(shape, np.nan)
         grid[of_row[row_name].to_numpy(int), of_row[column_name].to_numpy(int)] = of_row["value"]
         gaps = gaps or bool(np.isnan(grid).any())

@@ -16,7 +16,7 @@ Measure = Literal["success", "return"]
 
 
 def measure_of(table: ScoreTable) -> Measure:
-    """Success where all that is shown of the table reports it, else the mean return."""
+    """Success if every run of the table reports it on the uniform levels, else the mean return."""
     shown = [_on_kind(situations_inside(run, table.window), "uniform") for run in table.runs]
     without = any(situations["successes"].isna().any() for situations in shown)
     return "return" if without else "success"
@@ -44,20 +44,20 @@ def rates(
     measured at one rank is not a mixture that follows the law of the others.
 
     Returns:
-        One line per row of the table and combination of ranks that occurred: `row` (its key), the
-        ranks, `episodes`, `value`, and `low` and `high`, the ends of its 95 % interval. Of a
+        One line per row of the table and combination of ranks that occurred: `row_key`, the ranks,
+        `episodes`, `value`, and `low` and `high`, the ends of its 95 % interval. Of a
         success rate this is Wilson's, which covers the chance of the episodes, not the difference
         between seeds. Of a mean return it is 1.96 standard errors across evaluations (of all seeds,
         weighted by their episodes) to either side; NaN where there is only one evaluation.
     """
-    keys = ["row", *ranks]
+    keys = ["row_key", *ranks]
     summed = "successes" if measure == "success" else "return_sum"
     parts = []
     for number, run in enumerate(table.runs):
         if set(ranks) <= set(run.situation_names):
             situations = _on_kind(situations_inside(run, table.window), level_kind)
-            parts.append(situations.assign(row=run.description.row_key, run=number))
-    columns = [*keys, "run", "update", "episodes", summed]
+            parts.append(situations.assign(row_key=run.description.row_key, run_number=number))
+    columns = [*keys, "run_number", "update", "episodes", summed]
     pooled = (
         pd.concat([part[columns] for part in parts]) if parts else pd.DataFrame(columns=columns)
     )
@@ -67,7 +67,9 @@ def rates(
     if measure == "success":
         found["low"], found["high"] = wilson_interval(found[summed], found["episodes"])
     else:
-        each = pooled.groupby([*keys, "run", "update"], as_index=False)[["episodes", summed]].sum()
+        each = pooled.groupby([*keys, "run_number", "update"], as_index=False)[
+            ["episodes", summed]
+        ].sum()
         errors = [
             standard_error(group[summed] / group["episodes"], group["episodes"])
             for _, group in each.groupby(keys)
