@@ -66,6 +66,8 @@ def assert_equal(one, other, where=""):
             assert_equal(a, b, f"{where}[{i}]")
     elif isinstance(one, torch.Tensor):
         assert torch.equal(one, other), where
+    elif isinstance(one, np.ndarray):
+        np.testing.assert_array_equal(one, other, where, strict=True)
     else:
         assert one == other, where
 

@@ -15,7 +15,6 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent
 from zipf.agents.exploration import CountBonus
-from zipf.agents.memory import State
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.envs.mixture import Mixture
@@ -73,9 +72,6 @@ class Collector:
         self.device = device
         self.exploration = exploration
         self.seconds = {"environment": 0.0, "inference": 0.0}
-        self._levels_of_worlds: NDArray[np.str_] | None = None
-        if isinstance(env, Mixture) and env.draw == "worlds":
-            self._levels_of_worlds = np.array(env.level_names)[env.levels_of_worlds]
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
         self._memory = agent.initial_memory(env.num_envs)
@@ -186,9 +182,13 @@ class Collector:
 
     def _record(self, final_info: dict[str, NDArray], ended: NDArray[np.bool_]) -> None:
         """Keeps the outcomes of the episodes that ended, for `episode_metrics`."""
-        levels = final_info.get("level_name", self._levels_of_worlds)
+        levels = None
+        if isinstance(self.env, Mixture) and self.env.draw == "resets":
+            levels = final_info[f"{self.env.rank}_name"]
+        elif isinstance(self.env, Mixture):
+            levels = np.array(self.env.level_names)[self.env.levels_of_worlds]
         for name in _OUTCOMES:
-            if name not in final_info:  # `success` in worlds that do not report it
+            if name == "success" and not self.env.reports_success:
                 continue
             values = final_info[name][ended].tolist()
             self._episodes[name].extend(values)
