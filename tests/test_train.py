@@ -66,6 +66,8 @@ def assert_equal(one, other, where=""):
             assert_equal(a, b, f"{where}[{i}]")
     elif isinstance(one, torch.Tensor):
         assert torch.equal(one, other), where
+    elif isinstance(one, np.ndarray):
+        np.testing.assert_array_equal(one, other, where, strict=True)
     else:
         assert one == other, where
 
@@ -224,10 +226,12 @@ def test_a_world_for_each_train_level(monkeypatch):
     )
 
 
-def test_twenty_updates_equal_ten_a_kill_and_ten_more(tmp_path):
+@pytest.mark.parametrize("lag", [0, 1])
+def test_twenty_updates_equal_ten_a_kill_and_ten_more(lag, tmp_path):
     """SIGKILL somewhere after update 10, then the same command again: the same to the last bit."""
-    whole = [*TINY, "updates=20", f"run_root={tmp_path / 'whole'}"]
-    cut = [*TINY, "updates=20", f"run_root={tmp_path / 'cut'}"]
+    arguments = [*TINY, "updates=20", f"collector.lag={lag}"]
+    whole = [*arguments, f"run_root={tmp_path / 'whole'}"]
+    cut = [*arguments, f"run_root={tmp_path / 'cut'}"]
     assert run(*whole).returncode == 0
 
     process = subprocess.Popen(command(*cut), stdout=subprocess.DEVNULL)
@@ -273,9 +277,10 @@ def test_seeds_differ_and_repeat(tmp_path):
     assert not torch.equal(states[0]["policy.weight"], states[2]["policy.weight"])
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_leaves_a_checkpoint_that_goes_on(number, tmp_path):
-    arguments = [*TINY, "updates=100000", f"run_root={tmp_path}", "schedule.checkpoint_every=99999"]
+@pytest.mark.parametrize(("number", "lag"), [(signal.SIGINT, 0), (signal.SIGTERM, 1)])
+def test_a_run_that_a_signal_stopped_resumes_bit_for_bit(number, lag, tmp_path):
+    common = [*TINY, "updates=100000", "schedule.checkpoint_every=99999", f"collector.lag={lag}"]
+    arguments = [*common, "evaluation.every=99999", f"run_root={tmp_path / 'cut'}"]
     process = subprocess.Popen(command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     metrics = folder_of(arguments) / "metrics.csv"
     while not metrics.exists() or len(metrics.read_text().splitlines()) < 3:
@@ -288,9 +293,12 @@ def test_a_signal_leaves_a_checkpoint_that_goes_on(number, tmp_path):
     update = checkpoint.load(folder_of(arguments) / "checkpoint.pt")["update"]
     assert update >= 2
     assert len(pd.read_csv(metrics)) == update
-    loaded = command_line.load([*arguments, f"updates={update + 2}", "resume=must"])
-    assert runner.train(loaded) == 0
+    cut = command_line.load([*arguments, f"updates={update + 2}", "resume=must"])
+    assert runner.train(cut) == 0
     assert list(pd.read_csv(metrics)["update"]) == list(range(1, update + 3))
+    whole = cut.model_copy(update={"run_root": str(tmp_path / "whole"), "resume": "never"})
+    assert runner.train(whole) == 0
+    assert_equal(learned(whole.folder), learned(cut.folder))
 
 
 @pytest.fixture

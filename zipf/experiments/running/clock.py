@@ -15,7 +15,9 @@ class Clock:
 
     Attributes:
         parts: seconds by part: `environment` (stepping the worlds), `inference` (the agent acts),
-            `learning` (updates) and `evaluation`.
+            `learning` (updates) and `evaluation`. With `collector.lag=1` the first two happen
+            beside `learning`, in a second thread; each part is measured by its thread's own wall
+            clock, so that they add up to more than the elapsed time.
         training: elapsed seconds of collecting and learning.
     """
 

@@ -1,8 +1,9 @@
-"""The collector: plays the agent in a batch of worlds and fills unrolls."""
+"""The collector: the agent acts in a batch of worlds, and unrolls are filled."""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from threading import Event
 from time import perf_counter
 from typing import Any
 
@@ -21,18 +22,30 @@ from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.running.checkpoint import arrays
 
 _OUTCOMES = ("return", "length", "success")
+_CARRIED = ("previous_action", "previous_reward", "is_first")
+
+
+class Abandoned(Exception):
+    """`Collector.abandon` was called."""
 
 
 class Collector:
     """Fills one unroll after another without dropping a frame.
 
-    The environment writes its observations straight into the unroll, which is reused: an agent
-    that keeps frames copies them.
+    The environment writes its observations straight into an unroll. There are 1 + `lag` unrolls,
+    used in turn: an agent that keeps frames for longer copies them.
+
+    Attributes:
+        seconds: spent in `environment` (stepping the worlds) and `inference` (the agent acts).
 
     Args:
         env: a batch in SAME_STEP autoreset mode; reset here, with `seed`.
+        agent: acts.
+        unroll_length: T.
         seed: of the worlds and of the agent's actions.
-        exploration: a bonus for what the actions lead to.
+        device: where the agent computes. Unrolls are in RAM: pinned, if the device is CUDA.
+        exploration: adds a bonus for the observations that actions lead to.
+        lag: an unroll is overwritten by the call of `collect` after `lag` further ones.
 
     Raises:
         ValueError: the agent's burn-in is longer than an unroll.
@@ -47,6 +60,7 @@ class Collector:
         seed: int,
         device: str = "cpu",
         exploration: CountBonus | None = None,
+        lag: int = 0,
     ):
         if agent.burn_in > unroll_length:
             raise ValueError(
@@ -58,54 +72,40 @@ class Collector:
         self.device = device
         self.exploration = exploration
         self.seconds = {"environment": 0.0, "inference": 0.0}
-        self._levels_of_worlds: NDArray[np.str_] | None = None
-        if isinstance(env, Mixture) and env.draw == "worlds":
-            self._levels_of_worlds = np.array(env.level_names)[env.levels_of_worlds]
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
         self._memory = agent.initial_memory(env.num_envs)
-
-        rows, worlds = unroll_length + 1, env.num_envs
-        spaces = env.single_observation_space.spaces
-        self._observation = {
-            name: np.zeros((rows, worlds, *(space.shape or ())), space.dtype)
-            for name, space in spaces.items()
-        }
-        self._final = {name: np.zeros_like(part[0]) for name, part in self._observation.items()}
-        self._fields: dict[str, NDArray[Any]] = {
-            "previous_action": np.full((rows, worlds), -1, np.int64),
-            "previous_reward": np.zeros((rows, worlds), np.float32),
-            "is_first": np.ones((rows, worlds), np.bool_),
-            "action": np.zeros((rows, worlds), np.int64),
-            "reward": np.zeros((rows, worlds), np.float32),
-            "bonus": np.zeros((rows, worlds), np.float32),
-            "terminated": np.zeros((rows, worlds), np.bool_),
-            "truncated": np.zeros((rows, worlds), np.bool_),
-            "truncation_value": np.zeros((rows, worlds), np.float32),
-        }
-        self._steps = TensorDict(
-            {name: torch.from_numpy(field) for name, field in self._fields.items()},
-            batch_size=[rows, worlds],
-        )
-        self._steps["observation"] = TensorDict(
-            {name: torch.from_numpy(part) for name, part in self._observation.items()},
-            batch_size=[rows, worlds],
-        )
-        self._inputs_of_steps = self._steps.select(
-            "observation", "previous_action", "previous_reward", "is_first"
-        )
-        env.reset(seed=seed, out=self._row(self._observation, unroll_length))
+        self._abandoned = Event()
+        pinned = device.startswith("cuda")
+        self._buffers = [_Buffers(env, unroll_length + 1, pinned) for _ in range(1 + lag)]
+        self._final = env.allocate()
+        env.reset(seed=seed, out=self._buffers[-1].observation_row(-1))
 
     def collect(self) -> Unroll:
-        """Plays `unroll_length` steps in every world; the next call overwrites the result."""
-        for part in (*self._observation.values(), *self._fields.values()):
-            part[0] = part[-1]
+        """Plays T steps in every world.
+
+        Returns an unroll whose steps are in RAM and whose memory is on the device.
+
+        Raises:
+            Abandoned: `abandon` was called.
+        """
+        before = self._buffers[-1]
+        self._buffers = [*self._buffers[1:], self._buffers[0]]
+        buffers = self._buffers[-1]
+        buffers.begin_after(before)
         memory, late_memory = self._memory, None
         for t in range(self.unroll_length):
+            if self._abandoned.is_set():
+                raise Abandoned
             if self.agent.burn_in and t == self.unroll_length - self.agent.burn_in:
                 late_memory = self._memory
-            self._step(t)
-        return Unroll(self._steps, memory, late_memory).to(self.device)
+            self._step(buffers, t)
+        return Unroll(buffers.steps, memory, late_memory)
+
+    def abandon(self) -> None:
+        """Makes `collect` raise `Abandoned` at its next step, for good; called by another thread
+        than the one that collects."""
+        self._abandoned.set()
 
     def episode_metrics(self) -> dict[str, float]:
         """Means over the episodes that ended since the last call.
@@ -121,43 +121,40 @@ class Collector:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that the next unroll depends on."""
-        carried = ("previous_action", "previous_reward", "is_first")
+        fields = self._buffers[-1].fields
         return {
             "environment": self.env.get_state(),
             "memory": dict(self._memory),
             "generator": self._generator.get_state(),
-            "inputs": {name: self._fields[name][-1].copy() for name in carried},
+            "inputs": {name: fields[name][-1].copy() for name in _CARRIED},
             "episodes": dict(self._episodes),
             "exploration": self.exploration.state_dict() if self.exploration else {},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
+        buffers = self._buffers[-1]
         self.env.set_state(arrays(state["environment"]))
-        self.env.observations(out=self._row(self._observation, -1))
+        self.env.observations(out=buffers.observation_row(-1))
         self._memory = {k: v.to(self.device) for k, v in state["memory"].items()}
         self._generator.set_state(state["generator"])
         self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
         for name, value in state["inputs"].items():
-            self._fields[name][-1] = value
+            buffers.fields[name][-1] = value
         if self.exploration:
             self.exploration.load_state_dict(arrays(state["exploration"]))
 
-    def _step(self, t: int) -> None:
+    def _step(self, buffers: _Buffers, t: int) -> None:
         start = perf_counter()
-        fields = self._fields
-        action, self._memory, behaviour = self.agent.act(
-            self._inputs(t), self._memory, self._generator
-        )
-        fields["action"][t] = action.cpu().numpy()
+        fields = buffers.fields
+        inputs = Inputs.of(buffers.inputs[t].to(self.device, non_blocking=True))
+        action, self._memory, behaviour = self.agent.act(inputs, self._memory, self._generator)
         for name, value in behaviour.items():
-            if name not in self._steps.keys():
-                empty = torch.zeros(self.unroll_length + 1, *value.shape, dtype=value.dtype)
-                self._steps[name] = empty
-            self._steps[name][t] = value
+            buffers.write(name, t, value)
+        fields["action"][t] = action.cpu().numpy()  # waits for the copies above, too
         acted = perf_counter()
 
-        following = self._row(self._observation, t + 1)
+        following = buffers.observation_row(t + 1)
         _, reward, terminated, truncated, info = self.env.step(
             fields["action"][t], out=following, final_out=self._final
         )
@@ -178,15 +175,20 @@ class Collector:
 
         fields["truncation_value"][t] = 0.0
         if truncated.any():
-            fields["truncation_value"][t, truncated] = self._value_at_truncation(t, truncated)
+            values = self._value_at_truncation(fields["action"][t], fields["reward"][t], truncated)
+            fields["truncation_value"][t, truncated] = values
         self.seconds["inference"] += acted - start + perf_counter() - stepped
         self.seconds["environment"] += stepped - acted
 
     def _record(self, final_info: dict[str, NDArray], ended: NDArray[np.bool_]) -> None:
         """Keeps the outcomes of the episodes that ended, for `episode_metrics`."""
-        levels = final_info.get("level_name", self._levels_of_worlds)
+        levels = None
+        if isinstance(self.env, Mixture) and self.env.draw == "resets":
+            levels = final_info[f"{self.env.rank}_name"]
+        elif isinstance(self.env, Mixture):
+            levels = np.array(self.env.level_names)[self.env.levels_of_worlds]
         for name in _OUTCOMES:
-            if name not in final_info:  # `success` in worlds that do not report it
+            if name == "success" and not self.env.reports_success:
                 continue
             values = final_info[name][ended].tolist()
             self._episodes[name].extend(values)
@@ -194,23 +196,81 @@ class Collector:
                 for level, value in zip(levels[ended], values, strict=True):
                     self._episodes[f"{name}/{level}"].append(value)
 
-    def _inputs(self, t: int) -> Inputs:
-        return Inputs.of(self._inputs_of_steps[t].to(self.device, non_blocking=True))
-
-    def _value_at_truncation(self, t: int, truncated: NDArray[np.bool_]) -> NDArray:
+    def _value_at_truncation(
+        self, action: NDArray, reward: NDArray, truncated: NDArray[np.bool_]
+    ) -> NDArray:
         def send(array: NDArray) -> Tensor:
             return torch.from_numpy(array[truncated]).to(self.device)
 
         inputs = Inputs(
             {name: send(part) for name, part in self._final.items()},
-            send(self._fields["action"][t]),
-            send(self._fields["reward"][t]),
+            send(action),
+            send(reward),
             torch.zeros(int(truncated.sum()), dtype=torch.bool, device=self.device),
         )
         rows = torch.from_numpy(truncated).to(self.device)
         memory = {name: value[rows] for name, value in self._memory.items()}
         return self.agent.value(inputs, memory).cpu().numpy()
 
-    @staticmethod
-    def _row(parts: dict[str, NDArray], t: int) -> dict[str, NDArray]:
-        return {name: part[t] for name, part in parts.items()}
+
+class _Buffers:
+    """The steps of one unroll, [T + 1, N]: NumPy arrays and, in the same RAM, tensors.
+
+    Attributes:
+        observation: arrays by name.
+        fields: arrays by name, those that every agent needs; see `Unroll`.
+        steps: all of them as tensors, and what the behaviour policy adds.
+        inputs: of `steps` the agent's inputs alone.
+    """
+
+    def __init__(self, env: ZipfVectorEnv, rows: int, pinned: bool):
+        self.pinned = pinned
+        shape = rows, env.num_envs
+        self.steps = TensorDict(batch_size=shape)
+        self.steps["observation"] = TensorDict(batch_size=shape)
+        self.observation = {}
+        for name, array in env.allocate().items():
+            zeros = np.zeros((rows, *array.shape), array.dtype)
+            tensor = self._tensor(torch.from_numpy(zeros))
+            self.steps["observation"][name] = tensor
+            self.observation[name] = tensor.numpy()
+        self.fields: dict[str, NDArray[Any]] = {}
+        for name, dtype in (
+            ("previous_action", torch.int64),
+            ("previous_reward", torch.float32),
+            ("is_first", torch.bool),
+            ("action", torch.int64),
+            ("reward", torch.float32),
+            ("bonus", torch.float32),
+            ("terminated", torch.bool),
+            ("truncated", torch.bool),
+            ("truncation_value", torch.float32),
+        ):
+            self.steps[name] = self._tensor(torch.zeros(shape, dtype=dtype))
+            self.fields[name] = self.steps[name].numpy()
+        self.fields["previous_action"][:] = -1
+        self.fields["is_first"][:] = True
+        self.inputs = self.steps.select("observation", *_CARRIED)
+
+    def observation_row(self, t: int) -> dict[str, NDArray]:
+        """The observations of row t, {name: [N, ...]}, to be written to."""
+        return {name: part[t] for name, part in self.observation.items()}
+
+    def begin_after(self, other: _Buffers) -> None:
+        """Copies the last row of another unroll, or of this one, to the first row of this one."""
+        for mine, last in ((self.observation, other.observation), (self.fields, other.fields)):
+            for name, part in mine.items():
+                part[0] = last[name][-1]
+
+    def write(self, name: str, t: int, value: Tensor) -> None:
+        """Writes what the behaviour policy adds to row t, [N, ...]; the copy from a CUDA device is
+        queued."""
+        if name not in self.steps.keys():
+            rows = self.steps.batch_size[0]
+            self.steps[name] = self._tensor(torch.zeros(rows, *value.shape, dtype=value.dtype))
+        self.steps[name][t].copy_(value, non_blocking=True)
+
+    def _tensor(self, zeros: Tensor) -> Tensor:
+        """The tensor itself, or a copy in pinned RAM, which CUDA devices copy from and to while the
+        CPU goes on."""
+        return zeros.pin_memory() if self.pinned else zeros

@@ -21,6 +21,7 @@ from zipf.experiments.running.display import Display
 from zipf.experiments.running.evaluator import derive_seed, scores
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.running.logger import Logger
+from zipf.experiments.running.overlap import Overlap
 from zipf.experiments.running.signals import StopSignals
 from zipf.experiments.running.trained import evaluate_agent
 
@@ -89,6 +90,7 @@ class Run:
     def __init__(self, config: Config):
         self.config = config
         self.folder = config.folder
+        self.device = config.torch_device
         collector = config.collector
         env = envs.make_train(config.split, collector.num_envs, **config.level_options)
         self.agent = build_agent(config, env)
@@ -102,9 +104,11 @@ class Run:
             self.agent,
             unroll_length=collector.unroll_length,
             seed=derive_seed(config.seed, "training"),
-            device=config.torch_device,
+            device=self.device,
             exploration=build_exploration(config.exploration),
+            lag=collector.lag,
         )
+        self.overlap = Overlap(self.collector, self.agent) if collector.lag else None
         self.frames_per_update = collector.num_envs * collector.unroll_length
         self.clock = Clock()
         self.update = 0
@@ -122,8 +126,8 @@ class Run:
             done = self.update >= config.updates
             state = f"{'is finished' if done else 'resumes'} at update {self.update}"
         self.display = Display(name, config.updates, self.update)
-        self.display.say(f"{name}: {state}, on {config.torch_device}, in {self.folder}")
-        self.logger.text(f"{name}: {state}, on {config.torch_device}")
+        self.display.say(f"{name}: {state}, on {self.device}, in {self.folder}")
+        self.logger.text(f"{name}: {state}, on {self.device}")
         for note in notes:
             self.display.say(note)
             self.logger.text(note)
@@ -142,7 +146,9 @@ class Run:
         self.close()
 
     def close(self) -> None:
-        """Closes the files and the worlds."""
+        """Ends the second thread, if there is one, and closes the files and the worlds."""
+        if self.overlap:
+            self.overlap.close()
         self.logger.close()
         self.collector.env.close()
 
@@ -152,15 +158,21 @@ class Run:
         The unroll is overwritten by the next step.
         """
         with self.clock.train():
-            unroll = self.collector.collect()
-            metrics = self._learn(unroll)
+            if self.overlap is None:
+                unroll = self.collector.collect()
+                metrics = self._learn(unroll)
+            else:
+                unroll, metrics = self.overlap.step(self._learn)
         self.update += 1
         return unroll, metrics
 
     def _learn(self, unroll: Unroll) -> dict[str, float]:
         try:
             with self.clock.part("learning"):
-                return self.agent.update(unroll)
+                metrics = self.agent.update(unroll.to(self.device))
+                if self.device.startswith("cuda"):  # to measure the time, and because the unroll
+                    torch.cuda.synchronize(self.device)  # is overwritten by the next
+                return metrics
         except FloatingPointError as error:
             raise UserError(
                 f"{self.folder}: learning diverged at update {self.update + 1} ({error}); the "
@@ -216,6 +228,7 @@ class Run:
             "clock": self.clock.state_dict(),
             "agent": self.agent.state_dict(),
             "collector": self.collector.state_dict(),
+            "overlap": self.overlap.state_dict() if self.overlap else {},
             "torch_rng": torch.get_rng_state(),
         }
         checkpoint.save(self.folder / "checkpoint.pt", state)
@@ -229,4 +242,6 @@ class Run:
             except OSError as error:  # files that the checkpoint refers to
                 raise UserError(str(error)) from None
             self.collector.load_state_dict(saved["collector"])
+            if self.overlap:
+                self.overlap.load_state_dict(saved["overlap"])
             torch.set_rng_state(saved["torch_rng"])

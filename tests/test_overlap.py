@@ -1,0 +1,256 @@
+"""Collection beside learning: what it computes, how it goes on, and how it ends."""
+
+import os
+import signal
+import threading
+
+import pandas as pd
+import pytest
+import torch
+import torch.nn.functional as F
+from test_train import TINY, assert_equal, learned, untimed
+
+from zipf import envs
+from zipf.agents.exploration import build_exploration
+from zipf.agents.unroll import Unroll
+from zipf.experiments import command_line
+from zipf.experiments.errors import UserError
+from zipf.experiments.running import run_folder, runner
+from zipf.experiments.running.collector import Abandoned, Collector
+from zipf.experiments.running.evaluator import derive_seed
+from zipf.experiments.running.factory import build_agent
+from zipf.experiments.running.overlap import Overlap
+
+
+@pytest.fixture(autouse=True)
+def _one_thread_per_operator():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(autouse=True)
+def _no_thread_is_left_behind():
+    before = set(threading.enumerate())
+    yield
+    assert set(threading.enumerate()) <= before
+
+
+def config_of(folder, *overrides):
+    return command_line.load([*TINY, "collector.lag=1", f"run_root={folder}", "name=row", *overrides])
+
+
+def copied(unroll):
+    return Unroll(unroll.steps.clone(), unroll.memory, unroll.late_memory)
+
+
+def in_turn(config, updates):
+    """The definition, one thing after another and with an agent for each role: update k learns from
+    what was played with the weights before update k - 1."""
+    env = envs.make_train(config.split, config.collector.num_envs, **config.level_options)
+    actor, learner = build_agent(config, env), build_agent(config, env)
+    learner.begin_learning()
+    collector = Collector(
+        env,
+        actor,
+        unroll_length=config.collector.unroll_length,
+        seed=derive_seed(config.seed, "training"),
+        exploration=build_exploration(config.exploration),
+    )
+    rows = []
+    unroll = copied(collector.collect())
+    for _ in range(updates):
+        following = copied(collector.collect())
+        rows.append(learner.update(unroll))
+        actor.load_state_dict(learner.state_dict())
+        unroll = following
+    return learner.state_dict(), collector.state_dict(), rows
+
+
+R2D2 = ["agent.burn_in=2", "agent.replay_min=12", "agent.replay_capacity=24"]
+AGENTS = {
+    "impala": [],
+    "impala in bfloat16": ["precision=bfloat16"],
+    "impala with a transformer": ["condition=impala_transformer", "memory.memory_length=6"],
+    "r2d2": ["condition=r2d2", "agent.storage=ram", *R2D2],
+}
+
+
+@pytest.mark.parametrize("overrides", AGENTS.values(), ids=AGENTS)
+def test_it_equals_the_definition_bit_for_bit(overrides, tmp_path):
+    if "condition=impala_transformer" in overrides:
+        overrides = [*overrides, "memory=gtrxl", "memory.heads=2", "memory.mlp_size=8"]
+    config = config_of(tmp_path, *overrides)
+    agent, collector, rows = in_turn(config, updates=8)
+    run_folder.make(config.folder)
+    with runner.Run(config) as run:
+        metrics = [run.step()[1] for _ in range(8)]
+        assert_equal(run.agent.state_dict(), agent)
+        state = run.collector.state_dict()
+    for name in ("environment", "memory", "generator", "inputs", "exploration"):
+        assert_equal(state[name], collector[name], name)
+    torch.testing.assert_close(metrics, rows, rtol=0, atol=0, equal_nan=True)
+    if "importance_ratio" in metrics[0]:
+        assert metrics[0]["importance_ratio"] == pytest.approx(1, abs=1e-6)
+        assert all(abs(row["importance_ratio"] - 1) > 1e-6 for row in metrics[1:])
+
+
+@pytest.mark.parametrize("stop", [0, 1, 3])
+def test_a_resumed_run_equals_an_uninterrupted_one(stop, tmp_path):
+    """Stopped after some updates, also after so many as were asked for."""
+    whole = config_of(tmp_path / "whole", "updates=6", "evaluation.every=3")
+    cut = config_of(tmp_path / "cut", "updates=6", "evaluation.every=3")
+    assert runner.train(whole) == 0
+    if stop:
+        assert runner.train(cut.model_copy(update={"updates": stop})) == 0
+    else:
+        run_folder.make(cut.folder)
+        with runner.Run(cut) as run:
+            run.save()
+    assert runner.train(cut) == 0
+    assert_equal(learned(whole.folder), learned(cut.folder))
+    one, other = (untimed(config.folder / "metrics.csv") for config in (whole, cut))
+    pd.testing.assert_frame_equal(one, other)
+    assert learned(whole.folder)["overlap"].keys() == {"steps", "memory", "late_memory"}
+
+
+def test_evaluation_uses_what_was_learned(tmp_path):
+    """The scores in the table are those of the checkpoint, whose weights nobody has acted with."""
+    config = config_of(tmp_path, "updates=3", "agent.learning_rate=0.01")
+    assert runner.train(config) == 0
+    run_folder.make(config.folder)
+    with runner.Run(config) as run:
+        assert_equal(dict(run.agent.actor.state_dict()), dict(run.agent.network.state_dict()))
+
+
+def test_an_agent_without_a_correction_is_refused(tmp_path):
+    with pytest.raises(UserError, match=r"^collector\.lag=1: agent=vmpo .*at most 0") as error:
+        config_of(tmp_path, "agent=vmpo")
+    assert "\n" not in str(error.value)
+
+
+def test_unrolls_before_the_last_are_left_alone():
+    """With a lag of 1, the one before; and an unroll begins where the one before ends."""
+    config = config_of("nowhere")
+    env = envs.make_train(config.split, 6, **config.level_options)
+    collector = Collector(env, build_agent(config, env), unroll_length=5, seed=0, lag=1)
+    before = collector.collect()
+    kept = copied(before)
+    for _ in range(3):
+        unroll = collector.collect()
+        assert (unroll.steps != before.steps).any()
+        assert (before.steps == kept.steps).all()
+        for name in ("previous_action", "previous_reward", "is_first", "observation"):
+            assert (before.steps[name][-1] == unroll.steps[name][0]).all()
+        before, kept = unroll, copied(unroll)
+
+
+# Errors and interrupts
+
+
+class Worlds:
+    """A collector whose steps a test watches and breaks."""
+
+    device = "cpu"
+
+    def __init__(self, at_step=lambda step: None, steps=1000):
+        self.at_step = at_step
+        self.steps = steps
+        self.done = 0
+        self.abandoned = threading.Event()
+        self.collected = threading.Event()
+
+    def collect(self):
+        if threading.current_thread() is threading.main_thread():
+            return "first unroll"
+        for step in range(self.steps):
+            if self.abandoned.wait(0.005):
+                raise Abandoned
+            self.at_step(step)
+            self.done += 1
+        self.collected.set()
+        return "unroll"
+
+    def abandon(self):
+        self.abandoned.set()
+
+
+class Nobody:
+    """An agent that is told nothing."""
+
+    def separate_acting(self): ...
+    def publish(self): ...
+
+
+@pytest.mark.parametrize("error", [FloatingPointError, KeyboardInterrupt])
+def test_an_error_in_learning_stops_collection(error):
+    worlds = Worlds()
+    overlap = Overlap(worlds, Nobody())
+
+    def learn(unroll):
+        raise error("from learning")
+
+    with pytest.raises(error, match="from learning"):
+        overlap.step(learn)
+    assert worlds.done < worlds.steps
+    overlap.close()
+
+
+def test_an_error_in_collection_is_raised_after_learning():
+    def at_step(step):
+        raise MemoryError("from collection")
+
+    overlap = Overlap(Worlds(at_step), Nobody())
+    learned_from = []
+    with pytest.raises(MemoryError, match="from collection"):
+        overlap.step(learned_from.append)
+    assert learned_from == ["first unroll"]
+    overlap.close()
+
+
+def test_an_interrupt_while_waiting_stops_collection():
+    worlds = Worlds(lambda step: os.kill(os.getpid(), signal.SIGINT) if step == 3 else None)
+    overlap = Overlap(worlds, Nobody())
+    with pytest.raises(KeyboardInterrupt):
+        overlap.step(lambda unroll: None)
+    assert worlds.done < worlds.steps
+    overlap.close()
+
+
+def test_a_run_that_fails_leaves_no_thread(tmp_path):
+    """Which the fixture checks; and the checkpoint before it is kept."""
+    config = config_of(tmp_path, "updates=6", "agent.learning_rate=1e30")
+    with pytest.raises(UserError, match="diverged"):
+        runner.train(config)
+    assert learned(config.folder)["update"] == 0
+
+
+def test_autocast_in_one_thread_keeps_the_other_ones_casts():
+    """A weight that is used twice is cast once, whatever the second thread does meanwhile."""
+    weight, inputs = torch.randn(4, 4, requires_grad=True), torch.randn(2, 4)
+
+    def at_step(step):
+        with torch.autocast("cpu", torch.bfloat16):
+            F.linear(inputs, weight)
+
+    worlds = Worlds(at_step, steps=3)
+    overlap = Overlap(worlds, Nobody())
+
+    def learn(unroll):
+        with torch.autocast("cpu", torch.bfloat16):
+            first = F.linear(inputs, weight)
+            assert worlds.collected.wait(10)
+            second = F.linear(inputs, weight)
+        return [casts(output.grad_fn) for output in (first, second)]
+
+    _, (first, second) = overlap.step(learn)
+    assert len(first) == 1
+    assert first[0] is second[0]
+    overlap.close()
+
+
+def casts(node):
+    """The nodes of an autograd graph that cast a tensor."""
+    found = [node] if "ToCopy" in node.name() else []
+    return found + [cast for after, _ in node.next_functions if after for cast in casts(after)]
