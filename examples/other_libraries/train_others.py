@@ -1,0 +1,95 @@
+"""Trains PPO of Stable-Baselines3 and of TorchRL on the small gridworld, and records their scores.
+
+The rows stand in the table of `experiment=small_gridworld`, marked as external.
+"""
+
+import sys
+
+import torch
+from stable_baselines3 import PPO
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torchrl.envs.utils import step_mdp
+from torchrl.modules import ProbabilisticActor, ValueOperator
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+
+from zipf.adapters.stable_baselines3 import ZipfVecEnv
+from zipf.adapters.torchrl import torchrl_env
+from zipf.envs import make_vec
+from zipf.evaluate import record
+
+WORLDS = {
+    **{"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5},
+    **{"max_steps": 50, "observation": "tiles"},
+}
+FRAMES = int(sys.argv[1]) if len(sys.argv) > 1 else 245_760
+ROW = {"experiment": "small_gridworld", "episodes": 500, **WORLDS}
+CODES = 3 + 15 * 15  # of the gridworld's cells, see `zipf.envs.gridworld.single.GridworldEnv`
+
+
+def train_stable_baselines3() -> None:
+    env = ZipfVecEnv(make_vec("gridworld/zipf_2", 64, **WORLDS))
+    model = PPO("MultiInputPolicy", env, n_steps=64, batch_size=1024, ent_coef=0.01, seed=0)
+    model.learn(FRAMES)
+    folder = "runs/small_gridworld/sb3_ppo/seed0"
+    frames = model.num_timesteps
+    record(model, "gridworld", folder, name="PPO (Stable-Baselines3)", frames=frames, **ROW)
+
+
+def network(outputs: int) -> nn.Module:
+    """From the view as cell codes, uint8 [..., 7, 7], and the cue, uint8 [..., 1]."""
+
+    class Network(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.embed = nn.Embedding(CODES, 16)
+            self.layers = nn.Sequential(nn.Linear(50 * 16, 128), nn.ReLU(), nn.Linear(128, outputs))
+
+        def forward(self, tiles: torch.Tensor, cue: torch.Tensor) -> torch.Tensor:
+            codes = torch.cat([tiles.flatten(-2), cue], -1).int()
+            return self.layers(self.embed(codes).flatten(-2))
+
+    return Network()
+
+
+def train_torchrl() -> None:
+    torch.manual_seed(0)
+    env = torchrl_env(make_vec("gridworld/zipf_2", 64, autoreset_mode="Disabled", **WORLDS))
+    seen = ["tiles", "cue"]
+    policy = ProbabilisticActor(
+        TensorDictModule(network(8), seen, ["logits"]),
+        in_keys=["logits"],
+        spec=env.action_spec,
+        distribution_class=torch.distributions.Categorical,
+        return_log_prob=True,
+    )
+    value = ValueOperator(network(1), in_keys=seen)
+    advantage = GAE(gamma=0.99, lmbda=0.95, value_network=value)
+    loss = ClipPPOLoss(policy, value, entropy_coeff=0.01)
+    optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
+    state, frames = env.reset(), 0
+    while frames < FRAMES:
+        with torch.no_grad():
+            unroll = env.rollout(
+                64, policy, auto_reset=False, tensordict=state, break_when_any_done=False
+            )
+            state = step_mdp(unroll[:, -1])
+            state = env.maybe_reset(state)
+            advantage(unroll)
+        frames += unroll.numel()
+        for _ in range(4):
+            for batch in unroll.reshape(-1).split(1024):
+                losses = loss(batch)
+                total = losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]
+                optimiser.zero_grad()
+                total.backward()
+                nn.utils.clip_grad_norm_(loss.parameters(), 1.0)
+                optimiser.step()
+    folder = "runs/small_gridworld/torchrl_ppo/seed0"
+    record(policy, "gridworld", folder, name="PPO (TorchRL)", frames=frames, **ROW)
+
+
+if __name__ == "__main__":
+    train_stable_baselines3()
+    train_torchrl()
