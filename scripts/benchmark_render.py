@@ -151,7 +151,7 @@ def room(*, objects: int, pitched: bool, seed: int = 0) -> Scenes:
             turn = rng.uniform(-np.pi, np.pi)
             cos, sin = np.cos(turn), np.sin(turn)
             scenes.rotation[world, k, :2, :2] = (cos, -sin), (sin, cos)
-        scenes.colors[world] = rng.integers(40, 256, (objects, 2, 3))
+        scenes.colours[world] = rng.integers(40, 256, (objects, 2, 3))
     if objects:
         # The room's walls must not hide what is measured.
         scenes.walls[:, :, :4] += (scenes.walls[:, :, :4] > 0) * 4 - 2

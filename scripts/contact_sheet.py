@@ -50,7 +50,7 @@ def rooms(views: Sequence[tuple[int, float, float, float, float]]) -> Scenes:
             (math.sin(turn), math.cos(turn)),
         )
         scenes.mesh[world, 0] = mesh
-        scenes.colors[world, 0] = GREYS
+        scenes.colours[world, 0] = GREYS
     return scenes
 
 

@@ -11,11 +11,10 @@ from zipf.envs.render3d import (
     MeshAtlas,
     Renderer,
     Scenes,
-    kernels,
     optics,
     textures,
 )
-from zipf.envs.render3d.renderer import FIXED_COLORS, pack_textures
+from zipf.envs.render3d.assets import FIXED_COLOURS, pack_textures
 
 CORNERS = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 2), (1, -1, 2), (1, 1, 2)] + [
     (-1, 1, 2)
@@ -70,7 +69,7 @@ def texel(packed, texture, u, v, area):
 
 
 def within(distance, size):
-    return (distance >= -kernels.GROW) & (distance <= size + kernels.GROW)
+    return (distance >= -optics.GROW) & (distance <= size + optics.GROW)
 
 
 def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
@@ -163,7 +162,7 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
                 continue
             scale, rotation = float(scenes.scale[world, k]), scenes.rotation[world, k].astype(float)
             position = scenes.position[world, k].astype(float)
-            colors = np.concatenate([scenes.colors[world, k], FIXED_COLORS]).astype(float)
+            colors = np.concatenate([scenes.colours[world, k], FIXED_COLOURS]).astype(float)
             fade = max((position - eye) @ ahead, 0.0)
             for triangle in range(*ATLAS.first_triangle[mesh : mesh + 2]):
                 corners = ATLAS.vertices[ATLAS.triangles[triangle] + ATLAS.first_vertex[mesh] * 0]
@@ -262,7 +261,7 @@ def random_scenes(seed, worlds=6, **more):
             scenes.position[world, k] = rng.uniform((0, 0, 0), (5, 4, 2))
             scenes.rotation[world, k] = random_rotation(rng)
             scenes.scale[world, k] = rng.uniform(0.5, 2)
-        scenes.colors[world] = rng.integers(0, 256, (5, 2, 3))
+        scenes.colours[world] = rng.integers(0, 256, (5, 2, 3))
         scenes.camera[world] = (
             *rng.uniform((0.3, 0.3, 0.3), (4.7, 3.7, 2.2)),
             *rng.uniform((-math.pi, -0.9), (math.pi, 0.9)),

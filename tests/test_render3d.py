@@ -26,7 +26,7 @@ from zipf.envs.render3d import (
     Scenes,
     textures,
 )
-from zipf.envs.render3d.renderer import pack_textures
+from zipf.envs.render3d.assets import pack_textures
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -200,7 +200,7 @@ def test_overlays_lie_over_the_view():
     scenes = Scenes(1, overlays=3)
     scenes.sky[:] = 100
     scenes.overlays[0] = (0, 0, 0.5, 0.25), (0.25, 0, 1, 1), (0, 0, 1, 1)
-    scenes.overlay_colors[0] = (200, 10, 10, 255), (0, 200, 0, 128), (0, 0, 0, 255)
+    scenes.overlay_colours[0] = (200, 10, 10, 255), (0, 200, 0, 128), (0, 0, 0, 255)
     scenes.overlay_count[0] = 2
     image = view(scenes, width=8, height=8)[0].astype(int)
     assert (image[:2, :2] == (200, 10, 10)).all()

@@ -12,7 +12,7 @@ from zipf.envs.playroom.falling import STILL_STEPS
 from zipf.envs.playroom.geometry import footprint, rectangle_gap
 from zipf.envs.playroom.judgement import APPROACH_DISTANCE
 from zipf.envs.playroom.levels import LIFT, NEAR, ON
-from zipf.envs.playroom.state import AX, AY, HOLD, PITCH, YAW, X, Y, Z
+from zipf.envs.playroom.state import AX, AY, HOLD, PITCH, YAW, X, Y, Z, one_world
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 _CELL = 0.1
@@ -56,10 +56,10 @@ class Expert:
         """Walks to a place from which the target can be gripped, points at it and grips."""
         worlds = self.worlds
         agent = worlds.agents[i].copy()
-        if hand.pick(agent, worlds, i) == 0:
+        if _points_at(agent, worlds, i) == 0:
             return actions.GRAB
         _aim(agent, worlds.objects[i, 0], worlds.extents[worlds.ranks[i, 0]])
-        if hand.pick(agent, worlds, i) == 0:
+        if _points_at(agent, worlds, i) == 0:
             action = self._face(i, agent[YAW], agent[PITCH], closed=False)
             if action != actions.NOOP:
                 return action
@@ -176,9 +176,16 @@ def _centre(row, column):
 
 
 @compiled()
+def _points_at(agent, worlds, i):
+    """The object of world `i` that an agent in this pose could grip, or -1."""
+    return hand.pick(agent, one_world(worlds, i))
+
+
+@compiled()
 def _viewpoints(agent, worlds, i):
     """The cells from which the target can be gripped: bool [rows, columns]."""
-    target, extent = worlds.objects[i, 0], worlds.extents[worlds.ranks[i, 0]]
+    world = one_world(worlds, i)
+    target, extent = world.objects[0], world.extents[world.ranks[0]]
     goals = np.zeros((_CELLS, _CELLS), np.bool_)
     there = agent.copy()
     for row in range(_CELLS):
@@ -190,7 +197,7 @@ def _viewpoints(agent, worlds, i):
             _aim(there, target, extent)
             if there[PITCH] < hand.LOWEST:
                 continue
-            goals[row, column] = hand.pick(there, worlds, i) == 0
+            goals[row, column] = hand.pick(there, world) == 0
     return goals
 
 
@@ -218,23 +225,23 @@ def _around(item, distance):
 
 
 @compiled()
-def _is_blocked(x, y, worlds, i):
+def _is_blocked(x, y, world):
     """Whether the agent would touch something at (x, y), or approach the wrong object."""
     margin = AGENT_RADIUS + 0.03
     if max(abs(x), abs(y)) > ROOM / 2 - margin:
         return True
-    objects, ranks = worlds.objects[i], worlds.ranks[i]
+    objects, ranks = world.objects, world.ranks
     for j in range(ranks.size):
-        if j == worlds.hands[i] or (worlds.finding and j == 0) or objects[j, Z] > 0.1:
+        if j == world.hand or (world.finding and j == 0) or objects[j, Z] > 0.1:
             continue
-        clear = 0.85 * footprint(worlds.extents[ranks[j]]) + margin
-        if worlds.finding:
+        clear = 0.85 * footprint(world.extents[ranks[j]]) + margin
+        if world.finding:
             clear = APPROACH_DISTANCE + 0.25
         if math.hypot(x - objects[j, X], y - objects[j, Y]) < clear:
             return True
-    if worlds.furnished:
+    if world.furnished:
         for k in range(2):
-            if rectangle_gap(worlds.furniture[i, k], FURNITURE_SIZE[k], x, y) < margin:
+            if rectangle_gap(world.furniture[k], FURNITURE_SIZE[k], x, y) < margin:
                 return True
     return False
 
@@ -242,7 +249,7 @@ def _is_blocked(x, y, worlds, i):
 @compiled()
 def _way(goals, worlds, i):
     """The heading of the shortest way to a cell of `goals`, radians; NaN if there is no way."""
-    agent = worlds.agents[i]
+    agent, world = worlds.agents[i], one_world(worlds, i)
     blocked = np.zeros((_CELLS, _CELLS), np.bool_)
     distance = np.full((_CELLS, _CELLS), _FAR)
     queue = np.empty((_CELLS * _CELLS, 2), np.int64)
@@ -250,7 +257,7 @@ def _way(goals, worlds, i):
     for row in range(_CELLS):
         for column in range(_CELLS):
             x, y = _centre(row, column)
-            blocked[row, column] = _is_blocked(x, y, worlds, i)
+            blocked[row, column] = _is_blocked(x, y, world)
             if goals[row, column] and not blocked[row, column]:
                 distance[row, column] = 0
                 queue[tail, 0], queue[tail, 1] = row, column

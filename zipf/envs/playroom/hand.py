@@ -47,6 +47,7 @@ from zipf.envs.playroom.state import (
     X,
     Y,
     Z,
+    one_world,
 )
 
 # Ours.
@@ -98,7 +99,7 @@ def control(mask, actions, worlds, commands):
         commands.turned[i] = -1
         held = worlds.hands[i]
         if act[8] > 0 and held < 0:
-            held = pick(agent, worlds, i)
+            held = pick(agent, one_world(worlds, i))
             if held >= 0:
                 worlds.hands[i] = held
                 status[held] = HELD
@@ -137,16 +138,15 @@ def _layer(status, height):
 
 
 @compiled()
-def pick(agent, worlds, i):
-    """The object of world `i` that an agent could grip, or -1.
+def pick(agent, world):
+    """The object that an agent could grip, or -1.
 
     Args:
-        agent: a row of `worlds.agents` or a pose that is tried out, float64 [6]; HOLD is written.
-        worlds: read.
-        i: the world.
+        agent: a row of `Worlds.agents` or a pose that is tried out, float64 [6]; HOLD is written.
+        world: `World`, read.
     """
-    ranks, furniture = worlds.ranks[i], worlds.furniture[i]
-    objects, orientation = worlds.objects[i], worlds.orientation[i]
+    ranks, furniture = world.ranks, world.furniture
+    objects, orientation = world.objects, world.orientation
     direction = np.empty(3)
     direction[0] = math.cos(agent[PITCH]) * math.cos(agent[YAW])
     direction[1] = math.cos(agent[PITCH]) * math.sin(agent[YAW])
@@ -155,7 +155,7 @@ def pick(agent, worlds, i):
     centre = np.empty(3)
     half = np.empty(3)
     frame = np.empty((3, 3))
-    if worlds.furnished:
+    if world.furnished:
         for k in range(2):
             half[0], half[1] = FURNITURE_SIZE[k, 0], FURNITURE_SIZE[k, 1]
             half[2] = FURNITURE_SIZE[k, 2] / 2
@@ -163,7 +163,7 @@ def pick(agent, worlds, i):
             set_upright(frame, furniture[k, 2])
             nearest = min(nearest, _distance_along(direction, agent, centre, frame, half))
     for j in range(ranks.size):
-        extent = worlds.extents[ranks[j]]
+        extent = world.extents[ranks[j]]
         for c in range(3):
             half[c] = extent[c] / 2 + AIM_MARGIN
         centre[0], centre[1] = objects[j, X], objects[j, Y]

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.compiled import compiled
+
 AX, AY, YAW, PITCH, HOLD, BASE = range(6)
 """Columns of `agents`: pose, distance of the held object from the eye, its height when gripped."""
 X, Y, ANGLE, Z, VZ = range(5)
@@ -52,6 +54,31 @@ class Worlds(NamedTuple):
     """[N, C]: whether an object has been lifted in this episode."""
     colours: NDArray[np.uint8]
     """Main and accent colours of the objects, then of bed and tray, [N, C + 2, 2, 3]."""
+
+
+class World(NamedTuple):
+    """One of the `Worlds`: where things are."""
+
+    finding: bool
+    furnished: bool
+    extents: NDArray[np.float64]
+    ranks: NDArray[np.int64]
+    hand: int
+    objects: NDArray[np.float64]
+    orientation: NDArray[np.float64]
+    furniture: NDArray[np.float64]
+
+
+@compiled()
+def one_world(worlds, i):
+    """`World` number `i`, to be passed to functions that are called often.
+
+    Its arrays are views. Passing all of `Worlds` takes longer than such a function.
+    """
+    return World(
+        worlds.finding, worlds.furnished, worlds.extents, worlds.ranks[i], worlds.hands[i],
+        worlds.objects[i], worlds.orientation[i], worlds.furniture[i],
+    )  # fmt: skip
 
 
 class Commands(NamedTuple):

@@ -51,7 +51,7 @@ class View:
         worlds, scenes = self.worlds, self.scenes
         count = worlds.ranks.shape[1]
         scenes.mesh[mask, :count] = self.meshes[worlds.ranks[mask]]
-        scenes.colors[mask] = worlds.colours[mask]
+        scenes.colours[mask] = worlds.colours[mask]
         if worlds.furnished:
             x, y, angle = worlds.furniture[mask].transpose(2, 0, 1)
             scenes.position[mask, count:] = np.stack([x, y, np.zeros_like(x)], -1)
@@ -77,8 +77,12 @@ class View:
         return tuple(_captioned(image, text) for image, text in zip(images, texts, strict=True))
 
     def _update(self, mask: NDArray[np.bool_]) -> None:
-        scenes = self.scenes
-        _pose(mask, self.worlds, scenes.camera, scenes.position, scenes.rotation)
+        """Copies the poses of cameras and objects to the scenes of the worlds of `mask`."""
+        worlds, scenes = self.worlds, self.scenes
+        _pose(
+            mask, worlds.agents, worlds.objects, worlds.orientation, worlds.ranks, worlds.extents,
+            scenes.camera, scenes.position, scenes.rotation,
+        )  # fmt: skip
 
 
 def _build_room(scenes: Scenes, world: int) -> None:
@@ -100,22 +104,21 @@ def _build_room(scenes: Scenes, world: int) -> None:
 
 
 @compiled()
-def _pose(mask, worlds, camera, position, rotation):
-    """Writes the poses of camera and objects to the scenes of the worlds of `mask`."""
+def _pose(mask, agents, objects, orientation, ranks, extents, camera, position, rotation):
+    """Writes the last three, which are arrays of `Scenes`, from the others, those of `Worlds`."""
     for i in range(mask.size):
         if not mask[i]:
             continue
-        agent, objects, ranks = worlds.agents[i], worlds.objects[i], worlds.ranks[i]
-        camera[i, 0], camera[i, 1] = agent[AX], agent[AY]
+        camera[i, 0], camera[i, 1] = agents[i, AX], agents[i, AY]
         camera[i, 2] = EYE
-        camera[i, 3], camera[i, 4] = agent[YAW], agent[PITCH]
-        for j in range(ranks.size):
-            frame = worlds.orientation[i, j]
-            half = worlds.extents[ranks[j], 2] / 2
+        camera[i, 3], camera[i, 4] = agents[i, YAW], agents[i, PITCH]
+        for j in range(ranks.shape[1]):
+            frame = orientation[i, j]
+            half = extents[ranks[i, j], 2] / 2
             # Objects turn about their centres.
-            position[i, j, 0] = objects[j, X] - half * frame[0, 2]
-            position[i, j, 1] = objects[j, Y] - half * frame[1, 2]
-            position[i, j, 2] = objects[j, Z] + half - half * frame[2, 2]
+            position[i, j, 0] = objects[i, j, X] - half * frame[0, 2]
+            position[i, j, 1] = objects[i, j, Y] - half * frame[1, 2]
+            position[i, j, 2] = objects[i, j, Z] + half - half * frame[2, 2]
             for r in range(3):
                 for c in range(3):
                     rotation[i, j, r, c] = frame[r, c]

@@ -1,4 +1,4 @@
-"""What light does, and how near and far is seen: the same in all kernels."""
+"""Constants of light and distance that all surfaces share."""
 
 import math
 
@@ -8,12 +8,21 @@ from zipf.compiled import compiled
 
 NEAR = 0.02
 FAR = 4000.0
+"""The depths between which surfaces are drawn, metres."""
+GROW = 0.0005
+"""Walls and flats are drawn this many metres larger on every side, so that there is no gap where
+two of them meet."""
+OPAQUE = -(1 << 31)
+"""Combined with a texel by a bitwise or, this makes it opaque."""
 
 SUN = (0.36, 0.48, 0.8)
+"""Direction of the light."""
 SURFACE_DARK, SURFACE_SUN = 0.62, 0.38
+"""Light on walls and flats: on the side away from the sun, and how much the sun adds."""
 MESH_DARK, MESH_SUN = 0.34, 0.66
+"""The same for meshes and terrains."""
 FADE = 14.0
-"""Metres at which distance halves the light."""
+"""Distance at which half of the light is left, metres."""
 
 UNIT_SUN = tuple(np.float32(s / math.sqrt(sum(s * s for s in SUN))) for s in SUN)
 FADE2 = 1.0 / FADE**2
@@ -21,5 +30,5 @@ FADE2 = 1.0 / FADE**2
 
 @compiled(error_model="numpy")
 def light_on(x, y, z, dark, sun):
-    """The light on a surface with the unit normal x, y, z: wrapped around, to shade all sides."""
+    """The light on a surface with the unit normal x, y, z, which falls smoothly to all sides."""
     return dark + sun * (0.5 + 0.5 * (x * UNIT_SUN[0] + y * UNIT_SUN[1] + z * UNIT_SUN[2]))

@@ -7,36 +7,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.render3d import kernels
+from zipf.envs.render3d.assets import FIXED_COLOURS, pack_textures, prepare_meshes
+from zipf.envs.render3d.drawing import draw
 from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.meshes import MeshAtlas
 from zipf.envs.render3d.scene import Scenes
-from zipf.envs.render3d.terrain import terrain_scratch
+from zipf.envs.render3d.terrain import terrain_buffers
 from zipf.envs.render3d.textures import SIZE
-
-FIXED_COLORS = np.array(
-    [(40, 40, 40), (235, 235, 235), (150, 105, 65), (70, 140, 60)], dtype=np.uint8
-)
-"""Of the parts of meshes from 2 on: dark, light, wood, green."""
-
-
-_DRAW: Any = kernels.draw
 
 
 class Renderer:
-    """Draws what the cameras of `Scenes` see.
+    """Draws the views of the cameras of `Scenes`.
 
-    The same scene gives the same pixels whatever the other worlds, the mask or the threads.
+    The pixels of a scene do not depend on the other worlds, the mask or the number of threads.
 
     Args:
-        meshes: the atlas that the scenes' instances index
-        textures: uint8 [K, 64, 64, 4], RGBA
-        width, height: of the images, in pixels
-        fov: the horizontal field of view, in degrees
-        threads: how many worlds are drawn at a time
+        meshes: the atlas that the scenes' instances index.
+        textures: uint8 [K, 64, 64, 4], RGBA.
+        width, height: of the images, in pixels.
+        fov: the horizontal field of view, in degrees.
+        threads: how many worlds are drawn at the same time.
 
-    Raises ValueError for sizes or threads below 1, a field of view outside 1 .. 170 and textures
-    of another shape or dtype.
+    Raises:
+        ValueError: for sizes or threads below 1, a field of view outside 1 .. 170 and textures of
+            another shape or dtype.
     """
 
     def __init__(
@@ -61,11 +55,16 @@ class Renderer:
         self.width = width
         self.height = height
         self.threads = threads
-        self._meshes = _prepare(meshes)
-        self._texels = pack_textures(textures)
-        self._focal = width / 2 / math.tan(math.radians(fov) / 2)
+        texels = pack_textures(textures)
+        focal = width / 2 / math.tan(math.radians(fov) / 2)
+        tilts = np.arctan(((height - 1) / 2 - np.arange(height)) / focal)
+        # Plain tuples with the fields of `arrays.Assets`, `Lens` and `Buffers`.
+        self._assets = (texels, prepare_meshes(meshes), FIXED_COLOURS)
+        self._lens = (focal, tilts)
+        self._most_vertices = int(np.diff(meshes.first_vertex).max(initial=0))
+        self._most_triangles = int(np.diff(meshes.first_triangle).max(initial=0))
         self._sizes = ((0, 0), (0, 0))
-        self._scratch = [self._allocate() for _ in range(threads)]
+        self._buffers = [self._allocate() for _ in range(threads)]
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def render(
@@ -73,9 +72,14 @@ class Renderer:
     ) -> None:
         """Writes the views to `out`, uint8 [N, height, width, 3], C-contiguous.
 
-        With `mask`, bool [N], only its rows are written. Raises ValueError for an `out` or a `mask`
-        of another shape, dtype or layout, and for scenes with textures or meshes there are not;
-        `tiles` are trusted.
+        Args:
+            scenes: read. The textures in `tiles` must exist; this is not checked.
+            out: written.
+            mask: bool [N], the worlds to draw; the other rows of `out` are left as they are.
+
+        Raises:
+            ValueError: for an `out` or a `mask` of another shape, dtype or layout, and for scenes
+                with textures or meshes that do not exist.
         """
         n = scenes.num_worlds
         shape = (n, self.height, self.width, 3)
@@ -92,104 +96,38 @@ class Renderer:
         sizes = (scenes.solid.shape[1:], scenes.terrain_looks.shape[1:])
         if sizes != self._sizes:
             self._sizes = sizes
-            self._scratch = [self._allocate() for _ in range(self.threads)]
-
-        def draw(thread: int, start: int, stop: int) -> int:
-            s = scenes
-            return _DRAW(
-                start, stop, mask, s.camera, s.walls, s.wall_looks, s.wall_repeat, s.wall_tint,
-                s.wall_face, s.wall_count, s.flats, s.flat_looks, s.flat_tiles, s.flat_repeat,
-                s.flat_tint, s.flat_count, s.tiles, s.mesh, s.position, s.rotation, s.scale,
-                s.colors, s.sky, s.screen, s.overlays, s.overlay_colors, s.overlay_count, s.solid,
-                s.grid, s.heights, s.terrain, s.terrain_looks, s.terrain_tint, self._meshes,
-                FIXED_COLORS, self._texels, self._focal, *self._scratch[thread], out,
-            )  # fmt: skip
-
+            self._buffers = [self._allocate() for _ in range(self.threads)]
+        fields = scenes.fields()
         if self._pool is None:
-            wrong = draw(0, 0, n)
+            wrong = draw(0, n, mask, fields, self._assets, self._lens, self._buffers[0], out)
         else:
             cuts = [n * k // self.threads for k in range(self.threads + 1)]
-            jobs = [self._pool.submit(draw, k, cuts[k], cuts[k + 1]) for k in range(self.threads)]
+            jobs = [
+                self._pool.submit(
+                    draw, start, stop, mask, fields, self._assets, self._lens, buffers, out
+                )
+                for start, stop, buffers in zip(cuts, cuts[1:], self._buffers, strict=False)
+            ]
             wrong = max(job.result() for job in jobs)
         if wrong >= 0:
+            texels, meshes, _ = self._assets
             raise ValueError(
-                f"world {wrong} shows a texture from {len(self._texels)} on, a mesh from "
-                f"{len(self._meshes[-1])} on, or a screen without Scenes(screen=...)"
+                f"world {wrong} shows a texture from {len(texels)} on, a mesh from "
+                f"{len(meshes[-1])} on, or a screen without Scenes(screen=...)"
             )
 
     def _allocate(self) -> tuple[Any, ...]:
-        stride = -(-self.width // LANES) * LANES + LANES
-        vertices, triangles = (int(np.diff(ends).max(initial=0)) for ends in self._meshes[4:6])
+        """The fields of `arrays.Buffers`."""
+        height, stride = self.height, -(-self.width // LANES) * LANES + LANES
         (rows, columns), terrain = self._sizes
         return (
-            np.zeros((self.height, stride), np.uint32),
-            np.zeros((self.height, stride), np.float32),
-            np.arctan(((self.height - 1) / 2 - np.arange(self.height)) / self._focal),
-            np.zeros(self.height, np.float32),
-            np.zeros(self.height, np.float32),
-            np.zeros((6, vertices + LANES), np.float32),
-            np.zeros(triangles + LANES, np.float32),
-            np.zeros(triangles + 1, np.int32),
-            np.zeros(rows * columns * 4, np.bool_),
-            np.zeros((4, rows * columns + 2)),
-            terrain_scratch(*terrain),
+            (np.zeros((height, stride), np.uint32), np.zeros((height, stride), np.float32)),
+            (np.zeros(height, np.float32), np.zeros(height, np.float32)),
+            (
+                np.zeros((6, self._most_vertices + LANES), np.float32),
+                np.zeros(self._most_triangles + LANES, np.float32),
+                np.zeros(self._most_triangles + 1, np.int32),
+            ),
+            (np.zeros(rows * columns * 4, np.bool_), np.zeros((4, rows * columns + 2))),
+            terrain_buffers(*terrain),
         )
-
-
-def pack_textures(textures: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """Textures as lines of 128 texels 0xAABBGGRR, uint32 [K, 64 * 128].
-
-    A line of a texture is followed by that of its half, its quarter and so on: line y of level n
-    begins at texel y * 128 + 128 - (128 >> n). Colours are averages of what is not a hole.
-    """
-    packed = np.zeros((len(textures), SIZE, kernels.LEVEL_STRIDE), np.uint32)
-    alpha = textures[..., 3:] / 255.0
-    color = textures[..., :3] * alpha
-    level = 0
-    while True:
-        size = SIZE >> level
-        rgb = np.round(color / np.maximum(alpha, 1e-6)).astype(np.uint32)
-        opaque = (np.round(alpha[..., 0] * 255)).astype(np.uint32)
-        start = kernels.LEVEL_STRIDE - (kernels.LEVEL_STRIDE >> level)
-        packed[:, :size, start : start + size] = (
-            rgb[..., 0] | rgb[..., 1] << 8 | rgb[..., 2] << 16 | opaque << 24
-        )
-        if size == 1:
-            return packed.reshape(len(textures), -1)
-        color, alpha = (
-            a.reshape(len(a), size // 2, 2, size // 2, 2, -1).mean((2, 4)) for a in (color, alpha)
-        )
-        level += 1
-
-
-def _prepare(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
-    """The atlas as the kernels take it: corners by mesh, normals and planes of triangles."""
-    owner = np.repeat(np.arange(len(meshes.names)), np.diff(meshes.first_triangle))
-    corners = meshes.vertices[meshes.triangles].astype(np.float64)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    planes = np.concatenate([normals, (normals * corners[:, 0]).sum(1, keepdims=True)], axis=1)
-    balls = np.zeros((len(meshes.names), 4), np.float32)
-    for ball, first, last in zip(
-        balls, meshes.first_vertex[:-1], meshes.first_vertex[1:], strict=True
-    ):
-        own = meshes.vertices[first:last]
-        ball[:3] = (own.min(0) + own.max(0)) / 2
-        ball[3] = np.linalg.norm(own - ball[:3], axis=1).max()
-    local = meshes.triangles - meshes.first_vertex[owner][:, None]
-    return (
-        _lines(meshes.vertices),
-        np.ascontiguousarray(local, np.int32),
-        _lines(planes),
-        np.ascontiguousarray(meshes.parts, np.uint8),
-        np.ascontiguousarray(meshes.first_vertex, np.int32),
-        np.ascontiguousarray(meshes.first_triangle, np.int32),
-        balls,
-    )
-
-
-def _lines(rows: NDArray[Any]) -> NDArray[np.float32]:
-    """The columns of `rows` as lines, with a block to spare at their ends."""
-    lines = np.zeros((rows.shape[1], len(rows) + LANES), np.float32)
-    lines[:, : len(rows)] = rows.T
-    return lines

@@ -4,6 +4,8 @@ Metres; x east, y north, z up. Yaw 0 looks along +x and grows counter-clockwise,
 looks up; both are in radians.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -50,13 +52,13 @@ class Scenes:
     - `mesh` int32 [N, M]: index into the atlas (-1, the start: nothing)
     - `position` float32 [N, M, 3]; `rotation` float32 [N, M, 3, 3] (starts as the identity);
       `scale` float32 [N, M] (starts as 1): world = rotation @ (scale * vertex) + position
-    - `colors` uint8 [N, M, 2, 3]: main and accent colour
+    - `colours` uint8 [N, M, 2, 3]: main and accent colour
     - `sky` uint8 [N, 2, 3]: colours at the horizon and overhead
     - `screen` uint8 [N, h, w, 3]: the picture on walls whose texture is SCREEN, stretched once over
       the wall and always bright
     - `overlays` float32 [N, K, 4]: left, top, right, bottom of rectangles drawn over the view, in
       order, as shares of the image's width and height from its top left corner
-    - `overlay_colors` uint8 [N, K, 4]: RGBA
+    - `overlay_colours` uint8 [N, K, 4]: RGBA
     - `overlay_count` int32 [N]
     - `solid` bool [N, rows, columns]: cells that nobody sees through, whatever the height. What
       lies outside the grid counts as solid. A camera in a solid cell sees every wall.
@@ -108,11 +110,11 @@ class Scenes:
         self.position = np.zeros((n, instances, 3), np.float32)
         self.rotation = np.tile(np.eye(3, dtype=np.float32), (n, instances, 1, 1))
         self.scale = np.ones((n, instances), np.float32)
-        self.colors = np.full((n, instances, 2, 3), 200, np.uint8)
+        self.colours = np.full((n, instances, 2, 3), 200, np.uint8)
         self.sky = np.full((n, 2, 3), [(190, 215, 235), (95, 150, 215)], np.uint8)
         self.screen = np.zeros((n, *screen, 3), np.uint8)
         self.overlays = np.zeros((n, overlays, 4), np.float32)
-        self.overlay_colors = np.zeros((n, overlays, 4), np.uint8)
+        self.overlay_colours = np.zeros((n, overlays, 4), np.uint8)
         self.overlay_count = np.zeros(n, np.int32)
         self.solid = np.zeros((n, *grid), np.bool_)
         self.grid = np.zeros((n, 3), np.float32)
@@ -120,6 +122,23 @@ class Scenes:
         self.terrain = np.zeros((n, 4), np.float32)
         self.terrain_looks = np.full((n, *terrain), -1, np.int16)
         self.terrain_tint = np.full((n, 3), 255, np.uint8)
+
+    def fields(self) -> tuple[Any, ...]:
+        """The arrays as plain tuples, in the order of the fields of `arrays.SceneArrays`."""
+        return (
+            self.camera,
+            self.sky,
+            self.screen,
+            self.solid,
+            self.grid,
+            (self.walls, self.wall_looks, self.wall_repeat, self.wall_tint, self.wall_face,
+             self.wall_count),
+            (self.flats, self.flat_looks, self.flat_tiles, self.flat_repeat, self.flat_tint,
+             self.flat_count, self.tiles),
+            (self.mesh, self.position, self.rotation, self.scale, self.colours),
+            (self.heights, self.terrain, self.terrain_looks, self.terrain_tint),
+            (self.overlays, self.overlay_colours, self.overlay_count),
+        )  # fmt: skip
 
     def add_wall(
         self,

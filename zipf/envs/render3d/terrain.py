@@ -1,8 +1,8 @@
 """Draws a terrain: heights at the corners of a grid, two triangles to a cell.
 
-Triangles are only numbered at first, as small ones are many and much of what is drawn is hidden by
-nearer ground. Then every pixel of the terrain is painted once: from its depth follows its place on
-the ground, and from that its texel.
+Triangles are small and many, and nearer ground hides most of them. So the pixels of a triangle are
+first filled with its number only. Then every pixel of the terrain is painted once: its position on
+the ground follows from its depth, and its texel from that.
 """
 
 import math
@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from zipf.compiled import compiled
 from zipf.envs.render3d.blocks import address, cell_block, terrain_block, vertex_block
 from zipf.envs.render3d.lanes import LANES
-from zipf.envs.render3d.mesh_kernels import draw_cut_triangle, draw_triangle
 from zipf.envs.render3d.optics import FADE2, MESH_DARK, MESH_SUN, NEAR, light_on
+from zipf.envs.render3d.triangles import draw_cut_triangle, draw_triangle
 
-_GROW = np.float32(1e-3)  # pixels: roundings differ between neighbours that are far off the image
+_GROW = np.float32(1e-3)  # pixels: triangles that reach far outside the image are rounded more
 
 
-def terrain_scratch(rows: int, columns: int) -> tuple[NDArray[Any], ...]:
-    """What `draw_terrain` needs for so many cells."""
+def terrain_buffers(rows: int, columns: int) -> tuple[NDArray[Any], ...]:
+    """The fields of `arrays.TerrainBuffers` for terrains of this many cells."""
     line = np.zeros((3, columns + 1 + LANES), np.float32)
     line[0] = np.arange(line.shape[1])
     return (
@@ -36,20 +36,26 @@ def terrain_scratch(rows: int, columns: int) -> tuple[NDArray[Any], ...]:
 
 @compiled(error_model="numpy", fastmath=True)
 def draw_terrain(
-    heights, looks, place, tint, view, frame, focal, middle_x, middle_y, texels, image, color,
-    depth, scratch,
+    heights, looks, place, tint, view, projection, texels, canvas, image, buffers
 ):  # fmt: skip
     """Draws a terrain where nothing has been drawn yet but the sky.
 
-    `place` is a row of `Scenes.terrain`, `view` is that of `_draw_wall`, `frame` that of
-    `draw_mesh` and `image` that of `draw_triangle`.
+    Args:
+        heights, looks, place, tint: of `Terrains`, for one world.
+        view, projection, canvas: `View`, `Projection`, `Canvas`.
+        texels: of `Assets`.
+        image, buffers: `ImageBuffers` and `TerrainBuffers`, written.
     """
-    eye_x, eye_y, eye_z, hx, hy, c0, dc, _, _, a0, da = view
-    line, seen, kinds, shown, light, area = scratch
+    eye_x, eye_y, eye_z, hx, hy = view.x, view.y, view.z, view.hx, view.hy
+    c0, dc, a0, da = view.c0, view.dc, view.a0, view.da
+    frame, focal = projection.frame, projection.focal
+    middle_x, middle_y = projection.middle_x, projection.middle_y
+    colour, depth = image.colour, image.depth
+    line, seen, kinds, shown, light, area = buffers
     rows, columns = looks.shape
     west, south = np.float64(place[0]), np.float64(place[1])
     size, repeat = np.float64(place[2]), np.float64(place[3])
-    width, height = image[0], image[1]
+    width, height = canvas.width, canvas.height
     stride = line.shape[1]
     corners = np.empty((3, 4), np.float32)
     side = (middle_x + 1.0) / focal
@@ -98,7 +104,7 @@ def draw_terrain(
                 else:
                     a, b, c = last + column, now + column + 1, now + column
                     east, north = (high - high_west) * per_size, (high_west - low) * per_size
-                # How high the eye is above the triangle's plane.
+                # The height of the eye above the triangle's plane.
                 above = eye_z - low + east * (dx + size * column) + north * (dy - size)
                 if above <= 0.0:
                     continue
@@ -107,22 +113,20 @@ def draw_terrain(
                 up = 1.0 / math.sqrt(1.0 + east * east + north * north)
                 light[number] = light_on(-east * up, -north * up, up, MESH_DARK, MESH_SUN)
                 if kinds[column] == 2:
-                    draw_cut_triangle(
-                        seen, a, b, c, focal, middle_x, middle_y, corners, number, _GROW, image
-                    )
+                    draw_cut_triangle(seen, a, b, c, projection, corners, number, _GROW, canvas)
                 else:
                     draw_triangle(
                         seen[3, a], seen[4, a], seen[5, a], seen[3, b], seen[4, b], seen[5, b],
-                        seen[3, c], seen[4, c], seen[5, c], number, _GROW, image,
+                        seen[3, c], seen[4, c], seen[5, c], number, _GROW, canvas,
                     )  # fmt: skip
 
-    lines, depths = address(color), address(depth)
+    lines, depths = address(colour), address(depth)
     texels_at, light_at, area_at = address(texels), address(light), address(area)
     looks_at = address(looks)
     for y in range(height):
         c = c0 + dc * y
         for x in range(0, width, LANES):
-            at = 4 * (y * color.shape[1] + x)
+            at = 4 * (y * colour.shape[1] + x)
             terrain_block(
                 lines + at, depths + at, texels_at, x, light_at, area_at, looks_at,
                 -dx * per_texel, (hx * c + hy * a0) * per_texel, hy * da * per_texel,

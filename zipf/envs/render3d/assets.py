@@ -1,0 +1,78 @@
+"""Textures and meshes, laid out as the compiled functions read them."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.envs.render3d.lanes import LANES
+from zipf.envs.render3d.meshes import MeshAtlas
+from zipf.envs.render3d.textures import SIZE
+
+FIXED_COLOURS = np.array(
+    [(40, 40, 40), (235, 235, 235), (150, 105, 65), (70, 140, 60)], dtype=np.uint8
+)
+"""Of the parts of meshes from 2 on: dark, light, wood, green."""
+
+_LINE = 2 * SIZE
+"""Texels in a line of a texture and of its smaller versions together."""
+
+
+def pack_textures(textures: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """Textures and their smaller versions as texels 0xAABBGGRR, uint32 [K, 64 * 128].
+
+    A line of a texture is followed by a line of its half, its quarter and so on: line y of level n
+    begins at texel y * 128 + 128 - (128 >> n). The colours of smaller versions are averages over
+    the texels that are not holes.
+    """
+    packed = np.zeros((len(textures), SIZE, _LINE), np.uint32)
+    alpha = textures[..., 3:] / 255.0
+    colour = textures[..., :3] * alpha
+    level = 0
+    while True:
+        size = SIZE >> level
+        rgb = np.round(colour / np.maximum(alpha, 1e-6)).astype(np.uint32)
+        opaque = (np.round(alpha[..., 0] * 255)).astype(np.uint32)
+        start = _LINE - (_LINE >> level)
+        packed[:, :size, start : start + size] = (
+            rgb[..., 0] | rgb[..., 1] << 8 | rgb[..., 2] << 16 | opaque << 24
+        )
+        if size == 1:
+            return packed.reshape(len(textures), -1)
+        colour, alpha = (
+            a.reshape(len(a), size // 2, 2, size // 2, 2, -1).mean((2, 4)) for a in (colour, alpha)
+        )
+        level += 1
+
+
+def prepare_meshes(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
+    """An atlas as the fields of `arrays.Meshes`."""
+    owner = np.repeat(np.arange(len(meshes.names)), np.diff(meshes.first_triangle))
+    corners = meshes.vertices[meshes.triangles].astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    planes = np.concatenate([normals, (normals * corners[:, 0]).sum(1, keepdims=True)], axis=1)
+    balls = np.zeros((len(meshes.names), 4), np.float32)
+    for ball, first, last in zip(
+        balls, meshes.first_vertex[:-1], meshes.first_vertex[1:], strict=True
+    ):
+        own = meshes.vertices[first:last]
+        ball[:3] = (own.min(0) + own.max(0)) / 2
+        ball[3] = np.linalg.norm(own - ball[:3], axis=1).max()
+    local = meshes.triangles - meshes.first_vertex[owner][:, None]
+    return (
+        _lines(meshes.vertices),
+        np.ascontiguousarray(local, np.int32),
+        _lines(planes),
+        np.ascontiguousarray(meshes.parts, np.uint8),
+        np.ascontiguousarray(meshes.first_vertex, np.int32),
+        np.ascontiguousarray(meshes.first_triangle, np.int32),
+        balls,
+    )
+
+
+def _lines(rows: NDArray[Any]) -> NDArray[np.float32]:
+    """The columns of `rows` as lines, each with a block of LANES unused numbers at its end."""
+    lines = np.zeros((rows.shape[1], len(rows) + LANES), np.float32)
+    lines[:, : len(rows)] = rows.T
+    return lines

@@ -1,0 +1,113 @@
+"""Draws flats: horizontal rectangles with a texture or a patchwork of textures."""
+
+import math
+
+import numpy as np
+
+from zipf.compiled import compiled
+from zipf.envs.render3d.blocks import address, flat_block, patchwork_block
+from zipf.envs.render3d.lanes import LANES
+from zipf.envs.render3d.optics import (
+    FADE2,
+    FAR,
+    GROW,
+    NEAR,
+    OPAQUE,
+    SURFACE_DARK,
+    SURFACE_SUN,
+    light_on,
+)
+from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
+from zipf.envs.render3d.sight import narrow
+
+
+@compiled(error_model="numpy", fastmath=True)
+def draw_flat(place, looks, tiling, repeat, tint, tiles, view, texels, image, width):
+    """Draws one flat.
+
+    Args:
+        place, looks, tiling, repeat, tint: rows of `Flats`.
+        tiles: of the flat's world.
+        view: `View`.
+        texels: of `Assets`.
+        image: `ImageBuffers`, written.
+        width: of the image, pixels.
+    """
+    colour, depth = image.colour, image.depth
+    texture, flags = looks[0], looks[1]
+    first, rows, columns = tiling[0], tiling[1], tiling[2]
+    up = place[4] - view.z
+    if up == 0.0:
+        return
+    if up > 0.0 and not flags & (TWO_SIDED | FACES_DOWN):
+        return
+    if up < 0.0 and flags & FACES_DOWN and not flags & TWO_SIDED:
+        return
+    west, south, east, north = (
+        np.float64(place[0]),
+        np.float64(place[1]),
+        np.float64(place[2]),
+        np.float64(place[3]),
+    )
+    if east <= west or north <= south:
+        return
+    hx, hy, a0, da = view.hx, view.hy, view.a0, view.da
+    light = light_on(0.0, 0.0, 1.0 if up < 0.0 else -1.0, SURFACE_DARK, SURFACE_SUN)
+    per_column = columns / (east - west)
+    per_row = rows / (north - south)
+    per_u = 64.0 / repeat if repeat > 0.0 else 64.0 * max(columns, 1) / (east - west)
+    per_v = 64.0 / repeat if repeat > 0.0 else 64.0 * max(rows, 1) / (north - south)
+    area = per_u * per_v * da * da / abs(up)
+    solid = 0 if flags & SEE_THROUGH else OPAQUE
+    tiles_at = address(tiles) + 2 * first
+    texels_at = address(texels)
+    texture_at = texels_at + 4 * texels.shape[1] * texture
+    line, depths = address(colour), address(depth)
+    line_bytes = 4 * colour.shape[1]
+    for y in range(len(depth)):
+        inverse = (view.rise0 + view.drise * y) / up
+        if not 1.0 / FAR < inverse < 1.0 / NEAR:
+            continue
+        t = 1.0 / inverse
+        c = (view.c0 + view.dc * y) * t
+        px, dx = view.x + hx * c + hy * a0 * t, hy * da * t
+        py, dy = view.y + hy * c - hx * a0 * t, -hx * da * t
+        low, high = narrow(0.0, width - 1.0, px - (west - GROW), dx)
+        low, high = narrow(low, high, (east + GROW) - px, -dx)
+        low, high = narrow(low, high, py - (south - GROW), dy)
+        low, high = narrow(low, high, (north + GROW) - py, -dy)
+        if low > high:
+            continue
+        level = _level(area * t * t * t)
+        fade = light / (1.0 + t * t * FADE2) / 255.0
+        red, green, blue = fade * tint[0], fade * tint[1], fade * tint[2]
+        first_x, last_x = math.ceil(low), math.floor(high)
+        if first_x > last_x:
+            continue
+        px -= west
+        py -= south
+        for x in range(first_x, last_x + 1, LANES):
+            at = y * line_bytes + 4 * x
+            if rows > 0:
+                patchwork_block(
+                    line + at, depths + at, texels_at, x, last_x, inverse,
+                    px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green, blue, solid,
+                    tiles_at, px * per_column, dx * per_column, columns,
+                    py * per_row, dy * per_row, rows,
+                )  # fmt: skip
+            else:
+                flat_block(
+                    line + at, depths + at, texture_at, x, last_x,
+                    inverse, px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green,
+                    blue, solid,
+                )  # fmt: skip
+
+
+@compiled(error_model="numpy")
+def _level(area):
+    """Which of a texture's smaller versions suits pixels that cover so many texels."""
+    level = 0
+    while area >= 4.0 and level < 6:
+        area *= 0.25
+        level += 1
+    return level
