@@ -10,8 +10,9 @@ the gradient, the loss is the sum of (their equations 3 to 6)
     L_alpha = mean_D[ alpha (epsilon_alpha - sg(KL)) + sg(alpha) KL ]    KL = KL(pi_target || pi)
     L_V     = mean_D[ (V(x) - G)^2 ] / 2
 
-plus the auxiliary loss (`zipf.agents.auxiliary`). The temperature eta and the multiplier alpha are learned
-by an optimiser of their own, and projected to be positive after each of its steps, as in the paper.
+plus the auxiliary loss (`zipf.agents.auxiliary`). The temperature eta and the multiplier alpha are
+learned by an optimiser of their own, and projected to be positive after each of its steps, as in
+the paper.
 """
 
 from __future__ import annotations
