@@ -47,6 +47,7 @@ def section(heading: str) -> str:
 )
 def test_python_code_runs(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "results").symlink_to(ROOT / "results")
     (tmp_path / "example.py").write_text(code)  # TorchScript reads the source of what it compiles
     runpy.run_path("example.py", run_name="__main__")
 
