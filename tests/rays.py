@@ -36,11 +36,11 @@ STACK = textures.stack()
 WIDTH, HEIGHT = 64, 48
 
 
-def plain(*colors):
+def plain(*colours):
     """A stack of textures of one colour each."""
-    stack = np.full((len(colors), 64, 64, 4), 255, np.uint8)
-    for image, color in zip(stack, colors, strict=True):
-        image[..., :3] = color
+    stack = np.full((len(colours), 64, 64, 4), 255, np.uint8)
+    for image, colour in zip(stack, colours, strict=True):
+        image[..., :3] = colour
     return stack
 
 
@@ -56,8 +56,8 @@ def sun_on(normal, dark, sun):
     return dark + sun * (0.5 + 0.5 * np.asarray(normal) @ direction)
 
 
-def shaded(color, light, t):
-    return color * np.asarray(light / (1 + (t / optics.FADE) ** 2))[..., None]
+def shaded(colour, light, t):
+    return colour * np.asarray(light / (1 + (t / optics.FADE) ** 2))[..., None]
 
 
 def texel(packed, texture, u, v, area):
@@ -97,12 +97,12 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
     shown = np.zeros((height, width), int)
     surfaces = 0
 
-    def put(t, where, color):
+    def put(t, where, colour):
         nonlocal surfaces
         surfaces += 1
         with np.errstate(invalid="ignore"):
             where = where & (t >= optics.NEAR) & (t < depth)
-        depth[where], shown[where], image[where] = t[where], surfaces, color[where]
+        depth[where], shown[where], image[where] = t[where], surfaces, colour[where]
 
     with np.errstate(all="ignore"):
         for k in range(scenes.wall_count[world]):
@@ -162,7 +162,7 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
                 continue
             scale, rotation = float(scenes.scale[world, k]), scenes.rotation[world, k].astype(float)
             position = scenes.position[world, k].astype(float)
-            colors = np.concatenate([scenes.colours[world, k], FIXED_COLOURS]).astype(float)
+            colours = np.concatenate([scenes.colours[world, k], FIXED_COLOURS]).astype(float)
             fade = max((position - eye) @ ahead, 0.0)
             for triangle in range(*ATLAS.first_triangle[mesh : mesh + 2]):
                 corners = ATLAS.vertices[ATLAS.triangles[triangle] + ATLAS.first_vertex[mesh] * 0]
@@ -177,8 +177,8 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
                 for p, q in ((a, b), (b, c), (c, a)):
                     inside &= np.cross(q - p, hit - p) @ normal >= 0
                 light = sun_on(normal, optics.MESH_DARK, optics.MESH_SUN)
-                color = shaded(colors[ATLAS.parts[triangle]], light, fade)
-                put(t, inside, np.broadcast_to(color, (height, width, 3)))
+                colour = shaded(colours[ATLAS.parts[triangle]], light, fade)
+                put(t, inside, np.broadcast_to(colour, (height, width, 3)))
         if scenes.terrain[world, 2] > 0:
             cast_terrain(scenes, world, packed, eye, rays, focal, put)
     return image, shown
@@ -208,8 +208,8 @@ def cast_terrain(scenes, world, packed, eye, rays, focal, put):
             look = scenes.terrain_looks[world, row, column]
             found = texel(packed, look, u * per, v * per, per**2 * t**3 / focal**2 / above)
             light = sun_on(normal, optics.MESH_DARK, optics.MESH_SUN)
-            color = found[..., :3] * scenes.terrain_tint[world] / 255
-            put(t, inside, shaded(color, light, t))
+            colour = found[..., :3] * scenes.terrain_tint[world] / 255
+            put(t, inside, shaded(colour, light, t))
 
 
 def inner(shown):

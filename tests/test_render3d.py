@@ -90,7 +90,7 @@ def test_things_around_the_eye():
     assert cut > 20
 
 
-def room(colors=((250, 0, 0), (0, 250, 0), (0, 0, 250), (250, 250, 0))):
+def room(colours=((250, 0, 0), (0, 250, 0), (0, 0, 250), (250, 250, 0))):
     """East red, north green, west blue, south yellow; floor white, ceiling grey."""
     scenes = Scenes(1, walls=4, flats=2)
     corners = ((2, -2), (2, 2), (-2, 2), (-2, -2))
@@ -99,7 +99,7 @@ def room(colors=((250, 0, 0), (0, 250, 0), (0, 0, 250), (250, 250, 0))):
     scenes.add_flat(0, (-2, -2, 2, 2), 0, 4)
     scenes.add_flat(0, (-2, -2, 2, 2), 2, 5, flags=FACES_DOWN)
     scenes.camera[0, 2] = 1
-    return scenes, plain(*colors, (250, 250, 250), (120, 120, 120))
+    return scenes, plain(*colours, (250, 250, 250), (120, 120, 120))
 
 
 def test_yaw_turns_to_the_left():

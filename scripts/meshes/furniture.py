@@ -1,10 +1,10 @@
-"""The bed and the tray, on which toys are put: the heights of their surfaces are exact."""
+"""The bed and the tray. The playroom's rules rely on their sizes and the heights of their tops."""
 
 from .shapes import ACCENT, LIGHT, MAIN, WOOD, Mesh, Point, arc, assemble, box, cylinder, loft
 
 
 def bed() -> Mesh:
-    """1.4 x 0.9 m; mattress and blanket both end at z = 0.35, the headboard is at -x."""
+    """1.4 x 0.9 m; mattress and blanket end at z = 0.35, the headboard is at -x."""
     pillow = [(0.24, 0.60, 0.345), (0.30, 0.68, 0.38), (0.26, 0.62, 0.42)]
     corners = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
     return assemble(

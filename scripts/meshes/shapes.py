@@ -1,8 +1,9 @@
-"""Closed solids with few triangles, and how a toy is assembled of them.
+"""Closed solids with few triangles, and the function that assembles a mesh from them.
 
 Every primitive takes `part`, the index of its colour: 0 main and 1 accent colour of the instance,
-2 dark, 3 light, 4 wood, 5 green; and most take `at`, where its own origin goes. Lengths are in any
-unit within a toy: `assemble` scales the whole. z is up and a toy faces +x. Angles are in degrees.
+2 dark, 3 light, 4 wood, 5 green; and most take `at`, the position of their own origin. The unit of
+length is up to each toy, because `assemble` scales the whole. z is up and a toy faces +x. Angles
+are in degrees.
 """
 
 from collections.abc import Sequence
@@ -30,7 +31,7 @@ class Solid:
         return replace(self, vertices=self.vertices + (x, y, z))
 
     def turn(self, axis: str, degrees: float) -> "Solid":
-        """Rotated about the x, y or z axis through the origin, right-handed."""
+        """Rotates about the x, y or z axis through the origin, right-handed."""
         i = "xyz".index(axis)
         j, k = (i + 1) % 3, (i + 2) % 3
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
@@ -39,7 +40,7 @@ class Solid:
         return replace(self, vertices=self.vertices @ rotation.T)
 
     def stretch(self, x: float = 1.0, y: float = 1.0, z: float = 1.0) -> "Solid":
-        """Scaled along each axis from the origin; factors are positive."""
+        """Scales along each axis from the origin; factors are positive."""
         return replace(self, vertices=self.vertices * (x, y, z))
 
     def mirror(self, axis: str) -> "Solid":
@@ -109,7 +110,7 @@ def _triangulate(ring: np.ndarray) -> list[tuple[int, int, int]]:
                 if p not in (a, b, c)
             ):
                 continue
-            # The shortest cut keeps the triangles stout.
+            # The shortest cut avoids narrow triangles.
             quality = 1.0 / (1.0 + float(np.sum((flat[a] - flat[c]) ** 2)))
             if quality > best:
                 best, cut = quality, (i, (a, b, c))
@@ -127,9 +128,9 @@ def loft(
     closed: bool = False,
     at: Point = ORIGIN,
 ) -> Solid:
-    """The skin over a row of polygons, each of S points, or of 1 where it comes to a point.
+    """The surface that joins a sequence of polygons, each of S points, or of 1 for a tip.
 
-    Ends are flat polygons and get capped; `closed` joins the last to the first instead. `part`
+    The ends are flat polygons and are capped; `closed` joins the last to the first instead. `part`
     may be a sequence with one colour for each gap between rings: a cap has its neighbour's.
     """
     outlines = [np.asarray(ring, dtype=np.float64).reshape(-1, 3) for ring in rings]

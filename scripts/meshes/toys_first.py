@@ -1,6 +1,6 @@
 """The toys of ranks 1 to 25, from the most frequent on.
 
-What tells a toy from the others is exaggerated: it is seen a dozen pixels wide.
+The features that distinguish a toy are exaggerated, because it is drawn a dozen pixels wide.
 """
 
 from dataclasses import replace

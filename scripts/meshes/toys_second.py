@@ -1,7 +1,7 @@
 """The toys of ranks 26 to 50. Lengths are about centimetres until `assemble` scales them.
 
-At the distances of the task a toy is some ten pixels high, so what tells it from the others is
-drawn large: thick tines, few teeth, big rings.
+At the distances of the task a toy is about ten pixels high, so the features that distinguish it
+are exaggerated: thick tines, few teeth, big rings.
 """
 
 from dataclasses import replace
@@ -48,7 +48,7 @@ def _oval(x: float, y: float, z: float, sides: int) -> np.ndarray:
 
 
 def _panels(solid: Solid, count: int, parts: tuple[int, int], *, twist: int = 0) -> Solid:
-    """Sectors about the z axis, in turn of two colours; `twist` swaps them."""
+    """Colours sectors about the z axis alternately in two colours; an odd `twist` swaps them."""
     middle = solid.vertices[solid.triangles].mean(axis=1)
     sector = np.floor(np.arctan2(middle[:, 1], middle[:, 0]) / (2 * np.pi) * count).astype(int)
     return replace(solid, parts=np.where((sector + twist) % 2 == 0, *parts))
@@ -67,7 +67,7 @@ def keyboard() -> Mesh:
 
 
 def _spread(count: int, pitch: float, shift: float = 0.0) -> list[float]:
-    """Places at a pitch, about `shift`."""
+    """`count` positions at a distance of `pitch`, centred at `shift`."""
     return [(i - (count - 1) / 2) * pitch + shift for i in range(count)]
 
 

@@ -1,7 +1,7 @@
-"""The gridworld's inner loops over a batch of worlds, compiled.
+"""The gridworld's rules and observations for a batch of worlds, compiled.
 
-A world's situation is one row of `worlds`, int64 [N, 4]: map, target, row, column. What the agent
-sees is a function of that row, so drawing needs no other state.
+A world's state is one row of `worlds`, int64 [N, 4]: map, target, row, column. Its observation
+depends on nothing else.
 """
 
 from typing import Any
@@ -30,7 +30,7 @@ STRIPES[..., :_STRIPE] = SPRITES.reshape(2, NUM_CODES, CELL, _STRIPE)
 
 
 def _copier(size: int) -> Any:
-    """A kernel function that copies `size` bytes between two addresses in one load and store.
+    """A compiled function that copies `size` bytes between two addresses in one load and store.
 
     Numba compiles a copy of 27 bytes to a loop or a call; a vector of 32 takes two instructions.
     """
@@ -75,7 +75,16 @@ def begin(mask, forced, map_cdf, target_cdf, cells, streams, worlds):
 
 @compiled()
 def move(mask, actions, codes, cells, max_steps, lengths, worlds, reward, terminated, truncated):
-    """Moves the agents of `mask`, says which episodes end. `lengths` counts this step already."""
+    """Steps the worlds of `mask`.
+
+    Args:
+        mask, actions: bool [N] and int64 [N].
+        codes, cells: of `Maps`.
+        max_steps: the length at which an episode is truncated.
+        lengths: of the episodes with this step, int64 [N].
+        worlds: the state, written.
+        reward, terminated, truncated: float64, bool, bool [N], written.
+    """
     for i in range(len(worlds)):
         if not mask[i]:
             continue
@@ -100,7 +109,15 @@ def move(mask, actions, codes, cells, max_steps, lengths, worlds, reward, termin
 
 @compiled()
 def draw_tiles(mask, worlds, codes, cells, tiles, cue):
-    """Writes the cell codes seen in the worlds of `mask` to `tiles` [N, 7, 7] and `cue` [N, 1]."""
+    """Writes the observations of the worlds of `mask` as cell codes.
+
+    Args:
+        mask: bool [N].
+        worlds: the state.
+        codes, cells: of `Maps`.
+        tiles: the agent's view, uint8 [N, 7, 7], written.
+        cue: the code of the target, uint8 [N, 1], written.
+    """
     for i in range(len(worlds)):
         if not mask[i]:
             continue
@@ -115,10 +132,11 @@ def draw_tiles(mask, worlds, codes, cells, tiles, cue):
 
 @compiled()
 def draw_images(mask, worlds, codes, cells, stripes, image):
-    """Draws what is seen in the worlds of `mask` to `image`, uint8 [N, 63, 63, 3].
+    """Draws the observations of the worlds of `mask` to `image`, uint8 [N, 63, 63, 3].
 
-    Each pixel row of a cell is 27 bytes, written as one block of 32 whose surplus the next cell
-    overwrites; the last one of an image is written as two halves that end where the image does.
+    A pixel row of a cell has 27 bytes. It is written as one block of 32, of which the next cell
+    overwrites the last 5. In the last cell of a line it is written as two blocks of 16 that
+    overlap, so that the second one ends where the line does.
     """
     sprites = np.empty((VIEW, VIEW), dtype=np.intp)
     source = stripes.ctypes.data

@@ -1,4 +1,4 @@
-"""What a cell can hold and how it is drawn: cell codes, colours, shapes, 9 x 9 sprites.
+"""The contents of cells and their appearance: cell codes, colours, shapes and 9 x 9 sprites.
 
 Codes (uint8): 0 floor, 1 wall, 2 agent, and `3 + 15 * colour + shape` for an object of that
 colour and shape.
@@ -89,5 +89,5 @@ def _sprites() -> NDArray[np.uint8]:
 
 
 SPRITES = _sprites()
-"""uint8 [2, codes, 9, 9, 3]: each code's drawing on black, and as a cue on grey."""
+"""uint8 [2, codes, 9, 9, 3]: the sprite of each code on black, and as a cue on grey."""
 SPRITES.flags.writeable = False

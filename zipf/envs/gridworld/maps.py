@@ -1,8 +1,8 @@
 """The maps: rooms, doors, objects and their looks, built from seeds.
 
-Map `i` comes from `numpy.random.default_rng(1234 + i)`, and with the default sizes the first 20
-are the maps of the released benchmark. Scores are comparable only on identical maps, so the order
-of every draw, and in places the order in which Python iterates a set, is part of the benchmark.
+Map `i` is drawn from `numpy.random.default_rng(1234 + i)`; with the default sizes the first 20 are
+the maps of the released benchmark. Scores are comparable only on identical maps, so the order of
+all draws must not change. In some places it depends on the order in which Python iterates a set.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from zipf.envs.gridworld import looks
 
 FIRST_SEED = 1234
-VIEW = 7  # cells the agent sees in each direction of the board, itself in the middle
+VIEW = 7  # rows and columns of cells in the agent's view, which is centred on the agent
 PAD = VIEW // 2
 MOVES = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
 """(row, column) steps of the actions N, NE, E, SE, S, SW, W, NW."""
@@ -30,7 +30,7 @@ class Maps:
     """The maps of a level. Arrays are read-only and shared between environments.
 
     Attributes:
-        num_maps, num_rooms, room_size, num_objects: what they were built from.
+        num_maps, num_rooms, room_size, num_objects: the arguments of `build_maps`.
         codes: uint8 [maps, rows + 6, columns + 6], cell codes (`looks.py`) without the agent,
             with three cells of floor around the board so that every view is a slice.
         cells: int64 [maps, objects + 1, 2], (row, column) on the board of each object in order
@@ -116,7 +116,10 @@ def build_maps(
 
 
 def _link_rooms(num_rooms: tuple[int, int], rng: np.random.Generator) -> dict[Room, list[Room]]:
-    """Which rooms a door joins, so that every room can be reached; both ways, in order made."""
+    """The neighbours that a door joins each room to, in the order in which doors were added.
+
+    Every room can be reached. A door between two rooms is in the lists of both.
+    """
     rooms = [(row, column) for row in range(num_rooms[0]) for column in range(num_rooms[1])]
     links: dict[Room, list[Room]] = {room: [] for room in rooms}
 
@@ -158,6 +161,7 @@ def _link_rooms(num_rooms: tuple[int, int], rng: np.random.Generator) -> dict[Ro
 def _open_doors(
     links: dict[Room, list[Room]], step: tuple[int, int], rng: np.random.Generator
 ) -> list[Cell]:
+    """A door at a random place of the wall between every two linked rooms."""
     doors = []
     for (row, column), others in links.items():
         for other_row, other_column in set(others):
@@ -198,6 +202,6 @@ def _draw_looks(num_objects: int, rng: np.random.Generator) -> list[tuple[str, s
             return pairs[:num_objects]
     raise ValueError(
         f"num_objects = {num_objects} is too many: the benchmark draws {draws} looks out of "
-        f"{looks.NUM_LOOKS} until {num_objects} of them differ, and {_LOOK_ATTEMPTS} draws did not "
-        "do it; up to about 90 objects are practical"
+        f"{looks.NUM_LOOKS} until {num_objects} of them differ, which {_LOOK_ATTEMPTS} attempts "
+        "did not achieve; up to about 90 objects are practical"
     )

@@ -1,4 +1,4 @@
-"""Frames for people: the whole map."""
+"""Frames for people to watch: the whole map of one world."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ _BACKGROUND = (24, 26, 32)
 _SEEN = (235, 235, 235)
 _TARGET = (255, 190, 60)
 
-# The walls of the agent's image, 40 of 255, would vanish where the map is shown darker.
+# Walls of 40 of 255, as in the agent's image, would be invisible where the map is darkened.
 _SPRITES = looks.SPRITES.copy()
 _SPRITES[0, looks.WALL] = 96
 _SPRITES = _SPRITES.repeat(_SCALE, axis=2).repeat(_SCALE, axis=3)
@@ -23,8 +23,8 @@ _SPRITES = _SPRITES.repeat(_SCALE, axis=2).repeat(_SCALE, axis=3)
 def frame(maps: Maps, map: int, target: int, row: int, column: int) -> NDArray[np.uint8]:
     """The whole map of one world, with the cue above it.
 
-    What the agent sees is bright and outlined in white, the rest is darker. The cue and the
-    target on the map are outlined in amber.
+    The agent's view is bright and outlined in white, the rest is darker. The cue and the target
+    on the map are outlined in amber.
 
     Args:
         maps: the level's maps.
@@ -67,7 +67,7 @@ def _outline(
     rows = np.arange(canvas.shape[0])[:, None]
     columns = np.arange(canvas.shape[1])
     size = cells * _CELL
-    # Distance outside the square, negative inside it.
+    # The distance from the square, negative inside it.
     outside = np.maximum(
         np.maximum(top - rows, rows - (top + size - 1)),
         np.maximum(left - columns, columns - (left + size - 1)),

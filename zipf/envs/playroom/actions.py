@@ -2,7 +2,7 @@
 
 Names, order and magnitudes are those of the playrooms at DeepMind (Carvalho et al. 2021, "Feature-
 attending recurrent modules", table 7; magnitudes from public code for "Fast and slow learning",
-Hill et al. 2020). Signs are fixed here and tested by rendering: published sources disagree.
+Hill et al. 2020). Published sources disagree on the signs; ours are tested by rendering.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ CONTROLS = (
     "push",  # 1 pushes the held object away, -1 pulls it closer
     "grip",  # 1 grips
 )
-"""The columns of `CONTROL_TABLE`: how far each control is pressed, -1 .. 1."""
+"""The columns of `CONTROL_TABLE`, with values of -1 .. 1."""
 
 _MOVES: list[tuple[str, dict[str, float]]] = [
     ("MOVE_FORWARD_FULL", {"move": 1.0}),
@@ -62,13 +62,13 @@ _ACTIONS: list[tuple[str, dict[str, float]]] = [
 ]
 
 ACTIONS = tuple(name for name, _ in _ACTIONS)
-"""The actions' names in their order."""
+"""The names of the actions in their order."""
 
 NOOP, FORWARD, BACKWARD, RIGHT, LEFT, TURN_RIGHT, TURN_LEFT, LOOK_DOWN, LOOK_UP = range(9)
 TURN_RIGHT_MID, TURN_LEFT_MID, TURN_RIGHT_SLIGHTLY, TURN_LEFT_SLIGHTLY = range(13, 17)
 LOOK_DOWN_MID, LOOK_UP_MID = 11, 12
 GRAB = 17
-"""`GRAB + a` is movement `a` (1 .. 16) with the hand closed."""
+"""`GRAB + a` is the movement `a` (1 .. 16) with the hand closed."""
 PULL, PUSH = 40, 41
 
 CONTROL_TABLE = np.array(

@@ -1,11 +1,11 @@
-"""The playroom's keys: letters move, arrows look, the space bar grips until it is pressed again."""
+"""The playroom's keys: letters move, arrows turn the view, the space bar grips and lets go."""
 
 from zipf.envs.keyboard import Binding, Keys, Toggle
 from zipf.envs.playroom.actions import ACTIONS, GRAB, NOOP
 
 
 def _bind(keys: tuple[str, ...], label: str, name: str, fine: str | None = None) -> Binding:
-    """A movement, with the hand open or closed, in full or `fine`."""
+    """Keys for a movement, with the hand open or closed, at full strength or `fine`."""
     full, less = ACTIONS.index(name), ACTIONS.index(fine or name)
     return Binding(keys, label, (full, GRAB + full, less, GRAB + less))
 

@@ -244,7 +244,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
 
 
 def _whole_numbers(values: Any) -> list[int] | None:
-    """The values as integers; None where they are anything else."""
+    """The values as integers, or None if they are not whole numbers."""
     try:
         return [operator.index(value) for value in values]
     except TypeError:

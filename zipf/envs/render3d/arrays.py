@@ -1,8 +1,8 @@
 """The arrays that the compiled functions of the renderer work on, in groups.
 
-Numba takes over plain tuples of arrays in half the time of named ones, which counts where few
-worlds are drawn at a time. `drawing.draw` is therefore called with plain tuples, in the order of
-the fields here, and names them by `named_scenes`, which costs nothing.
+Numba unpacks plain tuples of arrays in half the time that named ones take, which matters when few
+worlds are drawn at a time. So `drawing.draw` is called with plain tuples, in the order of the
+fields here, and `named_scenes` and the like name them in compiled code, at no cost.
 """
 
 from typing import Any, NamedTuple
@@ -95,7 +95,7 @@ class Meshes(NamedTuple):
 
 
 class Assets(NamedTuple):
-    """What all worlds share."""
+    """Textures and meshes, the same for all worlds."""
 
     texels: Any
     """uint32 [K, 64 * 128], see `pack_textures`."""

@@ -1,8 +1,9 @@
-"""Sixteen pixels of a line at a time, as instructions on vectors.
+"""Vector instructions for blocks of sixteen pixels, vertices or triangles.
 
-Compilers do not turn the loops over pixels into such instructions by themselves: they read textures
-at places that depend on the pixel, and write only some pixels. Here every pixel of a block is
-computed, and a mask says which are kept. Lines of the buffers therefore have a block to spare.
+The compiler does not vectorise the loops over pixels by itself, because they read textures at
+addresses that depend on the pixel, and write only some of the pixels. Here all pixels of a block
+are computed, and a mask selects those that are written. So lines of the buffers end with an unused
+block.
 
 The functions decorated with `intrinsic` are called from compiled code with addresses and numbers.
 """
@@ -27,28 +28,29 @@ from zipf.envs.render3d.lanes import (
     written,
 )
 
-intrinsic: Any = _intrinsic  # its annotations do not know what it makes of a function
+intrinsic: Any = _intrinsic  # its annotations do not say that it returns a function
 
 
 @compiled()
 def address(array):
-    """Where an array begins."""
-    # Signed: numba adds unsigned and signed integers as floats.
+    """The address of an array's first element."""
+    # Signed, because numba adds unsigned and signed integers as floats.
     return np.intp(array.ctypes.data)
 
 
 @intrinsic
 def wall_block(
-    typingctx, color, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, red, green,
+    typingctx, colour, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, red, green,
     blue, solid,
 ):  # fmt: skip
-    """Pixels x .. x + 15, but none past the column last, of a wall.
+    """Draws the pixels x .. min(x + 15, last) of a wall.
 
-    1/t is z + dz * x, texel coordinates over t likewise; a pixel covers area * t**3 texels; light
-    is red, green, blue over 1 + fade * t**2. Holes are kept where `solid` is not 0.
+    1/t is z + dz * x, and texel coordinates divided by t likewise; a pixel covers area * t**3
+    texels; the light is red, green, blue divided by 1 + fade * t**2. Holes are transparent where
+    `solid` is 0 and drawn where it is OPAQUE.
     """
 
-    def write(builder, color, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, red,
+    def write(builder, colour, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, red,
               green, blue, solid):  # fmt: skip
         code = Code(builder)
         splat = code.splat
@@ -63,13 +65,13 @@ def wall_block(
             texel = code.look_up(texels, index, INT)
             mask = mask & ((texel | splat(solid)) < 0)
             paint = code.shade(texel, [dim * splat(c) for c in (red, green, blue)])
-            code.keep(mask, inverse, depth, paint, color)
+            code.keep(mask, inverse, depth, paint, colour)
 
     return written([ADDRESS] * 3 + [I32] * 2 + [F32] * 11 + [I32], write)
 
 
 def _flat(patchwork: bool) -> Callable[..., Any]:
-    def write(builder, color, depth, texels, x, last, z, u, du, v, dv, level, red, green,
+    def write(builder, colour, depth, texels, x, last, z, u, du, v, dv, level, red, green,
               blue, solid, tiles, c, dc, columns, r, dr, rows):  # fmt: skip
         code = Code(builder)
         splat = code.splat
@@ -90,7 +92,7 @@ def _flat(patchwork: bool) -> Callable[..., Any]:
             texel = code.look_up(texels, index, INT)
             mask = mask & ((texel | splat(solid)) < 0)
             paint = code.shade(texel, [splat(factor) for factor in (red, green, blue)])
-            code.keep(mask, splat(z), depth, paint, color)
+            code.keep(mask, splat(z), depth, paint, colour)
 
     return write
 
@@ -100,12 +102,12 @@ _FLAT = [ADDRESS] * 3 + [I32] * 2 + [F32] * 5 + [I32] + [F32] * 3 + [I32]
 
 @intrinsic
 def flat_block(
-    typingctx, color, depth, texels, x, last, z, u, du, v, dv, level, red, green, blue,
+    typingctx, colour, depth, texels, x, last, z, u, du, v, dv, level, red, green, blue,
     solid,
 ):  # fmt: skip
-    """Pixels x .. x + 15, but none past the column last, of a flat.
+    """Draws the pixels x .. min(x + 15, last) of a flat.
 
-    1/t, the light and the size of texels are the same along a line, texel coordinates are affine.
+    1/t, the light and the size of texels are the same along a line; texel coordinates are affine.
     """
     write = _flat(patchwork=False)
     return written(_FLAT, lambda builder, *args: write(builder, *args, *[None] * 7))
@@ -113,10 +115,10 @@ def flat_block(
 
 @intrinsic
 def patchwork_block(
-    typingctx, color, depth, texels, x, last, z, u, du, v, dv, level, red, green, blue,
+    typingctx, colour, depth, texels, x, last, z, u, du, v, dv, level, red, green, blue,
     solid, tiles, c, dc, columns, r, dr, rows,
 ):  # fmt: skip
-    """Like `flat_block`; the texture is found in `tiles` [rows, columns] at affine coordinates."""
+    """Like `flat_block`, with the texture from `tiles` [rows, columns] at affine coordinates."""
     return written(_FLAT + [ADDRESS, F32, F32, I32, F32, F32, I32], _flat(patchwork=True))
 
 
@@ -125,10 +127,11 @@ def vertex_block(
     typingctx, vertices, vertex_line, seen, seen_line, xx, xy, xz, xw, yx, yy, yz, yw, zx, zy, zz,
     zw, focal, middle_x, middle_y,
 ):  # fmt: skip
-    """Transforms 16 vertices, lines x, y, z of an array whose lines are so many bytes apart.
+    """Transforms 16 vertices, given as lines x, y, z of an array.
 
-    Writes where they are seen from the eye (right, up, ahead), their pixels and 1/t as the six
-    lines of `seen`; the last three are meaningless for vertices that are not ahead.
+    Writes six lines to `seen`: coordinates in the eye's frame (right, up, ahead), pixel column and
+    row, and 1/t; the last three are meaningless for vertices that are not ahead. `vertex_line` and
+    `seen_line` are the bytes from one line to the next.
     """
 
     def write(builder, vertices, vertex_line, seen, seen_line, xx, xy, xz, xw, yx, yy, yz, yw, zx,
@@ -160,7 +163,7 @@ def light_block(
 ):  # fmt: skip
     """Writes the light on 16 triangles, 0 on those that face away from the eye.
 
-    `normals` are lines x, y, z and distance from the origin, so many bytes apart.
+    `normals` has the lines x, y, z and distance from the origin, `line` bytes apart.
     """
 
     def write(builder, normals, line, lit, eye_x, eye_y, eye_z, sun_x, sun_y, sun_z, base, slope):
@@ -183,11 +186,11 @@ TRIANGLE_LANES = 8
 
 @intrinsic
 def triangle_block(
-    typingctx, color, depth, x, paint, z, dz, a, da, b, db, c, dc
+    typingctx, colour, depth, x, paint, z, dz, a, da, b, db, c, dc
 ):  # fmt: skip
-    """Pixels x .. x + 7 of a triangle: those where a, b and c are positive."""
+    """Draws those of the pixels x .. x + 7 where a, b and c, affine in x, are positive."""
 
-    def write(builder, color, depth, x, paint, z, dz, a, da, b, db, c, dc):
+    def write(builder, colour, depth, x, paint, z, dz, a, da, b, db, c, dc):
         code = Code(builder, TRIANGLE_LANES)
         splat = code.splat
         place = code.columns(x).floats_()
@@ -195,7 +198,7 @@ def triangle_block(
         mask = inverse > code.load(depth, FLOAT)
         for start, step in ((a, da), (b, db), (c, dc)):
             mask = mask & (splat(start) + splat(step) * place > 0.0)
-        code.keep(mask, inverse, depth, splat(paint), color)
+        code.keep(mask, inverse, depth, splat(paint), colour)
 
     kinds = [ADDRESS, ADDRESS, I32, I32] + [F32] * 8
     return written(kinds, write)
@@ -203,12 +206,11 @@ def triangle_block(
 
 @intrinsic
 def cell_block(typingctx, south, north, line, kinds, right, bottom, near, side):
-    """Tells which of 16 cells of a terrain may be seen.
+    """Writes the kinds of 16 cells of a terrain: 0 invisible, 2 cut by the near plane, 1 other.
 
-    `south` and `north` are where two lines of corners lie in what `vertex_block` wrote, whose lines
-    are so many bytes apart. `right` and `bottom` are the last column and row of the image, `side`
-    is how far it reaches to either side at a depth of 1. Writes 0 for cells that show at no pixel,
-    2 for those that the near plane cuts and 1 for the others.
+    `south` and `north` are the addresses of two lines of corners that `vertex_block` has written,
+    `line` the bytes between its lines. `right` and `bottom` are the last column and row of the
+    image, `side` is half its width at a depth of 1.
     """
 
     def write(builder, south, north, line, kinds, right, bottom, near, side):
@@ -248,21 +250,22 @@ def cell_block(typingctx, south, north, line, kinds, right, bottom, near, side):
 
 @intrinsic
 def terrain_block(
-    typingctx, color, depth, texels, x, light, area, looks, u, u_ray, du_ray, v, v_ray, dv_ray,
+    typingctx, colour, depth, texels, x, light, area, looks, u, u_ray, du_ray, v, v_ray, dv_ray,
     fade, red, green, blue,
 ):  # fmt: skip
-    """Paints the pixels x .. x + 15 of a terrain, whose colours are triangles' numbers as yet.
+    """Paints the pixels x .. x + 15 of a terrain, which hold the numbers of triangles.
 
-    At a depth of t texel coordinates are u + (u_ray + du_ray * x) * t. `light` and `area` (a pixel
-    covers area * t**3 texels) are those of the triangles; `looks` are the textures of every two.
+    At a depth of t, texel coordinates are u + (u_ray + du_ray * x) * t. `light` and `area` are by
+    triangle, where a pixel covers area * t**3 texels; `looks` are textures by cell, that is by
+    every two triangles.
     """
 
-    def write(builder, color, depth, texels, x, light, area, looks, u, u_ray, du_ray, v, v_ray,
+    def write(builder, colour, depth, texels, x, light, area, looks, u, u_ray, du_ray, v, v_ray,
               dv_ray, fade, red, green, blue):  # fmt: skip
         code = Code(builder)
         splat = code.splat
         place = code.columns(x).floats_()
-        inverse, number = code.load(depth, FLOAT), code.load(color, INT)
+        inverse, number = code.load(depth, FLOAT), code.load(colour, INT)
         mask = inverse > 0.0
         with builder.if_then(mask.any()):
             triangle = mask.choose(number, number.like(0))
@@ -276,17 +279,17 @@ def terrain_block(
             look = code.look_up(looks, triangle >> 1, ir.IntType(16)).most(0)
             texel = code.look_up(texels, code.texel(each, iu, iv) + (look << 13), INT)
             paint = code.shade(texel, [lit * splat(c) for c in (red, green, blue)])
-            code.store(mask.choose(paint, number), color)
+            code.store(mask.choose(paint, number), colour)
 
     return written([ADDRESS] * 3 + [I32] + [ADDRESS] * 3 + [F32] * 10, write)
 
 
 @intrinsic
-def pack_block(typingctx, color, out):
+def pack_block(typingctx, colour, out):
     """Writes 16 colours 0x00BBGGRR as 48 bytes."""
 
-    def write(builder, color, out):
-        pointer = builder.inttoptr(color, ir.VectorType(BYTE, 4 * LANES).as_pointer())
+    def write(builder, colour, out):
+        pointer = builder.inttoptr(colour, ir.VectorType(BYTE, 4 * LANES).as_pointer())
         colours = builder.load(pointer, align=4)
         order = [4 * pixel + channel for pixel in range(LANES) for channel in range(3)]
         chosen = ir.Constant(ir.VectorType(INT, len(order)), order)

@@ -1,4 +1,4 @@
-"""Writes instructions on vectors of sixteen numbers, which `blocks.py` is made of."""
+"""Emits LLVM instructions on vectors, for the functions of `blocks.py`."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -16,7 +16,7 @@ _CONTRACT = ("contract",)  # a * b + c may be rounded once
 
 
 class Vector:
-    """A vector of floats, of 32-bit integers or of truth values, while code is being written."""
+    """A vector of floats, 32-bit integers or truth values in the code that is being emitted."""
 
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder = builder
@@ -113,7 +113,7 @@ class Vector:
 
 
 class Code:
-    """Writes code that works on so many pixels from column `x` of a line on."""
+    """Emits code that works on `lanes` neighbouring pixels of a line."""
 
     def __init__(self, builder: Any, lanes: int = LANES) -> None:
         self.builder = builder
@@ -143,10 +143,10 @@ class Code:
         self.builder.store(vector.value, pointer, align=4)
 
     def look_up(self, address: Any, indices: Vector, element: Any) -> Vector:
-        """The elements at `indices` of an array, widened to 32 bits with their sign."""
+        """The elements at `indices` of an array, sign-extended to 32 bits."""
         start = self._pointer(address, element)
         found = ir.Constant(ir.VectorType(INT, self.lanes), ir.Undefined)
-        # Taken out two at a time: that is the slow part.
+        # Indices are extracted in pairs, because extracting is slow.
         pairs = self.builder.bitcast(indices.value, ir.VectorType(ir.IntType(64), self.lanes // 2))
         for lane in range(self.lanes):
             place = ir.Constant(INT, lane)
@@ -162,16 +162,16 @@ class Code:
         return Vector(self.builder, found)
 
     def distance(self, inverse: Vector, fade: Any) -> tuple[Vector, Vector]:
-        """t and 1 / (1 + fade * t**2), the light that is left of 1, where 1/t is `inverse`."""
-        # Of one division: 1/t**2 + fade is the denominator of both.
+        """t and 1 / (1 + fade * t**2), the share of light that is left, where 1/t is `inverse`."""
+        # One division is enough, because 1/t**2 + fade is a factor of both denominators.
         square = inverse * inverse
         lit = square + self.splat(fade)
         both = lit.like(1.0) / (inverse * lit)
         return lit * both, square * inverse * both
 
     def texel(self, texels_each: Vector, u: Vector, v: Vector) -> Vector:
-        """Where the texel u, v lies from a texture's start, for pixels of so many texels."""
-        # Half of the exponent of the texels in a pixel, which is from bit 23 on, less 127.
+        """The offset of the texel u, v in a texture, for pixels that cover so many texels."""
+        # Half of the exponent of the number of texels, which starts at bit 23 and is biased by 127.
         level = (texels_each.most(1.0).least(4096.0).bits() - (127 << 23)) >> 24
         iu = u.truncated() & 63
         iv = v.truncated() & 63
@@ -187,16 +187,17 @@ class Code:
         assert colour is not None
         return colour
 
-    def keep(self, mask: Vector, inverse: Vector, depth: Any, paint: Vector, color: Any) -> None:
+    def keep(self, mask: Vector, inverse: Vector, depth: Any, paint: Vector, colour: Any) -> None:
         """Writes the pixels of `mask` to both buffers."""
-        # Loaded before the first store, or LLVM makes masked stores of them: slow on some CPUs.
-        old_inverse, old_paint = self.load(depth, FLOAT), self.load(color, INT)
+        # Both are loaded before the first store; otherwise LLVM emits masked stores, which are slow
+        # on some CPUs.
+        old_inverse, old_paint = self.load(depth, FLOAT), self.load(colour, INT)
         self.store(mask.choose(inverse, old_inverse), depth)
-        self.store(mask.choose(paint, old_paint), color)
+        self.store(mask.choose(paint, old_paint), colour)
 
 
 def written(kinds: Sequence[Any], write: Callable[..., None]) -> Any:
-    """What an intrinsic returns: the types of its arguments and what writes its code."""
+    """The signature and the code generator that a function decorated by `intrinsic` returns."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         write(builder, *args)

@@ -1,4 +1,4 @@
-"""The meshes that are drawn: toys and furniture, made by `python scripts/build_meshes.py`."""
+"""The meshes of toys and furniture, which `python scripts/build_meshes.py` builds."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -9,10 +9,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class MeshAtlas:
-    """Meshes one after another in shared arrays; mesh i owns a half-open range of each.
+    """Meshes in shared arrays, of which mesh i owns a half-open range each.
 
-    A mesh is in metres, z up, facing +x, its origin at the centre of its footprint and its lowest
-    point at z = 0; it is made of closed surfaces, which may run into one another.
+    A mesh is in metres, z up, facing +x, with its origin at the centre of its footprint and its
+    lowest point at z = 0. It consists of closed surfaces, which may intersect.
     """
 
     names: tuple[str, ...]
@@ -32,7 +32,7 @@ class MeshAtlas:
     """float32 [meshes, 3]: size of the bounding box along x, y and z, metres."""
 
     def index(self, name: str) -> int:
-        """The number of the mesh of that name; KeyError where there is none."""
+        """The number of the mesh of that name. Raises KeyError for an unknown name."""
         try:
             return self.names.index(name)
         except ValueError:

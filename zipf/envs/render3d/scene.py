@@ -1,4 +1,4 @@
-"""What is to be seen in a batch of worlds, as arrays that environments write in place.
+"""The scenes of a batch of worlds, as arrays that environments write in place.
 
 Metres; x east, y north, z up. Yaw 0 looks along +x and grows counter-clockwise, positive pitch
 looks up; both are in radians.
@@ -10,69 +10,76 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 TWO_SIDED = 1
-"""Seen from both sides."""
+"""A wall or flat that is visible from both sides."""
 SEE_THROUGH = 2
-"""Texels with an alpha below 128 are holes."""
+"""A wall or flat whose texels with an alpha below 128 are holes."""
 FACES_DOWN = 4
-"""A flat that is seen from below: a ceiling."""
+"""A flat that is visible from below: a ceiling."""
 SCREEN = -2
-"""The texture of a wall that shows its world's own picture, `Scenes.screen`."""
+"""The texture of a wall that shows its world's `Scenes.screen`."""
 
 
 class Scenes:
-    """The scenes of N worlds, each with room for so many things; arrays are C-contiguous.
+    """The scenes of N worlds, each with a fixed capacity; arrays are C-contiguous.
 
-    A wall is an upright rectangle above the line from (x0, y0) to (x1, y1). It is seen from the
-    left of somebody walking from the first point to the second, so the walls of a room are listed
-    counter-clockwise. Seen so its texture is upright and not mirrored, starting at the top left.
-    A flat is a horizontal rectangle, seen from above or, with FACES_DOWN, from below. Its texture
-    starts at (x0, y0), columns running along x and rows along y.
+    A wall is an upright rectangle above the line from (x0, y0) to (x1, y1). It is visible from the
+    left of that direction, so the walls of a room are listed counter-clockwise. From there its
+    texture is upright and not mirrored, starting at the top left. A flat is a horizontal rectangle,
+    visible from above or, with FACES_DOWN, from below. Its texture starts at (x0, y0), with columns
+    along x and rows along y.
 
-    Arrays of the worlds (what is not mentioned here starts as zeros):
+    Arrays (initial values are zero unless given):
 
     - `camera` float32 [N, 5]: x, y, z, yaw, pitch
     - `walls` float32 [N, W, 6]: x0, y0, x1, y1, z0 (bottom), z1 (top)
     - `wall_looks` int32 [N, W, 2]: texture (negative: not drawn; or SCREEN), flags
     - `wall_repeat` float32 [N, W, 2]: metres per repeat of the texture along and up the wall;
-      0: the texture is stretched once over the wall
-    - `wall_tint` uint8 [N, W, 3]: the texture is multiplied by tint / 255 (starts as 255)
-    - `wall_face` int32 [N, W]: the face of a cell of `solid` that the wall lies on, or -1 (the
-      start). Face (row * columns + column) * 4 + side of a solid cell; sides 0 east, 1 north,
-      2 west, 3 south. Walls on a face are drawn only where the grid lets them be seen.
-    - `wall_count` int32 [N]: the first so many are looked at
+      0: the texture is stretched over the wall once
+    - `wall_tint` uint8 [N, W, 3]: the texture is multiplied by tint / 255 (initially 255)
+    - `wall_face` int32 [N, W]: the face of a cell of `solid` that the wall lies on, or -1
+      (initially). The face (row * columns + column) * 4 + side, with sides 0 east, 1 north,
+      2 west, 3 south. Walls on a face are drawn only if the grid does not hide it
+    - `wall_count` int32 [N]: how many walls there are; the rest of the arrays is ignored
     - `flats` float32 [N, F, 5]: x0, y0, x1, y1, z
     - `flat_looks` int32 [N, F, 2]: texture (negative: not drawn), flags
-    - `flat_tiles` int32 [N, F, 3]: first, rows, columns. Where rows is positive, the flat is a
-      patchwork of rows * columns equal tiles and its texture is ignored: `tiles[first + row *
-      columns + column]` is the texture of a tile, rows growing with y and columns with x
+    - `flat_tiles` int32 [N, F, 3]: first, rows, columns. If rows is positive, the flat is a
+      patchwork of rows * columns equal tiles and its own texture is ignored: `tiles[first + row *
+      columns + column]` is the texture of a tile, with rows along y and columns along x
     - `flat_repeat` float32 [N, F]: metres per repeat; 0: once over the flat, or over each tile
     - `flat_tint` uint8 [N, F, 3]
     - `flat_count` int32 [N]
     - `tiles` int16 [N, tile_cells]: textures of tiles (negative: a hole)
-    - `mesh` int32 [N, M]: index into the atlas (-1, the start: nothing)
-    - `position` float32 [N, M, 3]; `rotation` float32 [N, M, 3, 3] (starts as the identity);
-      `scale` float32 [N, M] (starts as 1): world = rotation @ (scale * vertex) + position
+    - `mesh` int32 [N, M]: index into the atlas; -1 (initially): nothing
+    - `position` float32 [N, M, 3]; `rotation` float32 [N, M, 3, 3] (initially the identity);
+      `scale` float32 [N, M] (initially 1): world = rotation @ (scale * vertex) + position
     - `colours` uint8 [N, M, 2, 3]: main and accent colour
     - `sky` uint8 [N, 2, 3]: colours at the horizon and overhead
-    - `screen` uint8 [N, h, w, 3]: the picture on walls whose texture is SCREEN, stretched once over
-      the wall and always bright
+    - `screen` uint8 [N, h, w, 3]: the image on walls whose texture is SCREEN, stretched over the
+      wall once and not shaded
     - `overlays` float32 [N, K, 4]: left, top, right, bottom of rectangles drawn over the view, in
       order, as shares of the image's width and height from its top left corner
     - `overlay_colours` uint8 [N, K, 4]: RGBA
     - `overlay_count` int32 [N]
-    - `solid` bool [N, rows, columns]: cells that nobody sees through, whatever the height. What
-      lies outside the grid counts as solid. A camera in a solid cell sees every wall.
+    - `solid` bool [N, rows, columns]: cells that block the view at any height. Everything outside
+      the grid counts as solid. From a camera in a solid cell no wall is hidden
     - `grid` float32 [N, 3]: x, y of the grid's south-west corner and the size of a cell; a size
-      of 0, the start, means that there is no grid
-    - `heights` float32 [N, rows + 1, columns + 1]: of a terrain, at the corners of its cells, rows
-      growing with y and columns with x. A cell is two triangles that meet on the line from its
-      south-west to its north-east corner, lit by their slopes. It is seen from above only
-    - `terrain` float32 [N, 4]: x, y of its south-west corner; the size of a cell (0, the start:
-      there is no terrain); metres per repeat of textures, seen from above (0: once over each cell)
-    - `terrain_looks` int16 [N, rows, columns]: textures of its cells (negative, the start: a hole)
+      of 0 (initially): there is no grid
+    - `heights` float32 [N, rows + 1, columns + 1]: of a terrain, at the corners of its cells, with
+      rows along y and columns along x. A cell is two triangles that share the line from its
+      south-west to its north-east corner, shaded by their slopes and visible from above only
+    - `terrain` float32 [N, 4]: x, y of its south-west corner; the size of a cell, 0 (initially):
+      there is no terrain; metres per repeat of textures along x and y, 0: once over each cell
+    - `terrain_looks` int16 [N, rows, columns]: textures of its cells; negative (initially): a hole
     - `terrain_tint` uint8 [N, 3]
 
-    Raises ValueError for a terrain that has rows and no columns, or the reverse.
+    Args:
+        num_worlds: N.
+        walls, flats, instances, tile_cells, overlays: the capacity of each world.
+        grid, terrain: rows and columns of cells.
+        screen: height and width.
+
+    Raises:
+        ValueError: for a terrain that has rows and no columns, or the reverse.
     """
 
     def __init__(
@@ -154,7 +161,7 @@ class Scenes:
     ) -> int:
         """Adds a wall along `ends` (x0, y0, x1, y1) and returns its index.
 
-        Raises ValueError when the world has no room for it.
+        Raises ValueError if the world's walls are at their capacity.
         """
         index = _take(self.wall_count, world, self.walls.shape[1], "walls")
         self.walls[world, index, :4] = ends
@@ -181,7 +188,7 @@ class Scenes:
         """Adds a flat over `rectangle` (x0, y0, x1, y1) and returns its index.
 
         `tiles` [rows, columns] makes it a patchwork, written to `tiles[world]` from `first_tile`.
-        Raises ValueError when the world has no room for it.
+        Raises ValueError if the world's flats or tiles are at their capacity.
         """
         index = _take(self.flat_count, world, self.flats.shape[1], "flats")
         self.flats[world, index, :4] = rectangle
@@ -209,10 +216,18 @@ class Scenes:
         repeat: float = 0.0,
         tint: ArrayLike = 255,
     ) -> None:
-        """Lays a terrain of `heights` [rows + 1, columns + 1] from its south-west `corner` on.
+        """Sets a world's terrain.
 
-        `textures`, one or [rows, columns], are those of its cells of `size` metres. Raises
-        ValueError for other shapes and a size that is not positive.
+        Args:
+            world: the world.
+            corner: x, y of the south-west corner.
+            size: of a cell, metres.
+            heights: [rows + 1, columns + 1], metres.
+            textures: of the cells, one for all or [rows, columns].
+            repeat, tint: see `terrain` and `terrain_tint`.
+
+        Raises:
+            ValueError: for other shapes and a size that is not positive.
         """
         if heights.shape != self.heights.shape[1:]:
             raise ValueError(f"heights must be {self.heights.shape[1:]}, not {heights.shape}")
@@ -229,9 +244,10 @@ class Scenes:
         self.terrain_tint[world] = tint
 
 
-def _take(counts: NDArray[np.int32], world: int, room: int, what: str) -> int:
+def _take(counts: NDArray[np.int32], world: int, capacity: int, kind: str) -> int:
+    """The next free index of a world."""
     index = int(counts[world])
-    if index >= room:
-        raise ValueError(f"world {world} has room for {room} {what}")
+    if index >= capacity:
+        raise ValueError(f"world {world} has room for {capacity} {kind}")
     counts[world] += 1
     return index

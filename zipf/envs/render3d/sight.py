@@ -1,4 +1,4 @@
-"""Which faces of solid cells can be seen from a place in a grid."""
+"""Which faces of solid cells are visible from a point in a grid."""
 
 import math
 
@@ -17,15 +17,21 @@ def narrow(low, high, a, b):
 
 @compiled(error_model="numpy")
 def look_around(solid, x, y, left_x, left_y, right_x, right_y, seen, spans):
-    """Marks in `seen` the faces of solid cells that are seen from a place between two directions.
+    """Marks the faces of solid cells that are visible from a point, between two directions.
 
-    The place is given in cells, the directions turn by less than a half from right to left. Returns
-    False, with nothing marked, where the place is in a solid cell or outside the grid. `spans`
-    [4, .] is scratch.
+    For each of the four axis directions, cells are visited in columns of growing distance. The
+    rays that have not been blocked are kept as spans of slopes. In every column a span is split
+    where its rays enter different cells, and the parts that meet no solid cell are kept.
 
-    The view is swept away from the place in each of four directions by columns of cells. What is
-    left of it are spans of slopes; in a column each is cut where its rays begin to pass other cells
-    than the one before, and the parts that no solid cell stops go on.
+    Args:
+        solid: bool [rows, columns].
+        x, y: the point, in cells.
+        left_x, left_y, right_x, right_y: the directions, less than half a turn apart.
+        seen: bool [rows * columns * 4], written; see `Scenes.wall_face`.
+        spans: float64 [4, .], overwritten.
+
+    Returns:
+        False, with nothing marked, if the point is in a solid cell or outside the grid.
     """
     rows, columns = solid.shape
     own_row, own_column = math.floor(y), math.floor(x)
@@ -34,7 +40,7 @@ def look_around(solid, x, y, left_x, left_y, right_x, right_y, seen, spans):
     seen[:] = False
     for ahead in range(4):
         px, py = (1, 0, -1, 0)[ahead], (0, 1, 0, -1)[ahead]
-        sx, sy = -py, px  # to the left of it: slopes grow this way
+        sx, sy = -py, px  # to the left, the direction in which slopes grow
         past = x - own_column if px > 0 else own_column + 1 - x
         aside = y - own_row if px > 0 else own_row + 1 - y
         if px == 0:

@@ -1,6 +1,6 @@
-"""Textures, computed: 64 x 64 RGBA pictures that repeat without a seam.
+"""Procedural textures: 64 x 64 RGBA images that repeat without a seam.
 
-Contrast is gentle, so that things stand out before walls and floors.
+Their contrast is low, so that objects stand out against walls and floors.
 """
 
 from collections.abc import Callable
@@ -28,17 +28,17 @@ def _noise(seed: int, cells: int) -> NDArray[np.float64]:
 
 
 def _grain(seed: int) -> NDArray[np.float64]:
-    """Noise of several sizes, -1 .. 1."""
+    """Noise at several scales, -1 .. 1."""
     return sum(_noise(seed + i, cells) * w for i, (cells, w) in enumerate(_OCTAVES))  # type: ignore[return-value]
 
 
 _OCTAVES = ((4, 0.35), (8, 0.3), (16, 0.2), (64, 0.15))
 
 
-def _paint(color: tuple[int, int, int], light: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """`color` times `light` [64, 64] (1: as it is), opaque."""
+def _paint(colour: tuple[int, int, int], light: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """An opaque image of `colour` times `light` [64, 64]."""
     image = np.full((SIZE, SIZE, 4), 255, np.uint8)
-    image[..., :3] = np.clip(np.asarray(color) * light[..., None], 0, 255)
+    image[..., :3] = np.clip(np.asarray(colour) * light[..., None], 0, 255)
     return image
 
 
@@ -48,67 +48,67 @@ def _mix(
     return np.where(where[..., None], second, first)
 
 
-def plaster(color: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    return _paint(color, 1 + 0.06 * _grain(seed))
+def plaster(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    return _paint(colour, 1 + 0.06 * _grain(seed))
 
 
-def wallpaper(color: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+def wallpaper(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     """Small diamonds in rows."""
     diamonds = (abs(_X % 16 - 7.5) + abs((_Y + 8 * (_X // 16 % 2)) % 16 - 7.5)) < 5
-    return _paint(color, 1 + 0.03 * _grain(seed) - 0.12 * diamonds)
+    return _paint(colour, 1 + 0.03 * _grain(seed) - 0.12 * diamonds)
 
 
-def stripes(color: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    return _paint(color, 1 + 0.03 * _grain(seed) - 0.12 * (_X % 16 < 8))
+def stripes(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    return _paint(colour, 1 + 0.03 * _grain(seed) - 0.12 * (_X % 16 < 8))
 
 
-def planks(color: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    """Boards along the rows of the picture, four of them, each broken once."""
+def planks(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    """Four horizontal boards, each with one joint."""
     board = _Y // 16
     rng = np.random.default_rng(seed)
     shade, start = rng.uniform(-0.08, 0.08, (4, 2)), rng.integers(0, 64, 4)
     half = ((_X - start[board]) % SIZE >= 32).astype(int)
     grain = _noise(seed, 32)[_Y, (_X // 8 + 5 * board) % SIZE]
     seam = (_Y % 16 == 0) | ((_X - start[board]) % 32 == 0)
-    return _paint(color, 1 + shade[board, half] + 0.06 * grain - 0.3 * seam)
+    return _paint(colour, 1 + shade[board, half] + 0.06 * grain - 0.3 * seam)
 
 
-def tiles(color: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+def tiles(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     shade = np.random.default_rng(seed).uniform(-0.05, 0.05, (4, 4))[_Y // 16, _X // 16]
     seam = (_Y % 16 == 0) | (_X % 16 == 0)
-    return _paint(color, 1 + shade + 0.03 * _grain(seed) - 0.22 * seam)
+    return _paint(colour, 1 + shade + 0.03 * _grain(seed) - 0.22 * seam)
 
 
-def carpet(color: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    return _paint(color, 1 + 0.1 * _noise(seed, 64) + 0.06 * _noise(seed + 1, 16))
+def carpet(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    return _paint(colour, 1 + 0.1 * _noise(seed, 64) + 0.06 * _noise(seed + 1, 16))
 
 
-def brick(color: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+def brick(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     row = _Y // 8
     x = (_X + 8 * (row % 2)) % SIZE
     shade = np.random.default_rng(seed).uniform(-0.1, 0.1, (8, 4))[row, x // 16]
     mortar = (_Y % 8 == 0) | (x % 16 == 0)
-    bricks = _paint(color, 1 + shade + 0.05 * _grain(seed))
+    bricks = _paint(colour, 1 + shade + 0.05 * _grain(seed))
     return _mix(bricks, _paint((196, 190, 180), 1 + 0.05 * _grain(seed + 9)), mortar)
 
 
-def checker(color: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    return _paint(color, 1 + 0.03 * _grain(seed) - 0.2 * ((_X // 16 + _Y // 16) % 2))
+def checker(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    return _paint(colour, 1 + 0.03 * _grain(seed) - 0.2 * ((_X // 16 + _Y // 16) % 2))
 
 
-def hexagons(color: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+def hexagons(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     """A honeycomb, 4 cells wide and 4 high: each texel belongs to its nearest centre."""
     centres = [(8 * (2 * c + r % 2), 16 * r) for r in range(-1, 6) for c in range(-1, 6)]
     far = np.sort([np.hypot(_X - x, _Y - y) for x, y in centres], axis=0)
-    return _paint(color, 1 + 0.04 * _grain(seed) - 0.2 * (far[1] - far[0] < 1.6))
+    return _paint(colour, 1 + 0.04 * _grain(seed) - 0.2 * (far[1] - far[0] < 1.6))
 
 
-def fence(color: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    """Upright bars between two rails; the rest are holes."""
+def fence(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    """Upright bars and two rails, with holes between them."""
     bars = _X % 16 < 5
     rails = (_Y % 32 >= 12) & (_Y % 32 < 17)
     light = 1 + 0.05 * _grain(seed) - 0.25 * (bars & (_X % 16 == 4)) - 0.1 * rails
-    image = _paint(color, light)
+    image = _paint(colour, light)
     image[..., 3] = np.where(bars | rails, 255, 0)
     return image
 
@@ -140,7 +140,7 @@ NAMES: tuple[str, ...] = tuple(_TEXTURES)
 
 
 def index(name: str) -> int:
-    """The number of the texture `name` in `stack()`. Raises ValueError where there is none."""
+    """The number of the texture `name` in `stack()`. Raises ValueError for an unknown name."""
     if name not in NAMES:
         raise ValueError(f"no texture {name!r}; there are {', '.join(NAMES)}")
     return NAMES.index(name)
@@ -150,9 +150,9 @@ def index(name: str) -> int:
 def stack() -> NDArray[np.uint8]:
     """All textures in the order of `NAMES`, uint8 [K, 64, 64, 4]; alpha 0 marks holes.
 
-    Painted once; the array is read-only.
+    Computed once; the array is read-only.
     """
-    painted = [paint(color, 16 * i) for i, (paint, color) in enumerate(_TEXTURES.values())]
+    painted = [paint(colour, 16 * i) for i, (paint, colour) in enumerate(_TEXTURES.values())]
     stacked = np.stack(painted)
     stacked.flags.writeable = False
     return stacked
