@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 import torch
 import torch.nn.functional as F
-from test_train import TINY, assert_equal, learned, untimed
+from conftest import TINY, assert_equal, learned, untimed
 
 from zipf import envs
 from zipf.agents.exploration import build_exploration
@@ -25,7 +25,6 @@ from zipf.experiments.running.overlap import Overlap
 @pytest.fixture(autouse=True)
 def _one_thread_per_operator():
     before = torch.get_num_threads()
-    torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
 
@@ -38,7 +37,9 @@ def _no_thread_is_left_behind():
 
 
 def config_of(folder, *overrides):
-    return command_line.load([*TINY, "collector.lag=1", f"run_root={folder}", "name=row", *overrides])
+    return command_line.load(
+        [*TINY, "collector.lag=1", f"run_root={folder}", "name=row", *overrides]
+    )
 
 
 def copied(unroll):

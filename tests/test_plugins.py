@@ -1,14 +1,11 @@
 """Worlds, agents and experiments from outside the package, by `plugins` and `--config-dir`."""
 
 import json
-import os
-import subprocess
-import sys
 import textwrap
-from pathlib import Path
 
 import pandas as pd
 import pytest
+from conftest import run
 
 WORLD = """
     from functools import partial
@@ -121,25 +118,13 @@ def folder(tmp_path):
     return tmp_path
 
 
-def run(folder: Path, module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    package = Path(__file__).parent.parent
-    return subprocess.run(
-        [sys.executable, "-m", module, *arguments],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(package)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-
-
-TRAIN = ("zipf.train", "--config-dir", "my_configs", "plugins=[my_worlds]", "experiment=counting")
+TRAIN = ("--config-dir", "my_configs", "plugins=[my_worlds]", "experiment=counting")
 
 
 def test_a_family_of_ones_own_is_trained_resumed_scored_and_reported(folder):
-    first = run(folder, *TRAIN, "condition=eager", "updates=2")
+    first = run(*TRAIN, "condition=eager", "updates=2", folder=folder)
     assert first.returncode == 0, first.stderr
-    again = run(folder, *TRAIN, "condition=eager")
+    again = run(*TRAIN, "condition=eager", folder=folder)
     assert again.returncode == 0, again.stderr
     assert "resumes at update 2" in again.stdout
     kept = folder / "runs" / "counting" / "eager" / "seed0"
@@ -155,19 +140,19 @@ def test_a_family_of_ones_own_is_trained_resumed_scored_and_reported(folder):
     assert list(pd.read_csv(kept / "evaluations.csv")["update"].unique()) == [0, 2, 4]
 
     place = f"run={kept}"
-    scored = run(folder, "zipf.evaluate", place, "plugins=my_worlds", "episodes=5")
+    scored = run(place, "plugins=my_worlds", "episodes=5", module="zipf.evaluate", folder=folder)
     assert scored.returncode == 0, scored.stderr
-    reported = run(folder, "zipf.report", "runs")
+    reported = run("runs", module="zipf.report", folder=folder)
     assert reported.returncode == 0, reported.stderr
     assert "Eager IMPALA" in reported.stdout
 
 
 def test_a_runs_folder_never_has_modules_imported(folder):
-    assert run(folder, *TRAIN, "updates=2").returncode == 0
+    assert run(*TRAIN, "updates=2", folder=folder).returncode == 0
     place = f"run={folder}/runs/counting/impala_mlp/seed0"
     (folder / "my_worlds.py").write_text("open('imported', 'w')")
-    for module in ("zipf.evaluate", "zipf.play"):
-        refused = run(folder, module, place, "record=x.gif" if module == "zipf.play" else "seed=1")
+    for module, options in (("zipf.evaluate", []), ("zipf.play", ["record=x.gif"])):
+        refused = run(place, "seed=1", *options, module=module, folder=folder)
         assert refused.returncode == 2
         assert "plugins=[my_worlds]" in refused.stderr
         assert "Traceback" not in refused.stderr
@@ -175,7 +160,7 @@ def test_a_runs_folder_never_has_modules_imported(folder):
 
 
 def test_a_sweep_finds_plugins_and_configurations(folder):
-    swept = run(folder, *TRAIN, "-m", "seed=0,1", "updates=2")
+    swept = run(*TRAIN, "-m", "seed=0,1", "updates=2", folder=folder)
     assert swept.returncode == 0, swept.stderr
     assert len(list(folder.glob("runs/counting/impala_mlp/seed*/checkpoint.pt"))) == 2
 
@@ -193,7 +178,7 @@ def test_a_sweep_finds_plugins_and_configurations(folder):
 )
 def test_mistakes_are_one_clear_line(folder, arguments, message):
     (folder / "broken.py").write_text("1 / 0")
-    refused = run(folder, "zipf.train", *arguments)
+    refused = run(*arguments, folder=folder)
     assert refused.returncode == 2, refused.stdout
     assert message in refused.stderr
     assert "Traceback" not in refused.stderr

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from conftest import TINY, assert_equal, learned, untimed
 from networks import compact
 from omegaconf import OmegaConf
 from recall import Recall
 from tensordict import TensorDict
-from test_train import TINY, assert_equal, learned, untimed
 
 from zipf import envs
 from zipf.agents import r2d2, replay
@@ -645,7 +645,6 @@ LEARNER = OPTIONS.model_copy(
 
 
 def trained(env, network, memory, *, unroll_length, updates, seed):
-    torch.set_num_threads(1)
     setting = Setting(
         env.single_observation_space,
         env.single_action_space,

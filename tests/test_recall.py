@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 from networks import compact
 from recall import CUES, Recall
 
@@ -35,7 +34,6 @@ NETWORK = compact(channels=16, size=16)
 
 def trained(memory, updates, seed=0, **changes):
     """Episodes played after that many updates."""
-    torch.set_num_threads(1)
     env = Recall(64, DELAY)
     spaces = env.single_observation_space, env.single_action_space
     agent = Impala(IMPALA.model_copy(update=changes), Setting(*spaces, NETWORK, memory, seed=seed))

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from conftest import TINY, assert_equal, command, learned, run, untimed
 
 import zipf.envs.family
 from zipf import envs, evaluate
@@ -24,65 +25,9 @@ from zipf.experiments.running import checkpoint, run_folder, runner
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.running.trained import evaluate_run, load_agent
 
-TINY = [
-    "experiment=demo",
-    "device=cpu",
-    "collector.num_envs=6",
-    "collector.unroll_length=5",
-    "evaluation.every=4",
-    "evaluation.episodes=8",
-    "schedule.log_every=1",
-    "schedule.checkpoint_every=5",
-    "network.size=16",
-    "memory.size=16",
-    "memory=lstm",
-    "exploration=count",
-    "environment.max_steps=9",
-]
-
-
-def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "zipf.train", *arguments]
-
-
-def run(*arguments: str, module: str = "zipf.train", **options) -> subprocess.CompletedProcess[str]:
-    line = [sys.executable, "-m", module, *arguments]
-    return subprocess.run(line, capture_output=True, text=True, timeout=300, **options)
-
 
 def folder_of(arguments: list[str]) -> Path:
     return command_line.load(arguments).folder
-
-
-def assert_equal(one, other, where=""):
-    assert type(one) is type(other), where
-    if isinstance(one, dict):
-        assert one.keys() == other.keys(), where
-        for key in one:
-            assert_equal(one[key], other[key], f"{where}.{key}")
-    elif isinstance(one, list | tuple):
-        assert len(one) == len(other), where
-        for i, (a, b) in enumerate(zip(one, other, strict=True)):
-            assert_equal(a, b, f"{where}[{i}]")
-    elif isinstance(one, torch.Tensor):
-        assert torch.equal(one, other), where
-    elif isinstance(one, np.ndarray):
-        np.testing.assert_array_equal(one, other, where, strict=True)
-    else:
-        assert one == other, where
-
-
-def learned(folder: Path) -> dict:
-    """A checkpoint without the times."""
-    state = checkpoint.load(folder / "checkpoint.pt")
-    del state["clock"]
-    return state
-
-
-def untimed(path: Path) -> pd.DataFrame:
-    table = pd.read_csv(path)
-    timed = [name for name in table.columns if name.startswith(("time_", "seconds", "frames_per"))]
-    return table.drop(columns=timed)
 
 
 def possible(experiment: str, condition: str) -> bool:
@@ -406,7 +351,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(
 
 
 def test_a_mistake_shows_no_traceback(tmp_path):
-    result = run("experiment=gridwrld", cwd=tmp_path)
+    result = run("experiment=gridwrld", folder=tmp_path)
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
@@ -421,7 +366,7 @@ def test_a_sweep_makes_a_run_per_job(tmp_path):
         "seed=0,1",
         "updates=1",
         f"run_root={tmp_path}",
-        cwd=tmp_path,
+        folder=tmp_path,
     )
     assert result.returncode == 0, result.stderr
     descriptions = [json.loads(path.read_text()) for path in tmp_path.glob("demo/*/*/run.json")]

@@ -8,13 +8,12 @@ import pytest
 import tiny_gridworld
 import torch
 import yaml
+from conftest import random_unroll
 from networks import compact
-from tensordict import TensorDict
 
 from zipf.agents.agent import Setting
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
-from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import SMALLEST_DUAL, VMPO, VMPOOptions, is_top, vmpo_losses
 from zipf.experiments import command_line, composing
 from zipf.experiments.running import checkpoint, run_folder
@@ -39,6 +38,10 @@ OPTIONS = VMPOOptions(
 )
 
 
+def unroll(seed=0):
+    return random_unroll(STEPS, BATCH, ACTIONS, seed)
+
+
 def agent(**changes):
     setting = Setting(
         gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
@@ -47,38 +50,6 @@ def agent(**changes):
         LSTMOptions(name="lstm", size=16, layers=1),
     )
     return VMPO(OPTIONS.model_copy(update=changes), setting)
-
-
-def unroll(seed=0):
-    rng = np.random.default_rng(seed)
-    shape = (STEPS + 1, BATCH)
-
-    def floats(*tail):
-        return torch.tensor(rng.normal(size=(*shape, *tail)), dtype=torch.float32)
-
-    ended = torch.tensor(rng.random(shape) < 0.4)
-    cut = torch.tensor(rng.random(shape) < 0.5)
-    images = rng.integers(256, size=(*shape, 9, 9, 3))
-    steps = TensorDict(
-        {
-            "previous_action": torch.tensor(rng.integers(ACTIONS, size=shape)),
-            "previous_reward": floats(),
-            "is_first": torch.cat([torch.zeros(1, BATCH, dtype=torch.bool), ended[:-1]]),
-            "action": torch.tensor(rng.integers(ACTIONS, size=shape)),
-            "reward": floats(),
-            "bonus": floats().abs(),
-            "terminated": ended & ~cut,
-            "truncated": ended & cut,
-            "truncation_value": floats(),
-            "logits": floats(ACTIONS),
-            "observation": TensorDict(
-                {"image": torch.tensor(images, dtype=torch.uint8)}, batch_size=shape
-            ),
-        },
-        batch_size=shape,
-    )
-    memory = {part: floats(4)[0].repeat(1, 4) for part in ("hidden", "cell")}
-    return Unroll(steps, memory)
 
 
 def as_acted_by(vmpo, data):

@@ -1,0 +1,122 @@
+"""What the tests share: commands as users type them, runs compared, unrolls drawn at random."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from tensordict import TensorDict
+
+from zipf.agents.unroll import Unroll
+from zipf.experiments.running import checkpoint
+
+PACKAGE = Path(__file__).parent.parent
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _one_thread() -> None:
+    """Sums are rounded alike on every machine, and parallel tests do not wait for each other."""
+    torch.set_num_threads(1)
+
+
+TINY = [
+    "experiment=demo",
+    "device=cpu",
+    "collector.num_envs=6",
+    "collector.unroll_length=5",
+    "evaluation.every=4",
+    "evaluation.episodes=8",
+    "schedule.log_every=1",
+    "schedule.checkpoint_every=5",
+    "network.size=16",
+    "memory.size=16",
+    "memory=lstm",
+    "exploration=count",
+    "environment.max_steps=9",
+]
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "zipf.train", *arguments]
+
+
+def run(
+    *arguments: str, module: str = "zipf.train", folder: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """A command of the package, in a folder of one's own."""
+    return subprocess.run(
+        [sys.executable, "-m", module, *arguments],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(PACKAGE)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def assert_equal(one, other, where=""):
+    assert type(one) is type(other), where
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), where
+        for key in one:
+            assert_equal(one[key], other[key], f"{where}.{key}")
+    elif isinstance(one, list | tuple):
+        assert len(one) == len(other), where
+        for i, (a, b) in enumerate(zip(one, other, strict=True)):
+            assert_equal(a, b, f"{where}[{i}]")
+    elif isinstance(one, torch.Tensor):
+        assert torch.equal(one, other), where
+    elif isinstance(one, np.ndarray):
+        np.testing.assert_array_equal(one, other, where, strict=True)
+    else:
+        assert one == other, where
+
+
+def learned(folder: Path) -> dict:
+    """A checkpoint without the times."""
+    state = checkpoint.load(folder / "checkpoint.pt")
+    del state["clock"]
+    return state
+
+
+def untimed(path: Path) -> pd.DataFrame:
+    table = pd.read_csv(path)
+    timed = [name for name in table.columns if name.startswith(("time_", "seconds", "frames_per"))]
+    return table.drop(columns=timed)
+
+
+def random_unroll(steps: int, batch: int, actions: int, seed: int = 0) -> Unroll:
+    """Numbers drawn at random, with episodes that end in any row; memory of an LSTM of 16."""
+    rng = np.random.default_rng(seed)
+    shape = (steps + 1, batch)
+
+    def floats(*tail):
+        return torch.tensor(rng.normal(size=(*shape, *tail)), dtype=torch.float32)
+
+    ended = torch.tensor(rng.random(shape) < 0.4)
+    cut = torch.tensor(rng.random(shape) < 0.5)
+    images = rng.integers(256, size=(*shape, 9, 9, 3))
+    fields = TensorDict(
+        {
+            "previous_action": torch.tensor(rng.integers(actions, size=shape)),
+            "previous_reward": floats(),
+            "is_first": torch.cat([torch.zeros(1, batch, dtype=torch.bool), ended[:-1]]),
+            "action": torch.tensor(rng.integers(actions, size=shape)),
+            "reward": floats(),
+            "bonus": floats().abs(),
+            "terminated": ended & ~cut,
+            "truncated": ended & cut,
+            "truncation_value": floats(),
+            "logits": floats(actions),
+            "observation": TensorDict(
+                {"image": torch.tensor(images, dtype=torch.uint8)}, batch_size=shape
+            ),
+        },
+        batch_size=shape,
+    )
+    memory = {part: floats(4)[0].repeat(1, 4) for part in ("hidden", "cell")}
+    return Unroll(fields, memory)
