@@ -38,7 +38,9 @@ def _no_thread_is_left_behind():
 
 
 def config_of(folder, *overrides):
-    return command_line.load([*TINY, "collector.lag=1", f"run_root={folder}", "name=row", *overrides])
+    return command_line.load(
+        [*TINY, "collector.lag=1", f"run_root={folder}", "name=row", *overrides]
+    )
 
 
 def copied(unroll):
