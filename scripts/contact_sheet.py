@@ -3,8 +3,8 @@
     python scripts/contact_sheet.py out.png
 
 The close views show the shape. The others are cut out of 96 x 72 views of a room with the eye at
-1.2 m, from 1.5 m away (two sides) and 2.5 m, every pixel magnified: what is to be told apart there
-must be told by these few pixels. All toys have the same two greys, as their colours say nothing.
+1.2 m, from 1.5 m away (two sides) and 2.5 m, every pixel magnified: these few pixels must be enough
+to distinguish the toys. All toys have the same two greys, because their colours are random.
 """
 
 import argparse

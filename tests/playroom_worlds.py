@@ -1,4 +1,4 @@
-"""Playrooms arranged by hand, and what to do in them."""
+"""Playrooms with given poses, for the tests of rules and actions."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,11 +17,11 @@ BED = (-1.2, 0.0, 0.0)
 TRAY = (0.8, 1.2, 0.0)
 """x from 0.5 to 1.1, y from 0.975 to 1.425."""
 AWAY = ((1.7, 1.7), (-1.7, 1.7), (1.7, -1.7), (-1.7, -1.7), (-0.6, 1.7), (-0.6, -1.7))
-"""Corners where objects are in nobody's way."""
+"""Positions in corners, where objects do not interfere."""
 
 
 def playroom(level: str = "lift/lift_shape_uniform", **options: Any) -> PlayroomVectorEnv:
-    """One world that waits when its episode ends, drawn as a single pixel unless asked."""
+    """One world without autoreset, with an image of one pixel unless `image_size` is given."""
     options = {"image_size": (1, 1), "autoreset_mode": "Disabled", **options}
     return PlayroomVectorEnv(1, level, **options)
 
@@ -36,7 +36,7 @@ def arrange(
     furniture: Sequence[Sequence[float]] = (BED, TRAY),
     seed: int = 0,
 ) -> dict[str, np.ndarray]:
-    """Begins an episode and then puts everything where it is wanted.
+    """Begins an episode and then sets the poses.
 
     Args:
         env: one world.
@@ -77,7 +77,7 @@ def arrange(
 
 
 def act(env: PlayroomVectorEnv, *names: str | int) -> Any:
-    """Takes actions by name or number; the last step's result."""
+    """Takes actions by name or number; returns the last step's result."""
     result = None
     for name in names:
         action = actions.ACTIONS.index(name) if isinstance(name, str) else name
@@ -109,7 +109,7 @@ TIMEOUT = (0.0, False, True, False)
 
 
 def wait(env: PlayroomVectorEnv, limit: int = 12) -> tuple[float, bool, bool, bool | None]:
-    """Does nothing until the episode ends, or for as long as the limit; the outcome."""
+    """Takes NOOP until the episode ends, at most `limit` times; returns the outcome."""
     for _ in range(limit):
         end = outcome(act(env, "NOOP"))
         if end != RUNS:

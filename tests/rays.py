@@ -1,4 +1,4 @@
-"""Rays cast one surface at a time, slowly: what the renderer should draw."""
+"""Slow ray casting, one surface at a time, as a reference for the renderer."""
 
 import math
 
@@ -111,7 +111,7 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
             along = np.array([x0 - x1, y0 - y1, 0])
             length = np.linalg.norm(along)
             along /= length
-            normal = np.array([-(y1 - y0), x1 - x0, 0]) / length  # left of the way
+            normal = np.array([-(y1 - y0), x1 - x0, 0]) / length  # to the left of the direction
             distance = (eye - (x0, y0, 0)) @ normal
             if texture < 0 or (distance < 0 and not flags & TWO_SIDED):
                 continue
@@ -231,7 +231,7 @@ def random_rotation(rng):
 
 
 def random_scenes(seed, worlds=6, **more):
-    """Rooms with walls across, a hole in a patchwork floor, shelves, a fence and things."""
+    """Rooms with walls, a patchwork floor with a hole, shelves, a fence and meshes."""
     rng = np.random.default_rng(seed)
     scenes = Scenes(worlds, walls=10, flats=4, instances=5, tile_cells=12, **more)
     corners = ((0, 0), (5, 0), (5, 4), (0, 4))

@@ -1,4 +1,4 @@
-"""The objects of the playroom: their conventions, that none is like another, and their file."""
+"""The meshes of the playroom: their conventions, their differences and their file."""
 
 import importlib
 from itertools import combinations
@@ -123,16 +123,16 @@ def test_a_mesh_is_made_of_closed_surfaces_that_face_outwards(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_two_colours_lie_in_one_plane(name):
-    """They would be drawn in stripes of both."""
+    """The depth buffer could not decide between them."""
     vertices, triangles, parts = mesh(name)
     corners = vertices[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     offset = np.einsum("ti,ti->t", normals, corners[:, 0])
-    # [i, j]: how far triangle j goes from the plane of triangle i.
+    # [i, j]: the largest distance of triangle j from the plane of triangle i.
     far = np.abs(np.einsum("ik,jck->ijc", normals, corners) - offset[:, None, None]).max(axis=2)
     together = (far < 3e-5) & (normals @ normals.T > 0.999) & (parts[:, None] != parts)
-    together &= normals[:, 2:] > -0.99  # nobody sees what an object stands on
+    together &= normals[:, 2:] > -0.99  # the underside is never visible
     weights = np.array([(a, b, 6 - a - b) for a in range(1, 5) for b in range(1, 6 - a)]) / 6
     for i, j in zip(*np.nonzero(together), strict=True):
         axes = np.delete(np.arange(3), np.abs(normals[i]).argmax())
@@ -141,7 +141,7 @@ def test_no_two_colours_lie_in_one_plane(name):
 
 
 def heights(name: str, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
-    """Where a thing dropped at each (x, y) comes to rest: [len(xs) * len(ys)]."""
+    """The height of the topmost surface at each (x, y): [len(xs) * len(ys)]."""
     vertices, triangles, _ = mesh(name)
     corners = vertices[triangles]
     points = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
@@ -154,7 +154,7 @@ def heights(name: str, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
     return found
 
 
-def test_toys_lie_flat_on_the_bed_and_in_the_tray():
+def test_the_tops_of_bed_and_tray_are_level():
     bed = heights("bed", np.linspace(-0.301, 0.631, 23), np.linspace(-0.403, 0.401, 17))
     np.testing.assert_allclose(bed, 0.35, atol=1e-6)
     tray = heights("tray", np.linspace(-0.241, 0.243, 23), np.linspace(-0.161, 0.163, 17))
@@ -167,7 +167,7 @@ def test_toys_lie_flat_on_the_bed_and_in_the_tray():
 
 
 def silhouettes(name: str, yaws: np.ndarray) -> np.ndarray:
-    """bool [yaws, 32, 32]: what of a toy covers the background from 30 degrees above."""
+    """The outlines of a toy from 30 degrees above, by yaw: bool [yaws, 32, 32]."""
     vertices, triangles, _ = mesh(name)
     axis = (np.arange(32) + 0.5) / 32 * 0.5 - 0.25
     pixels = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
@@ -184,10 +184,11 @@ def silhouettes(name: str, yaws: np.ndarray) -> np.ndarray:
 
 
 def test_no_two_toys_are_alike():
-    """Seen from most sides, a toy's outline is not that of another from any side.
+    """From most sides, the outline of a toy differs from all outlines of the other toys.
 
-    The difference of two outlines is the share of what either covers that not both cover. A toy
-    is told from another by the median over its own sides of the least difference over the other's.
+    The difference of two outlines is one minus the ratio of their intersection to their union. Two
+    toys differ by the median, over the yaws of one, of the least difference over those of the
+    other.
     """
     yaws = np.radians(np.arange(0, 360, 30) + 10)
     views = {name: silhouettes(name, yaws) for name in TOYS}

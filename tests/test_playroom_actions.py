@@ -1,4 +1,4 @@
-"""The 46 actions: their names and magnitudes are the published ones, their signs are seen."""
+"""The 46 actions: names and magnitudes are the published ones, signs are tested by rendering."""
 
 import math
 
@@ -63,7 +63,7 @@ def test_the_table_is_the_published_one() -> None:
         assert pressed == expected, name
 
 
-# Signs, seen.
+# Signs, in the image.
 
 
 def watched(level: str = "lift/lift_shape_uniform") -> PlayroomVectorEnv:
@@ -71,7 +71,7 @@ def watched(level: str = "lift/lift_shape_uniform") -> PlayroomVectorEnv:
 
 
 def pixels(env: PlayroomVectorEnv, item: int = 0) -> NDArray[np.bool_]:
-    """Where in the image an object is seen, bool [72, 96]: what changes when it is hidden."""
+    """The pixels that show an object, bool [72, 96]: those that change when it is hidden."""
     with_it = env.observations()["image"][0]
     scenes = env._view.scenes
     mesh = int(scenes.mesh[0, item])
@@ -82,7 +82,7 @@ def pixels(env: PlayroomVectorEnv, item: int = 0) -> NDArray[np.bool_]:
 
 
 def middle(seen: NDArray[np.bool_]) -> tuple[float, float]:
-    """Row and column of the middle of what is seen."""
+    """Mean row and column of the pixels."""
     assert seen.sum() > 5
     row, column = np.argwhere(seen).mean(0)
     return float(row), float(column)
@@ -103,7 +103,7 @@ def middle(seen: NDArray[np.bool_]) -> tuple[float, float]:
 )
 @pytest.mark.parametrize("hand", ["", "GRAB_AND_"])
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
-def test_the_picture_moves_against_the_view(
+def test_the_image_moves_against_the_view(
     action: str, down: int, right: int, hand: str, yaw: float
 ) -> None:
     env = watched()
@@ -118,7 +118,7 @@ def test_the_picture_moves_against_the_view(
     assert along > 2 * abs(moved @ [right, down])
 
 
-def test_slight_strafing_goes_the_same_way() -> None:
+def test_slight_strafing_has_the_same_sign() -> None:
     env = watched()
     arrange(env)
     act(env, *["MOVE_RIGHT_SLIGHTLY"] * 8)
@@ -128,7 +128,7 @@ def test_slight_strafing_goes_the_same_way() -> None:
     assert env.worlds.agents[0, AY] > 0.01
 
 
-def test_going_forward_enlarges_what_is_ahead() -> None:
+def test_going_forward_enlarges_objects_ahead() -> None:
     env = watched()
     arrange(env, (-0.5, 0, 0, -0.3), {0: (1.2, 0)})
     sizes = [pixels(env).sum()]
@@ -140,12 +140,12 @@ def test_going_forward_enlarges_what_is_ahead() -> None:
     assert sizes[2] < 0.9 * sizes[1]
 
 
-def test_up_is_the_ceiling_and_down_the_floor() -> None:
+def test_looking_up_shows_the_ceiling_and_down_the_floor() -> None:
     env = watched()
     arrange(env)
 
     def seen(flat: int) -> float:
-        """The share of the image that a flat, the floor or the ceiling, takes."""
+        """The share of the image that a flat covers: the floor or the ceiling."""
         image = env.observations()["image"]
         scenes = env._view.scenes
         looks = scenes.flat_looks[0, flat].copy()
@@ -193,7 +193,7 @@ def test_how_far_an_action_turns(action: str, column: int, degrees: float, hand:
     np.testing.assert_allclose(env.worlds.agents[0, :2], 0, atol=1e-9)
 
 
-def test_turning_goes_round() -> None:
+def test_yaw_wraps_around() -> None:
     env = playroom()
     arrange(env)
     yaws = []
@@ -202,7 +202,7 @@ def test_turning_goes_round() -> None:
         yaws.append(env.worlds.agents[0, YAW])
     assert -math.pi <= min(yaws) < -3
     assert 3 < max(yaws) <= math.pi
-    assert yaws[44] == pytest.approx(0, abs=1e-9)  # 45 times 16 degrees are two rounds
+    assert yaws[44] == pytest.approx(0, abs=1e-9)  # 45 times 16 degrees are two turns
 
 
 @pytest.mark.parametrize("yaw", [0.0, math.pi / 2, -2.5])
@@ -250,12 +250,12 @@ def test_the_agents_top_speed() -> None:
         assert 0.96 * share * 2.7 < max(speeds[:7]) < share * 2.75
 
 
-# What the hand does to what it holds, seen.
+# The held object, in the image.
 
 
 def holding(name: str = "duck", facing: float = 0.0, distance: float = 1.2) -> PlayroomVectorEnv:
-    """A world that holds an object near the floor, `facing` radians to the left of straight on."""
-    env = watched("put/put_on_bed_tray_all")  # where lifting alone ends nothing
+    """A world whose agent holds an object near the floor, turned by `facing` radians."""
+    env = watched("put/put_on_bed_tray_all")  # lifting does not end the episode
     arrange(
         env, (0, 0, 0, 0), {0: (distance, 0, facing)}, [name, "candle", "dice"], furniture=APART
     )
@@ -269,7 +269,7 @@ APART = ((-1.2, 0.0, 0.0), (-0.2, 1.4, 0.0))
 
 
 @pytest.mark.parametrize("action", ["LOOK_RIGHT_FULL", "LOOK_LEFT_FULL", "LOOK_UP_FULL"])
-def test_what_is_held_stays_in_the_middle_of_the_view(action: str) -> None:
+def test_a_held_object_stays_in_the_middle_of_the_view(action: str) -> None:
     env = holding("bottle")
     before = env.worlds.agents.copy()
     act(env, *[f"GRAB_AND_{action}"] * 4, "GRAB")
@@ -279,7 +279,7 @@ def test_what_is_held_stays_in_the_middle_of_the_view(action: str) -> None:
     assert np.degrees(np.abs(env.worlds.agents - before).max()) > 45
 
 
-def test_looking_up_raises_what_is_held() -> None:
+def test_looking_up_raises_the_held_object() -> None:
     env = holding()
     heights = [env.worlds.objects[0, 0, Z]]
     for _ in range(5):
@@ -319,7 +319,7 @@ def test_how_far_an_action_pushes() -> None:
 
 @pytest.mark.parametrize(("action", "right"), [("SPIN_RIGHT", 1), ("SPIN_LEFT", -1)])
 def test_spinning_right_turns_the_front_to_the_right(action: str, right: int) -> None:
-    """The duck's head is above its front, so it is seen on that side of the body."""
+    """The duck's head is above its front, so it appears on that side of the body."""
     env = holding("duck")
     act(env, "GRAB_AND_LOOK_UP_FULL", *[f"GRAB_AND_{action}"] * 4)
     seen = pixels(env)
@@ -338,14 +338,14 @@ def test_spinning_forward_tips_the_top_to_the_right(action: str, right: int) -> 
     env = holding("bottle")
     act(env, "GRAB_AND_LOOK_UP_FULL", f"GRAB_AND_{action}")
     rows, columns = np.argwhere(pixels(env)).T
-    assert np.cov(rows, columns)[0, 1] * right < -5  # smaller rows are higher
+    assert np.cov(rows, columns)[0, 1] * right < -5  # rows are counted from the top
     assert env.worlds.orientation[0, 0, 2, 2] == pytest.approx(math.cos(math.radians(24)))
 
 
 @pytest.mark.parametrize(("action", "up"), [("SPIN_UP", 1), ("SPIN_DOWN", -1)])
 @pytest.mark.parametrize("yaw", [0.0, 1.0])
 def test_spinning_up_turns_the_front_up(action: str, up: int, yaw: float) -> None:
-    """Seen from the agent's right, where what was ahead of it is on the right."""
+    """From the agent's right side, where the agent's forward direction is to the right."""
     env = holding("bus")
     env.worlds.agents[0, YAW] = yaw
     act(env, *["GRAB"] * 4)
@@ -364,7 +364,7 @@ def test_spinning_up_turns_the_front_up(action: str, up: int, yaw: float) -> Non
     assert env.worlds.orientation[0, 0, 2, 0] == pytest.approx(up * math.sin(math.radians(24)))
 
 
-def test_spins_undo_each_other() -> None:
+def test_opposite_spins_cancel() -> None:
     env = holding("duck", 0.7)
     before = env.worlds.orientation.copy()
     spins = ["SPIN_RIGHT", "SPIN_UP", "SPIN_FORWARD"]

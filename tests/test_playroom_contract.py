@@ -1,4 +1,4 @@
-"""The playroom as users of Gymnasium meet it: every level, bad input, states, pickles."""
+"""The playroom as a Gymnasium environment: every level, bad input, states, pickles."""
 
 import copy
 import pickle
@@ -63,7 +63,7 @@ def test_the_other_order_keeps_the_contract() -> None:
 
 
 def test_a_mixture_keeps_the_contract() -> None:
-    """Of levels that are all the same, so that every world has the same single world."""
+    """The levels are all the same, because the check compares with one single world."""
     name = "playroom/put/put_near_bed_tray_frequent"
     makers = {str(number): partial(make_vec, name, **SMALL) for number in range(2)}
     check_vector_env(partial(Mixture, makers), partial(make, name, **SMALL), num_envs=3, steps=45)
@@ -164,7 +164,7 @@ def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:
             attempt()
 
 
-def test_an_unknown_way_to_render_is_refused() -> None:
+def test_an_unknown_render_mode_is_refused() -> None:
     for make_env in (PlayroomEnv, PlayroomVectorEnv):
         with pytest.raises(ValueError, match=r"render_mode must be one of \['rgb_array'\] or None"):
             make_env(render_mode="human")
@@ -184,8 +184,8 @@ def played(level: str, steps: int, **options: Any) -> PlayroomVectorEnv:
 
 
 @pytest.mark.parametrize("level", ["put/put_on_bed_tray_all", "put/lift_shape_many_zipf1"])
-def test_everything_goes_on_from_a_state(level: str) -> None:
-    """Down to what no observation shows: speeds, heights, orientations."""
+def test_stepping_continues_from_a_state(level: str) -> None:
+    """Including speeds, heights and orientations, which no observation shows."""
     env = played(level, 150)
     fresh = PlayroomVectorEnv(3, level, **{**SMALL, "max_steps": 200})
     fresh.set_state(env.get_state())
@@ -202,7 +202,7 @@ def test_everything_goes_on_from_a_state(level: str) -> None:
                 )
 
 
-def test_a_damaged_state_is_refused_before_anything_is_taken() -> None:
+def test_a_damaged_state_is_refused_and_changes_nothing() -> None:
     env = played("put/put_on_bed_tray_all", 30)
     before = env.get_state()
     kept = {
@@ -238,8 +238,8 @@ def test_a_damaged_state_is_refused_before_anything_is_taken() -> None:
 
 
 @pytest.mark.parametrize("level", ["lift/lift_shape_zipf4", "put/put_on_bed_tray_rare"])
-def test_states_that_never_were_but_could_have_been_are_played(level: str) -> None:
-    """Whatever is in range: other streams, ranks that a level never draws, ends played over."""
+def test_any_state_in_range_is_accepted(level: str) -> None:
+    """Other streams, ranks that a level never draws, actions after the end of an episode."""
     env = played(level, 10)
     rng = np.random.default_rng(2)
     for fill in (0, None, np.iinfo(np.uint64).max):
@@ -258,7 +258,7 @@ def test_states_that_never_were_but_could_have_been_are_played(level: str) -> No
         assert np.isfinite(env.worlds.objects).all()
 
 
-def test_worlds_that_never_began_may_be_seen() -> None:
+def test_worlds_without_an_episode_can_be_observed() -> None:
     env = PlayroomVectorEnv(3, "put/put_on_bed_tray_all", autoreset_mode="Disabled", **SMALL)
     mask = np.array([False, True, False])
     observation, info = env.reset(seed=0, options={"reset_mask": mask})
@@ -269,10 +269,10 @@ def test_worlds_that_never_began_may_be_seen() -> None:
     np.testing.assert_equal(pickle.loads(pickle.dumps(env)).observations(), observation)
 
 
-# Watching.
+# Frames.
 
 
-def test_frames_are_larger_and_say_the_instruction() -> None:
+def test_frames_are_larger_and_show_the_instruction() -> None:
     batch = PlayroomVectorEnv(2, "put/put_on_bed_tray_all", render_mode="rgb_array", **SMALL)
     batch.reset(seed=4)
     frames = batch.render()
@@ -287,7 +287,7 @@ def test_frames_are_larger_and_say_the_instruction() -> None:
     assert (frames[0] != frames[1]).any()
 
 
-def test_what_is_seen_does_not_change_what_happens() -> None:
+def test_the_image_size_does_not_change_the_episodes() -> None:
     sizes = [(1, 1), (5, 3), (72, 96)]
     envs = [PlayroomVectorEnv(4, "put/lift_shape_uniform", image_size=size) for size in sizes]
     for env in envs:

@@ -1,4 +1,4 @@
-"""The hand, and what happens to what it takes, holds, throws and lets go."""
+"""The hand: gripping, holding, throwing and releasing objects, and pushing by the body."""
 
 import math
 from typing import Any
@@ -13,11 +13,11 @@ from zipf.envs.playroom.geometry import rectangle_gap
 from zipf.envs.playroom.state import ANGLE, FLOOR, HELD, HOLD, ON_BED, ON_TRAY, PITCH, YAW, X, Y, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
-FREE = "put/put_on_bed_tray_all"  # where lifting ends nothing
+FREE = "put/put_on_bed_tray_all"  # lifting does not end the episode
 
 
 def held(env: PlayroomVectorEnv) -> int:
-    """The object in the hand, or -1; everything that says so must agree."""
+    """The held object, or -1; checks that `hands` and `status` agree."""
     item = int(env.worlds.hands[0])
     np.testing.assert_array_equal(
         np.flatnonzero(env.worlds.status[0] == HELD), [item] if item >= 0 else []
@@ -26,17 +26,17 @@ def held(env: PlayroomVectorEnv) -> int:
 
 
 def gap(env: PlayroomVectorEnv, item: int, piece: int) -> float:
-    """From an object's middle to a piece of furniture, 0 over it."""
+    """The distance of an object's centre from a piece of furniture, 0 above it."""
     x, y = env.worlds.objects[0, item, :2]
     return rectangle_gap(env.worlds.furniture[0, piece], FURNITURE_SIZE[piece], x, y)
 
 
 def distances(env: PlayroomVectorEnv) -> np.ndarray:
-    """Of the objects from the agent."""
+    """The distances of the objects from the agent."""
     return np.linalg.norm(env.worlds.objects[0, :, :2] - env.worlds.agents[0, :2], axis=1)
 
 
-# Taking.
+# Gripping.
 
 
 @pytest.mark.parametrize(("distance", "taken"), [(0.7, True), (1.7, True), (2.1, False)])
@@ -48,7 +48,7 @@ def test_the_hand_reaches_two_metres(distance: float, taken: bool) -> None:
     assert held(env) == (0 if taken else -1)
 
 
-def test_the_hand_takes_what_it_points_at() -> None:
+def test_the_hand_grips_the_object_it_points_at() -> None:
     env = playroom()
     poses = {0: (1.0, 0.4), 1: (1.0, -0.4), 2: (0.9, 0.0)}
     for item in range(3):
@@ -62,7 +62,7 @@ def test_the_hand_takes_what_it_points_at() -> None:
 
 
 @pytest.mark.parametrize(("aside", "taken"), [(0.1, True), (0.16, False)])
-def test_the_hand_may_point_a_little_beside(aside: float, taken: bool) -> None:
+def test_the_hand_may_point_slightly_beside_an_object(aside: float, taken: bool) -> None:
     env = playroom()
     arrange(env, items={0: (1.0, 0.0)}, names=("bottle", "dice", "robot"))
     look_at(env, 0)
@@ -72,7 +72,7 @@ def test_the_hand_may_point_a_little_beside(aside: float, taken: bool) -> None:
 
 
 @pytest.mark.parametrize("distance", [1.15, 2.0])
-def test_what_is_nearer_is_taken(distance: float) -> None:
+def test_the_nearer_object_is_gripped(distance: float) -> None:
     env = playroom()
     arrange(env, items={0: (1.5, 0), 1: (distance, 0)}, names=("bottle", "dice", "robot"))
     look_at(env, 0)
@@ -81,7 +81,7 @@ def test_what_is_nearer_is_taken(distance: float) -> None:
 
 
 @pytest.mark.parametrize("level", ["lift/lift_shape_uniform", FREE])
-def test_what_is_behind_the_bed_is_not_taken(level: str) -> None:
+def test_an_object_behind_the_bed_is_not_gripped(level: str) -> None:
     env = playroom(level)
     arrange(env, (-1.2, 1.1, 0, 0), {0: (-1.2, -0.6)})
     look_at(env, 0)
@@ -90,7 +90,7 @@ def test_what_is_behind_the_bed_is_not_taken(level: str) -> None:
 
 
 @pytest.mark.parametrize(("place", "height"), [(BED, 0.35), (TRAY, 0.03)])
-def test_what_lies_on_a_support_is_taken(place: Any, height: float) -> None:
+def test_an_object_on_a_support_is_gripped(place: Any, height: float) -> None:
     env = playroom(FREE)
     arrange(env, items={0: (0.8 * place[0], 0.9 * place[1], 0, height)}, task="on bed")
     look_at(env, 0)
@@ -101,14 +101,14 @@ def test_what_lies_on_a_support_is_taken(place: Any, height: float) -> None:
 # Holding.
 
 
-def test_gripping_on_keeps_the_object() -> None:
+def test_further_gripping_keeps_the_object() -> None:
     env = playroom(FREE)
     arrange(env, items={0: (1.0, 0.3), 1: (1.0, -0.3)}, task="on bed")
     look_at(env, 0)
     for _ in range(4):
         act(env, "GRAB")
         assert held(env) == 0
-    for _ in range(6):  # across the other one
+    for _ in range(6):  # past the other object
         act(env, "GRAB_AND_LOOK_RIGHT_MID")
         assert held(env) == 0
 
@@ -135,7 +135,7 @@ def test_every_gripping_action_holds(action: int) -> None:
     assert held(env) == 0, ACTIONS[action]
 
 
-def test_looking_up_at_arms_length_reaches_the_ceiling_and_no_farther() -> None:
+def test_looking_up_raises_an_object_to_the_ceiling_at_most() -> None:
     env = playroom(FREE)
     arrange(env, items={0: (1.2, 0.0)}, task="on bed")
     look_at(env, 0)
@@ -147,7 +147,7 @@ def test_looking_up_at_arms_length_reaches_the_ceiling_and_no_farther() -> None:
 
 
 @pytest.mark.parametrize("yaw", np.linspace(-3, 3, 7))
-def test_what_is_held_stays_in_the_room(yaw: float) -> None:
+def test_a_held_object_stays_in_the_room(yaw: float) -> None:
     env = playroom(FREE)
     place = 0.9 * math.cos(yaw), 0.9 * math.sin(yaw)
     arrange(env, (0, 0, yaw, 0), {0: place}, ("dice", "candle", "robot"), task="on bed",
@@ -164,14 +164,14 @@ def test_what_is_held_stays_in_the_room(yaw: float) -> None:
 
 @pytest.mark.parametrize("height", [0.0, 0.05, 0.12, 0.2])
 @pytest.mark.parametrize("move", ["MOVE_FORWARD_FULL", "PUSH_AWAY_FULL"])
-def test_what_is_held_low_does_not_enter_the_bed(height: float, move: str) -> None:
+def test_an_object_held_low_does_not_enter_the_bed(height: float, move: str) -> None:
     env = playroom(FREE)
     arrange(env, (0.9, 0.05, math.pi, 0), {0: (-0.2, 0.05)}, task="on tray",
             furniture=(BED, (1.2, 1.5, 0.0)))  # fmt: skip
     look_at(env, 0)
     act(env, "GRAB")
     for _ in range(25):
-        # Held at this height, whatever the distance.
+        # Keep it at this height at any distance.
         agent = env.worlds.agents[0]
         below = height + env.worlds.extents[env.worlds.ranks[0, 0], 2] / 2 - EYE
         agent[PITCH] = math.asin(max(below / agent[HOLD], -0.95))
@@ -181,22 +181,22 @@ def test_what_is_held_low_does_not_enter_the_bed(height: float, move: str) -> No
     assert gap(env, 0, 0) < 0.25
 
 
-def test_what_is_held_high_goes_over_the_bed() -> None:
+def test_an_object_held_high_goes_over_the_bed() -> None:
     env = playroom(FREE)
     arrange(env, (0.4, 0, math.pi, 0), {0: (-0.3, 0)}, task="on tray",
             furniture=(BED, (1.2, 1.5, 0.0)))  # fmt: skip
     look_at(env, 0)
     act(env, "GRAB", *["GRAB_AND_LOOK_UP_FULL"] * 2, *["GRAB_AND_MOVE_FORWARD_FULL"] * 8)
     assert gap(env, 0, 0) == 0
-    # It cannot be pressed into the mattress.
+    # It cannot be pushed into the mattress.
     act(env, *["GRAB_AND_LOOK_DOWN_FULL"] * 4)
     assert env.worlds.objects[0, 0, Z] == 0.35
 
 
-# Letting go.
+# Releasing.
 
 
-def test_what_is_let_go_falls_to_the_floor() -> None:
+def test_a_released_object_falls_to_the_floor() -> None:
     env = playroom(FREE)
     arrange(env, items={0: (1.0, 0.0, 0.0, 1.0)}, task="on bed")
     heights = [1.0]
@@ -215,7 +215,9 @@ def test_what_is_let_go_falls_to_the_floor() -> None:
     ("place", "height", "where"),
     [(BED, 0.35, ON_BED), (TRAY, 0.03, ON_TRAY)],
 )
-def test_what_is_let_go_over_a_support_lands_on_it(place: Any, height: float, where: int) -> None:
+def test_an_object_released_over_a_support_lands_on_it(
+    place: Any, height: float, where: int
+) -> None:
     env = playroom(FREE)
     spot = place[0] + 0.1, place[1] - 0.1
     arrange(env, (0, -1.2, 0, 0), {1: (*spot, 0.0, 1.2)}, task="on bed")
@@ -226,7 +228,7 @@ def test_what_is_let_go_over_a_support_lands_on_it(place: Any, height: float, wh
 
 
 @pytest.mark.parametrize("side", [0.02, 0.1, 0.2])
-def test_what_falls_beside_the_bed_comes_to_lie_beside_it(side: float) -> None:
+def test_an_object_that_falls_beside_the_bed_ends_beside_it(side: float) -> None:
     env = playroom(FREE)
     names = ("dice", "candle", "robot")
     arrange(env, (1.0, 0, 0, 0), {0: (-0.5 + side, 0.0, 0.0, 1.0)}, names, task="on bed")
@@ -250,12 +252,12 @@ def test_a_throw_keeps_its_momentum() -> None:
     flight = places[0] - before[:2]
     tangent = np.array([-math.sin(env.worlds.agents[0, YAW]), math.cos(env.worlds.agents[0, YAW])])
     assert np.linalg.norm(flight) > 0.1
-    assert flight @ tangent > 0.8 * np.linalg.norm(flight)  # where the hand was going
+    assert flight @ tangent > 0.8 * np.linalg.norm(flight)  # the direction of the hand
     moves = np.linalg.norm(np.diff(places, axis=0), axis=1)
     assert (np.diff(moves) < 0).all()
 
 
-def test_what_was_spun_stands_up_again() -> None:
+def test_a_spun_object_stands_up_again() -> None:
     env = playroom(FREE)
     for spins in (["SPIN_UP"] * 7, ["SPIN_FORWARD"] * 4, ["SPIN_RIGHT"] * 3, ["SPIN_DOWN"] * 4):
         arrange(env, items={0: (1.0, 0.0)}, task="on bed")
@@ -271,7 +273,7 @@ def test_what_was_spun_stands_up_again() -> None:
             assert math.degrees(angle) == pytest.approx(-72)
 
 
-def test_what_is_let_go_on_another_object_comes_to_lie_beside_it() -> None:
+def test_an_object_released_on_another_ends_beside_it() -> None:
     env = playroom()
     arrange(env, items={0: (1.0, 0.0, 0.0, 1.0), 1: (1.05, 0.02)}, names=("dice", "dice", "ball"))
     act(env, *["NOOP"] * 30)
@@ -279,7 +281,7 @@ def test_what_is_let_go_on_another_object_comes_to_lie_beside_it() -> None:
     assert np.linalg.norm(env.worlds.objects[0, 0, :2] - env.worlds.objects[0, 1, :2]) > 0.39
 
 
-def test_what_falls_on_the_agent_comes_to_lie_beside_it() -> None:
+def test_an_object_that_falls_on_the_agent_ends_beside_it() -> None:
     env = playroom()
     arrange(env, items={0: (0.01, 0.0, 0.0, 2.0)}, names=("dice", "dice", "ball"))
     act(env, *["NOOP"] * 30)
@@ -293,7 +295,7 @@ def test_what_falls_on_the_agent_comes_to_lie_beside_it() -> None:
 # Pushing with the body.
 
 
-def test_the_body_pushes_what_is_loose() -> None:
+def test_the_body_pushes_loose_objects() -> None:
     env = playroom()
     arrange(env, (-1.5, 0, 0, 0), {0: (-0.7, 0.0), 1: (0.3, 0.05)}, ("dice", "dice", "ball"))
     act(env, *["MOVE_FORWARD_FULL"] * 9)
@@ -306,7 +308,7 @@ def test_the_body_pushes_what_is_loose() -> None:
 
 
 @pytest.mark.parametrize("place", [BED, TRAY])
-def test_furniture_stands_firm(place: Any) -> None:
+def test_furniture_does_not_move(place: Any) -> None:
     env = playroom(FREE)
     arrange(
         env, (0.0, 0, math.pi if place[0] < 0 else 0, 0), {0: (place[0] * 0.3, 0.0)}, task="on bed"
@@ -322,7 +324,7 @@ def test_furniture_stands_firm(place: Any) -> None:
     assert env.worlds.objects[0, 0, Z] == 0
 
 
-def test_what_lies_on_the_bed_is_not_pushed_by_the_body() -> None:
+def test_the_body_does_not_push_an_object_on_the_bed() -> None:
     env = playroom(FREE)
     arrange(env, (0.5, 0, math.pi, 0), {0: (-0.55, 0.0, 0.0, 0.35)}, task="on bed")
     act(env, *["MOVE_FORWARD_FULL"] * 15)

@@ -1,4 +1,4 @@
-"""Whatever is done, nothing leaves the room, gets lost, goes through things or becomes NaN."""
+"""Under any actions, objects stay in the room, outside of each other, and finite."""
 
 import numpy as np
 import pytest
@@ -16,12 +16,12 @@ from zipf.envs.playroom.vector import PlayroomVectorEnv
 LEVELS = ("lift/lift_shape_uniform", "put/put_on_bed_tray_all", "put/lift_shape_many_zipf1")
 N = 3
 OVERLAP = 0.15
-"""How deep what hits or is squeezed may be in a wall or in furniture for a moment, metres: in one
-frame the agent comes 0.09 m far."""
+"""How deep an object may be in a wall or in furniture for a moment, metres: the agent moves 0.09 m
+in one frame."""
 
 
 class Endless(PlayroomVectorEnv):
-    """Episodes go on whatever happens, so that everything may happen in them."""
+    """Episodes do not terminate, so that anything can happen in them."""
 
     def _advance(self, actions: NDArray[np.int64], mask: NDArray[np.bool_]) -> tuple:
         reward, terminated, truncated, success = super()._advance(actions, mask)
@@ -40,52 +40,50 @@ def inside(pose: NDArray, size: NDArray, x: float, y: float) -> float:
 
 
 def check(env: PlayroomVectorEnv, ranks: NDArray[np.int64], overlap: float = OVERLAP) -> None:
-    """Raises unless the worlds are whole."""
-    half = ROOM / 2
-    np.testing.assert_array_equal(
-        env.worlds.ranks, ranks
-    )  # nothing is lost or becomes something else
-    for values in (env.worlds.agents, env.worlds.objects, env.worlds.orientation):
+    """Raises unless the state of all worlds is consistent."""
+    worlds, half = env.worlds, ROOM / 2
+    np.testing.assert_array_equal(worlds.ranks, ranks)
+    for values in (worlds.agents, worlds.objects, worlds.orientation):
         assert np.isfinite(values).all()
-    # In the room.
-    assert (np.abs(env.worlds.agents[:, [AX, AY]]) <= half - AGENT_RADIUS + overlap).all()
-    width = env.worlds.extents[env.worlds.ranks, :2].min(-1) / 2
-    assert (np.abs(env.worlds.objects[:, :, :2]).max(-1) <= half - width + overlap).all()
-    heights, tops = env.worlds.objects[:, :, Z], env.worlds.extents[env.worlds.ranks, 2]
+    # Everything is in the room.
+    assert (np.abs(worlds.agents[:, [AX, AY]]) <= half - AGENT_RADIUS + overlap).all()
+    width = worlds.extents[worlds.ranks, :2].min(-1) / 2
+    assert (np.abs(worlds.objects[:, :, :2]).max(-1) <= half - width + overlap).all()
+    heights, tops = worlds.objects[:, :, Z], worlds.extents[worlds.ranks, 2]
     assert (heights >= 0).all()
     assert (heights + tops <= CEILING + 1e-9).all()
-    # Angles and the hand.
-    assert (np.abs(env.worlds.agents[:, YAW]) <= np.pi).all()
-    assert (env.worlds.agents[:, PITCH] >= LOWEST).all()
-    assert (env.worlds.agents[:, PITCH] <= HIGHEST).all()
-    held = env.worlds.status == HELD
-    assert (held.sum(1) == (env.worlds.hands >= 0)).all()
-    for i in np.flatnonzero(env.worlds.hands >= 0):
-        assert held[i, env.worlds.hands[i]]
-        assert NEAREST_HOLD <= env.worlds.agents[i, HOLD] <= REACH
-        assert env.worlds.agents[i, BASE] >= 0
-    product = np.einsum("njrk,njrl->njkl", env.worlds.orientation, env.worlds.orientation)
+    # Angles and the hand are in range.
+    assert (np.abs(worlds.agents[:, YAW]) <= np.pi).all()
+    assert (worlds.agents[:, PITCH] >= LOWEST).all()
+    assert (worlds.agents[:, PITCH] <= HIGHEST).all()
+    held = worlds.status == HELD
+    assert (held.sum(1) == (worlds.hands >= 0)).all()
+    for i in np.flatnonzero(worlds.hands >= 0):
+        assert held[i, worlds.hands[i]]
+        assert NEAREST_HOLD <= worlds.agents[i, HOLD] <= REACH
+        assert worlds.agents[i, BASE] >= 0
+    product = np.einsum("njrk,njrl->njkl", worlds.orientation, worlds.orientation)
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-9)
-    np.testing.assert_allclose(np.linalg.det(env.worlds.orientation), 1, atol=1e-9)
-    # Where things are said to be, they are.
+    np.testing.assert_allclose(np.linalg.det(worlds.orientation), 1, atol=1e-9)
+    # The status agrees with the poses.
     top = np.array([0, 0, 0, FURNITURE_SIZE[0, 2], FURNITURE_SIZE[1, 2]])
-    resting = (env.worlds.status != AIR) & ~held
-    np.testing.assert_array_equal(heights[resting], top[env.worlds.status][resting])
-    assert (env.worlds.still <= STILL_STEPS).all()
+    resting = (worlds.status != AIR) & ~held
+    np.testing.assert_array_equal(heights[resting], top[worlds.status][resting])
+    assert (worlds.still <= STILL_STEPS).all()
     if not env.level.furnished:
-        assert (env.worlds.status <= HELD).all()
+        assert (worlds.status <= HELD).all()
         return
     for i in range(env.num_envs):
-        pieces = list(zip(env.worlds.furniture[i], FURNITURE_SIZE, strict=True))
+        pieces = list(zip(worlds.furniture[i], FURNITURE_SIZE, strict=True))
         for k, (pose, size) in enumerate(pieces):
-            # A held object slides onto the tray; nobody goes into the bed but from above.
-            assert inside(pose, size, *env.worlds.agents[i, :2]) == 0
-            for j in range(env.worlds.objects.shape[1]):
-                depth = inside(pose, size, *env.worlds.objects[i, j, :2])
-                low = held[i, j] and k == 0 and env.worlds.objects[i, j, Z] < 0.25
-                if env.worlds.status[i, j] == ON_BED + k:
+            # A held object may slide onto the tray, but reaches the bed only from above.
+            assert inside(pose, size, *worlds.agents[i, :2]) == 0
+            for j in range(worlds.objects.shape[1]):
+                depth = inside(pose, size, *worlds.objects[i, j, :2])
+                low = held[i, j] and k == 0 and worlds.objects[i, j, Z] < 0.25
+                if worlds.status[i, j] == ON_BED + k:
                     assert depth > 0
-                elif low or env.worlds.status[i, j] == FLOOR:
+                elif low or worlds.status[i, j] == FLOOR:
                     assert depth <= overlap
 
 
@@ -99,8 +97,8 @@ def play(env: PlayroomVectorEnv, actions: NDArray[np.int64]) -> None:
     check(env, ranks, 0.03)
 
 
-def moods(rng: np.random.Generator, steps: int) -> NDArray[np.int64]:
-    """Actions that are kept up for a while, the hand open or closed: random ones stay in place."""
+def repeated_actions(rng: np.random.Generator, steps: int) -> NDArray[np.int64]:
+    """Random actions, each repeated for a while: independent ones would stay in place."""
     actions = np.empty((steps, N), np.int64)
     for i in range(N):
         t = 0
@@ -115,19 +113,21 @@ def moods(rng: np.random.Generator, steps: int) -> NDArray[np.int64]:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-@given(seed=st.integers(0, 2**32), kept_up=st.booleans())
+@given(seed=st.integers(0, 2**32), repeated=st.booleans())
 @settings(max_examples=12, deadline=None)
-def test_whatever_is_done_the_world_stays_whole(level: str, seed: int, kept_up: bool) -> None:
+def test_the_state_stays_consistent_under_any_actions(
+    level: str, seed: int, repeated: bool
+) -> None:
     env = Endless(N, level, image_size=(1, 1))
     env.reset(seed=seed)
     rng = np.random.default_rng(seed)
-    play(env, moods(rng, 120) if kept_up else rng.integers(46, size=(120, N)))
+    play(env, repeated_actions(rng, 120) if repeated else rng.integers(46, size=(120, N)))
 
 
 @given(actions=st.lists(st.integers(0, 45), min_size=1, max_size=60), seed=st.integers(0, 1000))
 @settings(max_examples=25, deadline=None)
 def test_the_same_actions_give_the_same_episode(actions: list[int], seed: int) -> None:
-    """Whatever was played before, and whoever plays beside."""
+    """Whatever was played before, and whatever happens in other worlds."""
     options = {"image_size": (3, 4), "autoreset_mode": "Disabled"}
     env, other = (PlayroomVectorEnv(n, LEVELS[1], **options) for n in (1, 2))
     other.reset(seed=77)
@@ -143,11 +143,11 @@ def test_the_same_actions_give_the_same_episode(actions: list[int], seed: int) -
         np.testing.assert_array_equal([end[0] for end in ends], [end[1] for end in others])
 
 
-def test_a_state_goes_on_from_any_step() -> None:
+def test_a_state_can_be_continued_from_any_step() -> None:
     rng = np.random.default_rng(0)
     env = Endless(N, LEVELS[1], image_size=(1, 1))
     env.reset(seed=0)
-    actions = moods(rng, 240)
+    actions = repeated_actions(rng, 240)
     for t in range(0, 240, 40):
         other = Endless(N, LEVELS[1], image_size=(1, 1))
         other.set_state(env.get_state())
@@ -161,7 +161,7 @@ def test_a_state_goes_on_from_any_step() -> None:
 
 
 def test_pushing_into_corners_for_minutes() -> None:
-    """Each world drives about with full force, turning now and then."""
+    """In every world the agent moves with full force and turns now and then."""
     env = Endless(N, LEVELS[2], image_size=(1, 1))
     for seed in range(2):
         env.reset(seed=seed)
@@ -180,7 +180,7 @@ def test_throwing_at_walls_and_furniture() -> None:
     flying = 0
     for seed in range(12):
         env.reset(seed=seed)
-        for i in range(N):  # in the hand from the start, wherever it was
+        for i in range(N):  # held from the start, wherever the object is
             env.worlds.hands[i], env.worlds.status[i, 0] = 0, HELD
             env.worlds.agents[i, HOLD] = 1.5
         ranks = env.worlds.ranks.copy()
@@ -194,8 +194,8 @@ def test_throwing_at_walls_and_furniture() -> None:
     assert flying > 20
 
 
-def test_a_heap_comes_apart() -> None:
-    """Six objects in one place, in a corner."""
+def test_overlapping_objects_are_separated() -> None:
+    """Six objects in one place, near a corner."""
     for corner in (1.75, 1.0):
         env = Endless(N, LEVELS[2], image_size=(1, 1))
         env.reset(seed=0)

@@ -1,4 +1,4 @@
-"""What an episode is drawn at: objects, targets, tasks, instructions, colours and poses."""
+"""How episodes are drawn: objects, targets, tasks, instructions, colours and poses."""
 
 import itertools
 from typing import Any
@@ -22,7 +22,7 @@ N = 500
 
 @pytest.fixture(autouse=True)
 def _no_physics(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing here is stepped, and building the physics of thousands of rooms takes long."""
+    """No episode is stepped here, and building the physics of thousands of rooms takes long."""
     monkeypatch.setattr("zipf.envs.playroom.vector.Room", lambda *args: None)
 
 
@@ -142,7 +142,7 @@ def test_tasks_are_those_of_the_level(level: str) -> None:
 
 
 @pytest.mark.parametrize("level", list(LEVELS))
-def test_instructions_say_what_is_asked(level: str) -> None:
+def test_instructions_name_the_task_and_the_target(level: str) -> None:
     env = PlayroomVectorEnv(200, level, image_size=(1, 1))
     observation, info = env.reset(seed=3)
     for i in range(200):
@@ -159,7 +159,7 @@ def test_instructions_say_what_is_asked(level: str) -> None:
         np.testing.assert_array_equal(VOCABULARY.encode(text), observation["instruction"][i])
 
 
-def test_the_other_order_is_a_permutation_that_keeps_nothing_in_place() -> None:
+def test_the_alternate_order_is_an_unrelated_permutation() -> None:
     assert sorted(ALTERNATE) == sorted(OBJECTS)
     assert len(set(OBJECTS)) == 50
     assert sum(a == b for a, b in zip(OBJECTS, ALTERNATE, strict=True)) <= 3
@@ -172,7 +172,7 @@ def test_the_other_order_is_a_permutation_that_keeps_nothing_in_place() -> None:
     info = env.reset(seed=0)[1]
     expected = [f"lift a {ALTERNATE[rank]}" for rank in info["target"]]
     assert info["instruction"].tolist() == expected
-    # The order changes names and looks, not what is drawn.
+    # The order changes names and meshes, but not the ranks.
     other = PlayroomVectorEnv(50, "lift/lift_shape_uniform", image_size=(1, 1)).reset(seed=0)[1]
     np.testing.assert_array_equal(info["target"], other["target"])
 
@@ -192,7 +192,7 @@ def test_ranks_are_forced_in_any_combination(level: str) -> None:
             for name in forced:
                 assert (info[name] == values[name]).all()
             ranks = np.sort(np.stack([info[name] for name in names]), axis=0)
-            assert (np.diff(ranks, axis=0) > 0).all()  # what is drawn keeps clear of what is forced
+            assert (np.diff(ranks, axis=0) > 0).all()  # drawn ranks differ from forced ones
 
 
 def test_equal_ranks_may_be_forced() -> None:
@@ -222,7 +222,7 @@ def test_forcing_does_not_change_the_episodes_that_follow(level: str) -> None:
         np.testing.assert_array_equal(env.worlds.objects, poses)
 
 
-def test_tasks_may_be_forced_beyond_the_levels_own() -> None:
+def test_any_task_may_be_forced() -> None:
     env = PlayroomVectorEnv(5, "put/lift_shape_uniform", image_size=(1, 1))
     info = env.reset(seed=0, options={"task": np.arange(5)})[1]
     relations = [str(text).split(" ", 3)[3:] for text in info["instruction"]]
@@ -233,7 +233,7 @@ def test_tasks_may_be_forced_beyond_the_levels_own() -> None:
 
 
 def begun(level: str, num_envs: int, **forced: int) -> PlayroomVectorEnv:
-    """Many worlds at the beginning of an episode, which are not stepped."""
+    """Many worlds at the beginning of an episode."""
     env = PlayroomVectorEnv(num_envs, level, image_size=(1, 1))
     env.reset(seed=0, options=forced)
     return env
@@ -276,7 +276,7 @@ def test_nothing_overlaps_at_the_start(level: str) -> None:
         assert gap > 2 * AGENT_RADIUS + 0.375  # the agent fits between bed and tray
 
 
-def test_poses_and_colours_are_anywhere() -> None:
+def test_poses_and_colours_cover_their_ranges() -> None:
     env = begun("put/put_on_bed_tray_all", 1500)
     eight = np.full(8, 1 / 8)
 
@@ -287,7 +287,7 @@ def test_poses_and_colours_are_anywhere() -> None:
     assert fits(octants(env.worlds.furniture[:, 1, 2]), eight)
     for j in range(3):
         assert fits(octants(env.worlds.objects[:, j, ANGLE]), eight)
-        # No corner of the room is preferred.
+        # All corners of the room are equally likely.
         x, y = env.worlds.objects[:, j, :2].T
         assert fits(np.bincount(2 * (x > 0) + (y > 0), minlength=4), np.full(4, 0.25))
     quarter = np.bincount((np.round(env.worlds.furniture[:, 0, 2] / (np.pi / 2)) % 4).astype(int))
@@ -297,8 +297,8 @@ def test_poses_and_colours_are_anywhere() -> None:
     assert (env.worlds.agents[:, PITCH] == FIRST_PITCH).all()
 
 
-def test_colours_tell_nothing_about_the_object() -> None:
-    """Of the target in the same worlds, whichever it is."""
+def test_colours_do_not_depend_on_the_object() -> None:
+    """The colours of the target are the same for every rank."""
     means = []
     for rank in (0, 25, 49):
         env = begun("lift/lift_shape_uniform", 1500, target=rank)
@@ -306,7 +306,7 @@ def test_colours_tell_nothing_about_the_object() -> None:
     assert np.ptp(means, axis=0).max() == 0
 
 
-def test_what_is_to_be_found_is_seen_on_its_side() -> None:
+def test_the_side_is_where_the_target_appears() -> None:
     env = PlayroomVectorEnv(200, "supervised/find_shape_uniform")
     image, info = env.reset(seed=0)
     scenes = env._view.scenes
@@ -318,7 +318,7 @@ def test_what_is_to_be_found_is_seen_on_its_side() -> None:
         column = np.flatnonzero(seen.any(0))
         assert len(column) >= 3
         assert (column.mean() > 47.5) == info["side"][i]
-    # Nearer to neither.
+    # The agent is as often nearer to one object as to the other.
     gaps = np.linalg.norm(env.worlds.objects[:, :, :2] - env.worlds.agents[:, None, :2], axis=-1)
     assert (gaps > APPROACH_DISTANCE + 0.1).all()
     assert abs((gaps[:, 0] < gaps[:, 1]).mean() - 0.5) < 0.15

@@ -1,4 +1,4 @@
-"""What is rewarded, what ends an episode and what does neither."""
+"""Rewards and the ends of episodes."""
 
 import math
 from typing import Any
@@ -50,7 +50,7 @@ def test_lifting_takes_fifteen_centimetres() -> None:
     assert outcome(result) == DONE
 
 
-def test_lifting_counts_from_where_it_lay() -> None:
+def test_the_height_counts_from_where_the_object_was() -> None:
     env = playroom("put/lift_shape_uniform")
     arrange(env, items={0: (-0.7, 0.0, 0.0, 0.35)}, task="lift")
     look_at(env, 0)
@@ -61,7 +61,7 @@ def test_lifting_counts_from_where_it_lay() -> None:
     assert outcome(result) == DONE
 
 
-def test_another_object_of_the_same_name_is_as_good() -> None:
+def test_another_object_of_the_same_rank_counts_as_the_target() -> None:
     env = playroom()
     arrange(env, items={2: (1.0, 0.0)}, names=("bottle", "candle", "bottle"))
     look_at(env, 2)
@@ -69,7 +69,7 @@ def test_another_object_of_the_same_name_is_as_good() -> None:
     assert outcome(act(env, *["GRAB_AND_LOOK_UP_FULL"])) == DONE
 
 
-def test_what_is_only_pushed_about_is_not_lifted() -> None:
+def test_pushing_is_not_lifting() -> None:
     env = playroom()
     arrange(env, (-1, 0, 0, 0), items={0: (0.0, 0.0)})
     assert outcome(act(env, *["MOVE_FORWARD_FULL"] * 30)) == RUNS
@@ -89,7 +89,7 @@ PLACES = {
 
 
 def put(env: PlayroomVectorEnv, item: int, place: str, task: str, lifted: bool = True) -> None:
-    """An object comes to rest somewhere, for the first time since it was lifted."""
+    """Puts an object somewhere, as if it had just come to rest after it was lifted."""
     arrange(env, (0.2, -0.2, 0, 0), {item: PLACES[place]}, task=task)
     env.worlds.lifted[0, item] = lifted
 
@@ -103,7 +103,7 @@ def test_putting(task: str, place: str, item: int) -> None:
     if place == "far away" or (relation == "on" and where == "near"):
         expected = RUNS
     elif item == 0 and what == support:
-        expected = DONE  # near a support, on counts, too
+        expected = DONE  # where it should be near a support, it may also be on it
     else:
         expected = FAILED
     env = playroom(f"put/put_{relation}_bed_tray_frequent")
@@ -117,7 +117,7 @@ def test_putting(task: str, place: str, item: int) -> None:
 
 @pytest.mark.parametrize("task", ["on bed", "on tray", "near bed", "near tray"])
 @pytest.mark.parametrize("place", list(PLACES))
-def test_what_was_never_lifted_does_not_count(task: str, place: str) -> None:
+def test_an_object_that_was_never_lifted_does_not_count(task: str, place: str) -> None:
     env = playroom("put/put_on_bed_tray_all")
     put(env, 0, place, task, lifted=False)
     assert outcome(act(env, *["NOOP"] * 6)) == RUNS
@@ -134,7 +134,7 @@ def test_near_is_half_a_metre_from_the_edge(gap: float, near: bool, corner: bool
     assert outcome(act(env, "NOOP", "NOOP")) == (DONE if near else RUNS)
 
 
-def test_what_is_held_has_not_been_put() -> None:
+def test_a_held_object_does_not_count_as_put() -> None:
     env = playroom("put/put_near_bed_tray_frequent")
     arrange(env, (-1.1, -1.6, 0, 0), {0: (-1.1, -0.85)}, task="near bed")
     env.worlds.lifted[0, 0] = True
@@ -143,7 +143,7 @@ def test_what_is_held_has_not_been_put() -> None:
     assert wait(env) == DONE
 
 
-def test_what_still_moves_has_not_been_put() -> None:
+def test_a_moving_object_does_not_count_as_put() -> None:
     env = playroom("put/put_near_bed_tray_frequent")
     put(env, 0, "near bed", "near bed")
     env.rooms[0].objects[0].velocity = 0.6, 0.0
@@ -159,7 +159,7 @@ def test_what_still_moves_has_not_been_put() -> None:
     assert motion < STILL_MOTION
 
 
-def test_what_falls_onto_the_support_counts_when_it_lies() -> None:
+def test_an_object_that_falls_onto_the_support_counts_at_rest() -> None:
     env = playroom("put/put_on_bed_tray_all")
     arrange(env, (0.5, 0, 0, 0), {0: (-0.8, 0.1, 0.0, 1.2)}, task="on bed")
     env.worlds.lifted[0, 0] = True
@@ -170,7 +170,7 @@ def test_what_falls_onto_the_support_counts_when_it_lies() -> None:
         result = act(env, "NOOP")
     assert outcome(result) == DONE
     assert min(heights) == 0.35
-    # It moves in none of the two actions, but lies only in the last.
+    # The two actions at rest count only after it has landed.
     assert 3 <= len(heights) <= 6
 
 
@@ -188,7 +188,7 @@ def test_an_object_pushed_against_a_support_does_not_count() -> None:
         assert rectangle_gap(env.worlds.furniture[0, piece], size, x, y) < 0.3
 
 
-def test_what_was_dropped_elsewhere_may_be_taken_again() -> None:
+def test_an_object_dropped_elsewhere_can_be_gripped_again() -> None:
     env = playroom("put/put_on_bed_tray_all")
     put(env, 0, "far away", "on bed")
     assert wait(env) == RUNS
@@ -201,7 +201,7 @@ def test_what_was_dropped_elsewhere_may_be_taken_again() -> None:
 
 
 def test_putting_by_hand() -> None:
-    """From taking the object to letting go over the bed, by actions alone."""
+    """From gripping the object to releasing it over the bed, by actions alone."""
     for item, end in ((0, DONE), (1, FAILED)):
         env = playroom("put/put_on_bed_tray_all")
         arrange(env, (0.9, 0, math.pi, 0), {item: (-0.1, 0.0)}, task="on bed")
@@ -242,7 +242,7 @@ def test_finding(item: int, end: Any) -> None:
 
 
 @pytest.mark.parametrize("level", ["lift/lift_shape_zipf3", "put/put_on_bed_tray_all"])
-def test_time_runs_out_after_900_actions(level: str) -> None:
+def test_episodes_are_truncated_after_900_actions(level: str) -> None:
     env = playroom(level)
     env.reset(seed=0)
     for _ in range(899):
@@ -264,7 +264,7 @@ def test_success_at_the_last_action_counts(max_steps: int, end: Any) -> None:
     assert len(results) == min(max_steps, 2)
 
 
-def test_failure_at_the_last_action_is_no_timeout() -> None:
+def test_failure_at_the_last_action_is_not_a_truncation() -> None:
     env = playroom("put/put_on_bed_tray_all", max_steps=2)
     put(env, 1, "on tray", "on bed")
     assert outcome(act(env, "NOOP", "NOOP")) == FAILED

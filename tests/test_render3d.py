@@ -1,4 +1,4 @@
-"""The renderer against rays cast one surface at a time, and what its arguments mean."""
+"""The renderer against slow ray casting, and the meaning of its arguments."""
 
 import math
 
@@ -31,7 +31,7 @@ from zipf.envs.render3d.assets import pack_textures
 
 @pytest.mark.parametrize("seed", range(4))
 def test_matches_rays(seed):
-    """Away from edges every surface is where it should be; texels may differ where two meet."""
+    """Away from edges, images agree except for pixels on the border of two texels."""
     scenes = random_scenes(seed)
     images = view(scenes).astype(float)
     for world in range(scenes.num_worlds):
@@ -43,7 +43,7 @@ def test_matches_rays(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_shows_the_right_surfaces(seed):
-    """With a colour for every surface, pixels within one are of its colour without exception."""
+    """With one colour for each surface, all pixels away from edges agree."""
     scenes = random_scenes(seed)
     rng = np.random.default_rng(seed)
     scenes.wall_looks[..., 0] = np.arange(10)
@@ -70,8 +70,8 @@ def test_any_size(size):
         assert (off > 1.5).mean() <= 0.05
 
 
-def test_things_around_the_eye():
-    """What reaches behind the near plane is cut there, not turned inside out."""
+def test_meshes_around_the_eye():
+    """Triangles that reach behind the near plane are cut there."""
     rng = np.random.default_rng(0)
     scenes = Scenes(40, instances=1)
     scenes.mesh[:] = rng.integers(0, 2, (40, 1))
@@ -129,7 +129,7 @@ def test_positive_pitch_looks_up():
     assert (level[:5] < level[-5:]).all()
 
 
-def test_straight_up_and_over():
+def test_views_straight_up_and_down():
     scenes, stack = room()
     for pitch in (math.pi / 2, -math.pi / 2, 1.5):
         scenes.camera[0, 4] = pitch
@@ -137,7 +137,7 @@ def test_straight_up_and_over():
         assert abs(view(scenes, stack)[0] - image)[inner(shown)].max() <= 1.5
 
 
-def test_walls_are_seen_from_their_left_unmirrored():
+def test_walls_are_visible_from_their_left_and_not_mirrored():
     stack = plain((10, 10, 10))
     stack[0, :32, :32, :3] = 250, 0, 0  # top left
     stack[0, :32, 32:, :3] = 0, 250, 0  # top right
@@ -167,7 +167,7 @@ def test_rows_of_a_patchwork_run_north():
     assert not image[10, 30].any()
 
 
-def test_holes_show_what_is_behind():
+def test_holes_are_transparent():
     scenes, stack = room()
     fence = STACK[textures.index("fence")][None].copy()
     fence[..., :3] = 0, 250, 250
@@ -186,7 +186,7 @@ def test_holes_show_what_is_behind():
         assert 0.2 < bars < 0.7
 
 
-def test_a_screen_shows_its_worlds_picture():
+def test_a_screen_shows_its_worlds_image():
     scenes = Scenes(2, walls=1, screen=(4, 6))
     rng = np.random.default_rng(0)
     scenes.screen[:] = rng.integers(0, 256, scenes.screen.shape)
@@ -212,7 +212,7 @@ def test_overlays_lie_over_the_view():
 
 
 def maze(seed, worlds=30):
-    """Random cells, every face with its wall, the camera anywhere free."""
+    """Random solid cells with a wall on every face, and a camera in a random free cell."""
     rng = np.random.default_rng(seed)
     size = (9, 12)
     scenes = Scenes(worlds, walls=400, flats=1, grid=size)
@@ -245,15 +245,15 @@ def maze(seed, worlds=30):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_grid_hides_only_what_is_hidden(seed):
+def test_the_grid_skips_only_hidden_walls(seed):
     scenes = maze(seed)
     by_grid = view(scenes)
     faces = scenes.wall_face.copy()
     scenes.wall_face[:] = -1
     assert (by_grid == view(scenes)).all()
     scenes.wall_face[:] = faces
-    scenes.wall_face[:, 50] = 0  # a face that nobody sees
-    scenes.camera[:, :2] = -3 + 0.2, 2 + 0.2  # in the rock
+    scenes.wall_face[:, 50] = 0  # a face that is not visible
+    scenes.camera[:, :2] = -3 + 0.2, 2 + 0.2  # in a solid cell
     assert (view(scenes)[..., 0] != scenes.sky[0, 0, 0]).any()
 
 
@@ -271,7 +271,7 @@ def test_grid_skips_hidden_faces():
     assert not view(scenes).any()
 
 
-def test_same_pixels_in_any_company():
+def test_pixels_do_not_depend_on_other_worlds_mask_or_threads():
     scenes = random_scenes(1, worlds=7)
     renderer = Renderer(ATLAS, STACK, width=50, height=20)
     out = np.zeros((7, 20, 50, 3), np.uint8)
@@ -295,7 +295,7 @@ def test_same_pixels_in_any_company():
 
 
 def test_no_background_between_surfaces():
-    """From inside a closed room the sky is nowhere to be seen."""
+    """The sky is not visible from inside a closed room."""
     rng = np.random.default_rng(3)
     scenes = Scenes(1000, walls=12, flats=4, tile_cells=8)
     scenes.sky[:] = 255, 0, 255
@@ -343,7 +343,7 @@ def test_textures():
         textures.index("velvet")
 
 
-def test_smaller_textures_are_means():
+def test_the_smallest_version_of_a_texture_is_its_mean():
     lines = pack_textures(STACK).reshape(len(STACK), 64, 128)
     for k, image in enumerate(STACK):
         if (image[..., 3] == 255).all():
@@ -382,7 +382,7 @@ def test_bad_arrays():
             renderer.render(scenes, out, wrong)
 
 
-def test_scenes_with_what_there_is_not():
+def test_textures_meshes_and_screens_that_do_not_exist():
     scenes = Scenes(2, walls=1, flats=1, instances=1)
     scenes.wall_count[:] = scenes.flat_count[:] = 1
     for array in (scenes.wall_looks[1, 0], scenes.flat_looks[1, 0], scenes.mesh[1]):
@@ -395,7 +395,7 @@ def test_scenes_with_what_there_is_not():
         view(scenes)
 
 
-def test_full_worlds():
+def test_capacities():
     scenes = Scenes(1, walls=1, flats=1, tile_cells=3)
     scenes.add_wall(0, (0, 0, 1, 0), (0, 1), 0)
     with pytest.raises(ValueError, match="world 0 has room for 1 walls"):

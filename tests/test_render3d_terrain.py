@@ -1,4 +1,4 @@
-"""Terrains against rays cast at one triangle at a time, and what their arrays mean."""
+"""Terrains against slow ray casting, and the meaning of their arrays."""
 
 import math
 
@@ -20,7 +20,7 @@ def hills(rng, rows=ROWS, columns=COLUMNS, rough=0.25):
 
 
 def over(scenes, world, x, y):
-    """How high the ground is at x, y."""
+    """The height of the ground at x, y."""
     west, south, size, _ = scenes.terrain[world]
     c, r = (x - west) / size, (y - south) / size
     column, row = int(c), int(r)
@@ -32,7 +32,7 @@ def over(scenes, world, x, y):
 
 
 def add_terrain(scenes, rng, looks=None, eye=(0.1, 1.5), pitch=0.8):
-    """Hills with some holes, under every world's camera and before it."""
+    """Adds hills with some holes, with every world's camera above them."""
     shape = scenes.terrain_looks.shape[1:]
     for world in range(scenes.num_worlds):
         cells = rng.integers(len(STACK), size=shape) if looks is None else looks[world]
@@ -54,7 +54,7 @@ def add_terrain(scenes, rng, looks=None, eye=(0.1, 1.5), pitch=0.8):
 
 
 def furnished(seed, worlds=3):
-    """Random scenes whose room stands in hills."""
+    """Random scenes of rooms, with hills."""
     scenes = random_scenes(seed, worlds, terrain=(ROWS, COLUMNS))
     add_terrain(scenes, np.random.default_rng(seed))
     return scenes
@@ -62,7 +62,7 @@ def furnished(seed, worlds=3):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_matches_rays(seed):
-    """Among walls, floors and things; texels may differ where two meet."""
+    """With walls, floors and meshes; pixels on the border of two texels may differ."""
     scenes = furnished(seed)
     images = view(scenes).astype(float)
     for world in range(scenes.num_worlds):
@@ -74,7 +74,7 @@ def test_matches_rays(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_shows_the_right_triangles(seed):
-    """Every cell has its colour, and pixels within one of its triangles are of it."""
+    """With one colour for each cell, all pixels away from edges agree."""
     rng = np.random.default_rng(seed)
     scenes = Scenes(4, terrain=(ROWS, COLUMNS))
     stack = plain(*rng.integers(30, 256, (ROWS * COLUMNS, 3)))
@@ -101,7 +101,7 @@ def test_any_size(size):
 
 
 def test_ground_around_the_eye():
-    """Just above the ground, steep slopes reach behind the near plane and are cut there."""
+    """Slopes just below the eye reach behind the near plane and are cut there."""
     rng = np.random.default_rng(5)
     scenes = Scenes(12, terrain=(ROWS, COLUMNS))
     stack = plain(*rng.integers(30, 256, (ROWS * COLUMNS, 3)))
@@ -137,7 +137,7 @@ def test_looking_up_from_a_valley():
         assert abs(image - expected)[inner(shown)].max() <= 1.5
 
 
-def test_level_ground_is_a_flat():
+def test_level_ground_looks_like_a_flat():
     rng = np.random.default_rng(1)
     for repeat in (0.0, 1.5):
         ground = Scenes(8, terrain=(6, 9))
@@ -158,7 +158,7 @@ def test_level_ground_is_a_flat():
         assert (abs(hills - flat).max(-1) > 2).mean() < 0.01
 
 
-def test_holes_show_what_is_below():
+def test_holes_are_transparent():
     scenes = Scenes(1, flats=1, terrain=(4, 6))
     looks = np.arange(24).reshape(4, 6) % 2 - 1
     scenes.set_terrain(0, (-3, -2), 1, np.full((5, 7), 0.01), looks)
@@ -181,7 +181,7 @@ def test_rows_run_north_and_columns_east():
     assert not image[10, 30].any()
 
 
-def test_slopes_to_the_sun_are_brighter():
+def test_slopes_that_face_the_sun_are_brighter():
     scenes = Scenes(3, terrain=(1, 1))
     scenes.sky[:] = 0
     for world, slope in enumerate((-0.5, 0, 0.5)):
@@ -192,7 +192,7 @@ def test_slopes_to_the_sun_are_brighter():
     assert middle[0] > middle[1] + 5 > middle[2] + 20
 
 
-def test_not_seen_from_below():
+def test_terrains_are_invisible_from_below():
     scenes = Scenes(1, terrain=(2, 2))
     scenes.set_terrain(0, (-1, -1), 1, np.zeros((3, 3)), 0)
     scenes.camera[0] = 0, 0, -1, 0, 1
@@ -202,7 +202,7 @@ def test_not_seen_from_below():
 
 
 def test_no_background_between_cells():
-    """From inside a bowl as wide as the view, no sky shows through the ground."""
+    """From inside a bowl no sky is visible through the ground."""
     rng = np.random.default_rng(3)
     worlds = 300
     scenes = Scenes(worlds, terrain=(24, 24))
@@ -219,7 +219,7 @@ def test_no_background_between_cells():
     assert (images[..., 0] == images[..., 1]).all()
 
 
-def test_same_pixels_in_any_company():
+def test_pixels_do_not_depend_on_other_worlds_mask_or_threads():
     scenes = furnished(1, worlds=7)
     renderer = Renderer(ATLAS, STACK, width=50, height=20)
     out = np.zeros((7, 20, 50, 3), np.uint8)

@@ -81,9 +81,9 @@ class _Cache(FunctionCache):
 class _Files(IndexDataCacheFile):
     """One file for each signature of a function, named after the signature and the sources.
 
-    Numba's own files are numbered, and listed in an index. Two processes that compile different
-    signatures at the same time can use the same number, and the index that remains may belong to
-    one of them and the file to the other. Without an index there is nothing to get out of step.
+    Numba's own files are numbered and listed in an index. Two processes that compile different
+    signatures at the same time may choose the same number, and then the index of one can name the
+    file of the other. Files that are named after their contents need no index.
     """
 
     def __init__(self, folder: str, name: str, sources: Any) -> None:

@@ -1,4 +1,4 @@
-"""What happens to objects after the physics on the floor plane: they fall, stand up and rest."""
+"""After the physics on the floor plane, objects that are not held fall, stand up and rest."""
 
 import math
 
@@ -16,7 +16,7 @@ LIFT_HEIGHT = 0.15
 STILL_STEPS = 2
 """An object is at rest after so many actions without motion, 0.27 s."""
 STILL_MOTION = 0.01
-"""What counts as no motion, metres per action."""
+"""An object that moves less than this counts as motionless, metres per action."""
 
 
 @compiled()

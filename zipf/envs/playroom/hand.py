@@ -1,4 +1,4 @@
-"""What an action does before the physics: it turns the view, pushes the agent and moves the hand.
+"""Before the physics, an action turns the view, pushes the agent and moves the hand.
 
 The hand grips the object that the middle of the view points at and holds it at a fixed distance
 from the eye, in the direction of the view. Where a held object is on the floor plane is left to

@@ -82,7 +82,7 @@ def one_world(worlds, i):
 
 
 class Commands(NamedTuple):
-    """What a step's actions ask of the physics."""
+    """Commands to the physics that follow from the actions of a step."""
 
     layers: NDArray[np.int64]
     """[N, C]: GROUND_LAYER .. SUPPORTED_LAYER, for each object."""
