@@ -134,13 +134,17 @@ class Collector:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
         buffers = self._buffers[-1]
-        self.env.set_state(arrays(state["environment"]))
+        restarted = self.env.set_state(arrays(state["environment"]))
         self.env.observations(out=buffers.observation_row(-1))
         self._memory = {k: v.to(self.device) for k, v in state["memory"].items()}
         self._generator.set_state(state["generator"])
         self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
         for name, value in state["inputs"].items():
             buffers.fields[name][-1] = value
+        # Worlds that could not be restored have begun another episode.
+        beginning = {"is_first": True, "previous_action": -1, "previous_reward": 0.0}
+        for name, value in beginning.items():
+            buffers.fields[name][-1][restarted] = value
         if self.exploration:
             self.exploration.load_state_dict(arrays(state["exploration"]))
 
