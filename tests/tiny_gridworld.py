@@ -17,7 +17,7 @@ WORLDS = {
 
 
 def after_learning(build, seed):
-    """A thousand episodes of what `build`, called with the spaces, is after 250 updates."""
+    """A thousand episodes of `build(observation_space, action_space)` after 250 updates."""
     torch.set_num_threads(1)
     env = envs.make_vec("gridworld/uniform", 64, **WORLDS)
     agent = build(env.single_observation_space, env.single_action_space)
