@@ -1,7 +1,7 @@
-"""A probe for memories: see a cue, wait k steps, then do what it said.
+"""A world that needs memory: a cue, k steps of waiting, then the action that the cue named.
 
-While waiting, any action but `wait` forfeits the answer, so that the last action, which agents see,
-cannot carry the cue. Who forgets it can do no better than 1 / CUES.
+While waiting, any action but `wait` loses the reward, so that the last action, which is an input of
+agents, cannot carry the cue. Without memory the success rate is at most 1 / CUES.
 """
 
 import numpy as np

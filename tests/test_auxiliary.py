@@ -1,4 +1,4 @@
-"""Auxiliary losses against their definitions, written out, and what they teach a memory."""
+"""Auxiliary losses against their definitions, and what the memory learns from them."""
 
 import math
 from typing import Literal
@@ -114,7 +114,7 @@ def cores(seed=0):
 # The losses
 
 
-def test_the_image_loss_is_the_definition():
+def test_the_image_loss_equals_the_definition():
     _, loss_of = build(VISION)
     data, core = inputs(), cores()
     images = data.observation["image"][:STEPS].reshape(STEPS * BATCH, -1)
@@ -138,8 +138,8 @@ def test_the_image_loss_is_the_definition():
     assert loss.item() == pytest.approx(0.7 * total / channels, rel=1e-5)
 
 
-def test_the_language_loss_is_the_definition():
-    """An LSTM of textbooks, told the true words so far, one word at a time."""
+def test_the_language_loss_equals_the_definition():
+    """A textbook LSTM that reads the true words, one at a time."""
     _, loss_of = build(VISION_LANGUAGE)
     data, core = inputs(), cores()
     decoder = loss_of.instruction
@@ -186,8 +186,8 @@ def mlp_by_hand(mlp, rows):
 
 
 @pytest.mark.parametrize(("options", "horizon"), [(BYOL, 1), (HORIZON, 3)])
-def test_the_byol_loss_is_the_definition(options, horizon):
-    """One world, one row and one distance at a time, but for what is normalised over all rows."""
+def test_the_byol_loss_equals_the_definition(options, horizon):
+    """One world, row and distance at a time, except batch normalisation, which is over all rows."""
     _, loss_of = build(options)
     data, core = inputs(), cores()
     with torch.no_grad():  # as after some updates
@@ -245,7 +245,7 @@ def test_the_byol_loss_is_the_definition(options, horizon):
 
 @pytest.mark.parametrize("options", [BYOL, HORIZON], ids=lambda o: o.name)
 def test_the_next_episode_is_not_predicted(options):
-    """With the memory's outputs held fixed, frames matter as targets alone."""
+    """With the memory's outputs held constant, frames matter as targets only."""
     _, loss_of = build(options)
     core = cores()
     loss, _ = loss_of(inputs(), core)
@@ -257,7 +257,7 @@ def test_the_next_episode_is_not_predicted(options):
             assert changed == (row > 0 and not data.is_first[row, b]), (row, b)
 
 
-def test_episodes_of_one_frame_have_nothing_to_predict():
+def test_the_loss_is_0_for_episodes_of_one_frame():
     _, loss_of = build(HORIZON)
     data = inputs()
     data.is_first.fill_(True)
@@ -266,7 +266,7 @@ def test_episodes_of_one_frame_have_nothing_to_predict():
 
 
 @pytest.mark.parametrize("options", [VISION, VISION_LANGUAGE], ids=lambda o: o.name)
-def test_the_next_unrolls_first_row_is_left_to_it(options):
+def test_the_first_row_of_the_next_unroll_is_left_out(options):
     _, loss_of = build(options)
     core = cores()
     loss, _ = loss_of(inputs(), core)
@@ -298,7 +298,7 @@ def test_bfloat16_computes_the_same(options):
 
 @pytest.mark.parametrize("shape", [(63, 63), (72, 96), (36, 48), (64, 45)])
 @pytest.mark.parametrize("network", NETWORKS.values(), ids=NETWORKS)
-def test_every_network_has_a_mirror_image(network, shape):
+def test_every_network_has_a_decoder_that_mirrors_it(network, shape):
     actor, loss_of = build(VISION, network, shape=shape)
     assert loss_of.image(torch.zeros(2, 16)).shape == (2, *shape, 3)
     decoder, encoder = loss_of.image, actor.encoder.reader("image")
@@ -316,8 +316,7 @@ def test_every_network_has_a_mirror_image(network, shape):
     assert len(filters(decoder)) == (15 if network is RESNET else 2)
 
 
-def test_a_patch_is_put_back_where_it_was():
-    """Against the transposed convolution that the products stand for."""
+def test_the_patch_decoder_is_a_transposed_convolution():
     _, loss_of = build(VISION)
     decoder = loss_of.image
     core = cores()[0]
@@ -349,7 +348,7 @@ def test_gradients_reach_memory_and_encoder(options, memory, network):
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.9, 0.99, 1.0])
-def test_the_target_follows_slowly(rate):
+def test_the_target_is_a_moving_average(rate):
     actor, loss_of = build(BYOL.model_copy(update={"target_rate": rate}))
     online = [*actor.encoder.parameters(), *loss_of.projector.parameters()]
     target = [*loss_of.target_encoder.parameters(), *loss_of.target_projector.parameters()]
@@ -365,7 +364,7 @@ def test_the_target_follows_slowly(rate):
         torch.testing.assert_close(slow, expected, rtol=1e-6, atol=1e-6)
 
 
-def test_the_mean_image_is_the_first_updates():
+def test_the_mean_image_is_that_of_the_first_update():
     actor, loss_of = build(VISION)
     loss_of(inputs(0), cores())
     first = loss_of.mean_image.clone()
@@ -379,7 +378,7 @@ def test_the_mean_image_is_the_first_updates():
 
 
 def test_an_image_is_shifted_and_its_cue_is_not():
-    """Pixel by pixel: what is shifted away from, over or out of the cue's square."""
+    """Pixel by pixel, also those shifted into or out of the cue's square."""
     most, cue, n, height, width = 4, 9, 200, 15, 17
     rng = np.random.default_rng(0)
     images = rng.integers(200, size=(n, height, width, 3), dtype=np.uint8)
@@ -411,8 +410,8 @@ def test_an_image_is_shifted_and_its_cue_is_not():
 # What is drawn at random
 
 
-def test_a_fraction_of_the_frames_is_read():
-    """Others every update, and the same again in a run that goes on."""
+def test_a_random_fraction_of_the_frames_is_used():
+    """Other frames every update, and the same ones in a resumed run."""
     half = VISION.model_copy(update={"fraction": 0.5})
     actor, loss_of = build(half)
     data, core = inputs(), cores().requires_grad_()
@@ -528,7 +527,7 @@ def unroll(seed=0):
 
 @pytest.mark.parametrize("options", DRAWING.values(), ids=DRAWING)
 @pytest.mark.parametrize("kind", ["impala", "vmpo"])
-def test_an_agent_learns_both(kind, options):
+def test_an_agent_adds_the_loss_to_its_own(kind, options):
     plain, both = agent(kind, NO_AUXILIARY), agent(kind, options)
     for one, other in zip(plain.network.parameters(), both.network.parameters(), strict=True):
         assert torch.equal(one, other)  # the same weights, with and without
@@ -537,11 +536,11 @@ def test_an_agent_learns_both(kind, options):
         Inputs.of(data.steps), both.network(Inputs.of(data.steps), data.memory).core
     )
     before = [p.detach().clone() for p in both.learned]
-    without, told = plain.update(data), both.update(data)
-    assert told.keys() == without.keys() | metrics.keys()
+    without, joint = plain.update(data), both.update(data)
+    assert joint.keys() == without.keys() | metrics.keys()
     for name, metric in metrics.items():
-        assert told[name] == pytest.approx(metric.item(), rel=1e-5)
-    assert told["loss"] == pytest.approx(without["loss"] + loss.item(), rel=1e-5)
+        assert joint[name] == pytest.approx(metric.item(), rel=1e-5)
+    assert joint["loss"] == pytest.approx(without["loss"] + loss.item(), rel=1e-5)
     norms = torch.stack([p.grad.norm() for p in both.learned])
     assert norms.norm().item() == pytest.approx(0.01, rel=1e-3)  # clipped together
     changed = [not torch.equal(p, was) for p, was in zip(both.learned, before, strict=True)]
@@ -550,7 +549,7 @@ def test_an_agent_learns_both(kind, options):
 
 @pytest.mark.parametrize("options", DRAWING.values(), ids=DRAWING)
 @pytest.mark.parametrize("kind", ["impala", "vmpo"])
-def test_it_goes_on_bit_for_bit(kind, options, tmp_path):
+def test_state_dict_continues_bit_for_bit(kind, options, tmp_path):
     whole = agent(kind, options)
     for seed in range(3):
         whole.update(unroll(seed))
@@ -569,14 +568,14 @@ def test_it_goes_on_bit_for_bit(kind, options, tmp_path):
 
 
 class SpeedOptions(AuxiliaryOptions):
-    """A third party's."""
+    """Options of a loss of somebody else's."""
 
     name: Literal["speed"]
     weight: float
 
 
 class Speed(Auxiliary):
-    """Asks the memory's output to stay small."""
+    """The mean square of the memory's output."""
 
     def __init__(self, options, seed):
         super().__init__(seed)
@@ -654,7 +653,7 @@ def test_the_papers_sizes():
         (["agent=r2d2", "auxiliary=byol"], ["auxiliary=byol: agent=r2d2 has no auxiliary losses"]),
     ],
 )
-def test_what_cannot_be_is_one_clear_line(overrides, told):
+def test_impossible_choices_are_one_clear_line(overrides, told):
     with pytest.raises(UserError) as error:
         command_line.load(["experiment=gridworld_compact", *overrides])
     message = str(error.value)
@@ -679,7 +678,7 @@ def test_byol_reads_tiles():
         ("playroom_lift_compact", "byol_horizon", "impala"),
     ],
 )
-def test_runs_train_and_go_on(experiment, auxiliary, kind, tmp_path):
+def test_runs_train_and_resume(experiment, auxiliary, kind, tmp_path):
     tiny = [
         f"experiment={experiment}",
         f"auxiliary={auxiliary}",
@@ -724,10 +723,10 @@ def test_runs_train_and_go_on(experiment, auxiliary, kind, tmp_path):
 
 
 def learn(actor, loss_of, batches, learning_rate=3e-3):
-    """Optimises the loss alone over the batches; returns what it tells of each."""
+    """Optimises the loss alone over the batches; returns its metrics of each."""
     learned = [*actor.encoder.parameters(), *actor.memory.parameters(), *loss_of.learned()]
     optimiser = torch.optim.Adam(learned, lr=learning_rate, fused=True)
-    told = []
+    logged = []
     for data in batches:
         state = actor.memory.initial_state(data.is_first.shape[1])
         loss, metrics = loss_of(data, actor(data, state).core)
@@ -735,20 +734,20 @@ def learn(actor, loss_of, batches, learning_rate=3e-3):
         loss.backward()
         optimiser.step()
         loss_of.after_update(actor.encoder)
-        told.append({name: metric.item() for name, metric in metrics.items()})
-    return told
+        logged.append({name: metric.item() for name, metric in metrics.items()})
+    return logged
 
 
-def test_reconstructions_of_a_few_frames_become_right():
+def test_reconstruction_can_learn_a_few_frames():
     """Black and white squares, whose cross-entropy can become 0."""
     actor, loss_of = build(VISION_LANGUAGE)
     data = inputs()
     squares = torch.rand(STEPS + 1, BATCH, 3, 2, 1) < 0.5
     image = squares.repeat_interleave(9, 2).repeat_interleave(9, 3) * 255
     data.observation["image"][:] = image
-    told = learn(actor, loss_of, [data] * 150, learning_rate=1e-2)
-    assert told[-1]["auxiliary_vision"] < 0.2 * told[0]["auxiliary_vision"]
-    assert told[-1]["auxiliary_language"] < 0.2 * told[0]["auxiliary_language"]
+    logged = learn(actor, loss_of, [data] * 150, learning_rate=1e-2)
+    assert logged[-1]["auxiliary_vision"] < 0.2 * logged[0]["auxiliary_vision"]
+    assert logged[-1]["auxiliary_language"] < 0.2 * logged[0]["auxiliary_language"]
 
 
 GOALS = 6
@@ -775,7 +774,7 @@ def walks(worlds, seed):
 
 
 def share_decoded(actor, train, test):
-    """Of the test frames, those whose goal a linear map of the frozen memory's output tells."""
+    """The share of test frames whose goal a linear map decodes from the frozen memory's output."""
 
     def features(data):
         with torch.no_grad():
@@ -786,12 +785,12 @@ def share_decoded(actor, train, test):
     known, wanted = features(data), F.one_hot(goal.flatten(), GOALS).double()
     ridge = 1e-3 * torch.eye(known.shape[1], dtype=torch.float64)
     weights = torch.linalg.solve(known.T @ known + ridge, known.T @ wanted)
-    told = (features(other_data) @ weights).argmax(-1)
-    return (told == other_goal.flatten()).double().mean().item()
+    decoded = (features(other_data) @ weights).argmax(-1)
+    return (decoded == other_goal.flatten()).double().mean().item()
 
 
 def test_reconstruction_teaches_a_memory_the_cue():
-    """From an encoder that is blind where the cue is, so that nothing is decoded at first."""
+    """Starting with an encoder that ignores the cue, so that it cannot be decoded at first."""
     env = envs.make_vec("gridworld/uniform", 1, num_maps=1, num_objects=GOALS)
     network = compact(patch=9, channels=32, size=64, head_size=0)
     memory = LSTMOptions(name="lstm", size=64, layers=1)
@@ -803,16 +802,16 @@ def test_reconstruction_teaches_a_memory_the_cue():
     train, test = walks(96, 0), walks(96, 1)
     chance = 1 / GOALS
     assert share_decoded(actor, train, test) < chance + 0.1
-    told = learn(actor, loss_of, [train[0]] * 75, learning_rate=1e-3)
-    assert told[-1]["auxiliary_vision"] < 0.9 * told[0]["auxiliary_vision"]
+    logged = learn(actor, loss_of, [train[0]] * 75, learning_rate=1e-3)
+    assert logged[-1]["auxiliary_vision"] < 0.9 * logged[0]["auxiliary_vision"]
     assert share_decoded(actor, train, test) > chance + 0.3
 
 
 def episodes(rng):
-    """Every episode shows one of six pictures, a third of it noise that nothing predicts."""
+    """Every episode shows one of six images, a third of whose pixels are noise."""
     worlds = 24
-    pictures = np.random.default_rng(5).integers(256, size=(6, 27, 18, 3))
-    images = np.repeat(pictures[rng.integers(6, size=worlds)][None], STEPS + 1, 0)
+    scenes = np.random.default_rng(5).integers(256, size=(6, 27, 18, 3))
+    images = np.repeat(scenes[rng.integers(6, size=worlds)][None], STEPS + 1, 0)
     images[:, :, :9] = rng.integers(256, size=images[:, :, :9].shape)
     is_first = np.zeros(images.shape[:2], np.bool_)
     is_first[0] = True
@@ -831,7 +830,7 @@ def episodes(rng):
 @pytest.mark.parametrize("options", [BYOL, DRAWING["byol_horizon"]], ids=lambda o: o.name)
 @pytest.mark.parametrize("collapses", [False, True])
 def test_byol_does_not_collapse(options, collapses, monkeypatch):
-    """Codes stay as different as they were; where the targets are learned as well they do not."""
+    """The targets stay different from each other; where they are learned too, they do not."""
     actor, loss_of = build(options)
 
     def learned_targets(data, generator):
@@ -843,8 +842,8 @@ def test_byol_does_not_collapse(options, collapses, monkeypatch):
         monkeypatch.setattr(loss_of, "targets", learned_targets)
         monkeypatch.setattr(loss_of.predictor, "forward", lambda code, mask: code)
     rng = np.random.default_rng(0)
-    told = learn(actor, loss_of, [episodes(rng) for _ in range(80)])
-    assert told[0]["auxiliary_byol_spread"] > 0.6
-    assert told[-1]["auxiliary_byol"] < 0.7 * told[0]["auxiliary_byol"]
-    assert (told[-1]["auxiliary_byol_spread"] < 0.2) == collapses
-    assert (told[-1]["auxiliary_byol_spread"] > 0.5) != collapses
+    logged = learn(actor, loss_of, [episodes(rng) for _ in range(80)])
+    assert logged[0]["auxiliary_byol_spread"] > 0.6
+    assert logged[-1]["auxiliary_byol"] < 0.7 * logged[0]["auxiliary_byol"]
+    assert (logged[-1]["auxiliary_byol_spread"] < 0.2) == collapses
+    assert (logged[-1]["auxiliary_byol_spread"] > 0.5) != collapses

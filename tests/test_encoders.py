@@ -1,4 +1,4 @@
-"""Encoders and the actor-critic against plain versions of themselves."""
+"""Encoders against plain versions of themselves, and that they read every kind of space."""
 
 import gymnasium as gym
 import noise
@@ -85,7 +85,7 @@ def test_the_shallow_network_is_the_one_of_the_impala_paper():
         Encoder(gym.spaces.Dict(image=image_space(9, 9)), SHALLOW)
 
 
-def test_the_resnet_sees_pixels_between_0_and_1():
+def test_the_resnet_reads_pixels_between_0_and_1():
     torch.manual_seed(0)
     encoder = Encoder(gym.spaces.Dict(image=image_space(8, 8)), RESNET)
     image = images(3, 8, 8)
@@ -113,7 +113,7 @@ def test_the_code_encoder_embeds_all_codes_by_one_table():
     torch.testing.assert_close(encoder({"tiles": tiles, "cue": cue}), expected)
 
 
-def test_codes_are_told_apart():
+def test_different_codes_are_encoded_differently():
     torch.manual_seed(0)
     encoder = Encoder(TILES, COMPACT)
     tiles = torch.zeros(3, 7, 7, dtype=torch.uint8)
@@ -185,7 +185,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("space", noise.SPACES)
-def test_the_space_of_a_part_says_which_encoder_reads_it(space):
+def test_the_space_of_a_part_decides_which_encoder_reads_it(space):
     encoder = Encoder(noise.SPACES[space], RESNET)
     known = 0
     for kind, names in KINDS.items():
@@ -271,7 +271,7 @@ def test_what_no_encoder_reads_is_refused(space, told):
 @pytest.mark.parametrize(
     "memory", [MLPOptions(name="mlp", size=6, layers=1), LSTMOptions(name="lstm", size=6, layers=1)]
 )
-def test_the_last_action_and_reward_are_seen(memory):
+def test_the_network_reads_the_last_action_and_reward(memory):
     torch.manual_seed(0)
     network = ActorCritic(
         gym.spaces.Dict(image=image_space(9, 9)), gym.spaces.Discrete(4), COMPACT, memory

@@ -9,7 +9,7 @@ from zipf.agents.exploration import CountBonus, CountOptions
 OPTIONS = CountOptions(name="count", scale=0.3, table_size=2**20)
 
 
-def test_bonus_equals_counting():
+def test_the_bonus_equals_counting_visits():
     rng = np.random.default_rng(0)
     bonus, visits = CountBonus(OPTIONS), Counter()
     for _ in range(50):
@@ -28,7 +28,7 @@ def test_bonus_equals_counting():
     assert max(visits.values()) > 3
 
 
-def test_it_continues_from_its_state():
+def test_state_dict_continues_bit_for_bit():
     image = {"image": np.arange(12, dtype=np.uint8).reshape(4, 3)}
     mask = np.ones(4, np.bool_)
     one, other = CountBonus(OPTIONS), CountBonus(OPTIONS)

@@ -1,4 +1,4 @@
-"""IMPALA's update against its definition, written out step by step, and its directions."""
+"""IMPALA's update against its definition, computed step by step, and what it learns."""
 
 import gymnasium as gym
 import numpy as np
@@ -83,7 +83,7 @@ def by_hand(impala, data):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_losses_are_the_definitions(seed):
+def test_losses_equal_the_definition(seed):
     impala, data = agent(), unroll(seed)
     assert data.steps["terminated"].any()
     assert data.steps["truncated"].any()
@@ -95,7 +95,7 @@ def test_the_losses_are_the_definitions(seed):
     assert metrics["loss"] == pytest.approx(loss.item(), rel=1e-4)
 
 
-def test_the_gradients_are_the_definitions():
+def test_gradients_equal_the_definition():
     """Targets and advantages are constants: finite differences of the loss with both held fixed."""
     impala, data = agent(baseline_cost=0.0, entropy_cost=0.0), unroll()
     before = {name: p.detach().clone() for name, p in impala.network.named_parameters()}
@@ -124,7 +124,7 @@ def test_the_gradients_are_the_definitions():
     assert expected_loss == pytest.approx((-taken * advantages).mean().item(), rel=1e-4)
 
 
-def test_what_was_rewarded_becomes_likelier_and_the_value_follows():
+def test_rewarded_actions_become_likelier_and_the_value_follows():
     impala, data = agent(entropy_cost=0.0, learning_rate=1e-2), unroll()
     steps = data.steps
     steps["reward"] = (steps["action"] == 1).float()
@@ -165,7 +165,7 @@ def test_gradients_are_clipped():
     assert torch.stack(norms).norm().item() == pytest.approx(1e-3, rel=1e-3)
 
 
-def test_divergence_changes_nothing():
+def test_divergence_changes_no_weights():
     impala, data = agent(), unroll()
     data.steps["reward"][0, 0] = float("inf")
     before = {name: p.detach().clone() for name, p in impala.network.named_parameters()}
@@ -194,7 +194,7 @@ def test_actions_follow_the_policy():
 
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_it_continues_from_its_state(precision):
+def test_state_dict_continues_bit_for_bit(precision):
     one, other = agent(), agent()
     one.precision = other.precision = precision
     one.update(unroll(0))
@@ -202,7 +202,7 @@ def test_it_continues_from_its_state(precision):
     assert one.update(unroll(1)) == other.update(unroll(1))
 
 
-def test_under_bfloat16_heads_compute_in_float32():
+def test_heads_compute_in_float32_under_bfloat16():
     impala = agent()
     impala.precision = "bfloat16"
     steps = unroll(0).steps
@@ -214,7 +214,7 @@ def test_under_bfloat16_heads_compute_in_float32():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_it_learns_a_tiny_gridworld(seed):
+def test_impala_learns_a_tiny_gridworld(seed):
     options = OPTIONS.model_copy(
         update={
             "learning_rate": 5e-3,

@@ -1,4 +1,4 @@
-"""Memories: unrolling equals stepping, and nothing crosses an episode's end."""
+"""Memories: unrolling equals stepping, and episodes do not affect each other."""
 
 import math
 
@@ -26,7 +26,7 @@ REMEMBERING = [name for name in MEMORIES if not name.startswith("mlp")]
 
 
 def build(options, seed=0):
-    """A memory whose parameters are all at random, also those that begin as constants."""
+    """A memory with random parameters, also those that are constants at first."""
     torch.manual_seed(seed)
     memory = build_memory(FEATURES, options)
     with torch.no_grad():
@@ -42,7 +42,7 @@ def sequence(seed: int, steps: int = STEPS, ends: float = 0.2):
 
 
 def some_state(memory):
-    """What a memory holds in the middle of things, of episodes that are more and less old."""
+    """A memory's state within episodes of different ages."""
     with torch.no_grad():
         return memory(*sequence(seed=99), memory.initial_state(BATCH))[1]
 
@@ -65,7 +65,7 @@ def assert_same_state(one, other):
 @pytest.mark.parametrize("name", MEMORIES)
 @pytest.mark.parametrize("seed", range(4))
 def test_unrolled_equals_stepped(name, seed):
-    """And equals any division into unrolls."""
+    """And equals any division into several unrolls."""
     memory = build(MEMORIES[name], seed)
     inputs, is_first = sequence(seed)
     state = some_state(memory)
@@ -79,7 +79,7 @@ def test_unrolled_equals_stepped(name, seed):
 
 
 @pytest.mark.parametrize("name", MEMORIES)
-def test_an_episode_is_read_as_if_nothing_had_been_before(name):
+def test_an_episode_does_not_depend_on_those_before_it(name):
     memory = build(MEMORIES[name])
     inputs, is_first = sequence(0, ends=0.0)
     is_first[7, 2] = True
@@ -92,8 +92,8 @@ def test_an_episode_is_read_as_if_nothing_had_been_before(name):
 
 
 @pytest.mark.parametrize("name", MEMORIES)
-def test_nothing_leaks_out_of_an_episode(name):
-    """To the last bit, whatever happened before, inside the unroll and in the state."""
+def test_episodes_do_not_leak_into_each_other(name):
+    """Bit for bit, with other frames before it in the unroll and in the state."""
     memory = build(MEMORIES[name])
     inputs, is_first = sequence(0, ends=0.0)
     is_first[5, 0] = is_first[9, 1] = is_first[0, 2] = True
@@ -260,7 +260,7 @@ def test_gtrxl_equals_its_definition(name, cuts):
 
 
 @pytest.mark.parametrize("layers", [1, 2])
-def test_gtrxl_reaches_back_its_memory_in_every_layer(layers):
+def test_every_layer_of_gtrxl_reaches_memory_length_further_back(layers):
     options = GTRXL.model_copy(update={"layers": layers})
     memory = build(options)
     inputs, is_first = sequence(0, ends=0.0)
@@ -273,8 +273,7 @@ def test_gtrxl_reaches_back_its_memory_in_every_layer(layers):
     assert seen.nonzero().squeeze().tolist() == list(range(t - reach, t + 1))
 
 
-def test_gtrxl_attends_to_nothing_but_what_it_has_read():
-    """What stands in the state where nothing has been read does not matter."""
+def test_gtrxl_does_not_attend_to_unused_places_of_the_state():
     memory = build(GTRXL)
     inputs, is_first = sequence(0, ends=0.0)
     state = memory.initial_state(BATCH)
@@ -298,8 +297,8 @@ def test_gtrxl_gradients_stop_at_the_state():
     assert not any(part.requires_grad for part in after.values())
 
 
-def test_a_gate_begins_near_the_identity():
-    """The nearer, the larger its bias; without one it goes half of the way to the candidate."""
+def test_a_gate_is_near_the_identity_at_first():
+    """The larger its bias, the nearer; with a bias of 0 it is half way to the candidate."""
     torch.manual_seed(0)
     x, y = torch.randn(2, 100, 64)
     moved = {}

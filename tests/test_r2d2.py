@@ -1,4 +1,4 @@
-"""R2D2: its update against the definition written out step by step, its exploration, its resume."""
+"""R2D2: its update against its definition, exploration, replay, resume, and what it learns."""
 
 import shutil
 from copy import deepcopy
@@ -132,7 +132,7 @@ def h(x):
     return np.sign(x) * (np.sqrt(abs(x) + 1) - 1) + 1e-3 * x
 
 
-def test_rescaling_is_the_definitions_and_unrescaling_its_inverse():
+def test_rescaling_equals_the_definition_and_unrescaling_is_its_inverse():
     x = np.concatenate([np.logspace(-6, 6, 100), -np.logspace(-6, 6, 100), [0.0]])
     tensor = torch.tensor(x, dtype=torch.float32)
     np.testing.assert_allclose(rescale(tensor), h(x), rtol=1e-5, atol=1e-12)
@@ -239,7 +239,7 @@ def by_hand(made, items, weights):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_the_update_is_the_definitions(seed):
+def test_the_update_equals_the_definition(seed):
     made, items = agent(), sequences(5, seed)
     learned = items["steps"][:, BURN_IN:-1]
     assert learned["terminated"].any()
@@ -263,7 +263,7 @@ def test_the_update_is_the_definitions(seed):
         torch.testing.assert_close(moved[certain], step[certain], rtol=1e-2, atol=1e-6)
 
 
-def test_what_was_learned_is_closer():
+def test_repeated_updates_reduce_the_loss():
     made, items = agent(learning_rate=3e-3, target_period=1000), sequences(5)
     losses = [made._learn(items, torch.ones(5))[0]["loss"] for _ in range(100)]
     assert losses[-1] < 0.1 * losses[0]
@@ -277,9 +277,9 @@ def test_gradients_are_clipped():
     assert torch.stack(norms).norm().item() == pytest.approx(1e-3, rel=1e-3)
 
 
-def test_a_mean_teaches_what_a_sum_over_time_does():
-    """If the gradient's bound and Adam's epsilon are divided alike: the paper's are for sums. Both
-    matter here: the bound always, the epsilon in many entries of the gradient."""
+def test_training_on_means_equals_training_on_sums_over_time():
+    """If the bound on the gradient's norm and Adam's epsilon are divided by the sequence's length,
+    as configs/ does with the paper's. Without that, training differs."""
     bound, epsilon = 0.2, 1e-3
     summed = agent(max_gradient_norm=bound, adam_epsilon=epsilon)
     mean = agent(max_gradient_norm=bound / STEPS, adam_epsilon=epsilon / STEPS)
@@ -309,7 +309,7 @@ def test_divergence_changes_no_weights():
         assert torch.equal(parameter, before[name])
 
 
-def test_the_target_network_follows_every_so_many_steps():
+def test_the_target_network_is_copied_every_target_period():
     made = agent(target_period=3)
 
     def same():
@@ -351,7 +351,7 @@ def test_replay_holds_unrolls_with_the_rows_before_them(burn_in):
             assert torch.equal(item["memory"][name], part[world])
 
 
-def test_nothing_is_learned_before_there_is_enough():
+def test_no_step_is_taken_before_replay_min_sequences():
     made = agent(replay_min=8, replay_capacity=16)
     learned, sizes = [], []
     for unroll in unrolls(6):
@@ -364,7 +364,7 @@ def test_nothing_is_learned_before_there_is_enough():
     assert learned == [False, False, True, True, True, True]
 
 
-def test_priorities_follow_what_was_learned():
+def test_priorities_are_those_of_the_learned_sequences():
     made = agent(replay_min=8, samples_per_insert=0.5)
     for unroll in unrolls(3):
         made.update(unroll)
@@ -394,8 +394,8 @@ MEMORIES = [
 
 @pytest.mark.parametrize("memory", MEMORIES, ids=["lstm", "lstm2", "mlp", "gtrxl"])
 @pytest.mark.parametrize("storage", ["ram", "memmap"])
-def test_after_the_burn_in_memory_is_what_it_was(memory, storage, tmp_path):
-    """With weights that stay: Q of what is replayed is Q of the whole history from its start."""
+def test_after_the_burn_in_memory_equals_that_of_the_whole_history(memory, storage, tmp_path):
+    """With weights that do not change: Q of replayed steps is Q from the start of the history."""
     env = Recall(WORLDS, 3)
     setting = Setting(
         env.single_observation_space,
@@ -429,7 +429,7 @@ def test_after_the_burn_in_memory_is_what_it_was(memory, storage, tmp_path):
 
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_it_continues_from_its_state(precision):
+def test_state_dict_continues_bit_for_bit(precision):
     one, other = agent(), agent()
     one.precision = other.precision = precision
     collected = list(unrolls(6))
@@ -454,7 +454,7 @@ def frames(n):
     )
 
 
-def test_exploration_is_as_often_as_epsilon_says_and_absent_when_scored():
+def test_random_actions_have_probability_epsilon_and_none_are_taken_in_evaluation():
     n = 3000
     made = agent(worlds=n, epsilon=0.3, replay_capacity=n)
     generator = torch.Generator().manual_seed(0)
@@ -472,7 +472,7 @@ def test_exploration_is_as_often_as_epsilon_says_and_absent_when_scored():
     assert (abs(frequencies - expected) < 4 * sigma).all()
 
 
-def test_the_ladder():
+def test_the_epsilon_ladder():
     worlds = 8
     made = agent(worlds=worlds, epsilon=0.4, epsilon_ladder=True)
     expected = [0.4 ** (1 + 7 * i / (worlds - 1)) for i in range(worlds)]
@@ -488,14 +488,14 @@ def test_the_ladder():
     assert agent(worlds=1, epsilon_ladder=True, epsilon=0.4).epsilon.tolist() == [0.4]
 
 
-def test_values_are_in_the_rewards_units():
+def test_values_are_in_the_units_of_rewards():
     made = agent()
     value = made.value(frames(2), made.initial_memory(2))
     q, _ = made.network(frames(2).unsqueeze(), made.initial_memory(2))
     torch.testing.assert_close(value, unrescale(q[0].max(-1).values))
 
 
-def test_advantages_have_no_mean():
+def test_the_mean_advantage_is_subtracted():
     made = agent()
     with torch.no_grad():
         _, core, _ = made.network.remember(frames(2).unsqueeze(), made.initial_memory(2))
@@ -521,7 +521,7 @@ def test_impossible_options_are_refused(changes, told):
         agent(**changes)
 
 
-def test_impossible_options_are_told_before_a_run(tmp_path):
+def test_impossible_options_are_reported_before_a_run(tmp_path):
     wrong = config(tmp_path, burn_in=7, samples_per_insert=0.25)
     assert list(feasibility.problems(wrong)) == [
         "agent.samples_per_insert=0.25: times collector.num_envs=6 is 1.5 sequences a batch; "
@@ -533,7 +533,7 @@ def test_impossible_options_are_told_before_a_run(tmp_path):
 
 
 def test_the_papers_values():
-    """Its table for the playroom, lifting tasks."""
+    """The paper's table for the playroom's lifting tasks."""
     options = R2D2Options.model_validate(
         OmegaConf.to_container(OmegaConf.load(composing.CONFIG_DIR / "agent" / "r2d2.yaml"))
     )
@@ -568,7 +568,7 @@ def config(root, *overrides, **changes):
 
 
 def train_until_killed(options, update):
-    """A run that is gone after an update, whatever its last checkpoint."""
+    """A run that is killed after an update, without a checkpoint there."""
     run_folder.make(options.folder)
     with runner.Run(options) as run:
         run.evaluate()
@@ -580,8 +580,8 @@ def train_until_killed(options, update):
 
 
 @pytest.mark.parametrize("storage", ["ram", "memmap"])
-def test_a_killed_run_goes_on_to_the_last_bit(storage, tmp_path):
-    """Killed four updates after a checkpoint; replay was full before, and had begun again."""
+def test_a_killed_run_resumes_bit_for_bit(storage, tmp_path):
+    """Killed four updates after a checkpoint, when replay was full and had wrapped around."""
     whole = config(tmp_path / "whole", storage=storage)
     cut = config(tmp_path / "cut", storage=storage)
     assert runner.train(whole) == 0
@@ -596,7 +596,7 @@ def test_a_killed_run_goes_on_to_the_last_bit(storage, tmp_path):
     assert list(one["update"].unique()) == [8, 12]
 
 
-def test_a_run_without_its_replays_files_is_not_gone_on_with(tmp_path):
+def test_a_run_without_its_replay_files_does_not_resume(tmp_path):
     options = config(tmp_path, storage="memmap")
     train_until_killed(options, 5)
     seldom = options.model_copy(
@@ -609,7 +609,7 @@ def test_a_run_without_its_replays_files_is_not_gone_on_with(tmp_path):
         runner.train(options)
 
 
-def test_what_replay_takes_is_said_and_refused_where_there_is_less(tmp_path, monkeypatch):
+def test_the_size_of_replay_is_shown_and_refused_where_it_does_not_fit(tmp_path, monkeypatch):
     options = config(tmp_path, storage="ram")
     train_until_killed(options, 3)
     log = (options.folder / "train.log").read_text()
@@ -663,8 +663,8 @@ def trained(env, network, memory, *, unroll_length, updates, seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_it_learns_to_find_three_goals_in_a_room(seed):
-    """Touching any of them is worth a third by chance; the one that is asked for, always 1."""
+def test_r2d2_learns_to_find_three_goals_in_a_room(seed):
+    """Touching a random one scores a third, touching the cued one 1."""
     options = {
         "num_maps": 1,
         "num_rooms": [1, 1],
@@ -685,8 +685,8 @@ def test_it_learns_to_find_three_goals_in_a_room(seed):
     assert play(policy, env, episodes=300, seed=2)["success"].mean() >= 0.95
 
 
-def test_it_learns_to_recall():
-    """What was seen four steps ago, across the bounds of its sequences; a guess is right in 1/4."""
+def test_r2d2_learns_to_recall():
+    """A cue of four steps ago, also across the bounds of sequences; chance is 1/4."""
     delay = 4
     policy = trained(
         Recall(32, delay),

@@ -65,7 +65,7 @@ def test_memories_recall(memory, learning_rate, seed):
     assert episodes["success"].mean() >= 0.95
 
 
-def test_without_memory_it_is_a_guess():
+def test_an_agent_without_memory_is_at_chance():
     episodes = trained(MLPOptions(name="mlp", size=32, layers=1), updates=400)
     sigma = np.sqrt(1 / CUES * (1 - 1 / CUES) / 1000)
     assert episodes["success"].mean() <= 1 / CUES + 4 * sigma
@@ -73,8 +73,8 @@ def test_without_memory_it_is_a_guess():
 
 
 @pytest.mark.parametrize("world", range(3))
-def test_the_probe_itself(world):
-    """Answering the cue succeeds; answering another, or having moved while waiting, does not."""
+def test_the_worlds_rules(world):
+    """Answering the cue succeeds; another answer, or moving while waiting, fails."""
     env = Recall(3, DELAY)
     for answer_right, stay in ((True, True), (False, True), (True, False)):
         _, info = env.reset(seed=world)

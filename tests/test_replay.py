@@ -1,4 +1,4 @@
-"""Replay: what is drawn, how often, and that it goes on from its state wherever it is kept."""
+"""Replay: draws and their frequencies, and that it resumes from its state in RAM and on disk."""
 
 import errno
 from copy import deepcopy
@@ -23,7 +23,7 @@ ITEM = TensorDict(
 
 
 def items(first, count):
-    """Items whose contents say which they are."""
+    """Items whose contents are their numbers."""
     numbers = torch.arange(first, first + count)
     return TensorDict(
         {
@@ -43,7 +43,7 @@ def build(folder=None, capacity=10, spare=6, **changes):
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 7, 8, 100])
-def test_the_tree_is_a_list_with_sums(size):
+def test_the_tree_equals_a_list_with_sums(size):
     rng = np.random.default_rng(size)
     tree, plain = SumTree(size), np.zeros(size)
     for _ in range(50):
@@ -93,8 +93,8 @@ def test_draws_follow_priorities(exponent):
     assert not follows(counts, wrong)
 
 
-def test_the_place_in_a_batch_says_nothing_of_the_share_drawn():
-    """One draw at a time gives the same shares as strata of 32."""
+def test_frequencies_do_not_depend_on_the_size_of_batches():
+    """One draw at a time gives the same frequencies as strata of 32."""
     priorities = np.arange(1.0, 11.0)
     sampler = sampler_with(priorities, 1.0)
     counts = np.bincount([int(sampler.sample(None, 1)[0]) for _ in range(20_000)], minlength=10)
@@ -115,13 +115,13 @@ def test_importance_weights(beta):
         np.testing.assert_allclose(products, products[0], rtol=1e-5)
 
 
-def test_what_has_no_error_can_still_be_drawn():
+def test_items_without_error_can_still_be_drawn():
     sampler = sampler_with(np.zeros(4), 1.0)
     drawn = torch.cat([sampler.sample(None, 4)[0] for _ in range(10)])
     assert set(drawn.tolist()) == {0, 1, 2, 3}
 
 
-def test_what_is_new_has_the_largest_priority_yet():
+def test_new_items_have_the_largest_priority_so_far():
     sampler = sampler_with([3.0, 0.5, 0.5], 1.0)
     sampler.update_priority(torch.tensor([0]), torch.tensor([0.25]))
     sampler.extend(torch.tensor([1]))
@@ -130,7 +130,7 @@ def test_what_is_new_has_the_largest_priority_yet():
 
 @pytest.mark.parametrize("storage", ["ram", "memmap"])
 @pytest.mark.parametrize("batch", [1, 3, 4])
-def test_the_latest_items_are_drawn_as_they_were_put_in(storage, batch, tmp_path):
+def test_the_latest_items_are_drawn_as_they_were_inserted(storage, batch, tmp_path):
     kept = build(tmp_path / "replay" if storage == "memmap" else None, priority_exponent=0.0)
     for first in range(0, 60, batch):
         kept.insert(items(first, batch))
@@ -147,7 +147,7 @@ def test_the_latest_items_are_drawn_as_they_were_put_in(storage, batch, tmp_path
 
 
 def play(kept, first, times):
-    """Inserts, draws and new priorities; what was drawn."""
+    """Inserts, draws and updates priorities; returns the draws."""
     drawn = []
     for i in range(times):
         kept.insert(items(first + 2 * i, 2))
@@ -160,8 +160,8 @@ def play(kept, first, times):
 @pytest.mark.parametrize("storage", ["ram", "memmap"])
 @pytest.mark.parametrize("before", [2, 4, 9, 23])
 @pytest.mark.parametrize("lost", [0, 1, 3])
-def test_it_goes_on_from_its_checkpoint(storage, before, lost, tmp_path):
-    """Killed up to three updates of two items after a checkpoint: all that there is room for."""
+def test_it_resumes_from_its_checkpoint(storage, before, lost, tmp_path):
+    """Killed up to three inserts of two items after a checkpoint: as many as there is room for."""
     folder = tmp_path / "replay" if storage == "memmap" else None
     kept = build(folder)
     play(kept, 0, before)
@@ -191,7 +191,7 @@ def test_as_many_items_as_an_item_has_rows_are_loaded():
     assert torch.equal(kept.sample(4)[0]["steps", "image"], again.sample(4)[0]["steps", "image"])
 
 
-def test_a_replay_that_was_empty_is_empty_again(tmp_path):
+def test_an_empty_replay_resumes_as_an_empty_one(tmp_path):
     for folder in (None, tmp_path / "replay"):
         kept = build(folder)
         state = kept.state_dict()
@@ -202,7 +202,7 @@ def test_a_replay_that_was_empty_is_empty_again(tmp_path):
         assert len(kept) == 6
 
 
-def test_a_state_holds_what_can_be_drawn_and_no_more():
+def test_a_state_holds_only_items_that_can_be_drawn():
     kept = build(capacity=1000)
     play(kept, 0, 2)
     state = kept.state_dict()
@@ -211,7 +211,7 @@ def test_a_state_holds_what_can_be_drawn_and_no_more():
         assert leaf.untyped_storage().nbytes() == leaf.nbytes
 
 
-def test_files_that_are_not_the_checkpoints_are_refused(tmp_path):
+def test_files_of_another_replay_are_refused(tmp_path):
     folder = tmp_path / "replay"
     kept = build(folder)
     play(kept, 0, 6)
@@ -238,7 +238,7 @@ def test_files_that_are_not_the_checkpoints_are_refused(tmp_path):
         other.load_state_dict(state)
 
 
-def test_what_does_not_fit_is_refused_before_it_is_set_aside(tmp_path, monkeypatch):
+def test_a_replay_that_does_not_fit_is_refused_before_it_is_allocated(tmp_path, monkeypatch):
     each = 3 * 2 * 2 + 4 * 4 + 2 * 8
     assert build().item_bytes == each
     monkeypatch.setattr(replay, "free_ram", lambda: 2 * 10 * each)
@@ -252,7 +252,7 @@ def test_what_does_not_fit_is_refused_before_it_is_set_aside(tmp_path, monkeypat
     assert not (tmp_path / "replay").exists()
 
 
-def test_the_disks_room_is_taken_at_once(tmp_path, monkeypatch):
+def test_disk_space_is_allocated_at_once(tmp_path, monkeypatch):
     kept = build(tmp_path / "replay", capacity=50_000)
     kept.insert(items(0, 2))
     taken = sum(p.stat().st_blocks * 512 for p in (tmp_path / "replay").rglob("*.memmap"))
@@ -286,5 +286,5 @@ def test_free_ram_and_disk(tmp_path):
         (4e16, "40000.0 TB"),
     ],
 )
-def test_sizes_in_words(size, words):
+def test_sizes_as_text(size, words):
     assert free_space.in_words(size) == words

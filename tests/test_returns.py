@@ -1,4 +1,4 @@
-"""Returns against loops written from their definitions; V-trace against TorchRL's too."""
+"""Returns against loops written from their definitions; V-trace also against TorchRL's."""
 
 import numpy as np
 import pytest
@@ -100,8 +100,7 @@ def test_vtrace_equals_torchrl(seed):
     torch.testing.assert_close(batch_first(result.advantages), advantages, rtol=1e-4, atol=1e-4)
 
 
-def test_nothing_flows_across_an_episodes_end():
-    """What happens after an end changes nothing before it."""
+def test_returns_do_not_depend_on_later_episodes():
     x = case(0)
     x["terminated"][5], x["truncated"][5] = True, False
     x["terminated"][8], x["truncated"][8] = False, True

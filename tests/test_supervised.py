@@ -1,4 +1,4 @@
-"""The supervised classifier: its questions, its labels, its update, and that it learns."""
+"""The supervised classifier: its questions, labels and update, and that it learns."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def classifier(env, memory=MLP, network=NETWORK, **changes):
 # Questions
 
 
-def test_it_keeps_the_contract():
+def test_its_worlds_pass_the_self_check():
     check_vector_env(
         lambda n=1, **options: FirstFrameVectorEnv(n, LEVEL, image_size=(18, 24), **options),
         lambda: SingleWorld(
@@ -49,7 +49,7 @@ def test_it_keeps_the_contract():
     )
 
 
-def test_the_side_is_that_of_the_object_on_the_first_frame_of_the_level():
+def test_the_right_answer_is_the_side_of_the_object_on_the_levels_first_frame():
     asked = envs.make_vec(envs.questions(envs.split("playroom_find")).uniform[0], 60)
     played = envs.make_vec("playroom/supervised/find_shape_uniform", 60)
     frames, info = asked.reset(seed=3)
@@ -71,7 +71,7 @@ def test_the_side_is_that_of_the_object_on_the_first_frame_of_the_level():
     assert (step["target"] != info["target"]).any()
 
 
-def test_of_two_that_are_the_same_either_answer_is_right():
+def test_either_answer_is_right_where_both_objects_are_the_same():
     env = FirstFrameVectorEnv(20, LEVEL)
     for answer in (LEFT, RIGHT):
         env.reset(seed=0, options={"target": 7, "other": 7})
@@ -91,7 +91,7 @@ def test_levels_without_sides_are_refused():
     ]
 
 
-def test_it_chooses_one_of_two():
+def test_there_are_two_answers():
     with pytest.raises(ValueError, match="one of two answers, not of 46"):
         classifier(envs.make_vec(f"playroom/{LEVEL}", 1))
 
@@ -130,7 +130,7 @@ def test_an_update_is_one_step_of_adam_on_the_cross_entropy_of_the_sides():
         torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-6)
 
 
-def test_it_tosses_coins_in_training_and_answers_when_it_is_scored():
+def test_answers_are_random_in_training_and_its_best_in_evaluation():
     env = FirstFrameVectorEnv(200, "supervised/find_shape_uniform", image_size=(18, 24))
     made = classifier(env, network=NETWORK.model_copy(update={"patch": 6}))
     policy = AgentPolicy(made, seed=0, device="cpu")
@@ -145,8 +145,8 @@ def test_it_tosses_coins_in_training_and_answers_when_it_is_scored():
     assert abs(np.corrcoef(tosses[:-1].flatten(), tosses[1:].flatten())[0, 1]) < 0.05
 
 
-def test_a_memory_is_that_of_a_first_frame():
-    """An LSTM has seen nothing before, in whatever row of an unroll."""
+def test_every_frame_is_read_with_an_empty_memory():
+    """By an LSTM, in every row of an unroll."""
     env = FirstFrameVectorEnv(3, LEVEL)
     made = classifier(env, memory=LSTMOptions(name="lstm", size=8, layers=1))
     unroll = Collector(env, made, unroll_length=4, seed=1).collect()
@@ -159,25 +159,25 @@ def test_a_memory_is_that_of_a_first_frame():
 
 
 class Squares(FirstFrameVectorEnv):
-    """A white square is on the left or on the right of the picture; words say black or white."""
+    """A white square is on the left or the right of the image; words name black or white."""
 
     def __init__(self, num_envs, **options):
         super().__init__(num_envs, "supervised/find_shape_uniform", image_size=(12, 24), **options)
 
     def _observe(self, out, mask):
-        told = self._instructions[mask]
+        words = self._instructions[mask]
         black = self.worlds.ranks[mask, 0] % 2
-        image = np.zeros((len(told), 12, 24, 3), np.uint8)
+        image = np.zeros((len(words), 12, 24, 3), np.uint8)
         white_is_right = self._side[mask] ^ black
         image[white_is_right == LEFT, :, :12] = 255
         image[white_is_right == RIGHT, :, 12:] = 255
         out["image"][mask] = image
-        out["instruction"][mask] = told
+        out["instruction"][mask] = words
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_it_learns_which_side_the_words_name(seed):
-    """Fifty words stand for two colours; neither picture nor words alone tell the side."""
+def test_it_learns_the_side_that_the_words_name(seed):
+    """Fifty words stand for two colours; the side depends on both image and words."""
     env = Squares(32)
     setting = Setting(
         env.single_observation_space,

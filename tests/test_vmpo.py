@@ -1,4 +1,4 @@
-"""V-MPO's update against its definition, written out step by step, and its directions."""
+"""V-MPO's update against its definition, computed step by step, and what it learns."""
 
 import copy
 
@@ -53,7 +53,7 @@ def agent(**changes):
 
 
 def as_acted_by(vmpo, data):
-    """The same unroll with what the target's policy is in it."""
+    """The same unroll with the target policy's logits."""
     with torch.no_grad():
         data.steps["logits"] = vmpo.target(Inputs.of(data.steps), data.memory).logits
     return data
@@ -115,7 +115,7 @@ def by_hand(vmpo, data):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_losses_are_the_definitions(seed):
+def test_losses_equal_the_definition(seed):
     vmpo, data = agent(), unroll(seed)
     assert data.steps["terminated"].any()
     assert data.steps["truncated"].any()
@@ -131,7 +131,7 @@ LEARNED = ("logits", "values", "eta", "alpha")
 
 
 def loose_losses(seed, dtype=torch.float64, eta=0.7, alpha=1.5):
-    """The losses of random numbers, and these numbers."""
+    """The losses for random inputs, and these inputs."""
     rng = np.random.default_rng(seed)
 
     def floats(*tail):
@@ -177,15 +177,15 @@ def gradients(loss, learned):
         ("baseline", {"values"}),
     ],
 )
-def test_each_loss_teaches_its_own(loss, reaches):
+def test_each_loss_has_gradients_for_its_own_parameters_only(loss, reaches):
     losses, learned, _ = loose_losses(0)
     found = gradients(getattr(losses, loss), learned)
     assert {name for name in LEARNED if found[name] is not None} == reaches
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_gradients_are_the_definitions(seed):
-    """Written out by hand: each with everything held fixed that the definition holds fixed."""
+def test_gradients_equal_the_definition(seed):
+    """Each loss with all held constant that the definition holds constant."""
     losses, learned, given = loose_losses(seed)
     eta, alpha = 0.7, 1.5
     pi = learned["logits"].detach().softmax(-1)
@@ -213,7 +213,7 @@ def test_the_gradients_are_the_definitions(seed):
 
 
 @pytest.mark.parametrize("eta", [SMALLEST_DUAL, 1e-4, 1e4])
-def test_etas_gradient_is_exact_at_its_extremes(eta):
+def test_the_gradient_of_eta_is_exact_for_extreme_values(eta):
     losses, learned, _ = loose_losses(0, torch.float32, eta)
     exact, learned_exactly, _ = loose_losses(0, torch.float64, eta)
     found = gradients(losses.eta, learned)["eta"]
@@ -238,13 +238,13 @@ def test_the_top_fraction(advantages, fraction, top):
     assert found.int().tolist() == top
 
 
-def test_the_top_is_of_the_whole_batch():
+def test_the_top_fraction_is_of_the_whole_batch():
     advantages = torch.tensor([[1.0, 10.0], [2.0, 20.0]])
     assert is_top(advantages, 0.5).tolist() == [[False, True], [False, True]]
 
 
-def test_alpha_keeps_the_policy_near_the_targets():
-    """A divergence above its bound raises alpha, one below lowers it."""
+def test_alpha_rises_when_the_divergence_exceeds_its_bound():
+    """And falls when it is below."""
     far, near = agent(epsilon_alpha=0.01), agent(epsilon_alpha=10.0)
     for vmpo, sign in ((far, 1), (near, -1)):
         metrics = vmpo.update(unroll())
@@ -252,8 +252,8 @@ def test_alpha_keeps_the_policy_near_the_targets():
         assert (vmpo.duals["alpha"].item() - metrics["alpha"]) * sign > 0.09
 
 
-def test_eta_keeps_the_weights_near_uniform():
-    """Weights further from uniform than the bound raise eta, those nearer lower it."""
+def test_eta_rises_when_the_weights_are_further_from_uniform_than_the_bound():
+    """And falls when they are nearer."""
     for eta, sign in ((0.01, 1), (100.0, -1)):
         vmpo = agent(initial_eta=eta)
         vmpo.update(unroll())
@@ -268,7 +268,7 @@ def test_the_duals_stay_positive():
     assert vmpo.duals["eta"].item() >= 0.99 * SMALLEST_DUAL
 
 
-def test_alpha_holds_the_policy_back():
+def test_a_large_alpha_keeps_the_policy_near_the_target():
     moved = []
     for alpha in (0.01, 100.0):
         vmpo = agent(initial_alpha=alpha, target_period=100, learning_rate=1e-2)
@@ -279,7 +279,7 @@ def test_alpha_holds_the_policy_back():
     assert moved[1] < 0.1 * moved[0]
 
 
-def test_the_target_acts_and_follows_once_in_a_period():
+def test_the_target_acts_and_is_copied_once_in_a_period():
     vmpo, data = agent(learning_rate=0.1), unroll()
     inputs = Inputs.of(data.steps[0])
     generator = torch.Generator().manual_seed(0)
@@ -306,7 +306,7 @@ def test_the_target_acts_and_follows_once_in_a_period():
         assert not torch.allclose(now()[1], value)
 
 
-def test_a_period_begins_without_divergence():
+def test_the_divergence_is_0_when_the_target_was_just_copied():
     vmpo = agent(learning_rate=0.01)
     kls = [vmpo.update(as_acted_by(vmpo, unroll(i)))["kl"] for i in range(6)]
     assert kls[0] == pytest.approx(0, abs=1e-6)
@@ -314,7 +314,7 @@ def test_a_period_begins_without_divergence():
     assert min(kls[1], kls[2], kls[4], kls[5]) > 1e-5
 
 
-def test_what_was_better_than_expected_becomes_likelier_and_the_value_follows():
+def test_actions_better_than_expected_become_likelier_and_the_value_follows():
     vmpo = agent(learning_rate=1e-2, initial_alpha=0.1)
 
     def now():
@@ -345,7 +345,7 @@ def test_gradients_are_clipped():
 
 
 @pytest.mark.parametrize("name", ["reward", "truncation_value", "logits"])
-def test_divergence_changes_nothing(name):
+def test_divergence_changes_no_weights(name):
     vmpo, data = agent(), unroll()
     vmpo.update(unroll(1))
     before = everything(vmpo)
@@ -375,8 +375,8 @@ def test_actions_follow_the_policy():
 
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_it_continues_from_its_state(precision):
-    """From within a period of the target, past its end."""
+def test_state_dict_continues_bit_for_bit(precision):
+    """Saved within a period of the target network and continued past its end."""
     one, other = agent(), agent()
     one.precision = other.precision = precision
     one.update(unroll(0))
@@ -391,7 +391,7 @@ def shipped():
 
 
 def test_the_papers_values():
-    """Its V-MPO table, as printed but for T_target, whose 0.5 is the top fraction."""
+    """The paper's V-MPO table; its T_target of 0.5 is read as the top fraction."""
     options = VMPOOptions.model_validate({k: _number(v) for k, v in shipped().items()})
     assert options.discount == 0.995
     assert options.dual_learning_rate == 3e-3
@@ -409,7 +409,7 @@ def _number(value):
         return value
 
 
-def test_a_run_goes_on_bit_for_bit(tmp_path):
+def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
     loaded = command_line.load(
         [
             "experiment=demo",
@@ -450,7 +450,7 @@ def test_a_run_goes_on_bit_for_bit(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_it_learns_a_tiny_gridworld(seed):
+def test_vmpo_learns_a_tiny_gridworld(seed):
     options = OPTIONS.model_copy(
         update={
             "learning_rate": 2e-3,

@@ -1,5 +1,6 @@
 """One room, three objects: two steps lead to any of them. Chance is a third."""
 
+
 from zipf import envs
 from zipf.experiments.running.agent_policy import AgentPolicy
 from zipf.experiments.running.collector import Collector
@@ -15,7 +16,7 @@ WORLDS = {
 
 
 def after_learning(build, seed):
-    """A thousand episodes of what `build`, called with the spaces, is after 250 updates."""
+    """A thousand episodes of `build(observation_space, action_space)` after 250 updates."""
     env = envs.make_vec("gridworld/uniform", 64, **WORLDS)
     agent = build(env.single_observation_space, env.single_action_space)
     collector = Collector(env, agent, unroll_length=8, seed=seed)

@@ -1,7 +1,7 @@
-"""Exploration bonuses: rewards of the learner's own making.
+"""Exploration bonuses: intrinsic rewards.
 
-A bonus is added to the reward that the agent learns from and to nothing else: scores, logs of
-returns and the agent's last-reward input see the task's reward alone.
+A bonus is added to the reward that the agent learns from and to nothing else: scores, logged
+returns and the agent's last-reward input are of the task's reward alone.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class CountBonus:
     def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
         """Counts the observations `{name: [N, ...]}` where `mask` [N]; returns float32 [N].
 
-        Where the mask is not set nothing is counted and the bonus is 0.
+        Elsewhere nothing is counted and the bonus is 0.
         """
         hashes = np.zeros(len(mask), np.uint64)
         for name in sorted(observation):

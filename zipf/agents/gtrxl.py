@@ -1,7 +1,8 @@
 """GTrXL (Parisotto et al. 2020): a gated Transformer-XL as a memory, top to bottom.
 
-Layer l reads the stream x [T, B, D] of the layer below it and changes it twice, both times through
-a gate that begins near the identity, so that an agent learns to react before it learns to remember:
+Layer l reads the stream x [T, B, D] of the layer below it and updates it twice, each time through a
+gate that is near the identity at first, so that an agent can learn to react before it learns to
+remember:
 
     y = ReLU(attention(norm(x)));  x <- gate(x, y);  z = ReLU(mlp(norm(x)));  x <- gate(x, z)
 
@@ -10,10 +11,10 @@ goes; each layer reaches as much further back as the one below it, `layers` x `m
 in all. Frames are told apart by their distance (Dai et al. 2019, Transformer-XL).
 
 The state holds the keys and values of the last `memory_length` frames, so that acting computes
-those of the current frame alone. Transformer-XL holds the layer's inputs there and projects them
-anew in every segment: it stops the gradient at these inputs, but the projections of keys and values
-learn from them. Here they learn from the frames of the unroll alone, and what the state holds stays
-as it was computed, by the weights of the time; for an actor-critic that is one update ago or so.
+only those of the current frame. Transformer-XL holds the layer's inputs instead and projects them
+anew in every segment: the gradient stops at these inputs, but reaches the projections of keys and
+values. Here the projections learn from the frames of the unroll alone, and the keys and values in
+the state are those of older weights; for an actor-critic, of the update before or so.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ Size = Annotated[int, Field(ge=1)]
 
 
 class GTrXLOptions(Options):
-    """What can be chosen; sources of the values are in `configs/memory/gtrxl.yaml`.
+    """The options; `configs/memory/gtrxl.yaml` has the sources of their values.
 
     `size` is the Transformer's d_model. The state of a world takes 8 x layers x memory_length x
     size bytes.
@@ -69,7 +70,7 @@ class GTrXLMemory(nn.Module):
         self.register_buffer("distances", distances, persistent=False)
 
     def initial_state(self, batch: int) -> dict[str, Tensor]:
-        """Zeros: nothing to attend to.
+        """Zeros: an empty memory.
 
         length: int64 [B], the frames of the current episode that are remembered.
         layer0, layer1, ...: float32 [B, heads, memory_length, 2 x size / heads], their keys and
@@ -97,7 +98,7 @@ class GTrXLMemory(nn.Module):
         unseen = (distance < 0) | (distance > furthest)  # [B, 1, T, memory_length + T]
 
         after = {"length": (age[-1] + 1).clamp(max=self.memory_length)}
-        # Under autocast the stream stays float32, as weights do: small changes would be lost.
+        # Under autocast the stream stays float32, as weights do: bfloat16 would lose small changes.
         stream = self.embed(inputs.transpose(0, 1)).float()
         for i, layer in enumerate(self.layers):
             stream, after[f"layer{i}"] = layer(stream, state[f"layer{i}"], self.distances, unseen)
@@ -105,7 +106,7 @@ class GTrXLMemory(nn.Module):
 
 
 class Layer(nn.Module):
-    """Attention and a two-layer perceptron, each normed before, rectified and gated after.
+    """Attention and a two-layer perceptron, each with layer norm before, ReLU and gate after.
 
     The parameters are Transformer-XL's, each layer's its own: W_q, W_k and W_v in `project`, W_k,R
     in `project_distances`, u in `content_bias`, v in `distance_bias`.
@@ -161,8 +162,8 @@ class Layer(nn.Module):
 
 
 class Gate(nn.Module):
-    """A GRU's update of x by y (Parisotto et al. 2020, section 3.2); the larger its bias at the
-    start, the nearer it is to the identity of x."""
+    """A GRU's update of x by y (Parisotto et al. 2020, section 3.2); the larger the initial bias,
+    the closer to the identity of x."""
 
     def __init__(self, size: int, bias: float):
         super().__init__()
@@ -191,13 +192,13 @@ def sinusoids(distances: int, size: int) -> Tensor:
 
 
 def align(scores: Tensor) -> Tensor:
-    """Scores by distance, placed at the frames that are so far away (Dai et al. 2019, appendix B).
+    """Scores by distance as scores by frame (Dai et al. 2019, appendix B).
 
-    [..., T, M + 1], the furthest distance, M, first -> [..., T, M + T]: row i moves i to the right.
-    Where there is no such distance stands 0.
+    [..., T, M + 1], the furthest distance, M, first -> [..., T, M + T]: row i is shifted i to the
+    right; entries that have no score are 0.
     """
     steps, distances = scores.shape[-2:]
     width = distances + steps - 1
-    # In rows one longer than they are read again, every row comes to begin one further right.
+    # Padded by T and read as rows that are one shorter, each row starts one further right.
     padded = F.pad(scores, (0, steps)).flatten(-2)
     return padded[..., : steps * width].unflatten(-1, (steps, width))

@@ -29,7 +29,7 @@ Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 
 class ImpalaOptions(Options):
-    """What can be chosen; sources of the values are in `configs/agent/impala.yaml`."""
+    """The options; `configs/agent/impala.yaml` has the sources of their values."""
 
     name: Literal["impala"]
     learning_rate: Positive
@@ -90,12 +90,12 @@ class Impala(Agent):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Samples an action in each of B worlds; when evaluated just as in training.
+        """Samples an action in each of B worlds, in training and evaluation alike.
 
         The generator is the CPU's whatever the device, so that a run can move between devices.
 
-        Returns actions int64 [B], the memory after this frame, and what `update` will want to know
-        of the behaviour policy: `logits` float32 [B, actions].
+        Returns actions int64 [B], the memory after this frame, and the behaviour policy's `logits`
+        float32 [B, actions], which `update` needs.
         """
         with autocast(self.device, self.precision):
             outputs = self.actor(inputs.unsqueeze(), memory)
@@ -112,10 +112,10 @@ class Impala(Agent):
             return self.actor(inputs.unsqueeze(), memory).value[0]
 
     def update(self, unroll: Unroll) -> dict[str, float]:
-        """One optimiser step; returns the losses and what explains them.
+        """One optimiser step; returns the losses and other metrics.
 
         Raises:
-            FloatingPointError: learning has diverged; nothing was changed.
+            FloatingPointError: learning has diverged; no weights were changed.
         """
         o = self.options
         steps = unroll.steps

@@ -1,8 +1,8 @@
-"""Memories: what an agent carries from one frame to the next.
+"""Memories: recurrent state from one frame to the next (the paper's "core").
 
-Every memory reads a sequence `[T, B, features]` and the flags `is_first` `[T, B]` that say where an
-episode begins, and forgets there: unrolling a sequence equals stepping through it. Its state is a
-dictionary of tensors `[B, ...]`, zeros at the start.
+Every memory reads a sequence `[T, B, features]` and the flags `is_first` `[T, B]`, True where an
+episode begins; there its state is reset, so that unrolling a sequence equals stepping through it.
+The state is a dictionary of tensors `[B, ...]`, zeros at the start.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MemoryOptions = Annotated[MLPOptions | LSTMOptions | GTrXLOptions, Field(discrim
 
 
 class MLPMemory(nn.Module):
-    """Feed-forward layers in the place of a memory; its state is empty."""
+    """Feed-forward layers in place of a memory; the state is empty."""
 
     def __init__(self, inputs: int, options: MLPOptions):
         super().__init__()
@@ -59,10 +59,10 @@ class MLPMemory(nn.Module):
 
 
 class LSTMMemory(nn.Module):
-    """LSTM layers that forget where an episode begins; each above reads the one below it.
+    """LSTM layers, reset where an episode begins; each reads the one below it.
 
-    The input's share of the gates is one product over all frames; only the recurrent share is
-    computed frame by frame, because episodes end in any row.
+    The input's part of the gates is one matrix product over all frames; only the recurrent part is
+    computed frame by frame, because episodes may end in any row.
     """
 
     def __init__(self, inputs: int, options: LSTMOptions):
@@ -72,7 +72,7 @@ class LSTMMemory(nn.Module):
         self.recurrent_gates = nn.Linear(options.size, 4 * options.size, bias=False)
         for parameter in self.parameters():  # as torch.nn.LSTM
             nn.init.uniform_(parameter, -(self.size**-0.5), self.size**-0.5)
-        with torch.no_grad():  # begins by remembering (Jozefowicz et al. 2015), as IMPALA's LSTM
+        with torch.no_grad():  # forget gate open at first (Jozefowicz et al. 2015), as in IMPALA
             self.input_gates.bias[options.size : 2 * options.size] += 1.0
         self.above: LSTMMemory | None = None
         if options.layers > 1:
@@ -110,7 +110,7 @@ def build_memory(inputs: int, options: MemoryOptions) -> MLPMemory | LSTMMemory 
     """The memory that the options name, for inputs of that many features.
 
     Raises:
-        ValueError: there is no such GTrXL.
+        ValueError: a GTrXL whose heads do not divide its size.
     """
     match options:
         case MLPOptions():

@@ -16,7 +16,7 @@ from zipf.agents.memory import MemoryOptions, State, build_memory
 
 
 class Inputs(NamedTuple):
-    """What an agent sees, with leading axes `[T, B]` in a network and `[B]` when acting."""
+    """The inputs of an agent, with leading axes `[T, B]` in a network and `[B]` when acting."""
 
     observation: dict[str, Tensor]
     previous_action: Tensor  # int64, -1 where an episode begins
@@ -38,11 +38,11 @@ class Inputs(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What an actor-critic computes, with leading axes `[T, B]`; float32."""
+    """The outputs of an actor-critic, with leading axes `[T, B]`; float32."""
 
     logits: Tensor  # [T, B, actions]
     value: Tensor  # [T, B]
-    core: Tensor  # [T, B, memory size], what auxiliary losses read
+    core: Tensor  # [T, B, memory size], the memory's output, which auxiliary losses read
     state: State  # {name: [B, ...]} after the last frame
 
 
@@ -61,8 +61,8 @@ def autocast(device: str, precision: str) -> torch.autocast:
 
 @contextmanager
 def in_full(core: Tensor) -> Iterator[Tensor]:
-    """The memory's output in float32, without autocast: what heads compute is compared in its last
-    digits, of which bfloat16 has two or three, and costs little."""
+    """The memory's output in float32, with autocast off: for heads, whose outputs are compared to
+    more digits than the two or three of bfloat16, and which cost little."""
     with torch.autocast(core.device.type, enabled=False):
         yield core.float()
 
@@ -89,6 +89,8 @@ class Torso(nn.Module):
             raise ValueError(
                 f"the action space is {action_space}; agents here choose among discrete actions"
             )
+        if action_space.start != 0:
+            raise ValueError(f"the action space is {action_space}; actions should count from 0")
         self.actions = int(action_space.n)
         self.encoder = Encoder(observation_space, network)
         self.memory = build_memory(self.encoder.size + self.actions + 1, memory)

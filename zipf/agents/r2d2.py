@@ -1,9 +1,9 @@
 """R2D2 (Kapturowski et al. 2019): recurrent double Q-learning from replay, top to bottom.
 
 Replay holds sequences: the unroll of one world, the `burn_in` rows before it and the agent's memory
-before those. A burn-in without gradient brings the memory up to date for the online network and for
-the target network, each on its own; then, on the T rows of the unroll, the online network takes one
-optimiser step on
+before those. From there, the online and the target network each unroll the burn-in rows without
+gradient, to bring their memory up to date; then, on the T rows of the unroll, the online network
+takes one optimiser step on
 
     mean_{t,b} w_b 1/2 (h(G_t) - Q(x_t, a_t))^2
 
@@ -44,7 +44,7 @@ PositiveInt = Annotated[int, Field(ge=1)]
 
 LADDER = 7.0  # alpha of Horgan et al. 2018
 
-STEP = {  # what replay holds of a step, beside the observation
+STEP = {  # the fields of a step in replay, beside the observation
     "previous_action": torch.int64,
     "previous_reward": torch.float32,
     "is_first": torch.bool,
@@ -59,7 +59,7 @@ METRICS = ("loss", "td_error", "gradient_norm", "value", "priority", "importance
 
 
 class R2D2Options(Options):
-    """What can be chosen; sources of the values are in `configs/agent/r2d2.yaml`."""
+    """The options; `configs/agent/r2d2.yaml` has the sources of their values."""
 
     name: Literal["r2d2"]
     learning_rate: Positive
@@ -110,9 +110,9 @@ class DuelingQ(Torso):
 class R2D2(Agent):
     """The agent: acts epsilon-greedily and learns from replayed sequences.
 
-    An update collects before it learns: until `replay_min` sequences are there it takes no
-    optimiser step, and counts all the same. With a burn-in, a run's first unroll has no rows before
-    it and is not put into replay. With `storage=memmap` replay is kept in `setting.folder`.
+    Until replay holds `replay_min` sequences, an update inserts its unroll and takes no optimiser
+    step. With a burn-in, a run's first unroll has no rows before it and is not inserted. With
+    `storage=memmap` replay is kept in `setting.folder`.
 
     Raises:
         ValueError: options that do not go together.
@@ -196,7 +196,7 @@ class R2D2(Agent):
 
         The generator is the CPU's whatever the device, so that a run can move between devices.
 
-        Returns actions int64 [B], the memory after this frame, and nothing more.
+        Returns actions int64 [B], the memory after this frame, and an empty dictionary.
         """
         with autocast(self.device, self.precision):
             q, memory = self.actor(inputs.unsqueeze(), memory)
@@ -215,10 +215,10 @@ class R2D2(Agent):
         return unrescale(q[0].amax(-1))
 
     def begin_learning(self) -> list[str]:
-        """Makes the replay, and says what it takes.
+        """Makes the replay; the lines to show give its size.
 
         Raises:
-            ValueError: it does not fit into this machine.
+            ValueError: it does not fit into RAM or onto the disk.
         """
         from zipf.agents.free_space import in_words
         from zipf.agents.replay import Replay
@@ -257,12 +257,12 @@ class R2D2(Agent):
     def update(self, unroll: Unroll) -> dict[str, float]:
         """Puts an unroll into replay and takes one optimiser step on a batch from there.
 
-        Returns the losses and what explains them; all but the replay's size are NaN where no step
-        was taken.
+        Returns the loss and other metrics; all but those of the replay are NaN where no step was
+        taken.
 
         Raises:
             FloatingPointError: learning has diverged; no weights were changed.
-            OSError: there is no room for the replay's files any more.
+            OSError: the replay's files do not fit onto the disk.
         """
         assert self.replay is not None, "begin_learning() comes first"
         self._insert(unroll)
@@ -285,7 +285,7 @@ class R2D2(Agent):
         memory = unroll.memory
         if self.burn_in:
             prefix, memory = self._prefix, self._prefix_memory
-            # The collector writes over the rows of an unroll.
+            # The collector overwrites the rows of an unroll.
             self._prefix = steps[self.unroll_length - self.burn_in : self.unroll_length].clone()
             assert unroll.late_memory is not None
             self._prefix_memory = unroll.late_memory
@@ -354,8 +354,8 @@ class R2D2(Agent):
         return {name: metric.item() for name, metric in named}, priorities
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that `update` changes; with `storage=memmap` the sequences are in the files of
-        the replay, beside the checkpoint."""
+        """Everything that `update` changes; with `storage=memmap` without the sequences, which are
+        in the replay's files beside the checkpoint."""
         assert self.replay is not None, "begin_learning() comes first"
         prefix = {}
         if self._prefix is not None:
@@ -370,10 +370,10 @@ class R2D2(Agent):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict()`; an agent that is only to act takes no replay.
+        """Continues from `state_dict()`; without the replay where `begin_learning` was not called.
 
         Raises:
-            OSError: the files of the replay are gone, or are not those of this state.
+            OSError: the files of the replay are missing, or are not those of this state.
         """
         self.network.load_state_dict(state["network"])
         self.target.load_state_dict(state["target"])

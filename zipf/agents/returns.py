@@ -9,9 +9,9 @@ from torch import Tensor
 
 
 class VTrace(NamedTuple):
-    """What V-trace gives the two losses; neither carries a gradient."""
+    """The results of V-trace, both without gradient."""
 
-    targets: Tensor  # float32 [T, B], v_t: what the baseline regresses to
+    targets: Tensor  # float32 [T, B], v_t, the baseline's regression targets
     advantages: Tensor  # float32 [T, B], for the policy gradient
 
 
@@ -32,9 +32,9 @@ def vtrace(
 ) -> VTrace:
     """V-trace targets and advantages (Espeholt et al. 2018, equation 1 and section 4.2).
 
-    A terminated step has no successor. A truncated one has: the observation its episode was cut at,
-    which is not the next row of the unroll (that row begins another episode), so its value comes
-    separately and no correction flows back across the cut.
+    A terminated step has no successor. A truncated one has: the observation its episode was cut at.
+    That is not the next row of the unroll, which begins another episode; so its value is a separate
+    argument, and corrections do not flow back across the cut.
 
     Args:
         log_ratios: float32 [T, B], log pi(a_t|x_t) - log mu(a_t|x_t).
@@ -85,7 +85,7 @@ def bootstrapped_returns(
     Args:
         rewards: float32 [T, B], r_t, the reward that followed a_t.
         final_value: float32 [B], V(x_T), of the row after the last.
-        terminated: bool [T, B], the episode ended for good after a_t: nothing follows.
+        terminated: bool [T, B], the episode ended for good after a_t: no value follows.
         truncated: bool [T, B], the episode was cut after a_t: its value there follows.
         truncation_values: float32 [T, B], V(observation the episode was cut at); read where
             `truncated`.
@@ -118,8 +118,9 @@ def lambda_returns(
 
         G_t = r_t + gamma ((1 - lambda) v_{t+1} + lambda G_{t+1}),  G_T = v_T
 
-    whatever the behaviour was: nothing is cut where an action was not the greedy one. A terminated
-    step has no successor; a truncated one bootstraps from its own and nothing flows across the cut.
+    whatever the behaviour was: traces are not cut where an action was not the greedy one. A
+    terminated step has no successor; a truncated one bootstraps from the value of its own, and
+    returns do not flow across the cut.
 
     Args:
         rewards: float32 [T, B], r_t, the reward that followed a_t.
@@ -150,7 +151,7 @@ RESCALING_EPSILON = 1e-3  # Pohlen et al. 2018, and the paper's R2D2 tables
 def rescale(x: Tensor) -> Tensor:
     """h(x) = sign(x) (sqrt(|x| + 1) - 1) + epsilon x (Pohlen et al. 2018), for returns of any size.
 
-    Written without the difference of nearly equal numbers that it is near 0.
+    Written without the difference of two numbers that are nearly equal for small x.
     """
     return x / ((x.abs() + 1).sqrt() + 1) + RESCALING_EPSILON * x
 
@@ -160,8 +161,8 @@ def unrescale(y: Tensor) -> Tensor:
 
     sign(y) (((sqrt(1 + 4 epsilon (|y| + 1 + epsilon)) - 1) / (2 epsilon))^2 - 1)
 
-    With the root s and u = 2 |y| / (s + 1 + 2 epsilon), which is the quotient less 1, it is
-    sign(y) u (u + 2); again without small differences, which 1 / epsilon would magnify.
+    With s the root and u = 2 |y| / (s + 1 + 2 epsilon), which is the quotient minus 1, this is
+    sign(y) u (u + 2), again without differences of nearly equal numbers.
     """
     epsilon, size = RESCALING_EPSILON, y.abs()
     root = (1 + 4 * epsilon * (size + 1 + epsilon)).sqrt()

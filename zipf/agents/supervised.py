@@ -1,14 +1,13 @@
-"""The paper's supervised classifier: left or right, told by an episode's first frame.
+"""The paper's supervised classifier: left or right, from an episode's first frame.
 
-It is trained by cross-entropy and has the encoders of the agents that act. Its worlds ask one
-question an episode: the action is the answer, and the reward says whether that was right. In
-training it answers by tossing a coin, which costs nothing and tells the label as well as any
-answer, as there are only two. Where both are right, because the two objects are the same, the label
-is the coin's toss: like the side that was drawn, it teaches neither.
+It is trained by cross-entropy and has the network of the agents that act. Its worlds ask one
+question an episode: the action is the answer, and the reward is 1 if it is right. In training the
+answers are random, which gives the label just as well: of two answers, either this one or the
+other is right. Where both are right, because the two objects are the same, the label is random.
 
-An update learns from num_envs x unroll_length first frames, each of an episode of its own: as many
-images as an update of the agents that act, so frames, updates and time compare; the paper does not
-say how many its classifier learned from at a time.
+An update learns from num_envs x unroll_length first frames, each of an episode of its own. That is
+as many images as the agents that act learn from in an update, so that frames, updates and times
+compare; the paper does not give the size of its classifier's batches.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 
 class SupervisedOptions(Options):
-    """What can be chosen; sources of the values are in `configs/agent/supervised.yaml`."""
+    """The options; `configs/agent/supervised.yaml` has the sources of their values."""
 
     name: Literal["supervised"]
     learning_rate: Positive
@@ -44,7 +43,7 @@ class SupervisedOptions(Options):
 
 
 class Classifier(Torso):
-    """An acting agent's network, asked for one of two answers at an episode's first frame."""
+    """The network of an agent that acts, with one head for the two answers."""
 
     def __init__(
         self,
@@ -99,14 +98,15 @@ class Supervised(Agent):
         )
 
     def initial_memory(self, batch: int) -> State:
-        """The memory before the first frame of `batch` worlds; it is also that after it."""
+        """The memory before the first frame of `batch` worlds, and at any later time: every
+        episode is one frame long."""
         return self.network.memory.initial_state(batch)
 
     @torch.no_grad()
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Answers in each of B worlds, int64 [B]: tosses of a coin in training, else its best."""
+        """Answers in each of B worlds, int64 [B]: random in training, else the likelier one."""
         batch = len(inputs.is_first)
         if training:
             return torch.randint(2, (batch,), generator=generator), memory, {}
@@ -115,11 +115,13 @@ class Supervised(Agent):
         return logits[0].argmax(-1), memory, {}
 
     def update(self, unroll: Unroll) -> dict[str, float]:
-        """One optimiser step on the unroll's first T rows; `accuracy` is by their labels, which are
-        tosses of a coin where both objects are the same.
+        """One optimiser step on the unroll's first T rows.
+
+        The metric `accuracy` is that on their labels, which are random where both objects are the
+        same.
 
         Raises:
-            FloatingPointError: learning has diverged; nothing was changed.
+            FloatingPointError: learning has diverged; no weights were changed.
         """
         steps = unroll.steps[:-1]
         label = torch.where(steps["reward"] > 0, steps["action"], 1 - steps["action"])

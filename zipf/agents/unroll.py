@@ -1,4 +1,4 @@
-"""The unroll: what a collector hands to an agent."""
+"""The unroll: the data that an agent learns from in one update."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ class Unroll:
     """T steps of B worlds, time-major; row T is the first row of the next unroll.
 
     `steps`, a TensorDict [T + 1, B], holds in row t
-        observation: what the agent saw, {name: [T + 1, B, ...]} in the environment's dtypes
+        observation: {name: [T + 1, B, ...]} in the environment's dtypes
         previous_action: int64, the action that led here, -1 where an episode begins
         previous_reward: float32, the task reward that came with it, 0 where an episode begins
         is_first: bool, an episode begins here
-        action: int64, what the agent did
+        action: int64, the agent's action
         reward: float32, the task reward that followed
         bonus: float32, the exploration bonus that followed, 0 without exploration
         terminated: bool, the episode ended for good after the action
         truncated: bool, the episode was cut after the action
         truncation_value: float32, the behaviour's value of the observation it was cut at, else 0
-        and what the behaviour policy says of its action (for IMPALA: `logits` float32 [actions])
-    In row T only the first four are filled; the rest belongs to the next unroll.
+        and what the agent's `act` returned beside the action (IMPALA: `logits` float32 [actions])
+    In row T only the first four are valid; the others are in row 0 of the next unroll.
 
     `memory` is the agent's memory before row 0, {name: [B, ...]}, and `late_memory` that before row
     T - burn_in, for agents that learn from the last `burn_in` rows and the next unroll together.

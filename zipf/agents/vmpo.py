@@ -1,7 +1,7 @@
 """V-MPO (Song et al. 2020): on-policy maximum a posteriori policy optimisation, top to bottom.
 
-The target network acts; every `target_period` updates it becomes what the learner is. The learner
-takes one optimiser step per unroll. Of its T x B steps D, let D~ be those with the largest
+The target network acts; every `target_period` updates it becomes a copy of the learned one. There
+is one optimiser step per unroll. Of its T x B steps D, let D~ be those with the largest
 advantages A = G - V, where G is the return, bootstrapped at the unroll's end. Then, where sg stops
 the gradient, the loss is the sum of (their equations 3 to 6)
 
@@ -40,7 +40,7 @@ SMALLEST_DUAL = 1e-8  # Song et al. 2020
 
 
 class VMPOOptions(Options):
-    """What can be chosen; sources of the values are in `configs/agent/vmpo.yaml`."""
+    """The options; `configs/agent/vmpo.yaml` has the sources of their values."""
 
     name: Literal["vmpo"]
     learning_rate: Positive
@@ -114,12 +114,13 @@ class VMPO(Agent):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Samples an action of the target policy in each of B worlds; when scored, as in training.
+        """Samples an action of the target policy in each of B worlds, in training and evaluation
+        alike.
 
         The generator is the CPU's whatever the device, so that a run can move between devices.
 
-        Returns actions int64 [B], the memory after this frame, and what `update` will want to know
-        of the target policy: `logits` float32 [B, actions].
+        Returns actions int64 [B], the memory after this frame, and the target policy's `logits`
+        float32 [B, actions], which `update` needs.
         """
         with autocast(self.device, self.precision):
             outputs = self.actor(inputs.unsqueeze(), memory)
@@ -136,10 +137,10 @@ class VMPO(Agent):
             return self.actor(inputs.unsqueeze(), memory).value[0]
 
     def update(self, unroll: Unroll) -> dict[str, float]:
-        """One step of both optimisers; returns the losses and what explains them.
+        """One step of both optimisers; returns the losses and other metrics.
 
         Raises:
-            FloatingPointError: learning has diverged; nothing was changed.
+            FloatingPointError: learning has diverged; no weights were changed.
         """
         o = self.options
         steps = unroll.steps
@@ -229,14 +230,14 @@ class VMPO(Agent):
 
 
 class VMPOLosses(NamedTuple):
-    """The four terms, and what explains them; float32 scalars."""
+    """The four losses and two metrics; float32 scalars."""
 
     policy: Tensor
     eta: Tensor
     alpha: Tensor
     baseline: Tensor
     kl: Tensor  # mean over the steps; carries no gradient
-    entropy: Tensor  # same
+    entropy: Tensor  # likewise
 
 
 def vmpo_losses(
@@ -255,20 +256,20 @@ def vmpo_losses(
     """The losses of Song et al. 2020, equations 3 to 6.
 
     Args:
-        log_policy: float32 [T, B, actions], log pi of the learner.
+        log_policy: float32 [T, B, actions], log pi of the learned network.
         log_target: float32 [T, B, actions], log pi of the target network, which acted.
-        actions: int64 [T, B], what it did.
-        values: float32 [T, B], V of the learner.
+        actions: int64 [T, B], its actions.
+        values: float32 [T, B], V of the learned network.
         returns: float32 [T, B], G.
         eta, alpha: float32 [], the temperature and the multiplier of the bound on KL.
         epsilon_eta: bound on how far the weights psi may be from uniform.
-        epsilon_alpha: bound on how far the learner's policy may be from the target's.
-        top_fraction: how much of the steps the policy is fitted to.
+        epsilon_alpha: bound on how far the learned policy may be from the target's.
+        top_fraction: the fraction of the steps that the policy is fitted to.
     """
     advantages = returns - values.detach()
     top = is_top(advantages, top_fraction)
     best = advantages[top]
-    # With the largest taken out the exponentials stay finite, and eta's gradient exact, however
+    # Subtracting the maximum keeps the exponentials finite and eta's gradient exact, however
     # small eta is: eta log mean exp(A / eta) = max A + eta log mean exp((A - max A) / eta).
     scaled = (best - best.max()) / eta
     weights = scaled.detach().softmax(0)
@@ -287,7 +288,7 @@ def vmpo_losses(
 
 
 def is_top(advantages: Tensor, fraction: float) -> Tensor:
-    """Which are the largest `fraction` of all, bool: at least one, and whatever equals the last."""
+    """Mask, bool, of the largest `fraction` of all advantages: at least one, and all ties."""
     count = math.ceil(fraction * advantages.numel())
     last = advantages.flatten().kthvalue(advantages.numel() - count + 1).values
     return advantages >= last
