@@ -115,9 +115,9 @@ def last(table):
     return table[table["update"] == table["update"].max()].reset_index(drop=True)
 
 
-def use_train_levels(monkeypatch, train):
+def use_train_levels(monkeypatch, train, **options):
     """Lets the gridworld's split train on these levels."""
-    split = envs.Split("gridworld", train, "gridworld/uniform", "gridworld/rare")
+    split = envs.Split("gridworld", train, "gridworld/uniform", "gridworld/rare", **options)
     changed = dataclasses.replace(envs.find_family("gridworld"), splits=(split,))
     monkeypatch.setitem(zipf.envs.family._FAMILIES, "gridworld", changed)
 
@@ -158,6 +158,28 @@ def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
     evaluate.main()
     shown = capsys.readouterr().out
     assert all(f"│ {level} " in shown for level in (*train, "gridworld/rare"))
+
+
+def test_levels_are_drawn_at_every_reset_in_proportion_to_their_weights(tmp_path, monkeypatch):
+    """Trained, resumed bit for bit, and scored level by level with the ranks of training."""
+    seldom, often = envs.SplitLevel("gridworld/zipf_1", 1.0), envs.SplitLevel("gridworld/zipf_2", 9)
+    use_train_levels(monkeypatch, (seldom, often), draw="resets")
+    whole = [*TINY, "updates=4", f"run_root={tmp_path / 'whole'}"]
+    cut = [*TINY, f"run_root={tmp_path / 'cut'}"]
+    assert runner.train(command_line.load(whole)) == 0
+    assert runner.train(command_line.load([*cut, "updates=2"])) == 0
+    assert runner.train(command_line.load([*cut, "updates=4", "resume=must"])) == 0
+    assert_equal(learned(folder_of(whole)), learned(folder_of([*cut, "updates=4"])))
+
+    described = run_folder.read_description(folder_of(whole))
+    assert described["situation"] == {"level": 4, "map": 5, "target": 5}
+    assert [one["weight"] for one in described["levels"]] == [1.0, 9.0, 1.0, 1.0]
+    chance = {one["level"]: one["chance"] for one in described["levels"]}
+    weighted = 0.1 * chance["gridworld/zipf_1"] + 0.9 * chance["gridworld/zipf_2"]
+    assert described["chance"]["train"] == pytest.approx(weighted)
+    situations = pd.read_csv(folder_of(whole) / "situations.csv")
+    ranks = situations.groupby("level_kind")["level"].unique().map(set).to_dict()
+    assert ranks == {"train": {0, 1}, "uniform": {2}, "rare": {3}}
 
 
 def test_a_world_for_each_train_level(monkeypatch):

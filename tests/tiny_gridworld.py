@@ -1,6 +1,5 @@
 """One room, three objects: two steps lead to any of them. Chance is a third."""
 
-
 from zipf import envs
 from zipf.experiments.running.agent_policy import AgentPolicy
 from zipf.experiments.running.collector import Collector

@@ -231,8 +231,9 @@ def make_train(split: Split, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
         ValueError: options that a level cannot have, or fewer worlds than levels to share them.
     """
     if split.draw == "resets":
-        levels = _by_frequency(split)
-        return _mixture(levels, num_envs, [level.weight for level in levels], **kwargs)
+        ranked = _ranked(split)
+        trained = {level.name: level.weight for level in split.train}
+        return _mixture(ranked, num_envs, [trained.get(one.name, 0.0) for one in ranked], **kwargs)
     if len(split.train) == 1:
         return make_vec(split.train[0], num_envs, **kwargs)
     return _mixture(split.train, num_envs, **kwargs)
@@ -250,16 +251,17 @@ def make_scored(split: Split, level: SplitLevel, num_envs: int, **kwargs: Any) -
     """
     if split.draw == "worlds":
         return make_vec(level, num_envs, **kwargs)
-    ranked = {one.name: one for one in _by_frequency(split)}
+    ranked = [level if one.name == level.name else one for one in _ranked(split)]
+    only = [float(one.name == level.name) for one in ranked]
+    return _mixture(ranked, num_envs, only, **kwargs)
+
+
+def _ranked(split: Split) -> list[SplitLevel]:
+    """All levels of a split, each once: the train levels from the most frequent on, then others."""
+    levels = {one.name: one for one in sorted(split.train, key=lambda level: -level.weight)}
     for one in split.all_levels:
-        ranked.setdefault(one.name, one)
-    ranked[level.name] = level
-    only = [float(name == level.name) for name in ranked]
-    return _mixture(list(ranked.values()), num_envs, only, **kwargs)
-
-
-def _by_frequency(split: Split) -> list[SplitLevel]:
-    return sorted(split.train, key=lambda level: -level.weight)
+        levels.setdefault(one.name, one)
+    return list(levels.values())
 
 
 def _mixture(

@@ -53,9 +53,11 @@ def _window_notes(run: Run, window: Window) -> list[str]:
 
 
 def _chance_notes(runs: Sequence[Run]) -> list[str]:
-    first: dict[tuple[str, str], tuple[float | None, Run]] = {}
+    first: dict[tuple[str, str], tuple[float, Run]] = {}
     for run in runs:
         for level in run.description.levels:
+            if level.chance is None:
+                continue
             known, other = first.setdefault((level.level_kind, level.level), (level.chance, run))
             if known != level.chance:
                 names = " and ".join(sorted((run.label, other.label)))
