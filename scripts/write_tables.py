@@ -1,4 +1,4 @@
-"""Writes the tables of families, levels, splits, experiments and conditions into the documentation.
+"""Writes the tables that follow from registries, configurations and code into the documentation.
 
     python scripts/write_tables.py
 
@@ -7,10 +7,11 @@ A page marks the place of a table by comments, for instance
     <!-- levels gridworld -->
     <!-- /levels -->
 
-and the lines between them are replaced by the table that `TABLES` makes of the registries and of
-`configs/`. Run it after a change of these; the tests fail where a page is out of date.
+and the lines between them are replaced by what `TABLES` makes of it. The tests fail where a page is
+out of date.
 """
 
+import ast
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -20,7 +21,7 @@ from zipf.experiments import catalogue, composing
 
 ROOT = Path(__file__).parent.parent
 BLOCK = re.compile(
-    r"^<!-- (\w+)(?: (\w+))? -->\n(?:.*?\n)??<!-- /\1 -->$", re.MULTILINE | re.DOTALL
+    r"^<!-- (\w+)(?: ([\w/]+))? -->\n(?:.*?\n)??<!-- /\1 -->$", re.MULTILINE | re.DOTALL
 )
 
 
@@ -40,7 +41,7 @@ def rewritten(text: str) -> str:
         name, argument = match.groups()
         rows = TABLES[name](argument) if argument else TABLES[name]()
         opening = " ".join(filter(None, [name, argument]))
-        return "\n".join([f"<!-- {opening} -->", *rows, f"<!-- /{name} -->"])
+        return "\n".join([f"<!-- {opening} -->", "", *rows, "", f"<!-- /{name} -->"])
 
     return BLOCK.sub(table, text)
 
@@ -130,6 +131,16 @@ def choices() -> list[str]:
     )
 
 
+def modules(package: str) -> list[str]:
+    """The modules of a package, each with the first paragraph of its docstring."""
+    rows = []
+    for path in sorted((ROOT / package).glob("*.py")):
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        summary = " ".join(text.split("\n\n")[0].split())
+        rows.append((code(path.name), summary.replace("|", "\\|")))
+    return markdown(("Module", "Contents"), rows)
+
+
 TABLES: dict[str, Callable[..., list[str]]] = {
     "families": families,
     "levels": levels,
@@ -138,6 +149,7 @@ TABLES: dict[str, Callable[..., list[str]]] = {
     "experiments": experiments,
     "conditions": conditions,
     "choices": choices,
+    "modules": modules,
 }
 
 
