@@ -1,4 +1,4 @@
-"""How fast the environments step, on one core, beside a memory copy and beside the original.
+"""How fast the environments step, on one core, beside a copy in RAM and beside the original.
 
     python scripts/benchmark_envs.py
 
@@ -126,7 +126,7 @@ def original() -> Row | None:
 
 
 def bytes_per_world() -> float:
-    """How much memory a batch takes for each world more, beside `out`."""
+    """Bytes of RAM that a batch takes for each further world, besides `out`."""
 
     def taken(num_envs: int) -> int:
         tracemalloc.start()
@@ -270,7 +270,7 @@ def main() -> None:
     if released is None:
         console.print(f"original: {ORIGINAL_SOURCE}.", highlight=False)
     console.print(
-        f"memory: {bytes_per_world():.0f} bytes for each world more, beside the observations "
+        f"RAM: {bytes_per_world():.0f} bytes for each further world, besides the observations "
         "(goal < 1024)",
         highlight=False,
     )

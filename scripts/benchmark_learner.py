@@ -12,8 +12,8 @@ machines.
 Rows that are `giving back` return freed memory to the kernel, as glibc does by itself. `x plain` is
 the speed beside the first row, PyTorch as it comes; `of peak` the share of the speed of large
 matrix products in the same precision; `GB` the most memory that was held, beside the program. Then,
-in microseconds a frame, forward and backward together: what sees, the memory, what reads the
-instruction, and the rest (heads, losses, optimiser).
+in microseconds per frame, forward and backward together: the image encoder, the memory, the
+instruction encoder, and the rest (heads, losses, optimiser).
 """
 
 import argparse

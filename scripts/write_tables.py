@@ -1,16 +1,17 @@
-"""Writes the tables of families, levels, splits, experiments and conditions into the documentation.
+"""Writes what follows from registries, configurations and code into the documentation.
 
     python scripts/write_tables.py
 
-A page marks the place of a table by comments, for instance
+A page marks the place of a table, or of a file, by comments:
 
     <!-- levels gridworld -->
     <!-- /levels -->
 
-and the lines between them are replaced by the table that `TABLES` makes of the registries and of
-`configs/`. Run it after a change of these; the tests fail where a page is out of date.
+The lines between them are replaced by what the function in `BLOCKS` returns. The tests fail where a
+page is out of date.
 """
 
+import ast
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -19,8 +20,8 @@ from zipf import envs
 from zipf.experiments import catalogue, composing
 
 ROOT = Path(__file__).parent.parent
-BLOCK = re.compile(
-    r"^<!-- (\w+)(?: (\w+))? -->\n(?:.*?\n)??<!-- /\1 -->$", re.MULTILINE | re.DOTALL
+MARKS = re.compile(
+    r"^<!-- (\w+)(?: ([\w/.]+))? -->\n(?:.*?\n)??<!-- /\1 -->$", re.MULTILINE | re.DOTALL
 )
 
 
@@ -30,19 +31,19 @@ def pages() -> list[Path]:
 
 
 def rewritten(text: str) -> str:
-    """A page's text with its tables renewed.
+    """A page's text with its blocks renewed.
 
     Raises:
-        KeyError: it marks the place of an unknown table.
+        KeyError: it marks the place of an unknown block.
     """
 
-    def table(match: re.Match[str]) -> str:
+    def block(match: re.Match[str]) -> str:
         name, argument = match.groups()
-        rows = TABLES[name](argument) if argument else TABLES[name]()
+        rows = BLOCKS[name](argument) if argument else BLOCKS[name]()
         opening = " ".join(filter(None, [name, argument]))
-        return "\n".join([f"<!-- {opening} -->", *rows, f"<!-- /{name} -->"])
+        return "\n".join([f"<!-- {opening} -->", "", *rows, "", f"<!-- /{name} -->"])
 
-    return BLOCK.sub(table, text)
+    return MARKS.sub(block, text)
 
 
 def families() -> list[str]:
@@ -130,7 +131,25 @@ def choices() -> list[str]:
     )
 
 
-TABLES: dict[str, Callable[..., list[str]]] = {
+def modules(package: str) -> list[str]:
+    """The modules of a package, each with the first paragraph of its docstring."""
+    rows = []
+    for path in sorted((ROOT / package).glob("*.py")):
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        summary = " ".join(text.split("\n\n")[0].split())
+        rows.append((code(path.name), summary.replace("|", "\\|")))
+    return markdown(("Module", "Contents"), rows)
+
+
+def file(path: str) -> list[str]:
+    """A file of an example, named as it is called in the example's folder."""
+    example, _, name = path.removeprefix("examples/").partition("/")
+    text = (ROOT / "examples" / example / name).read_text(encoding="utf-8").rstrip()
+    language = {".py": "python", ".yaml": "yaml"}[Path(name).suffix]
+    return [f"```{language}", f"# {name}", text, "```"]
+
+
+BLOCKS: dict[str, Callable[..., list[str]]] = {
     "families": families,
     "levels": levels,
     "constructor_options": constructor_options,
@@ -138,6 +157,8 @@ TABLES: dict[str, Callable[..., list[str]]] = {
     "experiments": experiments,
     "conditions": conditions,
     "choices": choices,
+    "modules": modules,
+    "file": file,
 }
 
 

@@ -352,8 +352,8 @@ def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
         ("level=gridworld/zipf2", r"unknown level 'zipf2' \(did you mean 'zipf_2'"),
         ("level=gridworld/rare policy=robot", "policy=robot: should be 'keyboard', 'random'"),
         ("level=gridworld/rare policy=agent", "policy=agent: needs the agent of a run"),
-        ("level=rare", "level=rare: is one of a run's levels"),
-        ("policy=random", "say what to play"),
+        ("level=rare", "level=rare: names a run's level"),
+        ("policy=random", "level is not set"),
         ("levl=gridworld/rare", "levl: no such option; did you mean level?"),
         ("level=gridworld/rare record=x.gif", "policy is not set"),
         ("level=gridworld/rare policy=random record=x.avi", "should end in .gif or .mp4"),
@@ -362,7 +362,7 @@ def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
         ("level=gridworld/rare policy=random record=x.gif episodes=0", "greater than or equal"),
         ("run=nowhere", "nowhere: is no run's folder"),
         ("level=gridworld/rare", "no screen: .*record=FILE.gif"),
-        ("level=gridworld/rare screen=terminal", "should be a terminal"),
+        ("level=gridworld/rare screen=terminal", "are not a terminal"),
         ("level=gridworld/rare screen=window", "needs a display.*use screen=terminal"),
     ],
 )
@@ -391,7 +391,7 @@ def test_a_level_that_the_agent_cannot_play(run, tmp_path):
 def test_a_family_may_have_neither_keys_nor_an_expert(monkeypatch, tmp_path):
     for name in ("keys", "expert"):
         monkeypatch.setattr(envs, name, lambda *_: None)
-    with pytest.raises(UserError, match="policy=expert: there is none for gridworld/rare"):
+    with pytest.raises(UserError, match="policy=expert: gridworld/rare has none"):
         play("level=gridworld/rare", "policy=expert", f"record={tmp_path}/x.gif")
     with pytest.raises(UserError, match="no keys for gridworld/rare"):
         play("level=gridworld/rare")

@@ -1,92 +1,167 @@
-"""The pages keep their word: their code runs, their commands are accepted, their paths exist."""
+"""The pages keep their word: code runs, commands are accepted, tables are true, paths exist."""
 
+import ast
+import importlib
 import re
 import runpy
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
 
 import zipf.report
-from zipf import envs
-from zipf.experiments import command_line
+from zipf import envs, plugins
+from zipf.agents import agent
+from zipf.agents.auxiliary import base
+from zipf.envs import family
+from zipf.experiments import command_line, composing
 from zipf.experiments.config import Config, EvaluateOptions
 from zipf.experiments.playing.playing import PlayOptions
+from zipf.experiments.reporting.windows import parse_window
+from zipf.experiments.running import runner
 
 ROOT = Path(__file__).parent.parent
 DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md"))
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", *DOCS)
 TEXT = {page: (ROOT / page).read_text(encoding="utf-8") for page in PAGES}
-README = TEXT["README.md"]
-ENVIRONMENTS = {"zipf/Gridworld-v0", "zipf/Playroom-v0"}  # look like paths
-FOLDERS = ("configs/", "docs/", "scripts/", "tests/", "zipf/")
-ASKING = {"-m", "--multirun", "--help"}
+FOLDERS = ("configs/", "docs/", "examples/", "scripts/", "tests/", "zipf/")
+NOT_PATHS = {"zipf/Gridworld-v0", "zipf/Playroom-v0"}
+PLACEHOLDER = re.compile(r"<|\.\.\.|[A-Z]{4}")  # as in run=<folder>, which is no command to try
+FLAGS = {"-m", "--multirun", "--help"}
+write_tables = runpy.run_path(str(ROOT / "scripts" / "write_tables.py"))
 
 
-def blocks(language: str, page: str = "README.md") -> list[str]:
+def blocks(language: str, page: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", TEXT[page], re.MULTILINE | re.DOTALL)
 
 
-def commands(module: str) -> list[list[str]]:
-    """The arguments of every `python -m <module>` line of every page."""
-    lines = [line for page in PAGES for block in blocks("sh", page) for line in block.splitlines()]
-    spans = [span for page in PAGES for span in re.findall(r"`(python -m [^`\n]+)`", TEXT[page])]
-    called = [shlex.split(line, comments=True) for line in lines + spans]
-    return [words[3:] for words in called if words[:3] == ["python", "-m", module] and words[3:]]
+def files(page: str) -> dict[str, str]:
+    """The blocks of a page that begin with a file's name in a comment, by that name."""
+    named = {}
+    for block in (*blocks("python", page), *blocks("yaml", page)):
+        first, _, rest = block.partition("\n")
+        if match := re.fullmatch(r"# ([\w/]+\.(?:py|yaml))", first):
+            named[match[1]] = rest
+    return named
 
 
-def section(heading: str) -> str:
+def commands(module: str) -> list:
+    """Page and arguments of every `python -m <module>` line, each once."""
+    found = {}
+    for page in PAGES:
+        lines = [line for block in blocks("sh", page) for line in block.splitlines()]
+        spans = re.findall(r"`(python -m [^`\n]+)`", TEXT[page])
+        for words in (shlex.split(line, comments=True) for line in lines + spans):
+            arguments = " ".join(words[3:])
+            if words[:3] == ["python", "-m", module] and not PLACEHOLDER.search(arguments or "<"):
+                found.setdefault(arguments, (page, words[3:]))
+    return [pytest.param(*command, id=name) for name, command in found.items()]
+
+
+def section(page: str, heading: str) -> str:
     """The text of a second-level section."""
-    return re.split(r"^## ", README.split(f"\n## {heading}\n")[1], flags=re.MULTILINE)[0]
+    return re.split(r"^## ", TEXT[page].split(f"\n## {heading}\n")[1], flags=re.MULTILINE)[0]
+
+
+@pytest.fixture(autouse=True)
+def own_registries(monkeypatch):
+    """What code registers is forgotten after the test."""
+    registries = (
+        (family, "_FAMILIES"),
+        (agent, "_AGENTS"),
+        (base, "_OPTIONS"),
+        (base, "_BUILDS"),
+    )
+    for module, name in registries:
+        monkeypatch.setattr(module, name, dict(getattr(module, name)))
+    monkeypatch.setattr(composing, "_user_folders", [])
+    monkeypatch.setattr(plugins, "_config_folders", [])
+
+
+@pytest.fixture
+def in_folder(tmp_path, monkeypatch):
+    """A function that makes the files of a page and works in their folder."""
+
+    def make(page):
+        for name, text in files(page).items():
+            path = tmp_path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        (tmp_path / "results").symlink_to(ROOT / "results")
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.syspath_prepend(str(tmp_path))
+        return tmp_path
+
+    before = set(sys.modules)
+    yield make
+    for name in set(sys.modules) - before:
+        if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
 
 
 @pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
 @pytest.mark.parametrize(
-    "code",
-    [pytest.param(code, id=page) for page in PAGES for code in blocks("python", page)],
+    ("page", "code"),
+    [pytest.param(page, code, id=page) for page in PAGES for code in blocks("python", page)],
 )
-def test_python_code_runs(code, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "results").symlink_to(ROOT / "results")
-    (tmp_path / "example.py").write_text(code)  # TorchScript reads the source of what it compiles
+def test_python_code_runs(page, code, in_folder):
+    folder = in_folder(page)
+    (folder / "example.py").write_text(code)  # TorchScript reads the source of what it compiles
     runpy.run_path("example.py", run_name="__main__")
 
 
 def test_there_is_code_to_run():
-    assert len(blocks("python")) >= 5
-    assert len(commands("zipf.train")) >= 8
+    assert len(blocks("python", "README.md")) >= 3
+    assert len(commands("zipf.train")) >= 20
+    assert {"bandit.py", "configs/experiment/bandit.yaml"} <= set(files("docs/your_own_world.md"))
 
 
-@pytest.mark.parametrize("arguments", commands("zipf.train"), ids=" ".join)
-def test_train_commands_are_accepted(arguments):
-    overrides = [word for word in arguments if word not in ASKING]
-    if "--cfg" in overrides:
-        overrides = overrides[: overrides.index("--cfg")]
-    # Launchers are parts of the extra `sweep`, which the tests do not install.
-    jobs = [word for word in overrides if not word.startswith("hydra")]
-    if jobs:
-        assert (len(command_line.check_command_line(jobs)) > 1) == ("-m" in arguments)
+def overrides_of(arguments: list[str]) -> list[str]:
+    """The overrides of a train command; its `--config-dir` is added."""
+    words = [word for word in arguments if word not in FLAGS]
+    if "--cfg" in words:
+        words = words[: words.index("--cfg")]
+    if "--config-dir" in words:
+        i = words.index("--config-dir")
+        composing.add_folder(words[i + 1])
+        del words[i : i + 2]
+    # Launchers belong to the extra `sweep`, which the tests do not install.
+    return [word for word in words if not word.startswith("hydra")]
 
 
-@pytest.mark.parametrize("arguments", commands("zipf.evaluate"), ids=" ".join)
-def test_evaluate_commands_are_accepted(arguments):
+@pytest.mark.parametrize(("page", "arguments"), commands("zipf.train"))
+def test_train_commands_are_accepted(page, arguments, in_folder):
+    """Those with files of the page train, too, for one update."""
+    in_folder(page)
+    overrides = overrides_of(arguments)
+    if not overrides:
+        return
+    jobs = command_line.check_command_line(overrides)
+    assert (len(jobs) > 1) == ("-m" in arguments)
+    if files(page):
+        short = ["updates=1", "schedule.window=[0,1]"]
+        short += ["evaluation.episodes=5", "evaluation.chance_episodes=0"]
+        assert runner.train(command_line.load([*overrides, *short])) == 0
+
+
+@pytest.mark.parametrize(("page", "arguments"), commands("zipf.evaluate"))
+def test_evaluate_commands_are_accepted(page, arguments):
     command_line.read_options(EvaluateOptions, arguments)
 
 
-@pytest.mark.parametrize("arguments", commands("zipf.play"), ids=" ".join)
-def test_play_commands_are_accepted(arguments):
+@pytest.mark.parametrize(("page", "arguments"), commands("zipf.play"))
+def test_play_commands_are_accepted(page, arguments):
     if arguments != ["--help"]:
         options = command_line.read_options(PlayOptions, arguments)
         assert options.run or envs.keys(options.level)
 
 
-@pytest.mark.parametrize("arguments", commands("zipf.report"), ids=" ".join)
-def test_report_commands_are_accepted(arguments, monkeypatch):
+@pytest.mark.parametrize(("page", "arguments"), commands("zipf.report"))
+def test_report_commands_are_accepted(page, arguments, monkeypatch):
     calls = []
 
     def report(folders, output, window, *, record):
-        from zipf.experiments.reporting.windows import parse_window
-
         calls.append((folders, output, window and parse_window(window), record))
 
     monkeypatch.setattr(zipf.report, "report", report)
@@ -104,33 +179,90 @@ def test_make_commands_exist():
     assert {"demo", "test"} <= named <= targets
 
 
+def anchors(path: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    text = re.sub(r"^```.*?^```$", "", path.read_text(encoding="utf-8"), flags=re.M | re.S)
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_links_and_paths_exist(page):
-    links = re.findall(r"\]\(([^)#:\s]+)\)", TEXT[page])
+    missing = []
+    for link in re.findall(r"\]\(([^):\s]+)\)", TEXT[page]):
+        path, _, anchor = link.partition("#")
+        target = (ROOT / page).parent / path if path else ROOT / page
+        if not target.exists() or (anchor and anchor not in anchors(target)):
+            missing.append(link)
     spans = [word for span in re.findall(r"`([^`\n]+)`", TEXT[page]) for word in span.split()]
-    scripts = [word for block in blocks("sh", page) for word in block.split()]
-    paths = {word for word in spans + scripts if word.startswith(FOLDERS)} - ENVIRONMENTS
-    missing = [path for path in [*links, *paths] if not list(ROOT.glob(path.rstrip("/")))]
+    words = [word for block in blocks("sh", page) for word in block.split()]
+    paths = {word for word in spans + words if word.startswith(FOLDERS)} - NOT_PATHS
+    for path in paths:
+        if not list(ROOT.glob(re.sub(r"<[^>]+>", "*", path).rstrip("/"))):
+            missing.append(path)
     assert not missing
 
 
-def test_the_map_of_the_code_is_true():
-    tree = re.search(r"^```\n(zipf/\n.*?)^```$", section("What is where"), re.M | re.S)
-    assert tree
-    above: list[str] = []
-    for line in tree[1].splitlines():
-        depth = (len(line) - len(line.lstrip())) // 2
-        # Names, one space apart, and after two spaces or more what they are.
-        names = re.split(r"\s{2,}", line.strip())[0].split()
-        for name in names:
-            assert (ROOT / "".join([*above[:depth], name])).exists(), line
-        above = [*above[:depth], names[0]]
+@pytest.mark.parametrize("page", PAGES)
+def test_names_in_the_code_exist(page):
+    for name in sorted(set(re.findall(r"`(zipf(?:\.\w+)+)[`(]", TEXT[page]))):
+        parts = name.split(".")
+        found = importlib.import_module("zipf")
+        for i, part in enumerate(parts[1:], 2):
+            if not hasattr(found, part):
+                importlib.import_module(".".join(parts[:i]))
+            found = getattr(found, part)
+
+
+@pytest.mark.parametrize("path", write_tables["pages"](), ids=lambda path: path.name)
+def test_tables_are_up_to_date(path):
+    """If this fails: python scripts/write_tables.py"""
+    text = path.read_text(encoding="utf-8")
+    assert write_tables["rewritten"](text) == text
+
+
+def test_every_package_is_in_the_map_of_the_code():
+    packages = {path.parent.relative_to(ROOT).as_posix() for path in ROOT.glob("zipf/**/*.py")}
+    assert packages == set(re.findall(r"<!-- modules (\S+) -->", TEXT["docs/design.md"]))
+
+
+# What each part may import of the rest, as docs/design.md says.
+COMMON = {"zipf.options", "zipf.compiled"}
+MAY_IMPORT = {
+    "zipf/envs": {"zipf.envs"},
+    "zipf/agents": {"zipf.agents"},
+    "zipf/adapters": {"zipf.adapters", "zipf.envs"},
+    "zipf/experiments/reporting": {"zipf.experiments.reporting", "zipf.experiments.errors"},
+    "zipf/experiments/running": {
+        *("zipf.experiments", "zipf.agents", "zipf.envs", "zipf.plugins"),
+    },
+}
+
+
+@pytest.mark.parametrize("part", MAY_IMPORT)
+def test_imports_run_one_way(part):
+    allowed = tuple(MAY_IMPORT[part] | COMMON)
+    for path in (ROOT / part).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = []
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names = [node.module]
+                if node.module in ("zipf", "zipf.experiments"):
+                    names = [f"{node.module}.{alias.name}" for alias in node.names]
+            elif isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names if alias.name != "zipf"]
+            for name in names:
+                assert not name.startswith("zipf") or name.startswith(allowed), (path, name)
+                assert part != "zipf/envs" or not name.startswith("torch"), (path, name)
+                playing = name.startswith("zipf.experiments.playing")
+                assert part != "zipf/experiments/running" or not playing, (path, name)
 
 
 def test_the_options_of_the_table_exist():
-    rows = re.findall(r"^\| (`[^|]+`) \|", section("Configuration").split("| File |")[0], re.M)
+    rows = re.findall(r"^\| (`[^|]+`) \|", section("docs/configuration.md", "Options"), re.M)
+    rows = rows[: next(i for i, row in enumerate(rows) if "`schedule.log_every`" in row) + 1]
     named = {option for row in rows for option in re.findall(r"`([^`]+)`", row)}
-    known = {*Config.model_fields, "name"}  # which becomes the condition's
+    known = {*Config.model_fields, "name", "without_instruction"}  # the last two become others
     assert {option.split(".")[0] for option in named} == known
     for option in named:
         group, _, name = option.partition(".")
@@ -140,19 +272,18 @@ def test_the_options_of_the_table_exist():
             assert name in annotation.model_fields, option
 
 
-@pytest.mark.parametrize(
-    "group", ["experiment", "agent", "memory", "network", "auxiliary", "exploration"]
-)
-def test_the_table_names_every_choice(group):
-    row = re.search(rf"^\| `{group}` \|(.*)$", README, re.M)
+@pytest.mark.parametrize("group", ["memory", "network", "auxiliary", "exploration"])
+def test_the_table_explains_every_choice(group):
+    row = re.search(rf"^\| `{group}` \| group(.*)$", TEXT["docs/configuration.md"], re.M)
     assert row
     assert all(f"`{choice}`" in row[1] for choice in command_line.choices(group))
 
 
+def test_the_readme_is_short():
+    assert len(TEXT["README.md"].splitlines()) <= 250
+    linked = set(re.findall(r"\]\(docs/(\w+\.md)\)", TEXT["README.md"]))
+    assert linked == {Path(page).name for page in DOCS}
+
+
 def test_the_picture_is_small():
     assert (ROOT / "docs" / "gridworld.png").stat().st_size < 300_000
-
-
-def test_every_condition_is_named():
-    section = README.split("### Conditions")[1].split("###")[0]
-    assert all(f"`{condition}`" in section for condition in command_line.choices("condition"))

@@ -15,15 +15,15 @@ USAGE = """Scores the agent of a run's checkpoint on its train, uniform and rare
 
     python -m zipf.evaluate run=runs/demo/impala_mlp/seed0
 
-run=FOLDER      a run's folder (holds checkpoint.pt)
-episodes=N      episodes per level (1000 in the paper's splits)
+run=FOLDER      a run's folder with a checkpoint
+episodes=N      episodes per level; default: those of the split (1000 in the paper's splits)
 num_envs=250    worlds played at a time
 seed=0          of the worlds and the agent's actions
 device=auto     auto, cpu, cuda or cuda:<number>
-plugins=NAMES   modules to import first, for runs on worlds or of agents from outside the package
+plugins=NAMES   modules to import, for worlds and agents from outside the package
 
-Writes evaluation-<update>-episodes<N>-seed<seed>.csv (without -episodes<N> where you do not say how
-many), and beside it a file of every situation met, into the run's folder."""
+Writes the scores to evaluation-<update>-episodes<N>-seed<seed>.csv in the run's folder (without
+-episodes<N> for the default), and the situations to a second file beside it."""
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""`python -m zipf.play level=<level>`: play a level, or watch and record who plays it."""
+"""`python -m zipf.play level=<level>`: play a level, or watch and record episodes."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from zipf.experiments.playing.playing import PlayOptions, play
 
 __all__ = ["main"]
 
-USAGE = """Plays a level by hand, or shows or records who plays it.
+USAGE = """Plays a level by hand, or shows or records episodes of a script or an agent.
 
     python -m zipf.play level=gridworld/zipf_2
     python -m zipf.play level=gridworld/rare policy=expert record=expert.mp4 episodes=3
     python -m zipf.play run=runs/demo/impala_mlp/seed0 level=rare record=agent.gif
 
-level=NAME        a level; with run=, also train, uniform or rare, those of the run (train)
-run=FOLDER        a run's folder (holds checkpoint.pt): its agent plays, on its kind of worlds
-policy=NAME       who plays: keyboard, random, expert (scripted), agent (of the run)
-record=FILE       to a .gif, for what is short, or an .mp4; without a screen unless you play
-episodes=N        1 where there is no screen, else until you leave
-plugins=NAMES     modules to import first, for worlds and agents from outside the package
-seed=N            of the worlds and the actions; fresh each time, and told
-fps=N             frames per second of recordings and of what is watched; the family's own
-scale=N           screen pixels for a pixel, each way, in windows and recordings
-view=NAME         world (as drawn for people) or agent (what it sees); agent in a terminal
-screen=auto       window, terminal, or auto: a window where there can be one
+level=NAME        a level; with run=, also train, uniform or rare: the run's levels of that kind
+run=FOLDER        a run's folder with a checkpoint: its agent plays, in the worlds of the run
+policy=NAME       keyboard, random, expert (a script) or agent (of the run)
+record=FILE       a .gif, for short recordings, or an .mp4; opens no screen unless you play
+episodes=N        default: 1 without a screen, otherwise until you leave
+plugins=NAMES     modules to import, for worlds and agents from outside the package
+seed=N            of the worlds and the actions; default: a new one each time, which is printed
+fps=N             frames per second; default: those of the family
+scale=N           side of a pixel in windows and recordings, in pixels of the screen
+view=NAME         world (drawn for people) or agent (its image); default: agent in a terminal
+screen=auto       window, terminal, or auto: a window if possible
 
-The keys are shown on the screen; q leaves."""
+The screen lists the keys; q leaves."""
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
-"""`python -m zipf.report FOLDER...`: the paper's tables and plots for the runs found there.
+"""`python -m zipf.report FOLDER...`: the paper's tables and plots of the runs in these folders.
 
-Reads result files alone, never a checkpoint.
+Reads result files only, no checkpoints.
 """
 
 from __future__ import annotations
@@ -126,18 +126,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--output",
         metavar="DIR",
-        help="where report.md, report.tex, report.csv and the plots go (<first folder>/report)",
+        help="folder for report.md, report.tex, report.csv and the plots (<first folder>/report)",
     )
     parser.add_argument(
         "--window",
         metavar="WINDOW",
-        help="instead of the experiment's own: START:END in updates (2000000:3000000 or 2M:3M), "
-        "last, or last:N for the last N evaluations of each run",
+        help="interval to take scores from, instead of the experiment's: START:END in updates "
+        "(2000000:3000000 or 2M:3M), last, or last:N for the last N evaluations of each run",
     )
     parser.add_argument(
         "--record",
         metavar="FILE",
-        help="also write every table, and what each run was, to this Markdown file",
+        help="also write all tables, and a description of each run, to this Markdown file",
     )
     chosen = parser.parse_args(arguments)
     try:

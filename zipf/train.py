@@ -27,10 +27,10 @@ def _job(_: DictConfig) -> None:
     try:
         for source in HydraConfig.get().runtime.config_sources:
             if source.schema == "file" and source.path != str(composing.CONFIG_DIR):
-                composing.add_folder(source.path)  # a sweep's worker process does not know it yet
+                composing.add_folder(source.path)  # in a sweep's worker process
         stopped = runner.train(command_line.load(list(HydraConfig.get().overrides.task)))
     except UserError as error:
-        if os.getpid() != _command_process:  # a sweep's worker: its launcher brings it to `main`
+        if os.getpid() != _command_process:  # a sweep's worker: the launcher raises it in `main`
             raise
         _tell(error)
         _failed.append(error)
@@ -48,10 +48,10 @@ def _tell(error: UserError) -> None:
 
 def main() -> None:
     """The command: checks every job first, then runs one after another."""
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # else Hydra prints a worker's exception and exits with 1
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # otherwise Hydra prints a worker's error and exits
     arguments = get_args_parser().parse_intermixed_args()
     flags = [word for word in sys.argv[1:] if word not in arguments.overrides]
-    sys.argv[1:] = [*flags, *arguments.overrides]  # Hydra takes overrides in one piece only
+    sys.argv[1:] = [*flags, *arguments.overrides]  # Hydra wants all overrides together
     asks = ("help", "hydra_help", "info", "shell_completion", "version")
     try:
         if arguments.config_name or arguments.config_path:
@@ -62,9 +62,9 @@ def main() -> None:
         if not any(getattr(arguments, name, None) for name in asks):
             jobs = command_line.check_command_line(arguments.overrides)
             if len(jobs) > 1 and not arguments.multirun:
-                raise UserError(f"several values make a sweep of {len(jobs)} jobs; say so with -m")
+                raise UserError(f"lists of values make a sweep of {len(jobs)} jobs: add -m")
             for job in jobs if arguments.multirun else ():
-                run_folder.make(job.folder)  # else Hydra fails at it, in its own words
+                run_folder.make(job.folder)  # gives our error message, not Hydra's
         sys.argv += [path for path in [composing.search_path()] if path]
         _job()
     except UserError as error:

@@ -293,7 +293,7 @@ def chance(level: Level | SplitLevel, **kwargs: Any) -> Chance | None:
         kwargs: constructor options as for `make` and `make_vec`.
 
     Returns:
-        What is known, or None where nothing is known of a level with these options.
+        The mean return, or None if it is not known for the level with these options.
     """
     if isinstance(level, SplitLevel):
         return chance(level.level, **{**kwargs, **level.options})

@@ -1,7 +1,7 @@
 """From a command line to a checked configuration.
 
-`load` composes `configs/` with Hydra's overrides and checks the result; `check_command_line` does
-so for every job of a sweep before the first one starts. Both report all that is wrong at once.
+`load` composes `configs/` with Hydra's overrides and checks the result. `check_command_line` does
+so for every job of a sweep before the first one starts. Both report all mistakes at once.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _GROUPS = ("agent", "memory", "network", "auxiliary", "exploration")
 
 
 def load(overrides: list[str]) -> Config:
-    """The configuration that these overrides ask for.
+    """The configuration of these overrides.
 
     Raises:
         UserError: with one line for every unknown, mistyped or impossible option.
@@ -63,16 +63,16 @@ def load(overrides: list[str]) -> Config:
 
 
 def plugins_of(overrides: list[str]) -> list[str]:
-    """The modules that `plugins=[...]` names among overrides.
+    """The modules in the override `plugins=[...]`.
 
     Raises:
-        UserError: an override cannot be parsed, or this one is not a list of names.
+        UserError: an override cannot be parsed, or `plugins` is not a list of names.
     """
     return _plugins(_parse(overrides))
 
 
 def check_command_line(overrides: list[str]) -> list[Config]:
-    """Checks every job that the overrides ask for, before any starts, and returns them.
+    """The configurations of all jobs of a sweep, checked.
 
     Raises:
         UserError: as `load`, for all jobs together.
@@ -115,10 +115,10 @@ def read_options(options_class: type[AnyOptions], arguments: list[str]) -> AnyOp
 
 
 def nearest(name: str, accepted: list[str]) -> str:
-    """The tail of an error message: what was probably meant, or what there is."""
+    """The end of an error message: the most similar names, or all that are accepted."""
     group, dot, option = name.rpartition(".")
     within = [other for other in accepted if other.rpartition(".")[0] == group]
-    if dot and within:  # the group is right, so it says nothing about what was meant
+    if dot and within:  # the group is right: compare the rest only
         close = difflib.get_close_matches(option, [other.rpartition(".")[2] for other in within])
         close = [f"{group}.{other}" for other in close]
         accepted = within
@@ -126,11 +126,11 @@ def nearest(name: str, accepted: list[str]) -> str:
         close = difflib.get_close_matches(name, accepted, n=3)
     if close:
         return f"did you mean {' or '.join(close)}?"
-    return f"there is {', '.join(sorted(accepted))}"
+    return f"should be one of {', '.join(sorted(accepted))}"
 
 
 def _compose_condition(*overrides: str) -> Composed:
-    """As `composed`, with a condition's other choices where the worlds have no instruction."""
+    """As `composed`, with a condition's `without_instruction` where worlds have no instruction."""
     result = composed(*overrides)
     other = result.values["without_instruction"]
     if other and not feasibility.has_instruction(result.values["environment"]):
@@ -150,7 +150,7 @@ def _plugins(overrides: list[Override]) -> list[str]:
 
 
 def _row(condition: str) -> dict[str, Any]:
-    """How tables show a condition: as its file says; what was changed stands behind the title."""
+    """How tables show a condition: as its file says, with changed options after the title."""
     base, *changes = condition.split(",")
     row = composing.condition_file(base).get("row") if base in choices("condition") else None
     row = row or {"title": base}
@@ -175,7 +175,7 @@ def _parse(overrides: list[str]) -> list[Override]:
 
 
 def _jobs(overrides: list[str]) -> Iterator[list[str]]:
-    """Every combination of the values that a sweep lists."""
+    """Every combination of the listed values."""
     alternatives = []
     for override in _parse(overrides):
         if override.is_sweep_override():
@@ -188,7 +188,7 @@ def _jobs(overrides: list[str]) -> Iterator[list[str]]:
 
 
 def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
-    """The overrides of choices and options that exist, and a line about each that does not."""
+    """The overrides with a known name, and a line about each of the others."""
     available = groups()
     known, problems, options = [], [], []
     for override in overrides:
@@ -200,7 +200,7 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
             if value in choices(key):
                 known.append(text)
             else:
-                own = "; to name a row yourself, say name=<name>" if key == "condition" else ""
+                own = "; for a name of your own, use name=<name>" if key == "condition" else ""
                 told = nearest(value, choices(key))
                 problems.append(f"{key}={value}: no such {key}; {told}{own}")
         else:
@@ -225,7 +225,7 @@ _IN_WORDS = {
     NAME_PATTERN: "should be usable as a folder's name (not empty, no '/', no leading '.')",
     DEVICE_PATTERN: "should be auto, cpu, cuda or cuda:<number>",
     "string_type": "should be text (quote it if it looks like a number)",
-    "string_too_long": "is too long for a folder's name; say name=<name>",
+    "string_too_long": "is too long for a folder's name; use name=<name>",
 }
 
 
@@ -239,7 +239,7 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             path.append(str(part))
             node = node.get(part) if isinstance(node, dict) else node
         name = ".".join(path)
-        if name == "condition":  # chosen from files, so it is the user's own name that is wrong
+        if name == "condition":  # a chosen condition is right, so this is the user's own name
             name = "name"
         if problem["type"] == "missing" or problem["input"] == "???":
             yield f"{name}: is not set"
@@ -256,10 +256,10 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
 
 
 def _name(composed: Composed) -> str:
-    """Names a row: the condition, or what it would be by agent, memory and auxiliary; then whatever
-    else differs.
+    """The name of a row: the condition, or agent, memory and auxiliary loss; then all options that
+    differ from theirs.
 
-    The paper's plain agent has an LSTM, so that goes without saying.
+    The memory and auxiliary loss of the paper's plain agent, an LSTM and none, are left out.
     """
     chosen = composed.choices
     name = chosen["condition"]
@@ -291,4 +291,4 @@ def _name(composed: Composed) -> str:
     return name
 
 
-_IN_NAMES = {"gtrxl": "transformer"}  # the paper's word for it
+_IN_NAMES = {"gtrxl": "transformer"}  # as the paper calls it

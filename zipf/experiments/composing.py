@@ -1,8 +1,8 @@
 """Composes configurations with Hydra, from `configs/`, folders of the user's, and the registries.
 
-Groups whose choices are registered in Python need no file: `environment` has a choice for every
-family, with the defaults of its options class, and `agent` and `auxiliary` one for every agent
-and loss whose options all have defaults.
+What is registered in Python needs no file: the group `environment` has a choice for every family,
+with the defaults of its options class; `agent` and `auxiliary` have one for every agent and
+auxiliary loss whose options all have defaults.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Composed:
 
     Attributes:
         values: the options, nested.
-        choices: what was chosen in each group, `"None"` where nothing was.
+        choices: the choice in each group; `"None"` for no choice.
     """
 
     values: dict[str, Any]
@@ -64,10 +64,11 @@ def add_folder(folder: str | Path) -> None:
 
 
 def load_plugins(modules: Iterable[str]) -> None:
-    """Imports plugins, those of installed packages too, and offers Hydra what they registered.
+    """Imports plugins, also those of installed packages, and adds what they registered to Hydra's
+    choices.
 
     Raises:
-        UserError: one cannot be imported.
+        UserError: a plugin cannot be imported.
     """
     try:
         plugins.load(modules)
@@ -83,9 +84,9 @@ def search_path() -> str:
 
 
 def groups() -> list[str]:
-    """The groups of which something can be chosen."""
+    """The groups that have choices."""
     found = {path.name for folder in _folders() for path in folder.iterdir() if path.is_dir()}
-    return sorted((found | _registered().keys()) - {"values"})  # which follow from the others
+    return sorted((found | _registered().keys()) - {"values"})  # chosen by the others
 
 
 def choices(group: str) -> list[str]:
@@ -98,7 +99,7 @@ def composed(*overrides: str) -> Composed:
     """The configuration of these overrides.
 
     Raises:
-        UserError: in Hydra's words, what cannot be composed.
+        UserError: it cannot be composed; with Hydra's message.
     """
     return _composed(search_path(), *overrides)
 
@@ -153,7 +154,7 @@ def _folders() -> list[Path]:
 
 
 def _registered() -> dict[str, dict[str, dict[str, Any]]]:
-    """Choices by group and name that have no file."""
+    """The registered choices by group and name, with their default values."""
     return {
         "environment": {
             name: {"split": family.splits[0].name, **_defaults(family.options_class)}

@@ -1,4 +1,4 @@
-"""The typed schema of every option."""
+"""The typed schema of all options."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class CollectorOptions(Options):
 
 
 class EvaluationOptions(Options):
-    """Evaluation on the split's levels, every so many updates.
+    """Evaluation on the split's levels, every `every` updates.
 
     `episodes` is per level; None: as many as the split says. Chance that is not known is measured
     over `chance_episodes` before a new run begins; 0: it stays unknown.
@@ -51,7 +51,7 @@ class EvaluationOptions(Options):
 
 
 class ScheduleOptions(Options):
-    """When things are written; `window` is the interval of updates that results are taken over."""
+    """When files are written. `window` is the interval of updates that results are taken from."""
 
     window: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
     log_every: PositiveInt
@@ -59,10 +59,10 @@ class ScheduleOptions(Options):
 
 
 class RowOptions(Options):
-    """How a condition looks in tables and figures.
+    """How tables and figures show a condition.
 
-    `order` sorts rows, those without one come last; `colour` and `line` are those of its curves, a
-    free one is chosen where `colour` is not set.
+    `order` sorts the rows; those without one come last. `colour` and `line` are those of its
+    curves; without a `colour` a free one is chosen.
     """
 
     title: Annotated[str, Field(min_length=1)]
@@ -71,8 +71,8 @@ class RowOptions(Options):
     line: Literal["solid", "dashed"] = "solid"
 
 
-# Options that do not change what is learned: they are not part of a condition's name, and a
-# checkpoint may be resumed with other values.
+# Options without effect on learning: they are not part of a condition's name, and a run may be
+# resumed with other values of them.
 NOT_LEARNED = frozenset(
     [
         *("condition", "row", "plugins", "updates", "run_root", "device", "compile", "resume"),
@@ -82,10 +82,10 @@ NOT_LEARNED = frozenset(
 
 
 class Config(Options):
-    """Everything a training run can be told; `configs/train.yaml` says what each option means.
+    """All options of a training run; `configs/train.yaml` says what each of them means.
 
-    `agent`, `auxiliary` and `environment` are of the classes that are registered; `schema()` is
-    this class with these, and is what validates.
+    `schema()` is this class with the registered classes as types of `agent`, `auxiliary` and
+    `environment`; use it to validate.
     """
 
     experiment: Name
@@ -111,17 +111,18 @@ class Config(Options):
 
     @property
     def folder(self) -> Path:
-        """Where the run is kept."""
+        """The run's folder."""
         return (
             Path(self.run_root).expanduser() / self.experiment / self.condition / f"seed{self.seed}"
         )
 
     @property
     def split(self) -> envs.Split:
-        """The levels that are played; an agent that answers questions gets those variants.
+        """The levels to play. For an agent that answers questions these are the variants with
+        questions.
 
         Raises:
-            ValueError: the agent answers questions, and there are none about these levels.
+            ValueError: the agent answers questions, and these levels have none.
         """
         split = envs.split(self.environment.split)
         if agents()[self.agent.name].answers_questions:
@@ -135,7 +136,7 @@ class Config(Options):
 
     @property
     def is_released_benchmark(self) -> bool:
-        """Whether the levels are the released ones, so that the paper's numbers compare."""
+        """Whether the levels are the released ones, so that scores compare with the paper's."""
         return self.environment == type(self.environment)(split=self.environment.split)
 
     @property
@@ -145,7 +146,8 @@ class Config(Options):
 
     @property
     def what_is_learned(self) -> dict[str, Any]:
-        """The options that a checkpoint depends on, flat: {"agent.discount": 0.99, ...}."""
+        """The options that affect learning, flat: {"agent.discount": 0.99, ...}. A checkpoint can
+        only be resumed with the same ones."""
         return {
             name: value
             for name, value in flatten(self.model_dump()).items()
@@ -154,7 +156,7 @@ class Config(Options):
 
 
 def schema() -> type[Config]:
-    """`Config`, accepting the families, agents and auxiliary losses that are registered now."""
+    """`Config` with the families, agents and auxiliary losses that are registered now."""
     families = [family for family in envs.families().values() if family.splits]
     known = tuple(map(id, (*families, *agents().values(), *auxiliaries().values())))
     if known not in _schemas:
@@ -173,7 +175,7 @@ _schemas: dict[tuple[int, ...], type[Config]] = {}
 
 
 def _environment_options(family: envs.Family) -> type[Options]:
-    """A family's constructor options and the choice of a split."""
+    """A family's constructor options, with a choice of its splits."""
     names = tuple(split.name for split in family.splits)
     return create_model(
         f"{family.name}_environment",
@@ -187,7 +189,7 @@ def _one_of(classes: list[type[Options]], tag: str) -> Any:
 
 
 class EvaluateOptions(Options):
-    """What `python -m zipf.evaluate` can be told."""
+    """The options of `python -m zipf.evaluate`."""
 
     run: Annotated[str, Field(min_length=1)]
     plugins: str = ""
@@ -203,10 +205,10 @@ def module_names(text: str) -> list[str]:
 
 
 def find_device(device: str) -> str:
-    """The device that is meant: `auto` is CUDA where there is one, else the CPU.
+    """The device to use: for `auto`, CUDA if there is one, else the CPU.
 
     Raises:
-        UserError: CUDA is asked for where there is none.
+        UserError: this CUDA device does not exist.
     """
     if device == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
@@ -222,7 +224,7 @@ def find_device(device: str) -> str:
 
 
 def flatten(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested options as one level: {"agent.discount": 0.99, ...}."""
+    """Nested options as a flat dictionary: {"agent.discount": 0.99, ...}."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, dict):

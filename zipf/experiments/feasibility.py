@@ -1,4 +1,4 @@
-"""Checks of options that are right one by one: do they go together, and can they be had here?"""
+"""Checks of combinations of options: do they fit each other, the worlds and this machine?"""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from zipf.experiments.errors import UserError
 
 
 def problems(config: Config) -> Iterator[str]:
-    """What is wrong with options that are each right by itself, a line each."""
+    """The problems of options that are each valid by themselves, one line each."""
     start, end = config.schedule.window
     if start > end:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"
@@ -26,7 +26,7 @@ def problems(config: Config) -> Iterator[str]:
     if split.draw == "worlds" and config.collector.num_envs < len(train):
         yield (
             f"collector.num_envs={config.collector.num_envs}: should be at least {len(train)}, a "
-            f"world for each level that {split.name} trains on"
+            f"world for each train level of {split.name}"
         )
     agent, collector = agents()[config.agent.name], config.collector
     yield from agent.problems(config.agent, collector.num_envs, collector.unroll_length)
@@ -37,11 +37,11 @@ def problems(config: Config) -> Iterator[str]:
     except UserError as error:
         yield str(error)
     if any(path.exists() and not path.is_dir() for path in (config.folder, *config.folder.parents)):
-        yield f"run_root={config.run_root}: should be a folder, and a file is in its way"
+        yield f"run_root={config.run_root}: should be a folder, but there is a file of that name"
     if agent.answers_questions and config.exploration.name != "none":
         yield (
             f"exploration={config.exploration.name}: agent={config.agent.name} answers questions "
-            "and explores nothing; choose exploration=none"
+            "and does not act; choose exploration=none"
         )
     if agent.largest_lag < collector.lag:
         yield (
@@ -54,8 +54,8 @@ def problems(config: Config) -> Iterator[str]:
 
 
 def has_instruction(environment: dict[str, Any]) -> bool:
-    """Whether the worlds of a split, with these options, have an instruction; True where they
-    cannot be made."""
+    """Whether the worlds of a split, with these options, have an instruction; True if they cannot
+    be made."""
     key = json.dumps(environment, sort_keys=True, default=str)
     if key not in _instructed:
         options = {name: value for name, value in environment.items() if name != "split"}
@@ -75,7 +75,7 @@ _buildable: dict[str, str | None] = {}
 
 
 def _cannot_be_built(config: Config) -> str | None:
-    """Why the levels or the network cannot be made, or None; tried once for equal options."""
+    """Why the levels or the network cannot be made, or None. Equal options are tried once."""
     built = {name: value for name, value in config.model_dump().items() if name in _BUILT}
     key = json.dumps({"agent": config.agent.name, **built}, sort_keys=True)
     if key not in _buildable:

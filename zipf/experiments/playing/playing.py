@@ -1,4 +1,4 @@
-"""Playing and watching: worlds with a person, a scripted player or a trained agent in them."""
+"""Playing and watching: episodes played by a person, a script or a trained agent."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from zipf.experiments.running.trained import Trained, load_agent
 from zipf.options import Options
 
 _PAUSE = 1.0  # seconds on the last frame of an episode
-_LOW = 288  # pixels; lower pictures are enlarged
+_LOW = 288  # pixels; pictures of a smaller height are enlarged
 _OUTCOME = ("success", "return", "length")
 
 
 class PlayOptions(Options):
-    """What `python -m zipf.play` can be told."""
+    """The options of `python -m zipf.play`."""
 
     level: Annotated[str, Field(min_length=1)] | None = None
     run: Annotated[str, Field(min_length=1)] | None = None
@@ -66,17 +66,17 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
 
     Args:
         options: what to play.
-        say: takes a line about each episode and each file; not while a screen is open.
+        say: prints a line about each episode and each file; is not called while a screen is open.
 
     Raises:
-        UserError: options that do not go together, or that cannot be had here.
+        UserError: options that contradict each other, or that this machine cannot fulfil.
     """
     policy = _who_plays(options)
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
     worlds = _worlds(options, policy, seed)
     say(f"{', '.join(world.level for world in worlds)}, seed {seed}")
     for world in worlds:
-        # The first time compiles, which may take a minute; better before a screen is open.
+        # The first reset may compile for a minute: do so before a screen is open.
         world.env.reset(seed=seed)
         world.env.render()
     fps = options.fps or worlds[0].env.metadata["render_fps"]
@@ -101,27 +101,27 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
 
 
 def _who_plays(options: PlayOptions) -> str:
-    """The policy, chosen if it was not said.
+    """The policy, with a default where it is not set.
 
     Raises:
-        UserError: with a line for each thing that is missing or does not go with the rest.
+        UserError: with a line for each option that is missing or contradicts another.
     """
     problems = []
     if not options.level and not options.run:
-        problems.append("say what to play: level=<a level's name> or run=<a run's folder>")
+        problems.append("level is not set: choose level=<a level's name> or run=<a run's folder>")
     policy = options.policy
     if policy is None:
         policy = "agent" if options.run else "keyboard"
         if options.record and not options.run:
             problems.append(
-                "policy is not set; say who plays in the recording: "
-                "policy=random, expert or keyboard, or run=<a run's folder> for its agent"
+                "policy is not set: for a recording choose policy=random, expert or keyboard, or "
+                "run=<a run's folder> for its agent"
             )
     if policy == "agent" and not options.run:
         problems.append("policy=agent: needs the agent of a run; add run=<a run's folder>")
     if options.level in envs.KINDS and not options.run:
         problems.append(
-            f"level={options.level}: is one of a run's levels; add run=<a run's folder>, or give "
+            f"level={options.level}: names a run's level; add run=<a run's folder>, or give "
             "a level's full name"
         )
     if problems:
@@ -130,7 +130,7 @@ def _who_plays(options: PlayOptions) -> str:
 
 
 def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
-    """A world of each level to play in turn."""
+    """A world of each level; they are played in turn."""
     names = module_names(options.plugins)
     composing.load_plugins(names)
     trained = load_agent(Path(options.run), "cpu", names) if options.run else None
@@ -147,7 +147,9 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
         if trained and policy == "agent":
             _check_spaces(level, env, trained)
         if options.view == "agent" and not _has_image(env):
-            raise UserError("view=agent: the agent sees no image in these worlds; use view=world")
+            raise UserError(
+                "view=agent: observations of these worlds have no image; use view=world"
+            )
         keys = envs.keys(level)
         if policy == "keyboard" and keys is None:
             raise UserError(f"policy=keyboard: there are no keys for {level}")
@@ -159,7 +161,7 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
         elif policy == "expert":
             expert = envs.expert(level, env)
             if expert is None:
-                raise UserError(f"policy=expert: there is none for {level}; random is for all")
+                raise UserError(f"policy=expert: {level} has none; policy=random plays all levels")
             player = _Scripted(expert)
         worlds.append(World(level, env, keys or Keys(()), player))
     return worlds
@@ -184,16 +186,18 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
     except ValueError as error:
         raise UserError(str(error)) from None
     except TypeError:
-        raise UserError(f"level={level}: is of another family than the run's levels") from None
+        raise UserError(f"level={level}: belongs to another family than the run's levels") from None
 
 
 def _check_spaces(level: str, env: ZipfVectorEnv, trained: Trained) -> None:
-    # Its spaces are the training levels', which may be several.
+    # All levels of a split have the same spaces.
     known = trained.config.split.uniform[0]
     learned = envs.make_vec(known, 1, **trained.config.level_options)
     for space in ("single_observation_space", "single_action_space"):
         if getattr(env, space) != getattr(learned, space):
-            raise UserError(f"level={level}: shows or takes something else than the run's levels")
+            raise UserError(
+                f"level={level}: has other observations or actions than the run's levels"
+            )
     learned.close()
 
 
@@ -213,7 +217,7 @@ class _Random:
 
 
 class _Scripted:
-    """A player that knows the worlds' state."""
+    """A scripted player that reads the state of the worlds."""
 
     def __init__(self, expert: envs.Expert) -> None:
         self.expert = expert
@@ -227,7 +231,7 @@ class _Scripted:
 
 
 class _Shows:
-    """Takes the picture and gives it to the screen and the recording, where there are."""
+    """Draws the picture and passes it to the screen and the recording, if there are any."""
 
     def __init__(
         self,
@@ -239,22 +243,22 @@ class _Shows:
         self.screen = screen
         self.recording = recording
         self.scale = options.scale
-        # The whole world in so few points would show nothing well.
+        # A terminal has too few characters for a picture of the whole world.
         coarse = screen is not None and screen.in_characters
         self.on_screen = options.view or ("agent" if coarse and _has_image(env) else "world")
         self.recorded = options.view or "world"
 
     def step(self, env: ZipfVectorEnv, observation: dict[str, NDArray], text: Text) -> None:
-        """Shows and records where the world stands."""
+        """Shows and records the current state of the world."""
         if self.recording:
             self.recording.add(self._enlarged(self._picture(self.recorded, env, observation)))
         self.again(env, observation, text)
 
     def again(self, env: ZipfVectorEnv, observation: dict[str, NDArray], text: Text) -> None:
-        """Shows the same with another text."""
+        """Shows the current state again, with another text."""
         if self.screen:
             picture = self._picture(self.on_screen, env, observation)
-            if not self.screen.in_characters:  # those fit it to the room there is
+            if not self.screen.in_characters:  # a terminal scales the picture itself
                 picture = self._enlarged(picture)
             self.screen.show(picture, text)
 
@@ -290,11 +294,11 @@ def _say_written(recording: Recording, say: Callable[[str], None]) -> None:
 
 
 class _Leave(Exception):
-    """The person leaves."""
+    """Raised when the person leaves."""
 
 
 class _Session:
-    """Episodes in turn on the worlds."""
+    """Plays episodes on the worlds, in turn."""
 
     def __init__(
         self,
@@ -312,7 +316,7 @@ class _Session:
         self.toggled = 0
 
     def play(self, episodes: int | None) -> None:
-        """Plays so many episodes, without end where that is None."""
+        """Plays this number of episodes; None: until the person leaves."""
         several = len(self.worlds) > 1
         for world in self.worlds:
             if world.policy:
@@ -342,7 +346,7 @@ class _Episode:
         self.outcome = ""
 
     def play(self, seed: int | None) -> None:
-        """Plays it to its end, or until the person wants the next one.
+        """Plays the episode to its end, or until the person skips to the next one.
 
         Raises:
             _Leave: the person leaves.
@@ -378,7 +382,7 @@ class _Episode:
         self.shows.step(self.env, self.observation, self._text())
 
     def _keyboard(self) -> int | None:
-        """What the person does; None to go on to the next episode."""
+        """The person's action; None for the next episode."""
         while True:
             key = self._key(None)
             if key == NEXT:
@@ -391,7 +395,7 @@ class _Episode:
                 self.shows.again(self.env, self.observation, self._text())
 
     def _player(self) -> int | None:
-        """What the policy does, in its time; None where the person wants the next episode."""
+        """The policy's action, at its time; None for the next episode."""
         assert self.world.policy
         action = int(self.world.policy(self.observation, self.reward, self.is_first)[0])
         if self.shows.screen:
@@ -401,7 +405,7 @@ class _Episode:
         return action
 
     def _rest(self) -> None:
-        """Leaves time to see how it ended."""
+        """Pauses on the last frame."""
         if self.shows.recording:
             self.shows.recording.hold(_PAUSE)
         if self.world.policy is None:
@@ -412,7 +416,7 @@ class _Episode:
             self._watch()
 
     def _watch(self) -> bool:
-        """Waits until the next step is due; True if the person wants the next episode."""
+        """Waits until the next step is due; True for the next episode."""
         while True:
             key = self._key(max(self.due - time.monotonic(), 0))
             if key is None or key == NEXT:
@@ -429,7 +433,7 @@ class _Episode:
         return ", ".join(f"{name} {self.info[name][0]}" for name in self.env.situation)
 
     def _words(self) -> list[str]:
-        """The instruction, in families that give one."""
+        """The instruction, in families that have one."""
         return [str(self.info["instruction"][0])] if "instruction" in self.info else []
 
     def _text(self) -> Text:

@@ -1,4 +1,4 @@
-"""Screens that show a picture with text below it and hear the keyboard: a window, a terminal."""
+"""Screens that show a picture with text below it and read keys: a window, a terminal."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from zipf.experiments.errors import UserError
 
 @dataclass(frozen=True)
 class Text:
-    """What stands below the picture.
+    """The text below the picture.
 
     Attributes:
-        lines: the most important first; always as many, so that nothing jumps.
+        lines: the most important first; always the same number, so that the layout is stable.
         keys: what the keys do, a few words each.
     """
 
@@ -40,19 +40,19 @@ class Text:
     keys: tuple[str, ...]
 
     def wrapped(self, columns: int) -> tuple[list[str], list[str]]:
-        """Lines and keys, in at most so many columns."""
+        """Lines and keys, wrapped to at most this number of columns."""
         lines = [part for line in self.lines for part in textwrap.wrap(line, columns) or [""]]
-        # What belongs to one key stays on one line.
+        # The words about one key stay on one line.
         words = "   ".join(key.replace(" ", "\N{NO-BREAK SPACE}") for key in self.keys)
         keys = textwrap.wrap(words, columns, break_on_hyphens=False)
         return lines, [line.replace("\N{NO-BREAK SPACE}", " ") for line in keys]
 
 
 class Screen(Protocol):
-    """Open while its context is; leaves everything as it was."""
+    """A screen is open inside its context, and restores everything afterwards."""
 
     in_characters: bool
-    """Whether a picture is drawn in so few points that small ones show best."""
+    """Whether pictures are drawn in characters, with few pixels."""
 
     def __enter__(self) -> Screen: ...
 
@@ -64,15 +64,15 @@ class Screen(Protocol):
     def key(self, timeout: float | None) -> str | None:
         """The next key, by its name in `zipf.envs.keyboard`; `LEAVE` when the screen is closed.
 
-        Waits for so many seconds, without end where that is None; None if no key came.
+        Waits for at most `timeout` seconds (None: without limit); None if no key was pressed.
         """
 
 
 def open_screen(kind: str) -> Screen:
-    """A screen of this kind: "window", "terminal" or "auto", a window where there can be one.
+    """A screen of this kind: "window", "terminal", or "auto" for a window if possible.
 
     Raises:
-        UserError: there is no such screen here; says why.
+        UserError: this screen cannot be opened here; says why.
     """
     if kind == "terminal":
         return Terminal()
@@ -84,8 +84,8 @@ def open_screen(kind: str) -> Screen:
         if _is_terminal():
             return Terminal()
         raise UserError(
-            f"no screen: {error}, and standard input and output are no terminal; "
-            "policy=<who plays> record=FILE.gif records without a screen"
+            f"no screen: {error}, and standard input and output are not a terminal; "
+            "policy=<name> record=FILE.gif records without a screen"
         ) from None
 
 
@@ -94,12 +94,12 @@ def _is_terminal() -> bool:
 
 
 class Terminal:
-    """The terminal: two pixels a character, upper and lower half, in 24-bit colour.
+    """The terminal: two pixels per character, upper and lower half, in 24-bit colour.
 
     Ctrl-C interrupts as usual. Ctrl-Z does nothing.
 
     Raises:
-        UserError: standard input or output is no terminal.
+        UserError: standard input or output is not a terminal.
     """
 
     in_characters = True
@@ -107,8 +107,8 @@ class Terminal:
     def __init__(self) -> None:
         if not _is_terminal():
             raise UserError(
-                "screen=terminal: standard input and output should be a terminal, and are not; "
-                "policy=<who plays> record=FILE.gif records without a screen"
+                "screen=terminal: standard input and output are not a terminal; "
+                "policy=<name> record=FILE.gif records without a screen"
             )
         self._input, self._output = sys.stdin.fileno(), sys.stdout.fileno()
         self._decoder = codecs.getincrementaldecoder("utf-8")("ignore")
@@ -120,7 +120,7 @@ class Terminal:
         self._before = termios.tcgetattr(self._input)
         tty.setcbreak(self._input)
         attributes = termios.tcgetattr(self._input)
-        attributes[6][termios.VSUSP] = b"\0"  # a stopped program would leave the terminal as it is
+        attributes[6][termios.VSUSP] = b"\0"  # Ctrl-Z would leave the terminal in this mode
         termios.tcsetattr(self._input, termios.TCSADRAIN, attributes)
         self._write("\x1b[?1049h\x1b[?25l")  # the alternate screen, no cursor
         return self
@@ -160,7 +160,7 @@ class Terminal:
                 yield LEAVE
                 return
             typed += self._decoder.decode(some)
-            # What a key sends may come in pieces; a lone Escape is only known by waiting.
+            # The bytes of a key may come in pieces; only waiting tells a lone Escape from others.
             if not _UNFINISHED.search(typed) or not select.select([self._input], [], [], 0.05)[0]:
                 break
         yield from key_names(typed)
@@ -169,14 +169,17 @@ class Terminal:
         assert self._shown
         picture, text = self._shown
         self._size = os.get_terminal_size(self._output)
-        columns, rows = self._size.columns or 80, self._size.lines or 24  # some say nothing: 0, 0
+        columns, rows = (
+            self._size.columns or 80,
+            self._size.lines or 24,
+        )  # some terminals report 0, 0
         lines, keys = text.wrapped(max(columns - 1, 1))
         below = [f"\x1b[1m{line}\x1b[0m" for line in lines] + [f"\x1b[2m{k}\x1b[0m" for k in keys]
         below = below[: max(rows - _FEWEST_ROWS, 0)]
         drawn = half_blocks(fit(picture, columns, 2 * (rows - len(below))))
-        # Erasing after a line that fills its row would take its last character.
+        # Erasing after a line that fills its row would erase its last character.
         page = "\r\n".join(f"\x1b[K{line}" for line in drawn + below)
-        self._write(f"\x1b[?2026h\x1b[H{page}\x1b[J\x1b[?2026l")  # all at once, where it is known
+        self._write(f"\x1b[?2026h\x1b[H{page}\x1b[J\x1b[?2026l")  # one update, where supported
 
     def _write(self, text: str) -> None:
         left = memoryview(text.encode())
@@ -184,7 +187,7 @@ class Terminal:
             left = left[os.write(self._output, left) :]
 
 
-_FEWEST_ROWS = 4  # of a picture, however small the terminal
+_FEWEST_ROWS = 4  # of a picture, in the smallest terminal
 _UNFINISHED = re.compile(r"\x1b(\[[0-9;]*|O)?$")
 _KEY = re.compile(r"\x1b\[([0-9;]*)([A-Za-z~])|\x1bO(.)|(.)", re.DOTALL)
 _FINALS = {
@@ -200,7 +203,7 @@ _CONTROLS = {
 
 
 def key_names(typed: str) -> Iterator[str]:
-    """The names of the keys that a terminal sent."""
+    """The names of the keys whose bytes a terminal sent."""
     for number, final, pad, character in _KEY.findall(typed):
         if final == "~":
             name = _NUMBERS.get(number.split(";")[0])
@@ -215,7 +218,7 @@ def key_names(typed: str) -> Iterator[str]:
 
 
 def fit(picture: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    """The picture as large as it fits, in proportion; enlarged by whole numbers only."""
+    """The picture scaled to fit, in proportion; enlarged by whole factors only."""
     factor = min(width / picture.shape[1], height / picture.shape[0])
     if factor >= 1:
         return enlarge(picture, int(factor))
@@ -229,7 +232,7 @@ def enlarge(picture: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
 
 
 def half_blocks(picture: NDArray[np.uint8]) -> list[str]:
-    """The picture in characters, a line for every two rows of pixels."""
+    """The picture as lines of characters, one for every two rows of pixels."""
     if len(picture) % 2:
         picture = np.concatenate([picture, np.zeros_like(picture[:1])])
     lines = []
@@ -258,7 +261,7 @@ class Window:
     in_characters = False
 
     def __init__(self) -> None:
-        # It greets on standard output otherwise.
+        # Otherwise pygame prints a greeting.
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
         self._pygame: Any = open_display()
         self._size = (0, 0)
@@ -299,7 +302,7 @@ class Window:
     def key(self, timeout: float | None) -> str | None:
         ends = time.monotonic() + (float("inf") if timeout is None else timeout)
         while (left := ends - time.monotonic()) > 0:
-            # In small pieces, so that Ctrl-C in the terminal that the window comes from is heard.
+            # Short waits, so that Ctrl-C in the terminal works.
             event = self._pygame.event.wait(max(int(1000 * min(left, 0.1)), 1))
             if event.type == self._pygame.QUIT:
                 return LEAVE
