@@ -1,0 +1,83 @@
+"""Learning: IMPALA, V-MPO and R2D2 learn two environments that everybody knows.
+
+Scores are mean returns of 100 episodes. Uniformly random actions have about 22 in `CartPole-v1`
+(at most 500 are possible) and 0.2 in `MiniGrid-Empty-5x5-v0` (at most 0.955). Each test takes ten
+to forty seconds on one core; results depend on the seed alone.
+"""
+
+import pytest
+from networks import compact
+
+from zipf.agents import Setting, agents
+from zipf.agents.memory import MLPOptions
+from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
+from zipf.experiments.running.agent_policy import AgentPolicy
+from zipf.experiments.running.collector import Collector
+from zipf.experiments.running.evaluator import play
+
+ADAM = {"adam_beta1": 0.9, "adam_beta2": 0.999, "adam_epsilon": 1e-8}
+OPTIONS = {
+    "impala": {
+        **{"learning_rate": 3e-3, **ADAM, "max_gradient_norm": 0.5, "discount": 0.98},
+        **{"baseline_cost": 0.5, "entropy_cost": 0.01},
+        **{"clip_rho": 1.0, "clip_pg_rho": 1.0, "clip_c": 1.0, "trace_lambda": 1.0},
+    },
+    "vmpo": {
+        **{"learning_rate": 5e-3, "dual_learning_rate": 1e-2, **ADAM, "max_gradient_norm": 1.0},
+        **{"discount": 0.95, "target_period": 5, "top_fraction": 0.5},
+        **{"epsilon_eta": 0.1, "epsilon_alpha": 0.03, "initial_eta": 3.0, "initial_alpha": 1.0},
+    },
+    "r2d2": {
+        **{"learning_rate": 2e-3, **ADAM, "weight_decay": 0.0, "max_gradient_norm": 1.0},
+        **{"discount": 0.97, "trace_lambda": 0.9, "target_period": 50},
+        **{"epsilon": 0.1, "epsilon_ladder": False, "burn_in": 0, "samples_per_insert": 2.0},
+        **{"replay_capacity": 4000, "replay_min": 200, "storage": "ram"},
+        **{"priority_exponent": 0.6, "importance_exponent": 0.4, "priority_max_weight": 0.9},
+    },
+}
+MINIGRID = {
+    "impala": {"discount": 0.97},
+    "vmpo": {
+        **{"learning_rate": 1e-3, "initial_eta": 1.0, "initial_alpha": 5.0},
+        **{"epsilon_alpha": 0.01, "target_period": 1},
+    },
+    "r2d2": {
+        **{"discount": 0.95, "trace_lambda": 0.8, "target_period": 25, "epsilon": 0.25},
+        **{"samples_per_insert": 4.0, "replay_min": 100},
+    },
+}
+
+
+def learn(agent, id, updates, seed=0, options=None, **worlds):
+    """The mean return after that many updates, and the returns in training, in ten parts."""
+    env = GymnasiumVectorEnv(16, id, **worlds)
+    network = compact(patch=None, size=64)
+    memory = MLPOptions(name="mlp", size=64, layers=1)
+    spaces = env.single_observation_space, env.single_action_space
+    setting = Setting(*spaces, network, memory, num_envs=16, unroll_length=20, seed=seed)
+    chosen = {"name": agent, **OPTIONS[agent], **(options or {})}
+    learner = agents()[agent](agents()[agent].Options.model_validate(chosen), setting)
+    learner.begin_learning()
+    collector = Collector(env, learner, unroll_length=20, seed=seed)
+    curve = []
+    for update in range(1, updates + 1):
+        learner.update(collector.collect())
+        if update % (updates // 10) == 0:
+            curve.append(collector.episode_metrics().get("episode_return"))
+    policy = AgentPolicy(learner, seed=1, device="cpu")
+    played = play(policy, GymnasiumVectorEnv(50, id, **worlds), episodes=100, seed=2)
+    return float(played["return"].mean()), curve
+
+
+@pytest.mark.parametrize("agent", OPTIONS)
+def test_cartpole_is_learned(agent):
+    score, curve = learn(agent, "CartPole-v1", 400)
+    assert score > 100, curve
+
+
+@pytest.mark.parametrize("agent", OPTIONS)
+def test_a_minigrid_level_is_learned(agent):
+    pytest.importorskip("minigrid")
+    id, codes = "MiniGrid-Empty-5x5-v0", {"image": 11}
+    score, curve = learn(agent, id, 200, options=MINIGRID[agent], codes=codes)
+    assert score > 0.7, curve
