@@ -2,13 +2,16 @@
 
 from copy import deepcopy
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from noise import Noise
 
 from zipf import envs
 from zipf.agents.exploration import CountBonus, CountOptions
 from zipf.agents.network import Inputs
+from zipf.envs.mixture import Mixture
 from zipf.experiments import command_line
 from zipf.experiments.running.collector import Collector
 from zipf.experiments.running.factory import build_agent
@@ -145,6 +148,69 @@ def test_episodes_are_told_apart_by_level():
     for level in names:
         assert metrics[f"episode_success/{level}"] == pytest.approx(np.mean(ends[level]))
     assert metrics["episode_return"] == pytest.approx(np.mean([*ends[names[0]], *ends[names[1]]]))
+
+
+class Silent(Noise):
+    """Reports no success, and cannot restore the episode of its first world."""
+
+    reports_success = False
+
+    def _set_worlds(self, state):
+        super()._set_worlds(state)
+        self._begin(np.arange(self.num_envs) == 0, None)
+        self._restarted[0] = True
+
+
+def silent(num_envs, **options):
+    image = gym.spaces.Box(0, 255, (63, 63, 3), np.uint8)
+    return Silent(num_envs, gym.spaces.Dict(image=image), actions=8)
+
+
+def test_levels_drawn_at_resets_are_told_apart_by_the_name_of_their_episode():
+    agent, _ = build()
+    names = ("common", "seldom")
+    levels = {name: silent for name in names}
+    env = Mixture(levels, WORLDS, draw="resets", exponent=1.0, rank="task")
+    collector = Collector(env, agent, unroll_length=STEPS, seed=3)
+    ends = {name: [] for name in names}
+    playing = env.levels_of_worlds.copy()
+    step = env.step
+
+    def watched(*arguments, **options):
+        nonlocal playing
+        results = step(*arguments, **options)
+        for world in np.flatnonzero(results[2] | results[3]):
+            ends[names[playing[world]]].append(results[4]["final_info"]["return"][world])
+        playing = env.levels_of_worlds.copy()
+        return results
+
+    env.step = watched
+    for _ in range(3):
+        collector.collect()
+    metrics = collector.episode_metrics()
+    assert set(metrics) == {
+        f"episode_{name}{level}"
+        for level in ("", "/common", "/seldom")
+        for name in ("return", "length")
+    }
+    for level in names:
+        assert metrics[f"episode_return/{level}"] == pytest.approx(np.mean(ends[level]))
+
+
+def test_an_episode_that_is_not_restored_begins():
+    agent, _ = build()
+    collector, other = (
+        Collector(silent(WORLDS), agent, unroll_length=STEPS - 1, seed=3) for _ in range(2)
+    )
+    collector.collect()
+    other.load_state_dict(deepcopy(collector.state_dict()))
+    row, expected = (one.collect().steps[0] for one in (other, collector))
+    assert not expected["is_first"].any()
+    assert row["is_first"].tolist() == [True] + [False] * (WORLDS - 1)
+    assert row["previous_action"][0] == -1
+    assert row["previous_reward"][0] == 0
+    for name in ("previous_action", "previous_reward"):
+        assert torch.equal(row[name][1:], expected[name][1:])
 
 
 @pytest.mark.parametrize("memory", ["lstm", "mlp"])
