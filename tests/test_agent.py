@@ -137,6 +137,12 @@ def test_copies_are_compiled_where_the_original_is(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_without_images_there_is_nothing_to_compile(name):
+    with pytest.raises(ValueError, match=r"compile=true: .* has none; choose compile=false"):
+        build(name, space=noise.SPACES["tiles"]).compile()
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_an_agent_without_auxiliary_losses_refuses_one(name):
     auxiliary = VisionOptions(name="vision", vision_weight=1.0, fraction=1.0)
     if agents()[name].auxiliary_losses:

@@ -191,11 +191,18 @@ class Agent(ABC):
             self.actor.load_state_dict(self._published.state_dict())
 
     def compile(self) -> None:
-        """Compiles the image encoders of all networks (`torch.compile`)."""
+        """Compiles the image encoders of all attributes that are a `Torso` (`torch.compile`).
+
+        Raises:
+            ValueError: there are none.
+        """
         self._is_compiled = True
-        for network in vars(self).values():
-            if isinstance(network, Torso):
-                network.encoder.compile_images()
+        networks = [part for part in vars(self).values() if isinstance(part, Torso)]
+        if sum(network.encoder.compile_images() for network in networks) == 0:
+            raise ValueError(
+                "compile=true: compiles image encoders, and this agent has none; "
+                "choose compile=false"
+            )
 
 
 def no_auxiliary_losses(agent: str, auxiliary: str) -> str:

@@ -393,11 +393,12 @@ class Encoder(nn.Module):
         """The encoder that reads a part."""
         return next(e for n, e in zip(self.names, self.encoders, strict=True) if name in n)
 
-    def compile_images(self) -> None:
-        """Compiles the networks that read images (`torch.compile`)."""
-        for encoder in self.encoders:
-            if isinstance(encoder, ResNet | ShallowNet | PatchEncoder):
-                encoder.compile()
+    def compile_images(self) -> int:
+        """Compiles the networks that read images (`torch.compile`); returns how many there are."""
+        networks = [e for e in self.encoders if isinstance(e, ResNet | ShallowNet | PatchEncoder)]
+        for network in networks:
+            network.compile()
+        return len(networks)
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """`{name: [N, ...]}` -> `[N, size]`."""

@@ -125,8 +125,9 @@ class Replay:
         self._open(state["slots"], new=self.folder is None)
         assert self._buffer is not None
         if self.folder is None:
-            for name, leaf in state["items"].items():
-                self._items[tuple(name.split("/"))][: len(leaf)] = leaf
+            for name, leaf in self._items.items(True, True):
+                saved = state["items"][_joined(name)]
+                leaf[: len(saved)] = saved
         self._buffer.sampler.load_state_dict(state["sampler"])
         self._buffer.writer.load_state_dict(state["writer"])
         inserted = self._buffer.sampler.inserted
@@ -205,7 +206,8 @@ class Replay:
 def _leaves(items: TensorDict) -> dict[str, Tensor]:
     """{"steps/action": [N, ...], ...}, as tensors whose storage is written without the rest of the
     buffer."""
-    return {
-        "/".join((name,) if isinstance(name, str) else name): torch.from_numpy(leaf.numpy())
-        for name, leaf in items.items(True, True)
-    }
+    return {_joined(name): torch.from_numpy(leaf.numpy()) for name, leaf in items.items(True, True)}
+
+
+def _joined(name: str | tuple[str, ...]) -> str:
+    return name if isinstance(name, str) else "/".join(name)

@@ -14,8 +14,8 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
     image encoders are compiled with `compile=true`.
 
     Raises:
-        UserError: the network cannot read these observations, or they lack what the auxiliary loss
-            is about.
+        UserError: the network cannot read these observations, they lack what the auxiliary loss
+            is about, or there is no image encoder to compile.
     """
     setting = Setting(
         env.single_observation_space,
@@ -33,8 +33,8 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
     )
     try:
         agent = agents()[config.agent.name](config.agent, setting)
+        if config.compile:
+            agent.compile()
     except ValueError as error:
         raise UserError(str(error)) from None
-    if config.compile:
-        agent.compile()
     return agent
