@@ -3,6 +3,7 @@
     python scripts/benchmark_learner.py
     python scripts/benchmark_learner.py --match "72 x 96" --worlds 8
     python scripts/benchmark_learner.py --clock cpu --threads 1     # where others use the machine
+    python scripts/benchmark_learner.py --training                  # collector.lag=1 against 0
 
 Unrolls are as large as the experiment's. Each measurement has a process of its own, since glibc is
 told once what to do with freed memory; all rows are measured in turn, several times over, and each
@@ -14,6 +15,10 @@ the speed beside the first row, PyTorch as it comes; `of peak` the share of the 
 matrix products in the same precision; `GB` the most memory that was held, beside the program. Then,
 in microseconds per frame, forward and backward together: the image encoder, the memory, the
 instruction encoder, and the rest (heads, losses, optimiser).
+
+With `--training` whole training is measured, collecting and learning, with `collector.lag` 0 and 1
+in turn: two runs of each compact experiment, in one process, `--seconds` of one and then of the
+other, `--rounds` times.
 """
 
 import argparse
@@ -22,9 +27,11 @@ import resource
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -43,9 +50,14 @@ from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.experiments import command_line
 from zipf.experiments.config import find_device
+from zipf.experiments.running import run_folder
 from zipf.experiments.running.allocator import keep_freed_ram
 from zipf.experiments.running.factory import build_agent
+from zipf.experiments.running.runner import Run
 
+Speeds = dict[int, list[float]]
+
+TRAINED = ("gridworld_compact", "playroom_lift_compact")
 EXPERIMENTS = {
     "gridworld": "the paper's network, 63 x 63",
     "playroom_lift": "the paper's network, 72 x 96",
@@ -178,6 +190,30 @@ def measure(
     }
 
 
+def measure_training(rounds: int, seconds: float, device: str) -> Iterator[tuple[str, Speeds]]:
+    """Frames per second of training by `collector.lag`, a figure for each round."""
+    keep_freed_ram()
+    for experiment in TRAINED:
+        speeds: Speeds = {0: [], 1: []}
+        with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+            runs = {}
+            for lag in speeds:
+                options = [f"collector.lag={lag}", f"device={device}", f"run_root={folder}"]
+                config = command_line.load([f"experiment={experiment}", f"name=lag{lag}", *options])
+                run_folder.make(config.folder)
+                runs[lag] = stack.enter_context(Run(config))
+                for _ in range(3):  # until the heap has grown as large as it will be
+                    runs[lag].step()
+            for _ in range(rounds):
+                for lag, run in runs.items():
+                    start, before = time.perf_counter(), run.update
+                    while time.perf_counter() - start < seconds:
+                        run.step()
+                    frames = (run.update - before) * run.frames_per_update
+                    speeds[lag].append(frames / (time.perf_counter() - start))
+        yield experiment, speeds
+
+
 def repeat(work: Callable[[], object], seconds: float, now: Callable[[], float]) -> float:
     """Median seconds of the work, done at least once and for so long altogether."""
     spent: list[float] = []
@@ -243,6 +279,7 @@ def main() -> None:
     parser.add_argument("--clock", choices=sorted(CLOCKS), default="wall")
     parser.add_argument("--device", default="auto", help="auto, cpu or cuda")
     parser.add_argument("--match", default="", help="rows whose description has this in it")
+    parser.add_argument("--training", action="store_true", help="whole training, lag 1 against 0")
     parser.add_argument("--measure", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
@@ -253,6 +290,14 @@ def main() -> None:
             experiment, Variant(**variant), arguments.worlds, arguments.seconds, arguments.clock,
             device,
         )))  # fmt: skip
+        return
+    console = Console(width=160)
+    where = torch.cuda.get_device_name() if device != "cpu" else f"{arguments.threads} threads"
+    machine = f"{where}, PyTorch {torch.__version__}"
+    if arguments.training:
+        for experiment, speeds in measure_training(arguments.rounds, arguments.seconds, device):
+            show_training(console, experiment, speeds)
+        console.print(f"{machine}, seconds by the wall clock")
         return
 
     rows = [
@@ -271,11 +316,25 @@ def main() -> None:
             measured[experiment, variant].append(one)
             speed = f"{one['frames_per_second']:,.0f} frames/s"
             print(f"{EXPERIMENTS[experiment]}: {variant}: {speed}", file=sys.stderr)
-    console = Console(width=160)
     for experiment in dict.fromkeys(experiment for experiment, _ in rows):
         show(console, experiment, {v: m for (e, v), m in measured.items() if e == experiment})
-    where = torch.cuda.get_device_name() if device != "cpu" else f"{arguments.threads} threads"
-    console.print(f"{where}, PyTorch {torch.__version__}, seconds by the {arguments.clock} clock")
+    console.print(f"{machine}, seconds by the {arguments.clock} clock")
+
+
+def show_training(console: Console, experiment: str, speeds: Speeds) -> None:
+    table = Table(title=f"training {experiment}", title_justify="left")
+    for column in ("", "frames/s", "lowest..highest", "x lag 0", "by round"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for lag, found in speeds.items():
+        ratios = [speed / base for speed, base in zip(found, speeds[0], strict=True)]
+        table.add_row(
+            f"lag {lag}",
+            f"{statistics.median(found):,.0f}",
+            f"{min(found):,.0f}..{max(found):,.0f}",
+            f"{statistics.median(ratios):.2f}",
+            " ".join(f"{ratio:.2f}" for ratio in ratios),
+        )
+    console.print(table)
 
 
 def show(console: Console, experiment: str, rows: dict[Variant, list[dict[str, Any]]]) -> None:
