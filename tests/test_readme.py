@@ -140,8 +140,8 @@ def test_train_commands_are_accepted(page, arguments, in_folder):
     jobs = command_line.check_command_line(overrides)
     assert (len(jobs) > 1) == ("-m" in arguments)
     if files(page):
-        short = ["updates=1", "schedule.window=[0,1]"]
-        short += ["evaluation.episodes=5", "evaluation.chance_episodes=0"]
+        short = ["updates=1", "schedule.window=[0,1]", "collector.num_envs=8"]
+        short += [f"evaluation.{o}" for o in ("episodes=5", "num_envs=5", "chance_episodes=0")]
         assert runner.train(command_line.load([*overrides, *short])) == 0
 
 
@@ -203,7 +203,7 @@ def test_links_and_paths_exist(page):
     assert not missing
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", [page for page in PAGES if page != "CHANGELOG.md"])
 def test_names_in_the_code_exist(page):
     for name in sorted(set(re.findall(r"`(zipf(?:\.\w+)+)[`(]", TEXT[page]))):
         parts = name.split(".")
