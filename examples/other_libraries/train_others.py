@@ -7,7 +7,7 @@ import sys
 
 import torch
 from stable_baselines3 import PPO
-from tensordict.nn import TensorDictModule
+from tensordict.nn import InteractionType, TensorDictModule
 from torch import nn
 from torchrl.envs.utils import step_mdp
 from torchrl.modules import ProbabilisticActor, ValueOperator
@@ -21,7 +21,7 @@ from zipf.evaluate import record
 
 WORLDS = {
     **{"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5},
-    **{"max_steps": 50, "observation": "tiles"},
+    "observation": "tiles",
 }
 FRAMES = int(sys.argv[1]) if len(sys.argv) > 1 else 245_760
 ROW = {"experiment": "small_gridworld", "episodes": 500, **WORLDS}
@@ -62,11 +62,12 @@ def train_torchrl() -> None:
         in_keys=["logits"],
         spec=env.action_spec,
         distribution_class=torch.distributions.Categorical,
+        default_interaction_type=InteractionType.RANDOM,
         return_log_prob=True,
     )
     value = ValueOperator(network(1), in_keys=seen)
     advantage = GAE(gamma=0.99, lmbda=0.95, value_network=value)
-    loss = ClipPPOLoss(policy, value, entropy_coeff=0.01)
+    loss = ClipPPOLoss(policy, value, entropy_coeff=0.01, normalize_advantage=True)
     optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
     state, frames = env.reset(), 0
     while frames < FRAMES:
@@ -78,7 +79,7 @@ def train_torchrl() -> None:
             state = env.maybe_reset(state)
             advantage(unroll)
         frames += unroll.numel()
-        for _ in range(4):
+        for _ in range(8):
             for batch in unroll.reshape(-1).split(1024):
                 losses = loss(batch)
                 total = losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]
