@@ -23,7 +23,7 @@ from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder, runner
 from zipf.experiments.running.factory import build_agent
-from zipf.experiments.running.trained import evaluate_run, load_agent
+from zipf.experiments.running.trained import evaluate_run
 
 
 def folder_of(arguments: list[str]) -> Path:
@@ -188,8 +188,7 @@ def test_a_world_for_each_train_level(monkeypatch):
     with pytest.raises(UserError) as error:
         command_line.load([*TINY, "collector.num_envs=2"])
     assert str(error.value) == (
-        "collector.num_envs=2: should be at least 3, a world for each level that gridworld trains "
-        "on"
+        "collector.num_envs=2: should be at least 3, a world for each train level of gridworld"
     )
 
 
@@ -291,23 +290,6 @@ def test_a_checkpoint_of_another_configuration_is_refused(trained):
             command_line.load([*trained, "agent.discount=0.5", f"name='{folder.parent.name}'"])
         )
     assert (folder / "checkpoint.pt").read_bytes() == before
-
-
-def test_a_run_from_before_an_option_goes_on(trained):
-    """As LSTMs from before they could have several layers."""
-    folder = folder_of(trained)
-    state = checkpoint.load(folder / "checkpoint.pt")
-    assert state["options"].pop("memory.layers") == 1
-    checkpoint.save(folder / "checkpoint.pt", state)
-    description = folder / "config.yaml"
-    description.write_text(description.read_text().replace("  layers: 1\n", ""))
-    assert run_folder.read_config(folder).memory.layers == 1
-    assert load_agent(folder, "cpu").update == 2
-    with pytest.raises(UserError, match=r"memory\.layers=None there, 2 here"):
-        runner.train(
-            command_line.load([*trained, "memory.layers=2", f"name='{folder.parent.name}'"])
-        )
-    assert runner.train(command_line.load([*trained, "resume=must", "updates=3"])) == 0
 
 
 def test_a_damaged_checkpoint_is_an_error_and_never_a_fresh_start(trained):
