@@ -131,6 +131,15 @@ def test_an_agent_without_a_correction_is_refused(tmp_path):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(("agent", "lag"), [("impala", 1), ("vmpo", 0)])
+def test_without_the_option_the_lag_is_what_the_agent_corrects_for(agent, lag, tmp_path):
+    chosen = [*TINY, f"agent={agent}", f"run_root={tmp_path}", "name=row"]
+    config = command_line.load(chosen)
+    assert config.lag == lag
+    given = command_line.load([*chosen, f"collector.lag={lag}"])
+    assert given.what_is_learned == config.what_is_learned  # either resumes the other
+
+
 def test_unrolls_before_the_last_are_left_alone():
     """With a lag of 1, the one before; and an unroll begins where the one before ends."""
     config = config_of("nowhere")

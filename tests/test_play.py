@@ -666,7 +666,8 @@ def test_a_person_plays_in_a_window(monkeypatch):
         left = (drawn.shape[1] - frame.shape[1]) // 2
         np.testing.assert_array_equal(drawn[: len(frame), left : left + frame.shape[1]], frame)
         assert len(np.unique(drawn[len(frame) :].reshape(-1, 3), axis=0)) > 2  # there is text
-        assert f"step {i}   return 0" in lines[1]
+        assert lines[0].startswith("Walk to the object that the top left corner shows.")
+        assert f"step {i}   return 0" in lines[2]
         if action is not None:
             env.step(np.array([action]))
 

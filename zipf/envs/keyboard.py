@@ -45,12 +45,18 @@ class Toggle:
 class Keys:
     """The keyboard of a family.
 
+    Attributes:
+        bindings, toggles: what the keys do.
+        goal: what to do in these worlds, a sentence for the person who plays; empty: the
+            instruction says it.
+
     Raises:
         ValueError: for a key that means two things.
     """
 
     bindings: tuple[Binding, ...]
     toggles: tuple[Toggle, ...] = ()
+    goal: str = ""
 
     def __post_init__(self) -> None:
         named = [key for binding in self.bindings for key in binding.keys]

@@ -30,11 +30,15 @@ Device = Annotated[str, Field(pattern=DEVICE_PATTERN)]
 
 
 class CollectorOptions(Options):
-    """An update consumes num_envs x unroll_length frames."""
+    """An update consumes num_envs x unroll_length frames.
+
+    `lag` is how many unrolls collection runs ahead of learning; None: as many as the agent
+    corrects for.
+    """
 
     num_envs: PositiveInt
     unroll_length: PositiveInt
-    lag: Annotated[int, Field(ge=0, le=1)]
+    lag: Annotated[int, Field(ge=0, le=1)] | None
 
 
 class EvaluationOptions(Options):
@@ -140,6 +144,13 @@ class Config(Options):
         return self.environment == type(self.environment)(split=self.environment.split)
 
     @property
+    def lag(self) -> int:
+        """How many unrolls collection runs ahead of learning, 0 or 1."""
+        if self.collector.lag is None:
+            return agents()[self.agent.name].largest_lag
+        return self.collector.lag
+
+    @property
     def torch_device(self) -> str:
         """The device to compute on."""
         return find_device(self.device)
@@ -148,9 +159,10 @@ class Config(Options):
     def what_is_learned(self) -> dict[str, Any]:
         """The options that affect learning, flat: {"agent.discount": 0.99, ...}. A checkpoint can
         only be resumed with the same ones."""
+        options = flatten(self.model_dump()) | {"collector.lag": self.lag}
         return {
             name: value
-            for name, value in flatten(self.model_dump()).items()
+            for name, value in options.items()
             if name.split(".")[0] not in NOT_LEARNED
         }
 

@@ -43,9 +43,9 @@ def problems(config: Config) -> Iterator[str]:
             f"exploration={config.exploration.name}: agent={config.agent.name} answers questions "
             "and does not act; choose exploration=none"
         )
-    if agent.largest_lag < collector.lag:
+    if agent.largest_lag < config.lag:
         yield (
-            f"collector.lag={collector.lag}: agent={config.agent.name} does not correct for older "
+            f"collector.lag={config.lag}: agent={config.agent.name} does not correct for older "
             f"weights; should be at most {agent.largest_lag}"
         )
     problem = _cannot_be_built(config)

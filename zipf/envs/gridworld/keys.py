@@ -12,5 +12,6 @@ KEYS = Keys(
         Binding(("end", "b", "1"), "south-west", (5,)),
         Binding(("left", "h", "4"), "west", (6,)),
         Binding(("home", "y", "7"), "north-west", (7,)),
-    )
+    ),
+    goal="Walk to the object that the top left corner shows. Touching another ends the episode.",
 )

@@ -436,6 +436,11 @@ class _Episode:
         """The instruction, in families that have one."""
         return [str(self.info["instruction"][0])] if "instruction" in self.info else []
 
+    def _goal(self) -> list[str]:
+        """What a person is to do, in families that say it."""
+        goal = self.world.keys.goal
+        return [goal] if goal and self.world.policy is None else []
+
     def _text(self) -> Text:
         keys = self.world.keys
         progress = f"{self.name}   step {self.steps}   return {self.total:g}"
@@ -449,7 +454,7 @@ class _Episode:
             help += [f"{_shown((toggle.key,))}: {toggle.label}" for toggle in keys.toggles]
         help += [f"{NEXT}: next episode", f"{LEAVE}: leave"]
         situation = f"{self.world.level}   ranks: {self._situation()}"
-        return Text((*self._words(), situation, progress, self.outcome), tuple(help))
+        return Text((*self._words(), *self._goal(), situation, progress, self.outcome), tuple(help))
 
 
 def _steps(number: int) -> str:

@@ -106,9 +106,9 @@ class Run:
             seed=derive_seed(config.seed, "training"),
             device=self.device,
             exploration=build_exploration(config.exploration),
-            lag=collector.lag,
+            lag=config.lag,
         )
-        self.overlap = Overlap(self.collector, self.agent) if collector.lag else None
+        self.overlap = Overlap(self.collector, self.agent) if config.lag else None
         self.frames_per_update = collector.num_envs * collector.unroll_length
         self.clock = Clock()
         self.update = 0
