@@ -170,23 +170,22 @@ def boat() -> Mesh:
 
 
 def robot() -> Mesh:
+    arm = [(0, 8, 21), (1, 13.5, 19), (3, 14.5, 12)]
     return assemble(
         [
-            box(11, 15, 13, MAIN, at=(0, 0, 18.5)),
-            box(1, 9, 6, ACCENT, at=(5.8, 0, 19)),
-            box(4, 5, 4, DARK, at=(0, 0, 26)),
-            box(10, 13, 8.5, MAIN, at=(0, 0, 31)),
-            box(1.2, 11, 4.6, DARK, at=(5, 0, 31.5)),
-            rod((0, 0, 35), (0, 0, 39), 1, DARK, sides=4),
-            ellipsoid((2.4, 2.4, 2.4), ACCENT, at=(0, 0, 39.6), sides=5, rings=2),
+            block((11, 16), (13, 20), 14, MAIN, at=(0, 0, 10)),
+            box(1.4, 12, 8, ACCENT, at=(6.2, 0, 17.5)),
+            box(6, 7, 4, DARK, at=(0, 0, 25)),
+            box(15, 20, 15, MAIN, at=(0, 0, 33.5)),
+            box(1.6, 17, 8.6, DARK, at=(7.5, 0, 34.4)),
+            rod((0, 0, 40), (0, 0, 46), 1.2, DARK, sides=4),
+            ellipsoid((3.2, 3.2, 3.2), ACCENT, at=(0, 0, 47), sides=5, rings=2),
             *both_sides(
-                box(1.4, 3, 2.8, LIGHT, at=(5.4, 2.9, 31.5)),
-                box(4, 2, 4, ACCENT, at=(0, 7, 31)),
-                rod((0, 7, 23), (0, 12, 20), 2, DARK, sides=4),
-                block((5.4, 5.4), (4, 4), 12, MAIN, at=(0, 14.5, 9.5), shift=(0, -3)),
-                box(7, 6.4, 4.4, ACCENT, at=(1, 14.8, 8)),
-                box(5, 4.4, 10, MAIN, at=(0, 5.4, 8)),
-                box(11, 7, 4, ACCENT, at=(2, 6, 2)),
+                box(2, 5.4, 5.4, LIGHT, at=(8.1, 4.4, 34.4)),
+                tube(arm, 2.6, DARK, sides=5),
+                box(6.6, 6.6, 5, ACCENT, at=(4, 14.6, 11)),
+                box(5, 5.4, 8, DARK, at=(0, 5.4, 8)),
+                block((14, 8.6), (8, 7.6), 5, ACCENT, at=(1.5, 5.6, 0)),
             ),
         ],
         0.30,
@@ -281,13 +280,10 @@ def plane() -> Mesh:
 
 
 def mug() -> Mesh:
-    wall = [(0, 0), (12, 0), (12, 30), (10, 30), (10, 3), (0, 3)]
-    handle = tube(arc(9.5, -80, 80, 6, plane="yz", at=(0, 11.5, 15)), 2.4, ACCENT, sides=5)
+    wall = [(0, 0), (9.4, 0), (10, 1), (10, 18), (8.6, 18), (8.4, 15), (0, 15)]
+    handle = tube(arc(6.2, -95, 95, 7, plane="yz", at=(0, 9.4, 9.2)), 2.1, ACCENT, sides=5)
     return assemble(
-        [
-            lathe(wall, [MAIN, MAIN, MAIN, DARK, DARK], sides=14),
-            handle,
-        ],
+        [lathe(wall, [MAIN, MAIN, MAIN, LIGHT, LIGHT, WOOD], sides=14), handle],
         0.12,
     )
 
@@ -350,14 +346,14 @@ def bottle() -> Mesh:
 def chair() -> Mesh:
     return assemble(
         [
-            box(23, 23, 3, ACCENT, at=(0, 0, 17)),
-            box(2, 22, 4.4, MAIN, at=(-10, 0, 37.8)),
-            *(box(1.6, 1.8, 18, MAIN, at=(-10, y, 27)) for y in (-4.5, 0, 4.5)),
+            box(25, 25, 4, ACCENT, at=(0, 0, 19)),
+            box(3, 24.6, 10, ACCENT, at=(-11, 0, 41)),
+            box(3, 22, 4, MAIN, at=(-11, 0, 29)),
             *both_sides(
-                box(3, 3, 40, MAIN, at=(-9.5, 9.5, 20)),
-                box(3, 3, 16, MAIN, at=(9.5, 9.5, 8)),
-                box(17, 1.6, 2, MAIN, at=(0, 9.5, 7)),
+                box(4, 4, 47, MAIN, at=(-10.6, 10.6, 23.5)),
+                box(4, 4, 18, MAIN, at=(10.6, 10.6, 9)),
             ),
+            box(2.4, 22, 2.4, MAIN, at=(10.6, 0, 8)),
         ],
         0.90,
     )
@@ -420,20 +416,21 @@ def guitar() -> Mesh:
 
 
 def piano() -> Mesh:
-    case = [(12, -15), (12, 15), (-4, 15), (-8, 9), (-13, 4), (-20, 1), (-22, -6), (-20, -15)]
-    lid = slab(case, 1.2, ACCENT).turn("x", 38).move(0, 3, 31)
     return assemble(
         [
-            slab(case, 7, MAIN, at=(0, 0, 17)),
-            slab([(x * 0.85, y * 0.85) for x, y in case], 1, WOOD, at=(-1, 0, 20.5)),
-            lid,
-            rod((-2, 10, 20), (-2, 12, 36), 0.6, WOOD, sides=4),
-            box(7, 30, 3.4, MAIN, at=(15, 0, 15.2)),
-            box(5, 26, 1.2, LIGHT, at=(15.6, 0, 17.3)),
-            *(box(3, 1.8, 1.4, DARK, at=(14.4, y, 18)) for y in (-10, -6.5, -1, 2.5, 8)),
+            box(13, 44, 36, MAIN, at=(-5, 0, 18)),
+            block((15, 46), (13.6, 44.6), 2.4, ACCENT, at=(-4.6, 0, 35.4)),
+            box(12, 44, 4, MAIN, at=(6.5, 0, 15)),
+            box(9, 40, 1.6, LIGHT, at=(7.6, 0, 17.4)),
             *(
-                cylinder(2, 14, MAIN, at=(x, y, 0), sides=5, top=2.4)
-                for x, y in ((9, -12), (9, 12), (-17, -8))
+                box(5, 2.6, 1.8, DARK, at=(5.8, y, 18.8))
+                for y in (-15.5, -10.5, -1.5, 3.5, 8.5, 16.5)
+            ),
+            box(1.4, 34, 1.6, DARK, at=(1.8, 0, 21)),
+            box(1.6, 16, 8, LIGHT, at=(1.6, 0, 27)),
+            *both_sides(
+                box(12, 2.4, 6.5, MAIN, at=(6.5, 21.6, 16.4)),
+                box(2.6, 2.6, 14, DARK, at=(10.8, 19.6, 7)),
             ),
         ],
         1.40,

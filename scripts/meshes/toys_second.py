@@ -320,26 +320,26 @@ def screwdriver() -> Mesh:
 def key() -> Mesh:
     return assemble(
         [
-            torus(9.6, 4.8, around=12, sides=4).turn("y", 90).move(0, 0, 29),
-            cylinder(3.6, 20, sides=8),
-            cylinder(5.2, 3.6, ACCENT, at=(0, 0, 14), sides=8),
-            box(6.6, 13, 4.8, at=(0, 7.5, 2.4)),
-            box(6.6, 9, 4.2, at=(0, 5.5, 10)),
+            torus(12, 4, around=12, sides=4).turn("y", 90).move(0, 0, 34),
+            cylinder(3.8, 22, sides=8),
+            cylinder(6, 4, ACCENT, at=(0, 0, 18.5), sides=8),
+            box(6.4, 17, 6, at=(0, 9, 3)),
+            box(6.4, 12, 5, at=(0, 6.5, 13.4)),
         ],
-        0.08,
+        0.10,
     )
 
 
 def scissors() -> Mesh:
-    outline = [(-3.4, -2), (2.6, -2), (3.6, 10), (0.6, 25), (-1.6, 25), (-3.4, 12)]
-    solids = [cylinder(2.8, 9, DARK, sides=6).move(z=-4.5).turn("y", 90)]
+    outline = [(-3.6, -3), (3.4, -3), (4.4, 8), (0.8, 26), (-2.2, 26), (-3.6, 10)]
+    solids = [cylinder(2.6, 10, DARK, sides=6).move(z=-5).turn("y", 90)]
     for side in (-1, 1):
         blade = slab(outline, 3.6, LIGHT, plane="yz")
-        arm = rod((0, 0, 2), (0, 1, -8), 2.4, sides=4)
-        ring = torus(5.2, 2.1, around=10, sides=4).turn("y", 90).move(0, 3.4, -12.5)
+        arm = rod((0, 0, 2), (0, 1, -8), 2.6, sides=4)
+        ring = torus(6.2, 2.2, around=10, sides=4).turn("y", 90).move(0, 3.0, -13.5)
         for solid in (blade, arm, ring):
             upright = solid.mirror("y") if side < 0 else solid
-            solids.append(upright.turn("x", side * 22).move(side * 1.8))
+            solids.append(upright.turn("x", side * 27).move(side * 1.8))
     return assemble(solids, 0.18)
 
 
