@@ -156,19 +156,23 @@ def _pose(
             for c in range(3):
                 size[c] = extents[ranks[i, j], c] * scale[i, j]
             half = size[2] / 2
+            middle = objects[i, j, Z] + half
             # Objects turn about their centres.
             position[i, j, 0] = objects[i, j, X] - half * frame[0, 2]
             position[i, j, 1] = objects[i, j, Y] - half * frame[1, 2]
-            position[i, j, 2] = objects[i, j, Z] + half - half * frame[2, 2]
+            position[i, j, 2] = middle - half * frame[2, 2]
             for r in range(3):
                 for c in range(3):
                     rotation[i, j, r, c] = frame[r, c]
-            _shade(shadows[i, j], objects[i, j], frame, size, furnished, furniture[i])
+            _shade(shadows[i, j], objects[i, j], middle, frame, size, furnished, furniture[i])
 
 
 @compiled()
-def _shade(shadow, item, frame, size, furnished, furniture):
-    """Writes a row of `Scenes.shadows`: the shadow of an object of this size on what is below."""
+def _shade(shadow, item, middle, frame, size, furnished, furniture):
+    """Writes a row of `Scenes.shadows`: the shadow of an object on what is below.
+
+    `middle` is the height of the object's centre, and `size` that at which it is drawn, metres.
+    """
     top = 0.0
     if furnished:
         for k in range(2):
@@ -184,7 +188,7 @@ def _shade(shadow, item, frame, size, furnished, furniture):
         length += abs(cos * frame[0, c] + sin * frame[1, c]) * size[c] / 2
         breadth += abs(cos * frame[1, c] - sin * frame[0, c]) * size[c] / 2
         tall += abs(frame[2, c]) * size[c] / 2
-    height = max(item[Z] + size[2] / 2 - tall - top, 0.0)
+    height = max(middle - tall - top, 0.0)
     shadow[0], shadow[1], shadow[2] = item[X], item[Y], top
     shadow[3] = angle
     shadow[4], shadow[5] = _INNER * length, _INNER * breadth
