@@ -18,6 +18,7 @@ class PlayroomOptions(Options):
 
     image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
     object_order: Literal["default", "alternate"] = "default"  # ours: the paper lists no objects
+    looks: Literal["plain", "varied"] = "plain"  # ours: the paper does not say that they vary
     max_steps: Size = 900  # released loader: 120 s; paper: 7.5 actions a second
 
 
@@ -58,7 +59,7 @@ FAMILY = Family(
     make="zipf.envs.playroom.single:PlayroomEnv",
     make_vec="zipf.envs.playroom.vector:PlayroomVectorEnv",
     chance="zipf.envs.playroom.chance:chance",
-    appearance=frozenset({"image_size"}),
+    appearance=frozenset({"image_size", "looks"}),
     keys="zipf.envs.playroom.keys:KEYS",
     expert="zipf.envs.playroom.expert:Expert",
     questions="zipf.envs.playroom.first_frame:questions",
