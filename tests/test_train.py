@@ -172,7 +172,7 @@ def test_levels_are_drawn_at_every_reset_in_proportion_to_their_weights(tmp_path
     assert_equal(learned(folder_of(whole)), learned(folder_of([*cut, "updates=4"])))
 
     described = run_folder.read_description(folder_of(whole))
-    assert described["situation"] == {"level": 4, "map": 5, "target": 5}
+    assert described["situation"] == {"level": 4, "map": 20, "target": 5}
     assert [one["weight"] for one in described["levels"]] == [1.0, 9.0, 1.0, 1.0]
     chance = {one["level"]: one["chance"] for one in described["levels"]}
     weighted = 0.1 * chance["gridworld/zipf_1"] + 0.9 * chance["gridworld/zipf_2"]
