@@ -321,9 +321,9 @@ def test_a_run_plays_its_levels(run, level, played, tmp_path):
     said = play(f"run={run}", *level, "episodes=2", "seed=0", f"record={tmp_path}/out.gif")
     assert said[0] == f"{played}, seed 0"
     assert len(said) == 4
-    # Of the run's 5 maps the rarest fifth is the last.
+    # Of the run's 20 maps and 5 targets the rarest fifths are the last four and the last one.
     if played == "gridworld/rare":
-        assert all("map 4, target 4" in line for line in said[1:3])
+        assert all(re.search("map 1[6-9], target 4", line) for line in said[1:3])
     assert all(int(line.split()[-2]) <= 9 for line in said[1:3])
 
 
