@@ -31,6 +31,7 @@ OPTIONS = {
         **{"learning_rate": 2e-3, **ADAM, "weight_decay": 0.0, "max_gradient_norm": 1.0},
         **{"discount": 0.97, "trace_lambda": 0.9, "target_period": 50},
         **{"epsilon": 0.1, "epsilon_ladder": False, "burn_in": 0, "samples_per_insert": 2.0},
+        **{"final_observations": 1, "fresh_priority": "error"},
         **{"replay_capacity": 4000, "replay_min": 200, "storage": "ram"},
         **{"priority_exponent": 0.6, "importance_exponent": 0.4, "priority_max_weight": 0.9},
     },
