@@ -117,7 +117,7 @@ def random_steps(rows, batch, seed=0):
 
 
 def finals_of(steps, places=2, seed=0):
-    """The first `places` observations that these steps [T, B] were truncated at, drawn at random."""
+    """The first `places` observations that steps [T, B] were truncated at, drawn at random."""
     rng = np.random.default_rng([seed, 1])
     shape = (places, steps.shape[1])
     images = torch.tensor(rng.integers(256, size=(*shape, 9, 9, 3)), dtype=torch.uint8)

@@ -82,8 +82,8 @@ class BYOL(Auxiliary):
 
         2 - 2 cos(q(g(F_k(core_t, a_t .. a_{t+k-1}))), g'(f'(o_{t+k})))
 
-    where `byol_frame` has k = 0 alone, for rows 1 to T and without actions. Only the frames that the
-    target networks read are shifted; the memory reads them as they are.
+    where `byol_frame` has k = 0 alone, for rows 1 to T and without actions. Only the frames that
+    the target networks read are shifted; the memory reads them as they are.
     """
 
     def __init__(
