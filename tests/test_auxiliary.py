@@ -11,6 +11,7 @@ import torch
 import torch.nn.functional as F
 from networks import compact
 from tensordict import TensorDict
+from worlds_of import needs
 
 from zipf import envs
 from zipf.agents.agent import Setting
@@ -628,8 +629,8 @@ def test_the_registry_has_the_losses_by_the_names_of_their_options():
 @pytest.mark.parametrize("auxiliary", command_line.choices("auxiliary"))
 def test_every_auxiliary_loss_composes(experiment, auxiliary):
     overrides = [f"experiment={experiment}", f"auxiliary={auxiliary}"]
-    if auxiliary == "vision_language" and not experiment.startswith("playroom"):
-        with pytest.raises(UserError, match="auxiliary=vision_language needs an instruction"):
+    if lacking := needs(experiment, auxiliary=auxiliary):
+        with pytest.raises(UserError, match=lacking):
             command_line.load(overrides)
     else:
         assert command_line.load(overrides).auxiliary.name == auxiliary
