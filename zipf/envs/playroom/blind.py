@@ -28,26 +28,27 @@ class BlindExpert:
         n, count = env.worlds.ranks.shape
         self.order = np.tile(np.arange(count), (n, 1))  # of the objects, the believed target first
         self.tasks = env.worlds.task.copy()
-        self.believed: Any = SimpleNamespace(
+        believed: Any = SimpleNamespace(
             num_envs=n, worlds=self._worlds(), rooms=[None] * n, lengths=env.lengths
         )
-        self.expert = Expert(self.believed)
+        self.believed = believed
+        self.expert = Expert(believed)
 
     def __call__(self) -> NDArray[np.int64]:
         """The next action of every world, int64 [N]."""
         env = self.env
-        for i in np.flatnonzero(env.lengths == 0):
-            target = self.generator.integers(self.order.shape[1])
+        for i in np.flatnonzero(env.lengths == 0).tolist():
+            target = int(self.generator.integers(self.order.shape[1]))
             self.order[i] = np.arange(self.order.shape[1])
             self.order[i, [0, target]] = target, 0
             if env.level.tasks:
                 self.tasks[i] = self.generator.choice(env.level.tasks)
         self.believed.worlds = self.expert.worlds = self._worlds()
         self.believed.lengths = env.lengths
-        for i, room in enumerate(env.rooms):
+        for world, room in enumerate(env.rooms):
             assert room is not None
-            objects = [room.objects[j] for j in self.order[i]]
-            self.believed.rooms[i] = SimpleNamespace(agent=room.agent, objects=objects)
+            objects = [room.objects[j] for j in self.order[world]]
+            self.believed.rooms[world] = SimpleNamespace(agent=room.agent, objects=objects)
         return self.expert()
 
     def _worlds(self) -> Any:

@@ -80,8 +80,8 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None
         for one, line in REFERENCES.items():
             if name in ranked[one]:
                 axis.plot(range(len(ranked[one][name])), ranked[one][name], **line)
-            elif means[one] is not None:
-                axis.axhline(means[one], **line)
+            elif (mean := means[one]) is not None:
+                axis.axhline(mean, **line)
         for first, last in spans(rare[name]):
             axis.axvspan(first - 0.5, last + 0.5, color=SHADE, zorder=0, linewidth=0)
         spoken = name.replace("_", " ").capitalize()
