@@ -70,10 +70,10 @@ def levels(family: str) -> list[str]:
                 uses.setdefault(level.name, []).append(f"{code(split.name)} ({kind})")
     rows = []
     for name in (f"{family}/{level}" for level in found.levels):
-        chance = envs.chance(name)
-        score = "" if chance is None else f"{chance.score:.3f}"
-        rows.append((code(name), ", ".join(uses.get(name, [])), score))
-    return markdown(("Level", "Used by split", "Chance"), rows)
+        known = (envs.chance(name), envs.blind(name))
+        scores = ("" if one is None else f"{one.score:.3f}" for one in known)
+        rows.append((code(name), ", ".join(uses.get(name, [])), *scores))
+    return markdown(("Level", "Used by split", "Chance", "Blind"), rows)
 
 
 def constructor_options(family: str) -> list[str]:

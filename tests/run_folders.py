@@ -11,37 +11,33 @@ import pandas as pd
 import pytest
 
 from zipf import envs, report
+from zipf.experiments import command_line, composing
 from zipf.experiments.reporting import results, tables, windows
 
 CHANCE = {"train": 0.0324, "uniform": 0.0477, "rare": 0.0859}
 EVALUATIONS = "update,frames,seconds,level_kind,level,episodes,score,success,return,length"
 SITUATIONS = "update,level_kind,map,target,episodes,successes,return_sum"
 CONFIG = "agent:\n  learning_rate: 0.001\n"
-ROWS = {  # title, order, colour
-    "impala": ("IMPALA", 1, "#0072B2"),
-    "vmpo": ("V-MPO", 2, "#CC79A7"),
-    "r2d2": ("R2D2", 3, "#D55E00"),
-    "impala_byol": ("IMPALA + BYOL", 7, "#CC79A7"),
-    "impala_mlp": ("IMPALA + MLP", 8, "#E69F00"),
-}
+BLIND = {"train": 0.6265, "uniform": 0.05, "rare": 0.0}
+ROWS = {name: composing.condition_file(name)["row"] for name in command_line.choices("condition")}
 Scores = Mapping[int, Sequence[float]]  # of every level, by update
 
 
 def row_of(condition: str) -> dict[str, Any]:
     """The row of a condition, its title with what is added to a known one."""
     known, *added = condition.split(",")
-    title, order, colour = ROWS.get(known, (known, None, None))
-    dashed = condition == "vmpo"
-    return {
-        "title": ", ".join([title, *added]),
-        "order": order,
-        "colour": colour,
-        "line": "dashed" if dashed else "solid",
-    }
+    row = ROWS.get(known, {"title": known, "order": None, "colour": None, "line": "solid"})
+    return {**row, "title": ", ".join([row["title"], *added])}
 
 
 def level(
-    kind: str, name: str, weight: float = 1.0, chance: float | None = None, episodes: Any = None
+    kind: str,
+    name: str,
+    weight: float = 1.0,
+    chance: float | None = None,
+    episodes: Any = None,
+    blind: float | None = None,
+    by_rank: Mapping[str, Sequence[float]] | None = None,
 ) -> dict[str, Any]:
     """A level as `run.json` describes it."""
     return {
@@ -50,12 +46,18 @@ def level(
         "weight": weight,
         "chance": chance,
         "chance_episodes": episodes,
+        "chance_by_rank": by_rank or {},
+        "blind": blind,
+        "blind_by_rank": {},
     }
 
 
 def gridworld(chance: Mapping[str, float | None] = CHANCE) -> list[dict[str, Any]]:
     """The levels of a gridworld."""
-    return [level(kind, f"gridworld/{kind}", chance=chance.get(kind)) for kind in envs.KINDS]
+    return [
+        level(kind, f"gridworld/{kind}", chance=chance.get(kind), blind=BLIND[kind])
+        for kind in envs.KINDS
+    ]
 
 
 def write_run(

@@ -51,7 +51,8 @@ def unrolls(made, count):
     collector = Collector(env, made, unroll_length=STEPS, seed=0)
     for _ in range(count):
         unroll = collector.collect()
-        yield Unroll(unroll.steps.clone(), unroll.memory, unroll.late_memory)
+        final = None if unroll.final is None else unroll.final.clone()
+        yield Unroll(unroll.steps.clone(), unroll.memory, unroll.late_memory, final)
 
 
 def answer(made, seed=0):

@@ -11,6 +11,7 @@ import torch
 import torch.nn.functional as F
 from networks import compact
 from tensordict import TensorDict
+from worlds_of import needs
 
 from zipf import envs
 from zipf.agents.agent import Setting
@@ -23,7 +24,12 @@ from zipf.agents.auxiliary import (
     build_auxiliary,
     register,
 )
-from zipf.agents.auxiliary.byol import BYOLHorizonOptions, BYOLOptions, random_shift
+from zipf.agents.auxiliary.byol import (
+    BYOLFrameOptions,
+    BYOLHorizonOptions,
+    BYOLOptions,
+    random_shift,
+)
 from zipf.agents.auxiliary.reconstruction import VisionLanguageOptions, VisionOptions
 from zipf.agents.encoders import ResNetOptions, ShallowOptions
 from zipf.agents.impala import Impala, ImpalaOptions
@@ -68,8 +74,9 @@ SIZES = {
     "projection_size": 8,
 }
 BYOL = BYOLOptions(name="byol", **SIZES)
+FRAME = BYOLFrameOptions(name="byol_frame", shift=0, unshifted=0, **SIZES)
 HORIZON = BYOLHorizonOptions(name="byol_horizon", horizon=3, shift=0, unshifted=0, **SIZES)
-OPTIONS = {o.name: o for o in (VISION, VISION_LANGUAGE, BYOL, HORIZON)}
+OPTIONS = {o.name: o for o in (VISION, VISION_LANGUAGE, BYOL, FRAME, HORIZON)}
 
 
 def space(height=27, width=18):
@@ -185,7 +192,7 @@ def mlp_by_hand(mlp, rows):
     return torch.stack([mlp.leave(row.relu()) for row in torch.stack(columns).T])
 
 
-@pytest.mark.parametrize(("options", "horizon"), [(BYOL, 1), (HORIZON, 3)])
+@pytest.mark.parametrize(("options", "horizon"), [(FRAME, 0), (BYOL, 1), (HORIZON, 3)])
 def test_the_byol_loss_equals_the_definition(options, horizon):
     """One world, row and distance at a time, except batch normalisation, which is over all rows."""
     _, loss_of = build(options)
@@ -202,12 +209,17 @@ def test_the_byol_loss_equals_the_definition(options, horizon):
 
     with torch.no_grad():
         places = [
-            (t, b) for t in range(1, STEPS + 1) for b in range(BATCH) if not data.is_first[t, b]
+            (t, b)
+            for t in range(1, STEPS + 1)
+            for b in range(BATCH)
+            if horizon == 0 or not data.is_first[t, b]
         ]
         codes = mlp_by_hand(loss_of.target_projector, [encoded(t, b) for t, b in places])
         target = dict(zip(places, codes, strict=True))
 
-        features = {k: {} for k in range(1, horizon + 1)}
+        features = {k: {} for k in range(min(1, horizon), horizon + 1)}
+        if horizon == 0:
+            features[0] = {(t, b): forward_map.layers(core[t, b]) for t, b in places}
         for b in range(BATCH):
             for t in range(STEPS):
                 state = None
@@ -235,7 +247,8 @@ def test_the_byol_loss_equals_the_definition(options, horizon):
         directions = [code / code.norm() for code in codes]
         mean = sum(directions) / len(directions)
         spread = math.sqrt(sum((d - mean).square().sum().item() for d in directions) / len(codes))
-    assert 0 < pairs < STEPS * BATCH * horizon
+    assert pairs > 0
+    assert pairs == STEPS * BATCH if horizon == 0 else pairs < STEPS * BATCH * horizon
     loss, metrics = loss_of(data, core)
     assert metrics.keys() == {"auxiliary_byol", "auxiliary_byol_spread"}
     assert metrics["auxiliary_byol"].item() == pytest.approx(total / pairs, rel=1e-4)
@@ -487,6 +500,7 @@ DRAWING = {
     "vision": VISION.model_copy(update={"fraction": 0.5}),
     "vision_language": VISION_LANGUAGE.model_copy(update={"fraction": 0.5}),
     "byol": BYOL,
+    "byol_frame": FRAME.model_copy(update={"shift": 4}),
     "byol_horizon": HORIZON.model_copy(update={"fraction": 0.5, "shift": 4, "unshifted": 9}),
 }
 
@@ -615,8 +629,8 @@ def test_the_registry_has_the_losses_by_the_names_of_their_options():
 @pytest.mark.parametrize("auxiliary", command_line.choices("auxiliary"))
 def test_every_auxiliary_loss_composes(experiment, auxiliary):
     overrides = [f"experiment={experiment}", f"auxiliary={auxiliary}"]
-    if auxiliary == "vision_language" and not experiment.startswith("playroom"):
-        with pytest.raises(UserError, match="auxiliary=vision_language needs an instruction"):
+    if lacking := needs(experiment, auxiliary=auxiliary):
+        with pytest.raises(UserError, match=lacking):
             command_line.load(overrides)
     else:
         assert command_line.load(overrides).auxiliary.name == auxiliary
@@ -673,6 +687,7 @@ def test_byol_reads_tiles():
     [
         ("demo", "vision", "impala"),
         ("demo", "byol", "vmpo"),
+        ("demo", "byol_frame", "impala"),
         ("demo", "byol_horizon", "impala"),
         ("playroom_lift_compact", "vision_language", "vmpo"),
         ("playroom_lift_compact", "byol_horizon", "impala"),
@@ -713,6 +728,7 @@ def test_runs_train_and_resume(experiment, auxiliary, kind, tmp_path):
             "vision": ["auxiliary_vision"],
             "vision_language": ["auxiliary_vision", "auxiliary_language"],
             "byol": ["auxiliary_byol", "auxiliary_byol_spread"],
+            "byol_frame": ["auxiliary_byol", "auxiliary_byol_spread"],
             "byol_horizon": ["auxiliary_byol", "auxiliary_byol_spread"],
         }[auxiliary]
     )

@@ -99,6 +99,40 @@ def test_an_unroll_is_what_single_worlds_would_have_been(memory):
     assert min(ends.values()) > 3
 
 
+@pytest.mark.parametrize("places", [1, 3])
+def test_an_unroll_holds_the_observations_that_episodes_were_truncated_at(places):
+    """The first of each world, for an agent that asks for them."""
+    agent, collector = build("condition=r2d2", f"agent.final_observations={places}")
+    singles = [envs.make("gridworld/zipf_2", **{**SMALL, "max_steps": 3}) for _ in range(WORLDS)]
+    env = envs.make_vec("gridworld/zipf_2", WORLDS, **{**SMALL, "max_steps": 3})
+    collector = Collector(env, agent, unroll_length=STEPS, seed=3)
+    for i, single in enumerate(singles):
+        single.reset(seed=3 + i)
+    left_out = 0
+    for _ in range(3):
+        unroll = collector.collect()
+        assert not unroll.steps["truncation_value"].any()
+        for i, single in enumerate(singles):
+            expected = []
+            for t in range(STEPS):
+                action = int(unroll.steps["action"][t, i])
+                observation, reward, terminated, truncated, _ = single.step(action)
+                if truncated:
+                    expected.append((t, action, reward, observation["image"]))
+                if terminated or truncated:
+                    single.reset()
+            left_out += max(len(expected) - places, 0)
+            used = [one for one in unroll.final[:, i] if one["step"] >= 0]
+            assert len(used) == min(len(expected), places)
+            assert (unroll.final["step"][len(used) :, i] == -1).all()
+            for one, (t, action, reward, image) in zip(used, expected, strict=False):
+                assert (one["step"], one["previous_action"]) == (t, action)
+                assert one["previous_reward"] == reward
+                assert not one["is_first"]
+                np.testing.assert_array_equal(one["observation", "image"], image)
+    assert (left_out > 0) == (places == 1)
+
+
 def test_the_learner_recomputes_what_the_actor_did():
     """The unrolled network gives the stepped network's logits, across episodes' ends."""
     agent, collector = build("memory=lstm")

@@ -4,6 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
+from worlds_of import chosen, needs
 
 import zipf.envs
 from zipf import envs
@@ -17,14 +19,7 @@ GROUPS = ("memory", "network", "auxiliary", "exploration")
 CHOICES = [(group, choice) for group in GROUPS for choice in command_line.choices(group)]
 
 
-def needs(experiment, condition="impala", auxiliary="none"):
-    """What worlds of this experiment lack for it, in the words of the message; None for nothing."""
-    finding, talking = experiment == "playroom_find", experiment.startswith("playroom")
-    if condition == "supervised" and not finding:
-        return "splits with such questions: playroom_find"
-    if "vision_language" in (condition.removeprefix("impala_"), auxiliary) and not talking:
-        return "needs an instruction"
-    return None
+CONDITIONS_OF_TABLES = command_line.choices("condition")
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
@@ -41,43 +36,25 @@ def test_every_choice_goes_with_every_experiment(experiment, group, choice):
     assert getattr(loaded, group).name == choice
 
 
-ROWS = {  # agent, memory, auxiliary
-    "impala": ("impala", "lstm", "none"),
-    "vmpo": ("vmpo", "lstm", "none"),
-    "r2d2": ("r2d2", "lstm", "none"),
-    "r2d2_uniform_replay": ("r2d2", "lstm", "none"),
-    "impala_vision": ("impala", "lstm", "vision"),
-    "impala_vision_language": ("impala", "lstm", "vision_language"),
-    "impala_byol": ("impala", "lstm", "byol"),
-    "impala_mlp": ("impala", "mlp", "none"),
-    "impala_transformer": ("impala", "gtrxl", "none"),
-    "impala_transformer_vision_language": ("impala", "gtrxl", "vision_language"),
-    "supervised": ("supervised", "mlp", "none"),
-}
-
-
 def test_every_condition_says_how_tables_show_it():
-    conditions = command_line.choices("condition")
-    assert conditions == sorted(ROWS)
-    rows = [config.RowOptions(**composing.condition_file(name)["row"]) for name in conditions]
+    files = [composing.condition_file(name) for name in CONDITIONS_OF_TABLES]
+    rows = [config.RowOptions(**file["row"]) for file in files]
     assert len({row.title for row in rows}) == len({row.order for row in rows}) == len(rows)
     assert len({(row.colour, row.line) for row in rows}) == len(rows)
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-@pytest.mark.parametrize("condition", ROWS)
+@pytest.mark.parametrize("condition", CONDITIONS_OF_TABLES)
 def test_every_condition_goes_with_every_experiment(experiment, condition):
     """And where it cannot, one line says why and what can be."""
     overrides = [f"experiment={experiment}", f"condition={condition}"]
-    if lacking := needs(experiment, condition):
+    agent, memory, auxiliary = chosen(experiment, condition)
+    if lacking := needs(experiment, agent, auxiliary):
         with pytest.raises(UserError, match=lacking) as error:
             command_line.load(overrides)
         assert len(str(error.value).splitlines()) == 1
         return
     loaded = command_line.load(overrides)
-    agent, memory, auxiliary = ROWS[condition]
-    if auxiliary == "vision_language" and not experiment.startswith("playroom"):
-        auxiliary = "vision"  # the paper's row has words where there are none
     assert loaded.condition == condition
     assert (loaded.agent.name, loaded.memory.name, loaded.auxiliary.name) == (
         agent,
@@ -87,10 +64,11 @@ def test_every_condition_goes_with_every_experiment(experiment, condition):
     plain = command_line.load([f"experiment={experiment}", "condition=impala"])
     for part in ("environment", "evaluation", "schedule", "network"):
         assert getattr(loaded, part) == getattr(plain, part)
-    collector = plain.collector
-    if agent == "r2d2" and experiment.startswith("demo"):  # its replay is small
-        collector = collector.model_copy(update={"num_envs": 64})
-    assert loaded.collector == collector
+    collector = plain.collector.model_dump()
+    for file in (composing.CONFIG_DIR / "values").glob(f"*/{agent}_collector.yaml"):
+        if experiment.startswith(file.parent.name):  # `demo_conditions` has the values of `demo`
+            collector |= OmegaConf.to_container(OmegaConf.load(file))
+    assert loaded.collector.model_dump() == collector
     if agent == "impala":
         assert loaded.agent == plain.agent
 
@@ -315,14 +293,39 @@ def test_the_shipped_environment_is_the_released_benchmark():
     ).is_released_benchmark
 
 
+# The paper, the release, another paper by its year or name, a default of one, or ourselves.
+SOURCE = re.compile(
+    r"\b(paper|ours|released|same|default|(19|20)\d\d|FARM|SPR|BYOL-Explore)\b", re.IGNORECASE
+)
+
+
+def without_source(text):
+    """The lines of a YAML file, or of a class of options, with a number whose comment, on the same
+    line, does not say where it comes from."""
+    lines = (line.partition("#") for line in text.splitlines())
+    return [
+        setting.strip()
+        for setting, _, comment in lines
+        if re.search(r"\b\d", setting) and not SOURCE.search(comment)  # r2d2 is a name
+    ]
+
+
+def test_a_number_needs_more_than_a_comment():
+    lines = (
+        "a: 1",
+        "b: 2  # fast",
+        "c: 3  # ours: fast",
+        "d: [4]  # Adam 2015",
+        "e: 0.5  # papers",
+    )
+    assert without_source("\n".join((*lines, "name: r2d2"))) == ["a: 1", "b: 2", "e: 0.5"]
+
+
 def test_every_number_has_a_source():
-    options_of_worlds = Path(zipf.envs.__file__).parent.glob("*/__init__.py")
-    for path in (*composing.CONFIG_DIR.glob("*/**/*.yaml"), *options_of_worlds):
-        text = path.read_text()
-        if path.suffix == ".py":  # the fields of the class of options
-            text = "".join(re.findall(r"^class \w+Options.*?(?=^\S)", text, re.M | re.S))
-            text = "\n".join(line for line in text.splitlines() if re.search(r"= |#", line))
-        for number, line in enumerate(text.splitlines(), 1):
-            setting = line.split("#")[0]
-            if re.search(r"\b\d", setting):  # a number; r2d2 is a name
-                assert "#" in line, f"{path.name}, line {number}: where does the value come from?"
+    for path in composing.CONFIG_DIR.glob("**/*.yaml"):
+        text, _, _ = path.read_text().partition("\nhydra:\n")  # what follows is about the command
+        assert without_source(text) == [], path
+    for path in Path(zipf.envs.__file__).parent.glob("*/__init__.py"):
+        classes = re.findall(r"^class \w+Options.*?(?=^\S)", path.read_text(), re.M | re.S)
+        fields = (line for line in "".join(classes).splitlines() if "= " in line)
+        assert without_source("\n".join(fields)) == [], path

@@ -239,6 +239,19 @@ def test_small_images(options, told):
             Encoder(space, options)
 
 
+def test_zeros_between_other_codes_are_no_padding():
+    """An int64 part may hold codes of which 0 is one: all that stands behind it is read."""
+    torch.manual_seed(0)
+    reader = InstructionEncoder(9)
+    codes = torch.tensor([[5, 0, 7, 0], [5, 0, 8, 0], [5, 7, 0, 0], [0, 0, 7, 0], [0, 0, 0, 0]])
+    outputs = reader(codes)
+    distances = torch.cdist(outputs, outputs) + torch.eye(len(codes))
+    assert distances.min() > 1e-3
+    torch.testing.assert_close(outputs[:1], reader(codes[:1, :3]))
+    every, _ = reader.lstm(reader.embedding(codes))
+    torch.testing.assert_close(outputs, every[range(5), [2, 2, 1, 2, 0]])
+
+
 def test_an_instruction_is_read_to_its_last_word():
     torch.manual_seed(0)
     space = gym.spaces.Dict(image=image_space(9, 9), instruction=words_space())

@@ -18,7 +18,8 @@ from zipf.experiments.running.evaluator import play
 ADAM = {"adam_beta1": 0.9, "adam_beta2": 0.999, "adam_epsilon": 1e-8}
 OPTIONS = {
     "impala": {
-        **{"learning_rate": 3e-3, **ADAM, "max_gradient_norm": 0.5, "discount": 0.98},
+        **{"learning_rate": 3e-3, **ADAM, "adam_beta1": 0.0, "max_gradient_norm": 0.5},
+        **{"discount": 0.95},
         **{"baseline_cost": 0.5, "entropy_cost": 0.01},
         **{"clip_rho": 1.0, "clip_pg_rho": 1.0, "clip_c": 1.0, "trace_lambda": 1.0},
     },
@@ -29,14 +30,15 @@ OPTIONS = {
     },
     "r2d2": {
         **{"learning_rate": 2e-3, **ADAM, "weight_decay": 0.0, "max_gradient_norm": 1.0},
-        **{"discount": 0.97, "trace_lambda": 0.9, "target_period": 50},
+        **{"discount": 0.95, "trace_lambda": 0.9, "target_period": 50},
         **{"epsilon": 0.1, "epsilon_ladder": False, "burn_in": 0, "samples_per_insert": 2.0},
+        **{"final_observations": 1, "fresh_priority": "largest"},
         **{"replay_capacity": 4000, "replay_min": 200, "storage": "ram"},
         **{"priority_exponent": 0.6, "importance_exponent": 0.4, "priority_max_weight": 0.9},
     },
 }
 MINIGRID = {
-    "impala": {"discount": 0.97},
+    "impala": {"discount": 0.97, "adam_beta1": 0.9},
     "vmpo": {
         **{"learning_rate": 1e-3, "initial_eta": 1.0, "initial_alpha": 5.0},
         **{"epsilon_alpha": 0.01, "target_period": 1},
@@ -72,7 +74,7 @@ def learn(agent, id, updates, seed=0, options=None, **worlds):
 @pytest.mark.parametrize("agent", OPTIONS)
 def test_cartpole_is_learned(agent):
     score, curve = learn(agent, "CartPole-v1", 400)
-    assert score > 60, curve
+    assert score > 70, curve  # seeds 0 to 2: IMPALA 285 to 498, V-MPO 240 to 459, R2D2 161 to 228
 
 
 @pytest.mark.parametrize("agent", OPTIONS)

@@ -43,7 +43,8 @@ def config_of(folder, *overrides):
 
 
 def copied(unroll):
-    return Unroll(unroll.steps.clone(), unroll.memory, unroll.late_memory)
+    final = None if unroll.final is None else unroll.final.clone()
+    return Unroll(unroll.steps.clone(), unroll.memory, unroll.late_memory, final)
 
 
 def in_turn(config, updates):
@@ -113,7 +114,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(stop, tmp_path):
     assert_equal(learned(whole.folder), learned(cut.folder))
     one, other = (untimed(config.folder / "metrics.csv") for config in (whole, cut))
     pd.testing.assert_frame_equal(one, other)
-    assert learned(whole.folder)["overlap"].keys() == {"steps", "memory", "late_memory"}
+    assert learned(whole.folder)["overlap"].keys() == {*("steps", "memory", "late_memory", "final")}
 
 
 def test_evaluation_uses_what_was_learned(tmp_path):

@@ -47,6 +47,7 @@ OPTIONS = R2D2Options(
     epsilon=0.3,
     epsilon_ladder=False,
     burn_in=BURN_IN,
+    final_observations=2,
     samples_per_insert=1.0,
     replay_capacity=20,
     replay_min=8,
@@ -54,9 +55,18 @@ OPTIONS = R2D2Options(
     priority_exponent=0.9,
     importance_exponent=0.6,
     priority_max_weight=0.8,
+    fresh_priority="error",
 )
 NETWORK = compact(channels=8, size=16, head_size=8)
 LSTM = LSTMOptions(name="lstm", size=16, layers=1)
+MEMORIES = {
+    "lstm": LSTM,
+    "lstm2": LSTMOptions(name="lstm", size=16, layers=2),
+    "mlp": MLPOptions(name="mlp", size=16, layers=1),
+    "gtrxl": GTrXLOptions(
+        name="gtrxl", size=16, layers=2, heads=2, memory_length=4, mlp_size=16, gate_bias=2.0
+    ),
+}
 
 
 def agent(memory=LSTM, worlds=WORLDS, **changes):
@@ -86,7 +96,7 @@ def random_steps(rows, batch, seed=0):
     cut = torch.tensor(rng.random(shape) < 0.5)
     floats = {
         name: torch.tensor(3 * rng.normal(size=shape), dtype=torch.float32)
-        for name in ("previous_reward", "reward", "truncation_value")
+        for name in ("previous_reward", "reward")
     }
     images = rng.integers(256, size=(*shape, 9, 9, 3))
     return TensorDict(
@@ -106,15 +116,41 @@ def random_steps(rows, batch, seed=0):
     )
 
 
+def finals_of(steps, places=2, seed=0):
+    """The first `places` observations that steps [T, B] were truncated at, drawn at random."""
+    rng = np.random.default_rng([seed, 1])
+    shape = (places, steps.shape[1])
+    images = torch.tensor(rng.integers(256, size=(*shape, 9, 9, 3)), dtype=torch.uint8)
+    final = TensorDict(
+        {
+            "step": torch.full(shape, -1),
+            "previous_action": torch.full(shape, -1),
+            "previous_reward": torch.zeros(shape),
+            "is_first": torch.zeros(shape, dtype=torch.bool),
+            "observation": TensorDict({"image": images}, shape),
+        },
+        shape,
+    )
+    for b in range(shape[1]):
+        for k, t in enumerate(steps["truncated"][:, b].nonzero().flatten()[:places].tolist()):
+            final["step"][k, b] = t
+            final["previous_action"][k, b] = steps["action"][t, b]
+            final["previous_reward"][k, b] = steps["reward"][t, b] / 2  # without the bonus
+    return final
+
+
 def random_memory(batch, seed=0):
     generator = torch.Generator().manual_seed(seed)
     return {part: torch.randn(batch, 16, generator=generator) for part in ("hidden", "cell")}
 
 
-def sequences(batch, seed=0):
+def sequences(batch, seed=0, places=2):
     steps = random_steps(BURN_IN + STEPS + 1, batch, seed)
     memory = TensorDict(random_memory(batch, seed), [batch])
-    return TensorDict({"steps": steps.transpose(0, 1), "memory": memory}, [batch])
+    parts = {"steps": steps.transpose(0, 1), "memory": memory}
+    if places:
+        parts["final"] = finals_of(steps[BURN_IN:-1], places, seed).transpose(0, 1)
+    return TensorDict(parts, [batch])
 
 
 def unrolls(count, seed=0):
@@ -122,7 +158,8 @@ def unrolls(count, seed=0):
     steps = random_steps(count * STEPS + 1, WORLDS, seed)
     for i in range(count):
         rows = steps[i * STEPS : (i + 1) * STEPS + 1].clone()
-        yield Unroll(rows, random_memory(WORLDS, 2 * i), random_memory(WORLDS, 2 * i + 1))
+        memories = random_memory(WORLDS, 2 * i), random_memory(WORLDS, 2 * i + 1)
+        yield Unroll(rows, *memories, finals_of(rows[:-1], seed=i))
 
 
 # Rescaling and returns
@@ -193,16 +230,22 @@ def test_lambda_returns_are_averages_of_n_step_returns(seed, lambda_):
 # One update
 
 
+def unrescaled(y):
+    return np.sign(y) * (((np.sqrt(1 + 4e-3 * (abs(y) + 1 + 1e-3)) - 1) / 2e-3) ** 2 - 1)
+
+
 def by_hand(made, items, weights):
     """The loss of the definition, with gradients, and the new priorities: one sequence and one
     frame at a time."""
     o = made.options
     loss, priorities, actions_differ = 0.0, [], 0
+    cut = {"known": 0, "unknown": 0}
     for b in range(len(items)):
         steps = items["steps"][b]
-        memory = {name: items["memory"][name][b : b + 1] for name in ("hidden", "cell")}
-        q, target_q = [], []
+        memory = {name: part[b : b + 1] for name, part in items["memory"].items()}
+        q, target_q, at_cut = [], [], {}
         online, target = memory, memory
+        final = items["final"][b] if o.final_observations else None
         for t in range(len(steps)):
             frame = Inputs.of(steps[t : t + 1].unsqueeze(1))
             with torch.set_grad_enabled(t >= BURN_IN):
@@ -212,19 +255,31 @@ def by_hand(made, items, weights):
             if t >= BURN_IN:
                 q.append(values[0, 0])
                 target_q.append(target_values[0, 0].double().numpy())
+            places = range(o.final_observations)
+            for k in (k for k in places if final["step"][k] == t - BURN_IN):
+                cut_at = Inputs.of(final[k : k + 1].unsqueeze(1))
+                with torch.no_grad():
+                    best = int(made.network(cut_at, online)[0][0, 0].argmax())
+                    y = made.target(cut_at, target)[0][0, 0, best].double().numpy()
+                at_cut[t - BURN_IN] = unrescaled(y)
         rows = {name: steps[name][BURN_IN:] for name in steps.keys() if name != "observation"}
         following = 0.0
         errors = [None] * STEPS
         for t in reversed(range(STEPS)):
             best = int(q[t + 1].argmax())
             actions_differ += best != int(target_q[t + 1].argmax())
-            y = target_q[t + 1][best]
-            value = np.sign(y) * (((np.sqrt(1 + 4e-3 * (abs(y) + 1 + 1e-3)) - 1) / 2e-3) ** 2 - 1)
+            value = unrescaled(target_q[t + 1][best])
             if t == STEPS - 1:
                 following = value
             following = (1 - o.trace_lambda) * value + o.trace_lambda * following
+            if rows["truncated"][t] and t not in at_cut:
+                following = unrescaled(target_q[t][int(q[t].argmax())])
+                errors[t] = torch.zeros(())
+                cut["unknown"] += 1
+                continue
             if rows["truncated"][t]:
-                following = float(rows["truncation_value"][t])
+                following = at_cut[t]
+                cut["known"] += 1
             if rows["terminated"][t]:
                 following = 0.0
             following = float(rows["reward"][t]) + o.discount * following
@@ -235,18 +290,33 @@ def by_hand(made, items, weights):
         eta = o.priority_max_weight
         priorities.append(eta * max(sizes) + (1 - eta) * sum(sizes) / STEPS)
     assert actions_differ > 0  # else double Q-learning is not put to the test
-    return loss, priorities
+    return loss, priorities, cut
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_update_equals_the_definition(seed):
-    made, items = agent(), sequences(5, seed)
+@pytest.mark.parametrize(
+    ("places", "memory", "seed"),
+    [(0, "lstm", 0), (1, "lstm", 3), (2, "lstm", 7), (2, "gtrxl", 0)],
+)
+def test_the_update_equals_the_definition(places, memory, seed):
+    """With room for none, the first or all of the observations that episodes were cut at."""
+    torch.manual_seed(seed)
+    made = agent(MEMORIES[memory], final_observations=places)
+    items = sequences(5, seed, places)
+    if memory == "gtrxl":
+        state = {name: torch.randn(part.shape) for name, part in made.initial_memory(5).items()}
+        items["memory"] = TensorDict({**state, "length": torch.arange(5)}, [5])
     learned = items["steps"][:, BURN_IN:-1]
     assert learned["terminated"].any()
     assert learned["truncated"].any()
     assert items["steps"]["is_first"][:, 1:BURN_IN].any()
     weights = torch.tensor([1.0, 0.2, 0.7, 0.5, 0.9])
-    loss, expected = by_hand(made, items, weights)
+    loss, expected, cut = by_hand(made, items, weights)
+    assert (cut["known"] > 0, cut["unknown"] > 0) == (places > 0, places < 2)
+    if memory == "gtrxl":  # no gradient flows from step to step, as it does in an unroll
+        metrics, priorities = made._learn(items, weights)
+        assert metrics["loss"] == pytest.approx(loss.item(), rel=1e-4)
+        np.testing.assert_allclose(priorities, expected, rtol=1e-4)
+        return
     gradients = torch.autograd.grad(loss, list(made.network.parameters()))
     before = deepcopy(made.network.state_dict())
     metrics, priorities = made._learn(items, weights)
@@ -323,6 +393,22 @@ def test_the_target_network_is_copied_every_target_period():
     assert followed == [False, False, True, False, False, True, False]
 
 
+def test_values_at_truncations_follow_the_target_network():
+    """They are not those that the agent had when it acted: with all rewards 0 and every step cut,
+    a target network of larger Q makes all returns larger."""
+    made, items = agent(final_observations=STEPS), sequences(5)
+    steps = items["steps"]
+    for name, value in (("reward", 0.0), ("terminated", False), ("truncated", True)):
+        steps[name].fill_(value)
+    steps["is_first"][:, BURN_IN + 1 :] = True
+    items["final"] = finals_of(steps.transpose(0, 1)[BURN_IN:-1], STEPS).transpose(0, 1)
+    with torch.no_grad():
+        before, _ = made._errors(items)
+        made.target.value[-1].bias += 1.0
+        after, _ = made._errors(items)
+    assert (after > before + 0.5).all()
+
+
 # Replay
 
 
@@ -333,8 +419,10 @@ def test_replay_holds_unrolls_with_the_rows_before_them(burn_in):
     history = torch.cat([*(unroll.steps[:-1] for unroll in collected), collected[-1].steps[-1:]])
     for unroll in collected:
         reused = unroll.steps.clone()
-        made.update(Unroll(reused, unroll.memory, unroll.late_memory))
+        final = unroll.final.clone()
+        made.update(Unroll(reused, unroll.memory, unroll.late_memory, final))
         reused.zero_()  # as the collector writes over it
+        final.zero_()
     without = 1 if burn_in else 0
     assert len(made.replay) == (3 - without) * WORLDS
     items, _, _ = made.replay.sample(64)
@@ -343,8 +431,11 @@ def test_replay_holds_unrolls_with_the_rows_before_them(burn_in):
         which, world = divmod(int(item["number"]), WORLDS)
         first = (which + without) * STEPS - burn_in
         expected = history[first : first + burn_in + STEPS + 1, world]
-        for name in ("action", "is_first", "truncation_value", ("observation", "image")):
+        for name in ("action", "is_first", "truncated", ("observation", "image")):
             assert torch.equal(item["steps"][name], expected[name])
+        for name in ("step", "previous_action", "previous_reward", ("observation", "image")):
+            kept = collected[which + without].final[name][:, world]
+            assert torch.equal(item["final"][name], kept)
         assert torch.equal(item["steps"]["reward"], expected["reward"] + expected["bonus"])
         memory = collected[which].late_memory if burn_in else collected[which].memory
         for name, part in memory.items():
@@ -365,7 +456,7 @@ def test_no_step_is_taken_before_replay_min_sequences():
 
 
 def test_priorities_are_those_of_the_learned_sequences():
-    made = agent(replay_min=8, samples_per_insert=0.5)
+    made = agent(replay_min=8, samples_per_insert=0.5, fresh_priority="largest")
     for unroll in unrolls(3):
         made.update(unroll)
     before = made.replay._buffer.sampler.tree.leaves.copy()
@@ -382,17 +473,20 @@ def test_priorities_are_those_of_the_learned_sequences():
     np.testing.assert_array_equal(after[others], before[others])
 
 
-MEMORIES = [
-    LSTM,
-    LSTMOptions(name="lstm", size=16, layers=2),
-    MLPOptions(name="mlp", size=16, layers=1),
-    GTrXLOptions(
-        name="gtrxl", size=16, layers=2, heads=2, memory_length=4, mlp_size=16, gate_bias=2.0
-    ),
-]
+def test_a_fresh_sequence_has_the_priority_of_its_errors_or_the_largest():
+    made, other = agent(replay_min=20), agent(replay_min=20, fresh_priority="largest")
+    for unroll in unrolls(3):
+        made.update(unroll)
+        other.update(unroll)
+    items = made.replay._buffer.storage[:8]
+    _, priorities = made._learn(items, torch.ones(8))
+    leaves = made.replay._buffer.sampler.tree.leaves
+    np.testing.assert_allclose(leaves[:8], priorities.numpy() ** 0.9, rtol=1e-4)
+    assert len(set(leaves[:8])) == 8
+    np.testing.assert_array_equal(other.replay._buffer.sampler.tree.leaves[:8], 1.0)
 
 
-@pytest.mark.parametrize("memory", MEMORIES, ids=["lstm", "lstm2", "mlp", "gtrxl"])
+@pytest.mark.parametrize("memory", MEMORIES.values(), ids=MEMORIES)
 @pytest.mark.parametrize("storage", ["ram", "memmap"])
 def test_after_the_burn_in_memory_equals_that_of_the_whole_history(memory, storage, tmp_path):
     """With weights that do not change: Q of replayed steps is Q from the start of the history."""
@@ -486,13 +580,6 @@ def test_the_epsilon_ladder():
     probability = np.array(expected) * (ACTIONS - 1) / ACTIONS
     assert (abs(other - probability) < 4 * np.sqrt(probability * (1 - probability) / 2000)).all()
     assert agent(worlds=1, epsilon_ladder=True, epsilon=0.4).epsilon.tolist() == [0.4]
-
-
-def test_values_are_in_the_units_of_rewards():
-    made = agent()
-    value = made.value(frames(2), made.initial_memory(2))
-    q, _ = made.network(frames(2).unsqueeze(), made.initial_memory(2))
-    torch.testing.assert_close(value, unrescale(q[0].max(-1).values))
 
 
 def test_the_mean_advantage_is_subtracted():

@@ -161,8 +161,8 @@ def test_play_commands_are_accepted(page, arguments):
 def test_report_commands_are_accepted(page, arguments, monkeypatch):
     calls = []
 
-    def report(folders, output, window, *, record):
-        calls.append((folders, output, window and parse_window(window), record))
+    def report(folders, output, window, *, record, format):
+        calls.append((folders, output, window and parse_window(window), record, format))
 
     monkeypatch.setattr(zipf.report, "report", report)
     assert zipf.report.main(arguments) == 0

@@ -1,7 +1,11 @@
 """Replay: draws and their frequencies, and that it resumes from its state in RAM and on disk."""
 
 import errno
+import os
+import shutil
 from copy import deepcopy
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -267,13 +271,69 @@ def test_disk_space_is_allocated_at_once(tmp_path, monkeypatch):
     assert not (tmp_path / "other").exists()
 
 
-def test_free_ram_and_disk(tmp_path):
-    assert 2**20 < free_space.free_ram() < 2**50
-    assert free_space.free_disk(tmp_path / "not" / "there" / "yet") > 2**20
-    size = 64 * 2**20
-    before = free_space.free_disk(tmp_path)
-    (tmp_path / "file").write_bytes(bytes(size))
-    assert free_space.free_disk(tmp_path) == pytest.approx(before, abs=size / 2)
+def machine(monkeypatch, files):
+    """A machine of which these files are read, and no others; numbers are in the kernel's units."""
+
+    def read_text(path, *_, **__):
+        if str(path) not in files:
+            raise FileNotFoundError(path)
+        return files[str(path)]
+
+    monkeypatch.setattr(Path, "read_text", read_text)
+
+
+MEMINFO = (
+    "MemTotal: 8000000 kB\nMemFree: 1000000 kB\nMemAvailable: 5000000 kB\nHugePages_Total: 0\n"
+)
+CACHE = "anon 9\ninactive_file 300\nactive_file 40\n"
+V2, V1 = "/sys/fs/cgroup", "/sys/fs/cgroup/memory"
+
+
+def group(folder, limit, used, version=2):
+    names = ("memory.max", "memory.current")
+    if version == 1:
+        names = ("memory.limit_in_bytes", "memory.usage_in_bytes")
+    contents = (f"{limit}\n", f"{used}\n", CACHE)
+    return {f"{folder}/{n}": c for n, c in zip((*names, "memory.stat"), contents, strict=True)}
+
+
+@pytest.mark.parametrize(
+    ("groups", "files", "free"),
+    [
+        ("0::/job\n", {}, 5_000_000 * 1024),  # a group without limits
+        ("0::/job\n", group(f"{V2}/job", "max", 7), 5_000_000 * 1024),
+        # A limit, less what is used, and the cache of files is given back.
+        ("0::/job\n", group(f"{V2}/job", 9000, 7000), 2000 + 340),
+        ("0::/job\n", group(f"{V2}/job", 9000, 9900), 0),
+        # The tightest of all groups above counts.
+        (
+            "0::/all/job\n",
+            group(f"{V2}/all/job", 9000, 7000) | group(f"{V2}/all", 9900, 9500),
+            400 + 340,
+        ),
+        ("5:cpu:/x\n4:memory:/job\n", group(f"{V1}/job", 9000, 7000, version=1), 2340),
+        ("4:memory:/job\n", group(f"{V1}/job", 2**62, 7000, version=1), 5_000_000 * 1024),
+    ],
+)
+def test_free_ram_is_the_least_of_what_machine_and_groups_leave(groups, files, free, monkeypatch):
+    known = {"/proc/meminfo": MEMINFO, "/proc/self/cgroup": groups}
+    machine(monkeypatch, known | files)
+    assert free_space.free_ram() == free
+
+
+def test_without_the_files_of_linux_it_is_all_of_the_ram(monkeypatch):
+    machine(monkeypatch, {})
+    monkeypatch.setattr(os, "sysconf", {"SC_PHYS_PAGES": 1000, "SC_PAGE_SIZE": 4096}.__getitem__)
+    assert free_space.free_ram() == 4_096_000
+
+
+def test_free_disk_counts_what_the_folder_has_already(tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
+    assert free_space.free_disk(tmp_path / "not" / "there" / "yet") == 1000
+    (tmp_path / "file").write_bytes(bytes(64 * 1024))
+    own = (tmp_path / "file").stat().st_blocks * 512
+    assert own > 0
+    assert free_space.free_disk(tmp_path) == 1000 + own
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import matplotlib
 import numpy as np
@@ -25,7 +26,13 @@ from run_folders import (
 from zipf import report
 from zipf.experiments.reporting import situation_figures, statistics
 from zipf.experiments.reporting.figures import learning_curves
-from zipf.experiments.reporting.situations import chance_on_uniform, measure_of, rare_ranks, rates
+from zipf.experiments.reporting.situations import (
+    measure_of,
+    rare_ranks,
+    rates,
+    reference_by_rank,
+    reference_on_uniform,
+)
 from zipf.experiments.reporting.styles import COLOURS, STYLE, LineStyle, line_styles
 from zipf.experiments.reporting.tables import ScoreTable
 
@@ -131,10 +138,36 @@ def test_chance_is_drawn_where_it_has_the_same_unit(
     run = {"situations": RETURNS, "success": False, "normalised": normalised}
     write_run(tmp_path, constant(0.5), **run)
     table = only_table(tmp_path)
-    assert chance_on_uniform(table, "return") == (table.chance["uniform"] if drawn else None)
+    for reference in ("chance", "blind"):
+        known = table.reference(reference)["uniform"] if drawn else None
+        assert reference_on_uniform(table, "return", reference) == known
     figure = situation_figures.by_rank(table, line_styles(table.rows))
     assert figure is not None
-    assert ("Chance (random actions)" in legend(figure)) == drawn
+    assert ("Chance (random actions), mean over ranks" in legend(figure)) == drawn
+    assert ("Blind (does not read what is asked for), mean over ranks" in legend(figure)) == drawn
+
+
+def test_chance_is_drawn_at_each_rank_where_it_is_known(tmp_path: Path) -> None:
+    levels = [
+        level("train", "a"),
+        level("uniform", "b", chance=0.2, by_rank={"target": [0.1, 0.3], "other": [0.2] * 9}),
+        level("rare", "c", chance=0.3),
+    ]
+    rows = (SITUATIONS, "100,uniform,0,0,10,1,1.0", "100,uniform,1,1,10,3,3.0")
+    sizes = {"map": 2, "target": 2}
+    write_run(tmp_path, constant(0.5), levels=levels, situations=rows, situation=sizes)
+    table = only_table(tmp_path)
+    assert reference_by_rank(table, "success", "chance") == {"target": (0.1, 0.3)}
+    assert reference_by_rank(table, "success", "blind") == {}
+    figure = situation_figures.by_rank(table, line_styles(table.rows))
+    assert figure is not None
+    of_map, of_target = (axis.lines[-1] for axis in figure.axes)
+    np.testing.assert_array_equal(of_map.get_ydata(), [0.2, 0.2])
+    np.testing.assert_array_equal(of_target.get_xdata(), [0, 1])
+    np.testing.assert_array_equal(of_target.get_ydata(), [0.1, 0.3])
+    several = [*levels, level("uniform", "d", chance=0.2, by_rank={"target": [0.2, 0.2]})]
+    write_run(tmp_path / "several", constant(0.5, 4), levels=several, situations=rows)
+    assert reference_by_rank(only_table(tmp_path / "several"), "success", "chance") == {}
 
 
 def test_ranks_that_the_rare_level_does_not_choose_by_are_not_marked(tmp_path: Path) -> None:
@@ -143,12 +176,29 @@ def test_ranks_that_the_rare_level_does_not_choose_by_are_not_marked(tmp_path: P
     sizes = {"target": 50, "task": 5}
     write_run(tmp_path, constant(0.5), situations=(header, *cells), situation=sizes)
     table = only_table(tmp_path)
-    assert rare_ranks(table, "target") == list(range(40, 50))
+    assert rare_ranks(table, "target") == [45, 46]
     assert rare_ranks(table, "task") == []
 
 
+def test_rare_ranks_are_those_of_the_rare_level_whichever_they_are(tmp_path: Path) -> None:
+    """Not the last fifth, and not without a gap."""
+    cells = [f"100,uniform,{rank},0,10,5,5.0" for rank in range(10)]
+    cells += [f"50,rare,{rank},0,10,5,5.0" for rank in (1, 2, 7)]
+    rows = (SITUATIONS, *cells, "300,rare,3,0,10,5,5.0")
+    sizes = {"map": 10, "target": 1}
+    write_run(tmp_path, constant(0.5), situations=rows, situation=sizes)
+    table = only_table(tmp_path)
+    assert rare_ranks(table, "map") == [1, 2, 3, 7]
+    assert situation_figures.spans([1, 2, 3, 7]) == [(1, 3), (7, 7)]
+    figure = situation_figures.by_rank(table, line_styles(table.rows))
+    assert figure is not None
+    shaded = [patch for patch in figure.axes[0].patches if isinstance(patch, Rectangle)]
+    assert [(one.get_x(), one.get_width()) for one in shaded] == [(0.5, 3), (6.5, 1)]
+
+
 def test_all_ranks_are_shown(tmp_path: Path) -> None:
-    rows = ("300,uniform,0,1,10,5,5.0", "300,rare,18,9,10,5,5.0")
+    rows = ["300,uniform,0,1,10,5,5.0"]
+    rows += [f"300,rare,{m},{t},10,5,5.0" for m in range(16, 20) for t in (8, 9)]
     sizes = {"map": 20, "target": 10}
     write_run(tmp_path, constant(0.5), situations=(SITUATIONS, *rows), situation=sizes)
     _, ranks, heat_map = drawn(only_table(tmp_path))
@@ -163,6 +213,24 @@ def test_all_ranks_are_shown(tmp_path: Path) -> None:
 
 
 # --- learning curves -------------------------------------------------------------------------
+
+
+def test_rows_of_other_budgets_are_drawn_against_frames(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5))
+    path = write_run(tmp_path, constant(0.5), condition="r2d2") / "evaluations.csv"
+    table = only_table(tmp_path)
+    figure = learning_curves(table, line_styles(table.rows))
+    assert figure is not None
+    assert figure.axes[0].get_xlabel() == "Updates"
+    text = path.read_text()
+    for update in (100, 200, 300):
+        text = text.replace(f"{update},{update * 4096},", f"{update},{update * 1024},")
+    path.write_text(text)
+    table = only_table(tmp_path)
+    figure = learning_curves(table, line_styles(table.rows))
+    assert figure is not None
+    assert figure.axes[0].get_xlabel() == "Frames"
+    np.testing.assert_array_equal(figure.axes[0].lines[1].get_xdata(), [102_400, 204_800, 307_200])
 
 
 def test_few_updates_have_whole_ticks(tmp_path: Path) -> None:
@@ -230,11 +298,11 @@ def styles_of(root: Path, conditions: Sequence[str]) -> dict[str, LineStyle]:
 def test_a_condition_looks_the_same_in_any_company(tmp_path: Path) -> None:
     alone = styles_of(tmp_path / "alone", ["impala_mlp"])
     many = styles_of(tmp_path / "many", [*ROWS, "a", "b", "impala_mlp,agent.discount=0.9"])
-    assert alone["impala_mlp"] == many["impala_mlp"] == LineStyle("#E69F00", "-")
+    assert alone["impala_mlp"] == many["impala_mlp"] == LineStyle(ROWS["impala_mlp"]["colour"], "-")
     assert len(set(many.values())) == len(many)
     # Those with no colour of their own get what is left.
     assert many["a"].color in COLOURS
-    assert many["vmpo"].linestyle == (0, (5, 1.5))
+    assert many["r2d2_uniform_replay"].linestyle == (0, (5, 1.5))
 
 
 def test_a_row_without_a_colour_keeps_its_line(tmp_path: Path) -> None:
@@ -244,9 +312,9 @@ def test_a_row_without_a_colour_keeps_its_line(tmp_path: Path) -> None:
 
 
 def test_more_rows_than_styles(tmp_path: Path) -> None:
-    styles = styles_of(tmp_path, [f"condition{number}" for number in range(30)])
-    assert len(styles) == 30
-    assert len(set(styles.values())) == 28
+    styles = styles_of(tmp_path, [f"condition{number}" for number in range(40)])
+    assert len(styles) == 40
+    assert len(set(styles.values())) == 4 * len(COLOURS)
 
 
 # --- text and files --------------------------------------------------------------------------
@@ -255,7 +323,7 @@ CELLS = [f"300,uniform,{m},{t},10,5,5.0" for m in range(5) for t in range(5)]
 
 
 def test_figures_keep_their_text_inside(tmp_path: Path) -> None:
-    names = ["impala_transformer_vision_language", "impala_mlp,agent.learning_rate=0.001,network=w"]
+    names = ["impala_mlp,agent.learning_rate=0.001,network=w"]
     for condition in [*ROWS, *(f"condition{number}" for number in range(4)), *names]:
         write_run(tmp_path, constant(0.5), condition=condition, situations=(SITUATIONS, *CELLS))
     with matplotlib.rc_context(STYLE):
@@ -308,6 +376,24 @@ def test_situations_with_other_ranks(tmp_path: Path) -> None:
         "gridworld_learning.png",
         "gridworld_ranks.png",
     ]
+
+
+@pytest.mark.parametrize("format", ["pdf", "svg"])
+def test_plots_in_vector_formats(tmp_path: Path, format: Literal["pdf", "svg"]) -> None:
+    """The same bytes each time; they replace those of the earlier report, and it theirs."""
+    write_run(tmp_path / "run", constant(0.5))
+    first = [tmp_path / one for one in ("a", "b")]
+    for output in first:
+        assert (
+            report.main([str(tmp_path / "run"), "--output", str(output), "--format", format]) == 0
+        )
+    name = f"gridworld_learning.{format}"
+    contents = [(output / name).read_bytes() for output in first]
+    assert contents[0] == contents[1]
+    assert contents[0].startswith({"pdf": b"%PDF", "svg": b"<?xml"}[format])
+    assert f"[gridworld_learning]({name})" in (first[0] / "report.md").read_text()
+    report.report([tmp_path / "run"], first[0])
+    assert sorted(path.suffix for path in first[0].iterdir()) == [".csv", ".md", ".png", ".tex"]
 
 
 def test_a_figure_without_data_does_not_stay_behind(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 import torch
 from conftest import TINY, assert_equal, command, learned, run, untimed
+from worlds_of import chosen, needs
 
 import zipf.envs.family
 from zipf import envs, evaluate
@@ -31,9 +32,8 @@ def folder_of(arguments: list[str]) -> Path:
 
 
 def possible(experiment: str, condition: str) -> bool:
-    if condition == "supervised":
-        return experiment == "playroom_find"
-    return condition != "impala_vision_language" or experiment.startswith("playroom")
+    agent, _, auxiliary = chosen(experiment, condition)
+    return needs(experiment, agent, auxiliary) is None
 
 
 TRAINED = [

@@ -64,22 +64,26 @@ def _evaluate(arguments: list[str]) -> None:
     by_kind = scores(results)
     table = Table("", *by_kind)
     table.add_row("score", *(f"{value:.3f}" for value in by_kind.values()))
-    table.add_row("chance", *(_figure(description["chance"][kind]) for kind in by_kind))
+    for name in run_folder.REFERENCES:
+        means = [run_folder.mean_of_levels(description["levels"], kind, name) for kind in by_kind]
+        if name == "chance" or any(mean is not None for mean in means):
+            table.add_row(name, *map(_figure, means))
     console = Console(highlight=False)
     console.print(f"{folder} at update {update}", soft_wrap=True)
     console.print(table)
     if len(results) > len(by_kind):
-        chance = {level["level"]: level["chance"] for level in description["levels"]}
-        each = Table("level", "score", "chance")
+        described = {level["level"]: level for level in description["levels"]}
+        each = Table("level", "score", *run_folder.REFERENCES)
         for result in results:
-            each.add_row(result.level, f"{result.score:.3f}", _figure(chance[result.level]))
+            known = (described[result.level].get(name) for name in run_folder.REFERENCES)
+            each.add_row(result.level, f"{result.score:.3f}", *map(_figure, known))
         console.print(each)
     for file in files:
         console.print(f"written: {file}", soft_wrap=True)
 
 
-def _figure(chance: float | None) -> str:
-    return "unknown" if chance is None else f"{chance:.3f}"
+def _figure(score: float | None) -> str:
+    return "unknown" if score is None else f"{score:.3f}"
 
 
 if __name__ == "__main__":

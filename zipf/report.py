@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting.wording import PLOT_FORMATS, PlotFormat
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,6 +36,7 @@ def report(
     window: str | None = None,
     *,
     record: str | Path | None = None,
+    format: PlotFormat = "png",
     console: Console | None = None,
 ) -> Report:
     """Print the tables of all runs under `folders` and write them, with plots, to files.
@@ -44,6 +46,7 @@ def report(
         output: where `report.md`, `.tex`, `.csv` and the plots go; `<first folder>/report` if None.
         window: `START:END` in updates, `last` or `last:N`; each experiment's own if None.
         record: also write all tables, and what each run was, to this Markdown file.
+        format: of the plots.
         console: where to print; standard output if None.
 
     Raises:
@@ -72,7 +75,7 @@ def report(
     try:
         target.mkdir(parents=True, exist_ok=True)
         _remove_earlier_plots(target)
-        drawn = figures.draw(found, target)
+        drawn = figures.draw(found, target, format)
         texts = {
             target / "report.md": markdown.markdown_report(found, drawn),
             target / "report.tex": latex.latex_report(found),
@@ -139,9 +142,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metavar="FILE",
         help="also write all tables, and a description of each run, to this Markdown file",
     )
+    parser.add_argument(
+        "--format", choices=PLOT_FORMATS, default="png", help="of the plots (%(default)s)"
+    )
     chosen = parser.parse_args(arguments)
     try:
-        report(chosen.folders, chosen.output, chosen.window, record=chosen.record)
+        report(
+            chosen.folders,
+            chosen.output,
+            chosen.window,
+            record=chosen.record,
+            format=chosen.format,
+        )
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

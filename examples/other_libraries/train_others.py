@@ -3,8 +3,10 @@
 The rows stand in the table of `experiment=small_gridworld`, marked as external.
 """
 
+import math
 import sys
 
+import gymnasium as gym
 import torch
 from stable_baselines3 import PPO
 from tensordict.nn import InteractionType, TensorDictModule
@@ -24,8 +26,8 @@ WORLDS = {
     "observation": "tiles",
 }
 FRAMES = int(sys.argv[1]) if len(sys.argv) > 1 else 245_760
+SEEN = ["tiles", "cue"]
 ROW = {"experiment": "small_gridworld", "episodes": 500, **WORLDS}
-CODES = 3 + 15 * 15  # of the gridworld's cells, see `zipf.envs.gridworld.single.GridworldEnv`
 
 
 def train_stable_baselines3() -> None:
@@ -37,35 +39,42 @@ def train_stable_baselines3() -> None:
     record(model, "gridworld", folder, name="PPO (Stable-Baselines3)", frames=frames, **ROW)
 
 
-def network(outputs: int) -> nn.Module:
+def network(spaces: gym.spaces.Dict, outputs: int) -> nn.Module:
     """From the view as cell codes, uint8 [..., 7, 7], and the cue, uint8 [..., 1]."""
+    codes_of = [spaces[name] for name in SEEN]
+    codes = max(int(space.high.max()) + 1 for space in codes_of)
+    cells = sum(math.prod(space.shape) for space in codes_of)
 
     class Network(nn.Module):
         def __init__(self) -> None:
             super().__init__()
-            self.embed = nn.Embedding(CODES, 16)
-            self.layers = nn.Sequential(nn.Linear(50 * 16, 128), nn.ReLU(), nn.Linear(128, outputs))
+            self.embed = nn.Embedding(codes, 16)
+            self.layers = nn.Sequential(
+                nn.Linear(cells * 16, 128), nn.ReLU(), nn.Linear(128, outputs)
+            )
 
         def forward(self, tiles: torch.Tensor, cue: torch.Tensor) -> torch.Tensor:
-            codes = torch.cat([tiles.flatten(-2), cue], -1).int()
-            return self.layers(self.embed(codes).flatten(-2))
+            seen = torch.cat([tiles.flatten(-2), cue], -1).int()
+            return self.layers(self.embed(seen).flatten(-2))
 
     return Network()
 
 
 def train_torchrl() -> None:
     torch.manual_seed(0)
-    env = torchrl_env(make_vec("gridworld/zipf_2", 64, autoreset_mode="Disabled", **WORLDS))
-    seen = ["tiles", "cue"]
+    worlds = make_vec("gridworld/zipf_2", 64, autoreset_mode="Disabled", **WORLDS)
+    spaces, actions = worlds.single_observation_space, int(worlds.single_action_space.n)
+    env = torchrl_env(worlds)
+    env.set_seed(0)
     policy = ProbabilisticActor(
-        TensorDictModule(network(8), seen, ["logits"]),
+        TensorDictModule(network(spaces, actions), SEEN, ["logits"]),
         in_keys=["logits"],
         spec=env.action_spec,
         distribution_class=torch.distributions.Categorical,
         default_interaction_type=InteractionType.RANDOM,
         return_log_prob=True,
     )
-    value = ValueOperator(network(1), in_keys=seen)
+    value = ValueOperator(network(spaces, 1), in_keys=SEEN)
     advantage = GAE(gamma=0.99, lmbda=0.95, value_network=value)
     loss = ClipPPOLoss(policy, value, entropy_coeff=0.01, normalize_advantage=True)
     optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)

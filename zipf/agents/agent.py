@@ -82,6 +82,9 @@ class Agent(ABC):
         answers_questions: whether it is asked about an episode's first frame instead of acting.
         burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
             an unroll holds the memory before them (`Unroll.late_memory`).
+        final_observations: how many of the observations that episodes were truncated at an unroll
+            holds of each world, for agents that value them when they learn (`Unroll.final`); those
+            agents need no `value`.
         actor: the network that `act` and `value` compute with. Constructors set it.
 
     Raises:
@@ -93,6 +96,7 @@ class Agent(ABC):
     largest_lag: ClassVar[int] = 0
     answers_questions: ClassVar[bool] = False
     burn_in: int = 0
+    final_observations: int = 0
     actor: nn.Module
 
     def __init__(self, options: Any, setting: Setting):

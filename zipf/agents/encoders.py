@@ -286,7 +286,8 @@ def _bounds(space: gym.Space) -> tuple[np.ndarray, np.ndarray]:
 class InstructionEncoder(nn.Module):
     """Word embeddings and an LSTM, its output at the last word: int64 [N, L] -> [N, 32].
 
-    Sizes 32 and 32 from the paper's architecture table; word 0 is padding, after the last word.
+    Sizes 32 and 32 from the paper's architecture table. Zeros behind the last other word are
+    padding; a zero before it is a word like any other, whose embedding is zero.
     """
 
     def __init__(self, vocabulary: int):
@@ -297,7 +298,8 @@ class InstructionEncoder(nn.Module):
 
     def forward(self, instruction: Tensor) -> Tensor:
         outputs, _ = self.lstm(self.embedding(instruction))
-        last = (instruction != 0).sum(-1).clamp(min=1) - 1
+        place = torch.arange(instruction.shape[-1], device=outputs.device)
+        last = torch.where(instruction != 0, place, 0).amax(-1)
         return outputs[torch.arange(len(outputs), device=outputs.device), last]
 
 
@@ -315,7 +317,7 @@ def is_image(space: gym.Space) -> bool:
 
 
 def is_text(name: str, space: gym.Space) -> bool:
-    """Whether a part is a text as codes of its words: [L], 0 = padding."""
+    """Whether a part is a text as codes of its words: [L], with zeros behind the last one."""
     return (
         isinstance(space, gym.spaces.Box)
         and (space.dtype == np.int64 or name == "instruction")

@@ -1,20 +1,25 @@
 """R2D2 (Kapturowski et al. 2019): recurrent double Q-learning from replay, top to bottom.
 
-Replay holds sequences: the unroll of one world, the `burn_in` rows before it and the agent's memory
-before those. From there, the online and the target network each unroll the burn-in rows without
-gradient, to bring their memory up to date; then, on the T rows of the unroll, the online network
-takes one optimiser step on
+Replay holds sequences: the unroll of one world, the `burn_in` rows before it, the agent's memory
+before those, and the observations at which the unroll's episodes were truncated. From there, the
+online and the target network each unroll the burn-in rows without gradient, to bring their memory
+up to date; then, on the T rows of the unroll, the online network takes one optimiser step on
 
     mean_{t,b} w_b 1/2 (h(G_t) - Q(x_t, a_t))^2
 
 with G_t the lambda-return over h^-1(Q-(x_t+1, argmax_a Q(x_t+1, a))), Q- the target network, h the
 rescaling of values and w_b the importance weight of the sequence. Its next priority is
 eta max_t |h(G_t) - Q| + (1 - eta) mean_t |h(G_t) - Q|.
+
+Where an episode is truncated after a_t, x_t+1 is the observation that it was cut at, and both
+networks read it with the memory that they have after x_t. A sequence has room for
+`final_observations` of these. A step without one has no error, and the returns of the steps before
+it bootstrap from x_t.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -30,6 +35,7 @@ from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
 from zipf.agents.returns import lambda_returns, rescale, unrescale
+from zipf.agents.truncations import Finals
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
 
@@ -52,7 +58,12 @@ STEP = {  # the fields of a step in replay, beside the observation
     "reward": torch.float32,  # the task's and the bonus
     "terminated": torch.bool,
     "truncated": torch.bool,
-    "truncation_value": torch.float32,
+}
+FINAL = {  # the fields of an observation that an episode was cut at, beside the observation
+    "step": torch.int64,
+    "previous_action": torch.int64,
+    "previous_reward": torch.float32,
+    "is_first": torch.bool,
 }
 
 METRICS = ("loss", "td_error", "gradient_norm", "value", "priority", "importance_weight")
@@ -74,6 +85,7 @@ class R2D2Options(Options):
     epsilon: Share
     epsilon_ladder: bool
     burn_in: Annotated[int, Field(ge=0)]
+    final_observations: Annotated[int, Field(ge=0)]
     samples_per_insert: Positive
     replay_capacity: PositiveInt
     replay_min: PositiveInt
@@ -81,6 +93,7 @@ class R2D2Options(Options):
     priority_exponent: NotNegative
     importance_exponent: NotNegative
     priority_max_weight: Share
+    fresh_priority: Literal["error", "largest"]
 
 
 class DuelingQ(Torso):
@@ -113,6 +126,10 @@ class R2D2(Agent):
     Until replay holds `replay_min` sequences, an update inserts its unroll and takes no optimiser
     step. With a burn-in, a run's first unroll has no rows before it and is not inserted. With
     `storage=memmap` replay is kept in `setting.folder`.
+
+    With `fresh_priority=error` a sequence enters replay with the priority of its errors, as if it
+    had just been learned from; with `largest` it has the largest priority so far, which saves that
+    pass and draws every sequence soon.
 
     Raises:
         ValueError: options that do not go together.
@@ -157,6 +174,7 @@ class R2D2(Agent):
         self.unroll_length = setting.unroll_length
         self.batch_size = round(options.samples_per_insert * setting.num_envs)
         self.burn_in = options.burn_in
+        self.final_observations = options.final_observations
         self.replay_folder = setting.folder and setting.folder / "replay"
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(setting.seed)
@@ -207,13 +225,6 @@ class R2D2(Agent):
             action = torch.where(explores.to(action.device), anything.to(action.device), action)
         return action, memory, {}
 
-    @torch.no_grad()
-    def value(self, inputs: Inputs, memory: State) -> Tensor:
-        """max_a h^-1(Q) of each of B worlds, float32 [B]."""
-        with autocast(self.device, self.precision):
-            q, _ = self.actor(inputs.unsqueeze(), memory)
-        return unrescale(q[0].amax(-1))
-
     def begin_learning(self) -> list[str]:
         """Makes the replay; the lines to show give its size.
 
@@ -225,17 +236,12 @@ class R2D2(Agent):
 
         o = self.options
         rows = self.burn_in + self.unroll_length + 1
-        sequence = TensorDict({name: torch.zeros(rows, dtype=t) for name, t in STEP.items()}, rows)
-        sequence["observation"] = TensorDict(
-            {
-                name: torch.from_numpy(np.zeros((rows, *(space.shape or ())), space.dtype))
-                for name, space in self.setting.observation_space.spaces.items()
-            },
-            rows,
-        )
+        item = {"steps": self._empty(rows, STEP)}
+        if o.final_observations:
+            item["final"] = self._empty(o.final_observations, FINAL)
         memory = {name: part[0].cpu() for name, part in self.initial_memory(1).items()}
         self.replay = Replay(
-            TensorDict({"steps": sequence, "memory": TensorDict(memory)}),
+            TensorDict({**item, "memory": TensorDict(memory)}),
             capacity=o.replay_capacity,
             priority_exponent=o.priority_exponent,
             importance_exponent=o.importance_exponent,
@@ -279,6 +285,10 @@ class R2D2(Agent):
 
     def _insert(self, unroll: Unroll) -> None:
         assert self.replay is not None
+        item = {}
+        if self.final_observations:
+            assert unroll.final is not None
+            item["final"] = unroll.final.cpu().transpose(0, 1)
         steps = unroll.steps.select("observation", *STEP)
         steps["reward"] = unroll.steps["reward"] + unroll.steps["bonus"]
         steps = steps.cpu()
@@ -292,39 +302,19 @@ class R2D2(Agent):
             if prefix is None:
                 return
             steps = torch.cat([prefix, steps])
-        worlds = TensorDict({name: part.cpu() for name, part in memory.items()}, self.num_envs)
-        self.replay.insert(
-            TensorDict({"steps": steps.transpose(0, 1), "memory": worlds}, self.num_envs)
-        )
+        item["steps"] = steps.transpose(0, 1)
+        item["memory"] = TensorDict({k: v.cpu() for k, v in memory.items()}, self.num_envs)
+        items = TensorDict(item, self.num_envs)
+        index = self.replay.insert(items)
+        if self.options.fresh_priority == "error":
+            with torch.no_grad():
+                errors, _ = self._errors(items.to(self.device))
+            self.replay.update_priorities(index, self._priorities(errors))
 
     def _learn(self, items: TensorDict, weights: Tensor) -> tuple[dict[str, float], Tensor]:
         """One optimiser step on sequences [B]; the metrics, and new priorities float32 [B]."""
         o = self.options
-        steps = items["steps"].transpose(0, 1)
-        memory = {name: items["memory"][name] for name in items["memory"].keys()}
-        prefix, steps = steps[: self.burn_in], steps[self.burn_in :]
-        target_memory = memory
-        with torch.no_grad(), autocast(self.device, self.precision):
-            if self.burn_in:
-                _, target_memory = self.target(Inputs.of(prefix), memory)
-                _, memory = self.network(Inputs.of(prefix), memory)
-            target_q, _ = self.target(Inputs.of(steps), target_memory)
-        with autocast(self.device, self.precision):
-            q, _ = self.network(Inputs.of(steps), memory)
-
-        chosen = q.detach()[1:].argmax(-1, keepdim=True)
-        steps = steps[:-1]
-        returns = lambda_returns(
-            rewards=steps["reward"],
-            values=unrescale(target_q[1:].gather(-1, chosen).squeeze(-1)),
-            terminated=steps["terminated"],
-            truncated=steps["truncated"],
-            truncation_values=steps["truncation_value"],
-            discount=o.discount,
-            lambda_=o.trace_lambda,
-        )
-        taken = q[:-1].gather(-1, steps["action"].unsqueeze(-1)).squeeze(-1)
-        errors = rescale(returns) - taken
+        errors, values = self._errors(items)
         loss = (weights * 0.5 * errors.square()).mean()
 
         self.optimiser.zero_grad()
@@ -339,19 +329,76 @@ class R2D2(Agent):
         if self.steps % o.target_period == 0:
             self.target.load_state_dict(self.network.state_dict())
 
-        sizes = errors.detach().abs()
-        eta = o.priority_max_weight
-        priorities = (eta * sizes.amax(0) + (1 - eta) * sizes.mean(0)).cpu()
+        priorities = self._priorities(errors.detach())
         metrics = (
             loss,
-            sizes.mean(),
+            errors.detach().abs().mean(),
             gradient_norm,
-            unrescale(q.detach().amax(-1)).mean(),
+            values.mean(),
             priorities.mean(),
             weights.mean(),
         )
         named = zip(METRICS, metrics, strict=True)
         return {name: metric.item() for name, metric in named}, priorities
+
+    def _errors(self, items: TensorDict) -> tuple[Tensor, Tensor]:
+        """h(G_t) - Q of sequences [B], float32 [T, B], with the gradient of Q; and the values
+        max_a h^-1(Q) of the rows, float32 [T + 1, B], without."""
+        o = self.options
+        steps = items["steps"].transpose(0, 1)
+        memory = {name: items["memory"][name] for name in items["memory"].keys()}
+        prefix, steps = steps[: self.burn_in], steps[self.burn_in :]
+        inputs, finals = Inputs.of(steps), None
+        if self.final_observations:
+            finals = Finals(items["final"].transpose(0, 1), len(steps))
+            inputs = finals.insert(inputs)
+        target_memory = memory
+        with torch.no_grad(), autocast(self.device, self.precision):
+            if self.burn_in:
+                _, target_memory = self.target(Inputs.of(prefix), memory)
+                _, memory = self.network(Inputs.of(prefix), memory)
+            target_q, _ = self.target(inputs, target_memory)
+        with autocast(self.device, self.precision):
+            q, _ = self.network(inputs, memory)
+
+        best, chosen = q.detach().max(-1, keepdim=True)
+        bootstraps = unrescale(target_q.gather(-1, chosen).squeeze(-1))
+        values = unrescale(best.squeeze(-1))
+        unknown, final_values = steps["truncated"][:-1], torch.zeros_like(steps["reward"][:-1])
+        if finals is not None:
+            known, final_values = finals.by_step(bootstraps)
+            unknown = unknown & ~known
+            q, bootstraps, values = (finals.without(rows) for rows in (q, bootstraps, values))
+        steps = steps[:-1]
+        returns = lambda_returns(
+            rewards=torch.where(unknown, bootstraps[:-1], steps["reward"]),
+            values=bootstraps[1:],
+            terminated=steps["terminated"],
+            truncated=steps["truncated"],
+            truncation_values=final_values,
+            discount=o.discount,
+            lambda_=o.trace_lambda,
+        )
+        taken = q[:-1].gather(-1, steps["action"].unsqueeze(-1)).squeeze(-1)
+        return (rescale(returns) - taken).masked_fill(unknown, 0.0), values
+
+    def _priorities(self, errors: Tensor) -> Tensor:
+        """The priorities, float32 [B] on the CPU, of sequences with errors [T, B]."""
+        sizes, eta = errors.abs(), self.options.priority_max_weight
+        return (eta * sizes.amax(0) + (1 - eta) * sizes.mean(0)).cpu()
+
+    def _empty(self, rows: int, fields: Mapping[str, torch.dtype]) -> TensorDict:
+        """Zeros [rows] in the place of these fields and an observation."""
+        zeros = TensorDict({name: torch.zeros(rows, dtype=t) for name, t in fields.items()}, rows)
+        spaces = self.setting.observation_space.spaces.items()
+        zeros["observation"] = TensorDict(
+            {
+                name: torch.from_numpy(np.zeros((rows, *(space.shape or ())), space.dtype))
+                for name, space in spaces
+            },
+            rows,
+        )
+        return zeros
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that `update` changes; with `storage=memmap` without the sequences, which are

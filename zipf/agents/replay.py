@@ -71,8 +71,10 @@ class Replay:
     def __len__(self) -> int:
         return len(self._buffer.sampler) if self._buffer else 0
 
-    def insert(self, items: TensorDict) -> None:
+    def insert(self, items: TensorDict) -> Tensor:
         """Adds items [N], N <= capacity, with the largest priority so far; they replace the oldest.
+
+        Returns their slots, int64 [N].
 
         Raises:
             OSError: the files, which the first call makes, do not fit onto the disk.
@@ -82,7 +84,7 @@ class Replay:
             assert self._buffer is not None
         first = self._buffer.sampler.inserted
         items["number"] = torch.arange(first, first + len(items))
-        self._buffer.extend(items)
+        return self._buffer.extend(items)
 
     def sample(self, batch_size: int) -> tuple[TensorDict, Tensor, Tensor]:
         """Items [N] drawn with replacement, their slots int64 [N], and importance weights float32

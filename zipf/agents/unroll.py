@@ -30,14 +30,24 @@ class Unroll:
 
     `memory` is the agent's memory before row 0, {name: [B, ...]}, and `late_memory` that before row
     T - burn_in, for agents that learn from the last `burn_in` rows and the next unroll together.
+
+    `final`, a TensorDict [K, B] for agents that ask for K `final_observations`, holds the inputs of
+    the observations that episodes were cut at, the first K of each world:
+        step: int64, after the action of which row the episode was cut, ascending; -1: not in use
+        observation: {name: [K, B, ...]}
+        previous_action: int64, the action of that row
+        previous_reward: float32, the task reward of that row
+        is_first: bool, False
     """
 
     steps: TensorDict
     memory: State
     late_memory: State | None = None
+    final: TensorDict | None = None
 
     def to(self, device: str) -> Unroll:
         """The same on another device."""
         memory: dict[str, Tensor] = {k: v.to(device) for k, v in self.memory.items()}
         late = self.late_memory and {k: v.to(device) for k, v in self.late_memory.items()}
-        return Unroll(self.steps.to(device, non_blocking=True), memory, late)
+        final = None if self.final is None else self.final.to(device, non_blocking=True)
+        return Unroll(self.steps.to(device, non_blocking=True), memory, late, final)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from zipf.envs.family import (
     Family,
     all_splits,
+    blind,
     chance,
     expert,
     families,
@@ -56,6 +57,7 @@ __all__ = [
     "SplitLevel",
     "ZipfVectorEnv",
     "all_splits",
+    "blind",
     "chance",
     "expert",
     "families",

@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import gymnasium as gym
 
@@ -62,8 +62,11 @@ class Family:
         check: raises ValueError for a name that is not a level; None: those in `levels` are.
         chance: `chance(level, **options)` is the score of uniformly random actions, a `Chance`, or
             None where it is not known; None: it is known of no level.
-        appearance: names of options that change what is shown and nothing else; `chance` is not
-            told of them.
+        blind: `blind(level, **options)` is the score of a policy that masters the level but cannot
+            read what an episode asks for (an instruction, a cue), and so does what was asked for
+            most often: a `Chance`, or None where it is not known; None: it is known of no level.
+        appearance: names of options that change what is shown and nothing else; `chance` and
+            `blind` are not told of them.
         keys: what a keyboard's keys do, for `zipf.play`; None: nobody can play by hand.
         expert: `expert(env)` is a scripted player of a batch; None: there is none.
         questions: `questions(split)` is a variant of a split whose episodes are questions about
@@ -81,6 +84,7 @@ class Family:
     id: str | None = None
     check: Callable[[str], object] | str | None = None
     chance: Callable[..., Chance | None] | str | None = None
+    blind: Callable[..., Chance | None] | str | None = None
     appearance: frozenset[str] = frozenset()
     keys: Keys | str | None = None
     expert: Callable[[Any], Expert] | str | None = None
@@ -295,16 +299,32 @@ def chance(level: Level | SplitLevel, **kwargs: Any) -> Chance | None:
     Returns:
         The mean return, or None if it is not known for the level with these options.
     """
+    return _reference("chance", level, kwargs)
+
+
+def blind(level: Level | SplitLevel, **kwargs: Any) -> Chance | None:
+    """The mean return of a policy that masters a level but cannot read what an episode asks for.
+
+    A score that is not above it shows no reading. The arguments and the result are those of
+    `chance`.
+    """
+    return _reference("blind", level, kwargs)
+
+
+def _reference(
+    field: Literal["chance", "blind"], level: Level | SplitLevel, kwargs: dict[str, Any]
+) -> Chance | None:
     if isinstance(level, SplitLevel):
-        return chance(level.level, **{**kwargs, **level.options})
+        return _reference(field, level.level, {**kwargs, **level.options})
     if not isinstance(level, str):
         return None
     found, name = find_level(level)
-    if found.chance is None:
+    known = getattr(found, field)
+    if known is None:
         return None
     ignored = found.appearance | {"render_mode", "copy", "autoreset_mode"}
     options = {key: value for key, value in kwargs.items() if key not in ignored}
-    return _loaded(found.chance)(name, **options)
+    return _loaded(known)(name, **options)
 
 
 def keys(level: str) -> Keys | None:

@@ -1,28 +1,36 @@
-"""Chance: the score of uniformly random actions on a level."""
+"""Chance: the score of uniformly random actions on a level, and of other players."""
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zipf.envs.family import make_vec
 from zipf.envs.splits import Level, SplitLevel
+from zipf.envs.vector import ZipfVectorEnv
+
+Player = Callable[[], NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
 class Chance:
-    """The mean return of an episode of uniformly random actions.
+    """The mean return of an episode of a policy that does not learn: of uniformly random actions,
+    or of a blind policy, see `Family`.
 
     Attributes:
         score: the mean return.
         episodes: how many it was measured over; None if it is exact.
+        by_rank: the mean return at each value of a rank of the situation, by the rank's name, on a
+            level on which all others are drawn as here; without those that are not known.
     """
 
     score: float
     episodes: int | None = None
+    by_rank: Mapping[str, tuple[float, ...]] = field(default_factory=dict, hash=False)
 
 
 def measure_chance(
@@ -33,16 +41,39 @@ def measure_chance(
     num_envs: int = 250,
     **options: Any,
 ) -> Chance:
-    """Plays uniformly random actions on a level.
+    """Plays uniformly random actions on a level; the arguments are those of `measure`.
+
+    Raises:
+        ValueError: no episodes, an unknown level, or options out of range.
+    """
+    generator = np.random.default_rng([seed, 1])  # worlds are seeded seed, seed + 1, ...
+
+    def random_player(env: ZipfVectorEnv) -> Player:
+        return lambda: generator.integers(int(env.single_action_space.n), size=env.num_envs)
+
+    return measure(random_player, level, episodes=episodes, seed=seed, num_envs=num_envs, **options)
+
+
+def measure(
+    player: Callable[[Any], Player],
+    level: Level | SplitLevel | Sequence[Level | SplitLevel],
+    *,
+    episodes: int = 1000,
+    seed: int = 0,
+    num_envs: int = 250,
+    **options: Any,
+) -> Chance:
+    """Plays a level with the actions of a scripted player.
 
     The first `episodes` episodes to start are counted, however long they are: of many worlds played
     at a time those with short episodes finish more of them, and counting the first to end would
     count short ones too often. The same arguments give the same figure on every machine.
 
     Args:
+        player: `player(env)` plays a batch: called, it gives actions [N].
         level: what `make_vec` takes.
         episodes: how many episodes, at least 1.
-        seed: of the worlds and of the actions.
+        seed: of the worlds, and of random actions.
         num_envs: worlds played at a time; more of them take more RAM and less time.
         options: constructor options of the level.
 
@@ -52,8 +83,7 @@ def measure_chance(
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     env = make_vec(level, min(num_envs, episodes), **options)
-    num_envs, num_actions = env.num_envs, int(env.single_action_space.n)
-    generator = np.random.default_rng([seed, 1])  # worlds are seeded seed, seed + 1, ...
+    num_envs, act = env.num_envs, player(env)
     returns = np.zeros(episodes)
     # The episode that each world plays, numbered as they start; from `episodes` on, not counted.
     playing = np.arange(num_envs)
@@ -61,8 +91,7 @@ def measure_chance(
     out = env.allocate()
     env.reset(seed=seed, out=out)
     while unfinished:
-        actions = generator.integers(num_actions, size=num_envs)
-        _, _, terminated, truncated, info = env.step(actions, out=out)
+        _, _, terminated, truncated, info = env.step(act(), out=out)
         ended = terminated | truncated
         if not ended.any():
             continue

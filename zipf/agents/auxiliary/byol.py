@@ -1,8 +1,10 @@
-"""BYOL (Grill et al. 2020): the memory's output predicts the encoded frames to come.
+"""BYOL (Grill et al. 2020): the memory's output predicts encoded frames.
 
-Two forms, which share all but the forward map and the augmentation: `byol`, the plainest reading of
-the paper, which gives sizes and nothing else, and `byol_horizon`, several steps ahead (Guo et al.
-2022) towards frames that are shifted (Schwarzer et al. 2021).
+Three forms, which share all but the forward map and the augmentation. The paper gives sizes, calls
+its loss predictive, and says that it did not enforce temporal consistency and that augmentations
+were not tuned. Two readings of that: `byol` predicts the next frame as it is, `byol_frame` the same
+frame, shifted. Ours is `byol_horizon`: several steps ahead (Guo et al. 2022) towards frames that
+are shifted (Schwarzer et al. 2021).
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ Rate = Annotated[float, Field(ge=0, le=1)]
 
 
 class BYOLSizes(AuxiliaryOptions):
-    """Options of both forms; they learn from a random `fraction` of the worlds."""
+    """Options of all forms; they learn from a random `fraction` of the worlds."""
 
     weight: Weight
     fraction: Fraction
@@ -40,9 +42,20 @@ class BYOLSizes(AuxiliaryOptions):
 
 
 class BYOLOptions(BYOLSizes):
-    """Predicts the next frame's code: the paper's form."""
+    """Predicts the next frame's code."""
 
     name: Literal["byol"]
+
+
+class BYOLFrameOptions(BYOLSizes):
+    """Predicts the code of the memory's own frame, which is shifted by up to `shift` pixels.
+
+    The square of `unshifted` x `unshifted` pixels in the top left corner is not shifted.
+    """
+
+    name: Literal["byol_frame"]
+    shift: Annotated[int, Field(ge=0)]
+    unshifted: Annotated[int, Field(ge=0)]
 
 
 class BYOLHorizonOptions(BYOLSizes):
@@ -57,8 +70,11 @@ class BYOLHorizonOptions(BYOLSizes):
     unshifted: Annotated[int, Field(ge=0)]
 
 
+AnyBYOLOptions = BYOLOptions | BYOLFrameOptions | BYOLHorizonOptions
+
+
 class BYOL(Auxiliary):
-    """Predicts the encoded next frames from the memory's output and the actions in between.
+    """Predicts encoded frames from the memory's output and the actions in between.
 
     With f the encoder, g the projector, q the predictor, F the forward map, and f', g' the target
     networks (moving averages of f and g), the loss is the mean over rows t and distances k within
@@ -66,7 +82,8 @@ class BYOL(Auxiliary):
 
         2 - 2 cos(q(g(F_k(core_t, a_t .. a_{t+k-1}))), g'(f'(o_{t+k})))
 
-    Only the frames that the target networks read are shifted; the memory reads them as they are.
+    where `byol_frame` has k = 0 alone, for rows 1 to T and without actions. Only the frames that
+    the target networks read are shifted; the memory reads them as they are.
     """
 
     def __init__(
@@ -74,18 +91,21 @@ class BYOL(Auxiliary):
         encoder: Encoder,
         core_size: int,
         actions: int,
-        options: BYOLOptions | BYOLHorizonOptions,
+        options: AnyBYOLOptions,
         seed: int,
     ):
         super().__init__(seed)
         o = self.options = options
         self.actions = actions
         sizes = core_size, actions, o.forward_hidden, encoder.size
-        self.forward_map: OneStepMap | HorizonMap
-        if isinstance(o, BYOLHorizonOptions):
-            self.forward_map = HorizonMap(*sizes, o.horizon)
-        else:
-            self.forward_map = OneStepMap(*sizes)
+        self.forward_map: SameFrameMap | OneStepMap | HorizonMap
+        match o:
+            case BYOLFrameOptions():
+                self.forward_map = SameFrameMap(core_size, o.forward_hidden, encoder.size)
+            case BYOLHorizonOptions():
+                self.forward_map = HorizonMap(*sizes, o.horizon)
+            case BYOLOptions():
+                self.forward_map = OneStepMap(*sizes)
         self.projector = NormalisedMLP(encoder.size, o.projection_hidden, o.projection_size)
         self.predictor = NormalisedMLP(o.projection_size, o.prediction_hidden, o.projection_size)
         self.target_encoder = copy.deepcopy(encoder).requires_grad_(False)
@@ -107,32 +127,46 @@ class BYOL(Auxiliary):
                 *(part[:, worlds] for part in inputs[1:]),
             )
         targets = F.normalize(self.targets(inputs, generator), dim=-1)
-        # The action between two rows of an episode; -1, no action, where an episode begins.
-        actions = F.one_hot(inputs.previous_action[1:] + 1, self.actions + 1)[..., 1:]
         total = torch.zeros((), device=core.device)
         pairs = torch.zeros((), device=core.device)
-        same_episode = torch.ones_like(inputs.is_first)
-        for k, features in enumerate(self.forward_map(core[:-1], actions.to(core.dtype)), start=1):
-            same_episode = same_episode[:-1] & ~inputs.is_first[k:]
-            projected = self.projector(features, same_episode)
-            predicted = F.normalize(self.predictor(projected, same_episode), dim=-1)
-            distance = 2 - 2 * (predicted * targets[k - 1 :]).sum(-1)
-            total = total + distance.masked_fill(~same_episode, 0.0).sum()
-            pairs = pairs + same_episode.sum()
+        for first, features, counted in self.predictions(inputs, core):
+            projected = self.projector(features, counted)
+            predicted = F.normalize(self.predictor(projected, counted), dim=-1)
+            distance = 2 - 2 * (predicted * targets[first:]).sum(-1)
+            total = total + distance.masked_fill(~counted, 0.0).sum()
+            pairs = pairs + counted.sum()
         loss = total / pairs.clamp(min=1)
-        later = ~inputs.is_first[1:]
+        later = self.targeted(inputs)
         mean = (targets * later.unsqueeze(-1)).sum((0, 1)) / later.sum().clamp(min=1)
         spread = (1 - mean.square().sum()).clamp(min=0).sqrt()  # as directions have length 1
         metrics = {"auxiliary_byol": loss.detach(), "auxiliary_byol_spread": spread.detach()}
         return self.options.weight * loss, metrics
 
+    def predictions(self, inputs: Inputs, core: Tensor) -> Iterator[tuple[int, Tensor, Tensor]]:
+        """For each distance: the first of the `targets` that are predicted, the predicted features
+        [T', B, F], and which of them count, bool [T', B]."""
+        if isinstance(self.forward_map, SameFrameMap):
+            yield 0, self.forward_map(core[1:]), self.targeted(inputs)
+            return
+        # The action between two rows of an episode; -1, no action, where an episode begins.
+        actions = F.one_hot(inputs.previous_action[1:] + 1, self.actions + 1)[..., 1:]
+        same_episode = torch.ones_like(inputs.is_first)
+        for k, features in enumerate(self.forward_map(core[:-1], actions.to(core.dtype)), start=1):
+            same_episode = same_episode[:-1] & ~inputs.is_first[k:]
+            yield k - 1, features, same_episode
+
+    def targeted(self, inputs: Inputs) -> Tensor:
+        """Which of the rows 1 to T are predicted from any row, bool [T, B]."""
+        later = ~inputs.is_first[1:]
+        return torch.ones_like(later) if isinstance(self.forward_map, SameFrameMap) else later
+
     @torch.no_grad()
     def targets(self, inputs: Inputs, generator: torch.Generator) -> Tensor:
         """The target networks' output for rows 1 to T: [T, B, projection size]."""
         o = self.options
-        later = ~inputs.is_first[1:]
+        later = self.targeted(inputs)
         observation = {name: part[1:].flatten(0, 1) for name, part in inputs.observation.items()}
-        if isinstance(o, BYOLHorizonOptions) and o.shift:
+        if not isinstance(o, BYOLOptions) and o.shift:
             observation["image"] = random_shift(
                 observation["image"], o.shift, o.unshifted, generator
             )
@@ -172,6 +206,18 @@ class NormalisedMLP(nn.Module):
         variance = (weight * hidden.square()).sum((0, 1))
         hidden = self.scale * hidden * (variance + 1e-5).rsqrt() + self.offset
         return self.leave(hidden.relu()).float()
+
+
+class SameFrameMap(nn.Module):
+    """From the memory's output to the features of the frame that it has just read."""
+
+    def __init__(self, core_size: int, hidden: int, features: int):
+        super().__init__()
+        self.layers = head(core_size, hidden, features)
+
+    def forward(self, core: Tensor) -> Tensor:
+        """`[T, B, core]` -> `[T, B, features]`."""
+        return self.layers(core)
 
 
 class OneStepMap(nn.Module):
@@ -251,7 +297,7 @@ def random_shift(image: Tensor, most: int, unshifted: int, generator: torch.Gene
 
 
 def build(
-    options: BYOLOptions | BYOLHorizonOptions,
+    options: AnyBYOLOptions,
     space: gym.spaces.Dict,
     network: NetworkOptions,
     torso: Torso,
@@ -260,16 +306,17 @@ def build(
     """The loss for an agent; the arguments are those of `build_auxiliary`.
 
     Raises:
-        ValueError: `byol_horizon` for observations without an image.
+        ValueError: a form that shifts images, for observations without one.
     """
     has_image = "image" in space.spaces and is_image(space["image"])
-    if isinstance(options, BYOLHorizonOptions) and not has_image:
+    if not isinstance(options, BYOLOptions) and not has_image:
         raise ValueError(
-            f"auxiliary=byol_horizon needs an image, and the observations here have only "
+            f"auxiliary={options.name} needs an image, and the observations here have only "
             f"{', '.join(sorted(space))}; auxiliary=byol reads whatever the network does"
         )
     return BYOL(torso.encoder, torso.memory.size, torso.actions, options, seed)
 
 
 register(BYOLOptions, build)
+register(BYOLFrameOptions, build)
 register(BYOLHorizonOptions, build)

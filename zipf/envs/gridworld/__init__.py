@@ -42,6 +42,7 @@ FAMILY = Family(
     make="zipf.envs.gridworld.single:GridworldEnv",
     make_vec="zipf.envs.gridworld.vector:GridworldVectorEnv",
     chance="zipf.envs.gridworld.chance:chance",
+    blind="zipf.envs.gridworld.chance:blind",
     appearance=frozenset({"observation"}),
     keys="zipf.envs.gridworld.keys:KEYS",
     expert="zipf.envs.gridworld.expert:Expert",

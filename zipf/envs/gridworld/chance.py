@@ -1,4 +1,4 @@
-"""How well uniformly random actions do, exactly."""
+"""How well uniformly random actions do, and a policy that cannot see the cue, exactly."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,23 +43,48 @@ def random_policy_success(
 
     On the released maps 0.0324 (`zipf_2`), 0.0477 (`uniform`) and 0.0859 (`rare`).
     """
-    distribution = distributions.by_name(level.removeprefix("gridworld/"))
-    maps = build_maps(
-        num_maps, (num_rooms[0], num_rooms[1]), (room_size[0], room_size[1]), num_objects
-    )
-    success = random_policy(maps, max_steps).success
-    return float(distribution(num_maps) @ success @ distribution(num_objects))
+    return _chance(
+        level, num_maps, tuple(num_rooms), tuple(room_size), num_objects, max_steps
+    ).score
 
 
-def chance(level: str, **options: Any) -> Chance:
-    """The score of uniformly random actions on a level, exact; see `random_policy_success`."""
-    lists = {name: tuple(v) if isinstance(v, list) else v for name, v in options.items()}
-    return _chance(level, **lists)
+def chance(
+    level: str,
+    *,
+    num_maps: int = 20,
+    num_rooms: Sequence[int] = (3, 3),
+    room_size: Sequence[int] = (3, 3),
+    num_objects: int = 20,
+    max_steps: int = 100,
+) -> Chance:
+    """The score of uniformly random actions on a level, exact, also by map and by target."""
+    return _chance(level, num_maps, tuple(num_rooms), tuple(room_size), num_objects, max_steps)
 
 
 @lru_cache(maxsize=16)
-def _chance(level: str, **options: Any) -> Chance:
-    return Chance(random_policy_success(level, **options))
+def _chance(
+    level: str,
+    num_maps: int,
+    num_rooms: tuple[int, int],
+    room_size: tuple[int, int],
+    num_objects: int,
+    max_steps: int,
+) -> Chance:
+    distribution = distributions.by_name(level.removeprefix("gridworld/"))
+    maps = build_maps(num_maps, num_rooms, room_size, num_objects)
+    success = random_policy(maps, max_steps).success
+    by_map, by_target = success @ distribution(num_objects), distribution(num_maps) @ success
+    by_rank = {"map": tuple(by_map.tolist()), "target": tuple(by_target.tolist())}
+    return Chance(float(distribution(num_maps) @ by_map), by_rank=by_rank)
+
+
+def blind(level: str, *, num_maps: int = 20, num_objects: int = 20, **options: Any) -> Chance:
+    """The score of a policy that reaches any object but cannot see the cue, and goes to that which
+    is the target most often in training: exact."""
+    distribution = distributions.by_name(level.removeprefix("gridworld/"))
+    score = float(distribution(num_objects)[0])
+    by_target = (1.0, *(0.0,) * (num_objects - 1))
+    return Chance(score, by_rank={"map": (score,) * num_maps, "target": by_target})
 
 
 def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:

@@ -59,6 +59,7 @@ FAMILY = Family(
     make="zipf.envs.playroom.single:PlayroomEnv",
     make_vec="zipf.envs.playroom.vector:PlayroomVectorEnv",
     chance="zipf.envs.playroom.chance:chance",
+    blind="zipf.envs.playroom.chance:blind",
     appearance=frozenset({"image_size", "looks"}),
     keys="zipf.envs.playroom.keys:KEYS",
     expert="zipf.envs.playroom.expert:Expert",

@@ -1,5 +1,25 @@
-"""Chance on the playroom's levels, as `scripts/measure_chance.py` measured it."""
+"""Chance on the playroom's levels, as `scripts/measure_chance.py` measured it, and the score of a
+policy that cannot read the instruction."""
 
-from zipf.envs.random_play import measured
+from typing import Any
+
+from zipf.envs.playroom import levels
+from zipf.envs.random_play import Chance, measured
 
 chance = measured("zipf.envs.playroom")
+
+
+def blind(level: str, **options: Any) -> Chance:
+    """The score of a policy that does what an instruction of the level says about a toy of the
+    room, but not the instruction that was given: exact.
+
+    All toys of a room are as likely to be the target, and so are the level's tasks. In
+    `supervised/` levels both toys may be the same, and are then both right.
+    """
+    found = levels.by_name(level)
+    if not found.finding:
+        score = 1 / ((found.others + 1) * len(found.tasks))
+        return Chance(score, by_rank={"target": (score,) * len(found.probabilities)})
+    by_target = (1 + found.probabilities) / 2
+    score = float(found.probabilities @ by_target)
+    return Chance(score, by_rank={"target": tuple(by_target.tolist())})

@@ -11,7 +11,7 @@ PLAIN_MEAN = "plain mean"
 
 
 def caption(table: ScoreTable) -> str:
-    """Window, statistics, effort, chance, the paper."""
+    """Window, statistics, effort, references, the paper."""
     sentences = [*_statistics(table)]
     if (table.scores["seeds"] < PROTOCOL_SEEDS).any():
         sentences.append(f"n/{PROTOCOL_SEEDS}: fewer seeds than the protocol's {PROTOCOL_SEEDS}.")
@@ -39,6 +39,11 @@ def caption(table: ScoreTable) -> str:
         )
     elif table.chance:
         sentences.append("Chance: uniformly random actions.")
+    if table.reference("blind"):
+        sentences.append(
+            "Blind: masters the level but cannot read what an episode asks for, and so does what "
+            "is asked for most often."
+        )
     if table.paper:
         sentences.append(f"Paper: {table.paper.source}, ± {table.paper.error_kind}.")
         if table.paper.note:

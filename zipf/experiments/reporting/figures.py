@@ -17,42 +17,51 @@ from zipf.experiments.reporting.markdown import PLOT_KINDS
 from zipf.experiments.reporting.situation_figures import by_rank, by_situation
 from zipf.experiments.reporting.styles import (
     BAND,
-    CHANCE,
+    REFERENCES,
     SHADE,
     STYLE,
     LineStyle,
-    chance_handle,
     line_styles,
     panels,
+    reference_handle,
     row_handles,
     score_limits,
 )
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import UpdateWindow, evaluations_inside
-from zipf.experiments.reporting.wording import KIND_NAMES
+from zipf.experiments.reporting.wording import KIND_NAMES, PlotFormat
 
 
-def draw(tables: Sequence[ScoreTable], folder: Path) -> dict[str, list[Path]]:
-    """Draw every figure the tables have data for; the files, by the table's name."""
+def draw(
+    tables: Sequence[ScoreTable], folder: Path, format: PlotFormat = "png"
+) -> dict[str, list[Path]]:
+    """Draw every figure the tables have data for; the files, by the table's name.
+
+    The same tables give the same bytes.
+    """
     styles = line_styles([row for table in tables for row in table.rows])
     files: dict[str, list[Path]] = {}
-    with matplotlib.rc_context(STYLE):
+    with matplotlib.rc_context({**STYLE, "svg.hashsalt": "zipf"}):
         for table in tables:
             drawn = (learning_curves(table, styles), by_rank(table, styles), by_situation(table))
             for kind, figure in zip(PLOT_KINDS, drawn, strict=True):
                 if figure is not None:
-                    path = folder / f"{table.name}_{kind}.png"
-                    figure.savefig(path)
+                    path = folder / f"{table.name}_{kind}.{format}"
+                    figure.savefig(path, format=format, metadata=UNDATED[format])
                     files.setdefault(table.name, []).append(path)
     return files
+
+
+UNDATED: Mapping[str, Any] = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
 
 
 def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None:
     """Score against updates: a panel per level kind, a line per row.
 
     The line is the median over seeds at each update, the band reaches from the lowest to the
-    highest seed; the window is shaded. With an external agent, whose updates are not ours, the
-    scores are drawn against frames.
+    highest seed; the window is shaded. Where rows learn from different numbers of frames in an
+    update, and with an external agent, whose updates are not ours, the scores are drawn against
+    frames: at one place of the axis all have had the same experience.
     """
     scores = {
         (row.key, levels.level_kind): pd.concat([run.mean_scores(levels) for run in row.runs])
@@ -62,11 +71,10 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figur
     every = pd.concat(list(scores.values()))
     if not len(every):
         return None
-    time = "frames" if any(row.external for row in table.rows) else "update"
+    time = "update" if _frames_follow_updates(table) else "frames"
     window = _window_ends(table, time)
     handles = row_handles(table.rows, styles)
-    if table.chance:
-        handles.append(chance_handle())
+    handles += [reference_handle(name) for name in REFERENCES if table.reference(name)]
     if window:
         handles.append(Patch(color=SHADE, label="Window of the table"))
     if any(len(row.runs) > 1 for row in table.rows):
@@ -76,8 +84,9 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figur
         for row in table.rows:
             of_row = scores[row.key, levels.level_kind]
             _draw_curve(axis, of_row.groupby(time)["score"], styles[row.key])
-        if levels.level_kind in table.chance:
-            axis.axhline(table.chance[levels.level_kind], **CHANCE)
+        for name, style in REFERENCES.items():
+            if levels.level_kind in table.reference(name):
+                axis.axhline(table.reference(name)[levels.level_kind], **style)
         if window:
             axis.axvspan(*window, color=SHADE, zorder=0, linewidth=0)
         axis.set_xlim(0, 1.02 * max(every[time].max(), 1))
@@ -88,6 +97,14 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figur
     score_limits(axes[0], every["score"])
     axes[0].set_ylabel("Score")
     return figure
+
+
+def _frames_follow_updates(table: ScoreTable) -> bool:
+    """Whether all rows learn from the same number of frames in an update."""
+    if any(row.external for row in table.rows):
+        return False
+    ends = [run.evaluations.iloc[-1] for run in table.runs if len(run.evaluations)]
+    return len({end["frames"] / end["update"] for end in ends if end["update"]}) <= 1
 
 
 def _draw_curve(axis: Axes, seeds: Any, style: LineStyle) -> None:

@@ -11,7 +11,7 @@ import pandas as pd
 from zipf.experiments.reporting.captions import PLAIN_MEAN
 from zipf.experiments.reporting.results import LevelGroup
 from zipf.experiments.reporting.side_by_side import SideBySide
-from zipf.experiments.reporting.tables import Row, ScoreTable
+from zipf.experiments.reporting.tables import Reference, Row, ScoreTable
 from zipf.experiments.reporting.wording import (
     KIND_NAMES,
     NONE,
@@ -42,8 +42,9 @@ class Grid:
         name: unique among the grids of a report.
         leading: the headings of the leading columns, the first of which is text, the rest numbers.
         columns: the headings of the columns of scores.
-        lines: without the last.
-        last: chance, apart from the others; None where it is not known or not at the bottom.
+        lines: without the references.
+        references: chance and the blind policy, apart from the others; without those that are not
+            known or not at the bottom.
     """
 
     title: str
@@ -51,7 +52,7 @@ class Grid:
     leading: list[str]
     columns: list[str]
     lines: list[Line]
-    last: Line | None
+    references: list[Line]
 
     @property
     def has_paper(self) -> bool:
@@ -71,8 +72,8 @@ class Grid:
 def main_grid(table: ScoreTable) -> Grid:
     """A line for each row of the table, a column for each level kind."""
     columns, scores = _with_plain_means(table)
-    lines, last = _by_row(table.rows, scores, columns, _chance_name(table), _frames(table))
-    return Grid(table.title, table.name, _leading(table), list(columns.values()), lines, last)
+    parts = _by_row(table.rows, scores, columns, _reference_names(table), _frames(table))
+    return Grid(table.title, table.name, _leading(table), list(columns.values()), *parts)
 
 
 def group_grids(table: ScoreTable) -> Iterator[Grid]:
@@ -85,10 +86,10 @@ def group_grids(table: ScoreTable) -> Iterator[Grid]:
         name = f"{table.name}-{levels.level_kind}"
         if len(groups) <= MOST_COLUMNS:
             columns = dict(zip((group.column for group in groups), _names(groups), strict=True))
-            lines, last = _by_row(
-                table.rows, table.group_scores, columns, _chance_name(table), _frames(table)
+            parts = _by_row(
+                table.rows, table.group_scores, columns, _reference_names(table), _frames(table)
             )
-            yield Grid(title, name, _leading(table), list(columns.values()), lines, last)
+            yield Grid(title, name, _leading(table), list(columns.values()), *parts)
         else:
             for first in range(0, len(table.rows), MOST_COLUMNS):
                 part = "" if first == 0 else f"-{first // MOST_COLUMNS + 1}"
@@ -99,13 +100,13 @@ def group_grids(table: ScoreTable) -> Iterator[Grid]:
 def side_by_side_grids(beside: SideBySide) -> list[Grid]:
     """The tables of one of the paper's layouts."""
     measured = [table for table in beside.tables if table.chance_episodes]
-    chance_name = _chance_name((measured or beside.tables)[0])
+    names = _reference_names((measured or beside.tables)[0])
     grids = []
     for number, (title, headings, scores) in enumerate(beside.parts):
         columns = {heading: heading for heading in headings}
-        lines, last = _by_row(beside.rows, scores, columns, chance_name, {})
+        parts = _by_row(beside.rows, scores, columns, names, {})
         name = f"{beside.name}-{number}"
-        grids.append(Grid(title, name, ["Condition", "Seeds"], list(headings), lines, last))
+        grids.append(Grid(title, name, ["Condition", "Seeds"], list(headings), *parts))
     return grids
 
 
@@ -126,6 +127,7 @@ def _with_plain_means(table: ScoreTable) -> tuple[dict[str, str], pd.DataFrame]:
                     score=of_kind["plain_score"],
                     error=of_kind["plain_error"],
                     chance=of_kind["plain_chance"],
+                    blind=of_kind["plain_blind"],
                     paper_value=math.nan,
                     paper_error=math.nan,
                 )
@@ -146,11 +148,11 @@ def _by_row(
     rows: Sequence[Row],
     frame: pd.DataFrame,
     columns: Mapping[str, str],
-    chance_name: str,
+    reference_names: Mapping[Reference, str],
     frames: Mapping[str, int],
-) -> tuple[list[Line], Line | None]:
+) -> tuple[list[Line], list[Line]]:
     """A line for each row that has scores in these columns, which are headings by the frame's
-    `column`; and the last line, of chance."""
+    `column`; and the last lines, of chance and the blind policy."""
     frame = frame[frame["column"].isin(columns)]
     lines = []
     for row in rows:
@@ -161,13 +163,14 @@ def _by_row(
         if frames:
             leading.append(count_text(frames[row.key]) if row.key in frames else NONE)
         lines.append(_line(leading, scores))
-    chance = frame.groupby("column")["chance"].first().reindex(list(columns))
-    if chance.isna().all():
-        return lines, None
-    empty = [""] * (2 if frames else 1)
-    return lines, Line(
-        [chance_name, *empty], [score_text(value) for value in chance], [""] * len(columns)
-    )
+    references = []
+    for reference, shown in reference_names.items():
+        known = frame.groupby("column")[reference].first().reindex(list(columns))
+        if known.notna().any():
+            leading = [shown, *[""] * (2 if frames else 1)]
+            texts = [score_text(value) for value in known]
+            references.append(Line(leading, texts, [""] * len(columns)))
+    return lines, references
 
 
 def _by_level(
@@ -182,21 +185,21 @@ def _by_level(
     leading = ["Level"]
     if levels.is_weighted:
         leading.append("Weight")
-    chance = table.group_scores.groupby("column")["chance"].first()
-    if chance.notna().any():
-        leading.append(_chance_name(table))
+    names = _reference_names(table)
+    known = table.group_scores.groupby("column")[list(names)].first()
+    leading += [names[reference] for reference in names if known[reference].notna().any()]
     total = sum(levels.weights.values())
     lines = []
     for group, shown in zip(groups, _names(groups), strict=True):
         cells = {
             "Level": shown,
             "Weight": f"{sum(group.weights.values()) / total:.3f}",
-            _chance_name(table): score_text(chance[group.column]),
+            **{names[one]: score_text(known[one][group.column]) for one in names},
         }
         scores = table.group_scores[table.group_scores["column"] == group.column]
         scores = scores.set_index("row").reindex([row.key for row in rows])
         lines.append(_line([cells[heading] for heading in leading], scores))
-    return Grid(title, name, leading, [row.title for row in rows], lines, None)
+    return Grid(title, name, leading, [row.title for row in rows], lines, [])
 
 
 def _names(groups: Sequence[LevelGroup]) -> list[str]:
@@ -213,5 +216,8 @@ def _line(leading: list[str], scores: pd.DataFrame) -> Line:
     )
 
 
-def _chance_name(table: ScoreTable) -> str:
-    return "Chance (measured)" if table.chance_episodes else "Chance"
+def _reference_names(table: ScoreTable) -> dict[Reference, str]:
+    return {
+        "chance": "Chance (measured)" if table.chance_episodes else "Chance",
+        "blind": "Blind",
+    }

@@ -83,10 +83,10 @@ def _grid(grid: Grid, title: str, text: str) -> str:
     else:
         lines.append(rf"{headings} & {' & '.join(names)} \\")
     lines.append(r"\midrule")
-    rows = [*grid.lines, *([grid.last] if grid.last else [])]
+    rows = [*grid.lines, *grid.references]
     texts = [rf"{' & '.join(_escape(cell) for cell in grid.cells(row))} \\" for row in rows]
-    if grid.last:
-        texts.insert(-1, r"\midrule")
+    if grid.references:
+        texts.insert(len(grid.lines), r"\midrule")
     lines += [
         *texts,
         r"\bottomrule",

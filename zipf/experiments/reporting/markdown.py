@@ -14,7 +14,7 @@ from zipf.experiments.reporting.grids import Grid, group_grids, main_grid, side_
 from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.side_by_side import SideBySide, side_by_side
 from zipf.experiments.reporting.tables import Row, ScoreTable
-from zipf.experiments.reporting.wording import NONE, count_text, duration_text
+from zipf.experiments.reporting.wording import NONE, PLOT_FORMATS, count_text, duration_text
 
 PLOT_KINDS = ("learning", "ranks", "situations")  # as in the plots' file names
 
@@ -35,7 +35,7 @@ def markdown_report(tables: Sequence[ScoreTable], plots: Mapping[str, Sequence[P
     parts = []
     for table in tables:
         parts.append(f"## {_escape(table.title)}\n\n{markdown(table)}")
-        parts += [f"![{path.stem}]({path.name})\n" for path in plots.get(table.name, [])]
+        parts += [_plot(path) for path in plots.get(table.name, [])]
     parts += [_side_by_side(beside) for beside in side_by_side(tables)]
     return "\n".join(parts)
 
@@ -43,8 +43,14 @@ def markdown_report(tables: Sequence[ScoreTable], plots: Mapping[str, Sequence[P
 def linked_plots(markdown_text: str) -> list[str]:
     """The names of the plots that a `report.md` of this module shows."""
     kinds = "|".join(PLOT_KINDS)
-    links = re.finditer(rf"^!\[([\w.-]+_(?:{kinds}))\]\(\1\.png\)$", markdown_text, re.MULTILINE)
-    return [f"{link[1]}.png" for link in links]
+    formats = "|".join(PLOT_FORMATS)
+    link = rf"^!?\[([\w.-]+_(?:{kinds}))\]\((\1\.(?:{formats}))\)$"
+    return [found[2] for found in re.finditer(link, markdown_text, re.MULTILINE)]
+
+
+def _plot(path: Path) -> str:
+    """Shows a plot beside the text, or links to it where Markdown cannot show its format."""
+    return f"{'' if path.suffix == '.pdf' else '!'}[{path.stem}]({path.name})\n"
 
 
 def record(tables: Sequence[ScoreTable], command: str) -> str:
@@ -73,7 +79,7 @@ def _grid(grid: Grid) -> str:
     for column in grid.columns:
         header += [_escape(column)] + (["paper"] if grid.has_paper else [])
         align += ["--:"] * (2 if grid.has_paper else 1)
-    lines = [*grid.lines, *([grid.last] if grid.last else [])]
+    lines = [*grid.lines, *grid.references]
     rows = [header, align, *([_escape(cell) for cell in grid.cells(line)] for line in lines)]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
 

@@ -22,7 +22,7 @@ def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
     for run in runs:
         found += run.notes
         found += _window_notes(run, window_of(run, window))
-    found += _chance_notes(runs)
+    found += [note for name in ("chance", "blind") for note in _reference_notes(runs, name)]
     for key in dict.fromkeys(run.description.row_key for run in runs):
         found += _seeds_notes([run for run in runs if run.description.row_key == key])
     return tuple(found)
@@ -52,16 +52,18 @@ def _window_notes(run: Run, window: Window) -> list[str]:
     return found
 
 
-def _chance_notes(runs: Sequence[Run]) -> list[str]:
+def _reference_notes(runs: Sequence[Run], name: str) -> list[str]:
     first: dict[tuple[str, str], tuple[float, Run]] = {}
     for run in runs:
         for level in run.description.levels:
-            if level.chance is None:
+            score = getattr(level, name)
+            if score is None:
                 continue
-            known, other = first.setdefault((level.level_kind, level.level), (level.chance, run))
-            if known != level.chance:
+            known, other = first.setdefault((level.level_kind, level.level), (score, run))
+            if known != score:
+                what = {"chance": "chance", "blind": "the blind policy's score"}[name]
                 names = " and ".join(sorted((run.label, other.label)))
-                return [f"{names} disagree about chance: the first known value is shown."]
+                return [f"{names} disagree about {what}: the first known value is shown."]
     return []
 
 

@@ -58,6 +58,9 @@ class LevelDescription(_Described):
     `weight` is its share in the score of its kind, relative to those of the kind's other levels.
     `chance` is the score of random actions there, None where it is not known, and
     `chance_episodes` over how many episodes it was measured, None where it is exact or not known.
+    `blind` is the score of a policy that masters the level and cannot read what an episode asks
+    for, None where it is not known. `..._by_rank` are the same at each value of a rank of the
+    situation, for those ranks for which they are known.
     """
 
     level_kind: Literal["train", "uniform", "rare"]
@@ -65,6 +68,9 @@ class LevelDescription(_Described):
     weight: Positive
     chance: Finite | None
     chance_episodes: Count | None
+    chance_by_rank: Mapping[str, tuple[Finite, ...]] = {}
+    blind: Finite | None = None
+    blind_by_rank: Mapping[str, tuple[Finite, ...]] = {}
 
 
 class ExternalDescription(_Described):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import matplotlib
 import numpy as np
@@ -15,22 +15,23 @@ from matplotlib.ticker import MaxNLocator
 
 from zipf.experiments.reporting.situations import (
     Measure,
-    chance_on_uniform,
     measure_of,
     rank_counts,
     rare_ranks,
     rates,
+    reference_by_rank,
+    reference_on_uniform,
     situation_names,
 )
 from zipf.experiments.reporting.styles import (
     BAND,
-    CHANCE,
     RARE_COLOUR,
+    REFERENCES,
     SHADE,
     TITLE_LINE,
     LineStyle,
-    chance_handle,
     panels,
+    reference_handle,
     row_handles,
     set_title,
 )
@@ -45,16 +46,23 @@ INTERVALS: Mapping[Measure, str] = {
 
 def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None:
     """Success on the uniform levels against each rank of the situation, with 95 % intervals; the
-    mean return where success is not reported."""
+    mean return where success is not reported.
+
+    Chance and the blind policy are drawn at each rank where they are known there, else as their
+    mean over all ranks.
+    """
     measure = measure_of(table)
     found = {name: rates(table, [name], measure=measure) for name in situation_names(table)}
     found = {name: of_rank for name, of_rank in found.items() if len(of_rank)}
     if not found:
         return None
     handles = row_handles(table.rows, styles)
-    chance = chance_on_uniform(table, measure)
-    if chance is not None:
-        handles.append(chance_handle())
+    means = {one: reference_on_uniform(table, measure, one) for one in REFERENCES}
+    ranked = {one: reference_by_rank(table, measure, one) for one in REFERENCES}
+    for one, mean in means.items():
+        if mean is not None:
+            flat = any(name not in ranked[one] for name in found)
+            handles.append(reference_handle(one, ", mean over ranks" if flat else ""))
     rare = {name: rare_ranks(table, name) for name in found}
     if any(rare.values()):
         handles.append(Patch(color=SHADE, label="Rare"))
@@ -69,11 +77,13 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None
             axis.fill_between(
                 of_row[name], of_row["low"], of_row["high"], color=style.color, **BAND
             )
-        if chance is not None:
-            axis.axhline(chance, **CHANCE)
-        if rare[name]:
-            ends = (min(rare[name]) - 0.5, max(rare[name]) + 0.5)
-            axis.axvspan(*ends, color=SHADE, zorder=0, linewidth=0)
+        for one, line in REFERENCES.items():
+            if name in ranked[one]:
+                axis.plot(range(len(ranked[one][name])), ranked[one][name], **line)
+            elif (mean := means[one]) is not None:
+                axis.axhline(mean, **line)
+        for first, last in spans(rare[name]):
+            axis.axvspan(first - 0.5, last + 0.5, color=SHADE, zorder=0, linewidth=0)
         spoken = name.replace("_", " ").capitalize()
         axis.set_title(spoken)
         axis.set_xlabel(f"{spoken} rank (0 = most frequent)")
@@ -125,8 +135,9 @@ def by_situation(table: ScoreTable) -> Figure | None:
         axis.imshow(np.isnan(grid), cmap=empty, vmin=0, vmax=1, aspect="auto")
         colours = matplotlib.colormaps["cividis"]
         image = axis.imshow(grid, cmap=colours, vmin=limits[0], vmax=limits[1], aspect="auto")
-        if all(rare):
-            axis.add_patch(_frame(*rare))
+        for down_span in spans(rare[0]):
+            for across_span in spans(rare[1]):
+                axis.add_patch(_frame(down_span, across_span))
         axis.set_title(title)
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -150,12 +161,23 @@ def _label(table: ScoreTable, measure: Measure) -> str:
     return f"{NAMES[measure]} on the uniform {'levels' if several else 'level'}"
 
 
-def _frame(down: list[int], across: list[int]) -> Rectangle:
-    """Around these ranks."""
+def spans(ranks: Sequence[int]) -> list[tuple[int, int]]:
+    """The first and the last rank of each stretch of ascending ranks without a gap."""
+    found: list[tuple[int, int]] = []
+    for rank in ranks:
+        if found and found[-1][1] == rank - 1:
+            found[-1] = found[-1][0], rank
+        else:
+            found.append((rank, rank))
+    return found
+
+
+def _frame(down: tuple[int, int], across: tuple[int, int]) -> Rectangle:
+    """Around the ranks between these, both ends included."""
     return Rectangle(
-        (min(across) - 0.5, min(down) - 0.5),
-        len(across),
-        len(down),
+        (across[0] - 0.5, down[0] - 0.5),
+        across[1] - across[0] + 1,
+        down[1] - down[0] + 1,
         fill=False,
         edgecolor=RARE_COLOUR,
         linewidth=1.8,

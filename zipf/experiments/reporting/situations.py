@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from zipf.experiments.reporting.statistics import Z_95, standard_error, wilson_interval
-from zipf.experiments.reporting.tables import ScoreTable
+from zipf.experiments.reporting.tables import Reference, ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside, situations_inside
 
 Measure = Literal["success", "return"]
@@ -79,26 +79,50 @@ def rates(
     return found.drop(columns=summed)
 
 
-def chance_on_uniform(table: ScoreTable, measure: Measure) -> float | None:
-    """Chance on the uniform levels in the units of the measure; None where it is not known.
+def reference_on_uniform(table: ScoreTable, measure: Measure, reference: Reference) -> float | None:
+    """Chance, or the blind policy, on the uniform levels in the units of the measure; None where it
+    is not known.
 
-    Chance is known as a score, which is the measure only where a level is not normalised and, for
+    They are known as scores, which are the measure only where a level is not normalised and, for
     success, where returns are 0 or 1: where score and measure are the same in every evaluation.
     """
-    if "uniform" not in table.chance:
+    known = table.reference(reference)
+    if "uniform" not in known:
         return None
     shown = pd.concat([evaluations_inside(run, table.window) for run in table.runs])
     shown = _on_kind(shown, "uniform")
     same = bool(np.allclose(shown["score"], shown[measure], atol=1e-6))
-    return table.chance["uniform"] if same else None
+    return known["uniform"] if same else None
+
+
+def reference_by_rank(
+    table: ScoreTable, measure: Measure, reference: Reference
+) -> dict[str, Sequence[float]]:
+    """The same at each value of a rank, by the rank's name; without ranks for which it is not
+    known, and with several uniform levels for none."""
+    if reference_on_uniform(table, measure, reference) is None:
+        return {}
+    levels = {
+        level.level: getattr(level, f"{reference}_by_rank")
+        for run in reversed(table.runs)  # of the first run, as chance itself is
+        for level in run.description.levels
+        if level.level_kind == "uniform"
+    }
+    known = next(iter(levels.values())) if len(levels) == 1 else {}
+    counts = rank_counts(table)
+    return {name: each for name, each in known.items() if len(each) == counts.get(name)}
 
 
 def rare_ranks(table: ScoreTable, name: str) -> list[int]:
-    """The ranks that the rare levels are made of: the last fifth; none where they have others."""
-    visited = rates(table, [name], "rare")[name].astype(int)
-    size = rank_counts(table)[name]
-    last_fifth = range(size - size // 5, size)
-    return list(last_fifth) if len(visited) and set(visited) <= set(last_fifth) else []
+    """The ranks that the rare levels have: those that occurred on them in any evaluation of any
+    run, ascending; none where the uniform levels have no others."""
+
+    def visited(level_kind: str) -> set[int]:
+        seen = [_on_kind(run.situations, level_kind) for run in table.runs]
+        return {int(rank) for rows in seen if name in rows for rank in rows[name]}
+
+    rare = visited("rare")
+    return sorted(rare) if visited("uniform") - rare else []
 
 
 def _on_kind(rows: pd.DataFrame, level_kind: str) -> pd.DataFrame:

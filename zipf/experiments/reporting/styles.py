@@ -16,16 +16,24 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from zipf.experiments.reporting.tables import Row
+from zipf.experiments.reporting.tables import Reference, Row
 
-# Okabe and Ito (2008): told apart with any colour vision. Yellow is left out (too light for lines)
-# and grey is kept for chance.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+# Okabe and Ito (2008): told apart with any colour vision. Yellow is left out (too light for lines),
+# and so is orange (too near vermilion); olive and wine are from Tol's muted colours (2021). Grey is
+# kept for policies that do not learn.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#999933", "#56B4E9", "#882255", "#000000")
 RARE_COLOUR = "#D55E00"
-SHADE = "0.9"
+SHADE = "#FBF1CC"
 LINES: Mapping[str, Any] = {"solid": "-", "dashed": (0, (5, 1.5))}
 DASHES: tuple[Any, ...] = (*LINES.values(), (0, (1.5, 1)), (0, (5, 1.5, 1.5, 1.5)))
-CHANCE: Mapping[str, Any] = {"color": "0.35", "linestyle": ":", "linewidth": 1.3, "zorder": 1}
+REFERENCES: Mapping[Reference, Mapping[str, Any]] = {
+    "chance": {"color": "0.5", "linestyle": ":", "linewidth": 1.6, "zorder": 1},
+    "blind": {"color": "0.2", "linestyle": (0, (7, 2, 1.5, 2)), "linewidth": 1.1, "zorder": 1},
+}
+REFERENCE_LABELS: Mapping[Reference, str] = {
+    "chance": "Chance (random actions)",
+    "blind": "Blind (does not read what is asked for)",
+}
 BAND: Mapping[str, Any] = {"alpha": 0.18, "linewidth": 0}
 
 STYLE: dict[Any, Any] = {
@@ -85,9 +93,9 @@ def row_handles(rows: Sequence[Row], styles: Mapping[str, LineStyle]) -> list[An
     return [Line2D([], [], **styles[row.key]._asdict(), label=row.title) for row in rows]
 
 
-def chance_handle() -> Line2D:
-    """The entry of chance in a legend."""
-    return Line2D([], [], **CHANCE, label="Chance (random actions)")
+def reference_handle(name: Reference, addition: str = "") -> Line2D:
+    """The entry of a policy that does not learn in a legend."""
+    return Line2D([], [], **REFERENCES[name], label=REFERENCE_LABELS[name] + addition)
 
 
 def panels(count: int, title: str, handles: list[Any]) -> tuple[Figure, list[Axes]]:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -48,6 +48,9 @@ from zipf.experiments.reporting.windows import (
 )
 from zipf.experiments.reporting.wording import EXTERNAL_MARK
 
+Reference = Literal["chance", "blind"]
+"""Policies that do not learn: random actions, and one that cannot read what is asked for."""
+
 CSV_COLUMNS = (
     "table",
     "experiment",
@@ -67,6 +70,8 @@ CSV_COLUMNS = (
     "paper_error",
     "chance",
     "plain_chance",
+    "blind",
+    "plain_blind",
     "window",
     "evaluations",
     "episodes",
@@ -142,8 +147,12 @@ class ScoreTable:
     @property
     def chance(self) -> dict[str, float]:
         """Score of uniformly random actions by level kind; empty where it is not known."""
-        known = self.scores.dropna(subset=["chance"])
-        return dict(zip(known["level_kind"], known["chance"], strict=True))
+        return self.reference("chance")
+
+    def reference(self, name: Reference) -> dict[str, float]:
+        """Score of a policy that does not learn by level kind, without those not known."""
+        known = self.scores.dropna(subset=[name])
+        return dict(zip(known["level_kind"], known[name], strict=True))
 
     @property
     def chance_episodes(self) -> list[int]:
@@ -218,7 +227,8 @@ def score_frame(
                     "spread": row.runs[0].description.spread,
                     "paper_value": published.value if published else np.nan,
                     "paper_error": error if error is not None else np.nan,
-                    **_chance([run for row in rows for run in row.runs], levels),
+                    **_reference("chance", [run for row in rows for run in row.runs], levels),
+                    **_reference("blind", [run for row in rows for run in row.runs], levels),
                     "window": str(window_of(row.runs[0], window)),
                 }
             )
@@ -369,16 +379,17 @@ def _across_tasks(scored: Mapping[Run, pd.DataFrame], levels: LevelGroup) -> dic
     }
 
 
-def _chance(runs: Sequence[Run], levels: LevelGroup) -> dict[str, float]:
+def _reference(name: Reference, runs: Sequence[Run], levels: LevelGroup) -> dict[str, float]:
     """The first known values of each level, averaged; NaN where a level's is not known."""
     known: dict[str, float] = {}
     for level in (level for run in runs for level in run.description.levels):
-        if level.level_kind == levels.level_kind and level.chance is not None:
-            known.setdefault(level.level, level.chance)
+        score = getattr(level, name)
+        if level.level_kind == levels.level_kind and score is not None:
+            known.setdefault(level.level, score)
     if not known.keys() >= levels.weights.keys():
-        return {"chance": np.nan, "plain_chance": np.nan}
-    values = [known[name] for name in levels.weights]
+        return {name: np.nan, f"plain_{name}": np.nan}
+    values = [known[one] for one in levels.weights]
     return {
-        "chance": weighted_mean(values, list(levels.weights.values())),
-        "plain_chance": weighted_mean(values, np.ones(len(values))),
+        name: weighted_mean(values, list(levels.weights.values())),
+        f"plain_{name}": weighted_mean(values, np.ones(len(values))),
     }

@@ -45,7 +45,8 @@ def _print_grid(grid: Grid, title: str, console: Console) -> None:
             empty = [""] * len(numbers)
             paper = (f"[dim]{text}[/dim]" for text in line.paper)
             shown.add_row("[dim]  paper[/dim]", *empty, *paper)
-    if grid.last:
+    if grid.references:
         shown.add_section()
-        shown.add_row(*grid.last.leading, *grid.last.ours)
+    for line in grid.references:
+        shown.add_row(*line.leading, *line.ours)
     console.print(shown)

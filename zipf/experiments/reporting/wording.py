@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Literal, get_args
 
 PROTOCOL_SEEDS = 3  # the paper trains three replicas of each condition
 
 KIND_NAMES: Mapping[str, str] = {"train": "Train (Zipfian)", "uniform": "Uniform", "rare": "Rare"}
+PlotFormat = Literal["png", "pdf", "svg"]
+PLOT_FORMATS: tuple[PlotFormat, ...] = get_args(PlotFormat)
 EXTERNAL_MARK = "†"
 NONE = "–"
 

@@ -77,7 +77,10 @@ class Collector:
         self._memory = agent.initial_memory(env.num_envs)
         self._abandoned = Event()
         pinned = device.startswith("cuda")
-        self._buffers = [_Buffers(env, unroll_length + 1, pinned) for _ in range(1 + lag)]
+        self._buffers = [
+            _Buffers(env, unroll_length + 1, agent.final_observations, pinned)
+            for _ in range(1 + lag)
+        ]
         self._final = env.allocate()
         env.reset(seed=seed, out=self._buffers[-1].observation_row(-1))
 
@@ -100,7 +103,7 @@ class Collector:
             if self.agent.burn_in and t == self.unroll_length - self.agent.burn_in:
                 late_memory = self._memory
             self._step(buffers, t)
-        return Unroll(buffers.steps, memory, late_memory)
+        return Unroll(buffers.steps, memory, late_memory, buffers.final)
 
     def abandon(self) -> None:
         """Makes `collect` raise `Abandoned` at its next step, for good; called by another thread
@@ -178,7 +181,9 @@ class Collector:
         stepped = perf_counter()
 
         fields["truncation_value"][t] = 0.0
-        if truncated.any():
+        if truncated.any() and buffers.final is not None:
+            buffers.keep_final(t, truncated, self._final)
+        elif truncated.any():
             values = self._value_at_truncation(fields["action"][t], fields["reward"][t], truncated)
             fields["truncation_value"][t, truncated] = values
         self.seconds["inference"] += acted - start + perf_counter() - stepped
@@ -225,19 +230,16 @@ class _Buffers:
         fields: arrays by name, those that every agent needs; see `Unroll`.
         steps: all of them as tensors, and what the behaviour policy adds.
         inputs: of `steps` the agent's inputs alone.
+        final: see `Unroll`; None for an agent that asks for none.
     """
 
-    def __init__(self, env: ZipfVectorEnv, rows: int, pinned: bool):
+    def __init__(self, env: ZipfVectorEnv, rows: int, finals: int, pinned: bool):
         self.pinned = pinned
         shape = rows, env.num_envs
         self.steps = TensorDict(batch_size=shape)
-        self.steps["observation"] = TensorDict(batch_size=shape)
-        self.observation = {}
-        for name, array in env.allocate().items():
-            zeros = np.zeros((rows, *array.shape), array.dtype)
-            tensor = self._tensor(torch.from_numpy(zeros))
-            self.steps["observation"][name] = tensor
-            self.observation[name] = tensor.numpy()
+        self.steps["observation"] = self._observations(env, rows)
+        self.observation = {name: part.numpy() for name, part in self.steps["observation"].items()}
+        self.final = self._finals(env, finals) if finals else None
         self.fields: dict[str, NDArray[Any]] = {}
         for name, dtype in (
             ("previous_action", torch.int64),
@@ -265,6 +267,22 @@ class _Buffers:
         for mine, last in ((self.observation, other.observation), (self.fields, other.fields)):
             for name, part in mine.items():
                 part[0] = last[name][-1]
+        if self.final is not None:
+            self.final.zero_()  # so that what is not in use is the same in every run
+            self.final["step"].fill_(-1)
+
+    def keep_final(self, t: int, cut: NDArray[np.bool_], observation: dict[str, NDArray]) -> None:
+        """Keeps the observations [N, ...] that the episodes of the worlds `cut` were truncated at
+        after row t, in those worlds that have a place left."""
+        assert self.final is not None
+        used = (self.final["step"] >= 0).sum(0).numpy()
+        worlds = np.flatnonzero(cut & (used < len(self.final)))
+        places = used[worlds], worlds
+        for name, part in observation.items():
+            self.final["observation", name].numpy()[places] = part[worlds]
+        self.final["step"].numpy()[places] = t
+        self.final["previous_action"].numpy()[places] = self.fields["action"][t, worlds]
+        self.final["previous_reward"].numpy()[places] = self.fields["reward"][t, worlds]
 
     def write(self, name: str, t: int, value: Tensor) -> None:
         """Writes what the behaviour policy adds to row t, [N, ...]; the copy from a CUDA device is
@@ -273,6 +291,27 @@ class _Buffers:
             rows = self.steps.batch_size[0]
             self.steps[name] = self._tensor(torch.zeros(rows, *value.shape, dtype=value.dtype))
         self.steps[name][t].copy_(value, non_blocking=True)
+
+    def _observations(self, env: ZipfVectorEnv, rows: int) -> TensorDict:
+        """Zeros in place of observations, [rows, N]."""
+        zeros = {
+            name: self._tensor(torch.from_numpy(np.zeros((rows, *array.shape), array.dtype)))
+            for name, array in env.allocate().items()
+        }
+        return TensorDict(zeros, (rows, env.num_envs))
+
+    def _finals(self, env: ZipfVectorEnv, count: int) -> TensorDict:
+        shape = count, env.num_envs
+        final = TensorDict(batch_size=shape)
+        for name, dtype in (
+            ("step", torch.int64),
+            ("previous_action", torch.int64),
+            ("previous_reward", torch.float32),
+            ("is_first", torch.bool),
+        ):
+            final[name] = self._tensor(torch.zeros(shape, dtype=dtype))
+        final["observation"] = self._observations(env, count)
+        return final
 
     def _tensor(self, zeros: Tensor) -> Tensor:
         """The tensor itself, or a copy in pinned RAM, which CUDA devices copy from and to while the

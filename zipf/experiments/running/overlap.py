@@ -90,6 +90,7 @@ class Overlap:
             "steps": self._pending.steps.to_dict(),
             "memory": self._pending.memory,
             "late_memory": self._pending.late_memory,
+            "final": {} if self._pending.final is None else self._pending.final.to_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -98,7 +99,10 @@ class Overlap:
         self._pending = None
         if state:
             steps = TensorDict(state["steps"], state["steps"]["reward"].shape)
-            unroll = Unroll(steps, state["memory"], state["late_memory"])
+            final = None
+            if state["final"]:
+                final = TensorDict(state["final"], state["final"]["step"].shape)
+            unroll = Unroll(steps, state["memory"], state["late_memory"], final)
             self._pending = unroll.to(self.collector.device)
 
 

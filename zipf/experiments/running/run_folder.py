@@ -12,7 +12,7 @@ import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from omegaconf import OmegaConf
@@ -24,6 +24,10 @@ from zipf import envs
 from zipf.experiments.config import Config, schema
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint
+
+Reference = Literal["chance", "blind"]
+REFERENCES: tuple[Reference, ...] = ("chance", "blind")
+"""The scores that a level is described with: of random actions, and of a blind policy."""
 
 
 def find_checkpoint(config: Config) -> dict[str, Any] | None:
@@ -122,10 +126,7 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         "precision": config.precision,
         "window": config.schedule.window,
         "num_updates": config.updates,
-        "chance": {
-            kind: _mean_chance([level for level in described if level["level_kind"] == kind])
-            for kind in envs.KINDS
-        },
+        "chance": {kind: mean_of_levels(described, kind, "chance") for kind in envs.KINDS},
         "levels": described,
         "situation": situation,
         "environment": config.level_options,
@@ -150,7 +151,8 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
 def describe_levels(
     split: envs.Split, options: dict[str, Any], *, chance_episodes: int = 0
 ) -> list[dict[str, Any]]:
-    """The levels of a run, each with its weight and the score of random actions.
+    """The levels of a run, each with its weight and the scores of random actions and of a blind
+    policy, as `LevelDescription` reads them.
 
     Args:
         options: constructor options of the levels.
@@ -162,6 +164,7 @@ def describe_levels(
             chance = envs.chance(level, **options)
             if chance is None and chance_episodes:
                 chance = envs.measure_chance(level, episodes=chance_episodes, **options)
+            blind = envs.blind(level, **options)
             described.append(
                 {
                     "level_kind": kind,
@@ -169,17 +172,32 @@ def describe_levels(
                     "weight": level.weight,
                     "chance": chance and level.normalised(chance.score),
                     "chance_episodes": chance and chance.episodes,
+                    "chance_by_rank": _by_rank(level, chance),
+                    "blind": blind and level.normalised(blind.score),
+                    "blind_by_rank": _by_rank(level, blind),
                 }
             )
     return described
 
 
-def _mean_chance(described: list[dict[str, Any]]) -> float | None:
-    """The weighted mean over levels; None where one is not known."""
-    if any(level["chance"] is None for level in described):
+def _by_rank(level: envs.SplitLevel, known: envs.Chance | None) -> dict[str, list[float]]:
+    if known is None:
+        return {}
+    return {
+        name: [level.normalised(value) for value in values]
+        for name, values in known.by_rank.items()
+    }
+
+
+def mean_of_levels(
+    described: list[dict[str, Any]], kind: str, reference: Reference
+) -> float | None:
+    """The weighted mean over a kind's levels; None where one is not known."""
+    levels = [level for level in described if level["level_kind"] == kind]
+    if any(level.get(reference) is None for level in levels):
         return None
-    total = sum(level["weight"] for level in described)
-    return sum(level["weight"] * level["chance"] for level in described) / total
+    total = sum(level["weight"] for level in levels)
+    return sum(level["weight"] * level[reference] for level in levels) / total
 
 
 def last_update(path: Path) -> int:

@@ -1,0 +1,78 @@
+"""On CUDA: agents train, with and without lag, and runs go on on another device."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from conftest import TINY, assert_equal
+
+from zipf.agents import agents
+from zipf.experiments import command_line
+from zipf.experiments.running import checkpoint, runner
+
+CUDA = "cuda"
+SMALL = {  # what is not small enough in an agent's file
+    "r2d2": [
+        *("agent.burn_in=2", "agent.replay_min=6", "agent.replay_capacity=24", "agent.storage=ram"),
+    ],
+}
+AGENTS = [  # with each lag that they allow
+    (name, lag)
+    for name, agent in agents().items()
+    if not agent.answers_questions
+    for lag in range(agent.largest_lag + 1)
+]
+
+pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+
+
+def run(root, agent, *overrides):
+    """Trains, and returns the folder."""
+    arguments = [*TINY, f"agent={agent}", f"name={agent}", *SMALL.get(agent, []), *overrides]
+    loaded = command_line.load([*arguments, f"run_root={root}"])
+    assert runner.train(loaded) == 0
+    return loaded.folder
+
+
+def state(folder):
+    return checkpoint.load(folder / "checkpoint.pt")
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize(("agent", "lag"), AGENTS)
+def test_agents_train(agent, lag, precision, tmp_path):
+    """Their weights change and stay finite, and what is logged is finite."""
+    options = [f"device={CUDA}", f"collector.lag={lag}", f"precision={precision}"]
+    folder = run(tmp_path, agent, "updates=3", *options)
+    metrics = pd.read_csv(folder / "metrics.csv")
+    assert list(metrics["update"]) == [1, 2, 3]
+    assert np.isfinite(metrics["loss"].iloc[-1])
+    weights = state(folder)["agent"]["network"]
+    started = state(run(tmp_path / "again", agent, "updates=1", *options))["agent"]["network"]
+    assert all(part.isfinite().all() for part in weights.values())
+    assert any(not torch.equal(part, started[name]) for name, part in weights.items())
+
+
+@pytest.mark.parametrize(("agent", "lag"), AGENTS)
+@pytest.mark.parametrize(("first", "then"), [(CUDA, "cpu"), ("cpu", CUDA)])
+def test_a_run_goes_on_on_another_device(first, then, agent, lag, tmp_path):
+    """With the weights, worlds and random numbers that it had; as it would have gone on, up to how
+    each device rounds."""
+    options = [f"collector.lag={lag}", "agent.learning_rate=1e-5"]
+    folder = run(tmp_path, agent, "updates=2", f"device={first}", *options)
+    before = state(folder)
+    run(tmp_path, agent, "updates=2", f"device={then}", "resume=must", *options)
+    moved = state(folder)
+    for part in ("agent", "collector", "overlap"):
+        assert_equal(on_cpu(before[part]), on_cpu(moved[part]), part)
+    run(tmp_path, agent, "updates=4", f"device={then}", "resume=must", *options)
+    stayed = run(tmp_path / "stayed", agent, "updates=4", f"device={first}", *options)
+    one, other = (on_cpu(state(at)["agent"]["network"]) for at in (folder, stayed))
+    for name, part in one.items():
+        torch.testing.assert_close(part, other[name], rtol=1e-2, atol=1e-3)
+
+
+def on_cpu(value):
+    if isinstance(value, dict):
+        return {name: on_cpu(part) for name, part in value.items()}
+    return value.cpu() if isinstance(value, torch.Tensor) else value

@@ -1,0 +1,51 @@
+"""What the worlds of an experiment have, and which choices they lack something for."""
+
+from functools import cache
+
+from zipf import envs
+from zipf.agents import agents
+from zipf.experiments import composing
+
+
+@cache
+def speaks(experiment):
+    """Whether the worlds of an experiment have an instruction."""
+    worlds = composing.composed(f"experiment={experiment}").values["environment"]
+    options = {name: value for name, value in worlds.items() if name != "split"}
+    env = envs.make_vec(envs.split(worlds["split"]).uniform[0], 1, **options)
+    env.close()
+    return "instruction" in env.single_observation_space.spaces
+
+
+@cache
+def asks(split):
+    """Whether there are questions about the first frames of a split."""
+    try:
+        envs.questions(envs.split(split))
+    except ValueError:
+        return False
+    return True
+
+
+def needs(experiment, agent="impala", auxiliary="none"):
+    """What worlds of this experiment lack for it, in the words of the message; None for nothing."""
+    split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
+    if agents()[agent].answers_questions and not asks(split):
+        return f"splits with such questions: {', '.join(filter(asks, envs.all_splits()))}"
+    if auxiliary == "vision_language" and not speaks(experiment):
+        return "needs an instruction"
+    return None
+
+
+def chosen(experiment, condition):
+    """Agent, memory and auxiliary loss that a condition's file chooses for these worlds."""
+    file = composing.condition_file(condition)
+    parts = {
+        key.removeprefix("override /"): value
+        for entry in file["defaults"]
+        if isinstance(entry, dict)
+        for key, value in entry.items()
+    }
+    if not speaks(experiment):
+        parts |= file.get("without_instruction", {})
+    return parts["agent"], parts["memory"], parts["auxiliary"]
