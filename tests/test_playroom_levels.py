@@ -23,7 +23,7 @@ N = 500
 @pytest.fixture(autouse=True)
 def _no_physics(monkeypatch: pytest.MonkeyPatch) -> None:
     """No episode is stepped here, and building the physics of thousands of rooms takes long."""
-    monkeypatch.setattr("zipf.envs.playroom.vector.Room", lambda *args: None)
+    monkeypatch.setattr(PlayroomVectorEnv, "_furnish", lambda *args: None)
 
 
 def drawn(level: str, episodes: int, **options: Any) -> dict[str, NDArray[Any]]:

@@ -121,6 +121,9 @@ class PlayroomEnv(SingleWorld):
         image_size: Sequence[int] = (72, 96),
         object_order: str = "default",
         max_steps: int = 900,
+        reach: float = 2.0,
+        frequent_exponent: float = 0.0,
+        near_failure: bool = False,
         render_mode: str | None = None,
     ) -> None:
         super().__init__(
@@ -129,5 +132,8 @@ class PlayroomEnv(SingleWorld):
             image_size=image_size,
             object_order=object_order,
             max_steps=max_steps,
+            reach=reach,
+            frequent_exponent=frequent_exponent,
+            near_failure=near_failure,
             render_mode=render_mode,
         )

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from zipf.compiled import compiled
 from zipf.envs.playroom.constants import CEILING, EYE, ROOM
+from zipf.envs.playroom.geometry import half_width
 from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Worlds, X, Y, Z
 from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
 
@@ -113,12 +114,13 @@ def _pose(mask, agents, objects, orientation, ranks, extents, camera, position, 
         camera[i, 2] = EYE
         camera[i, 3], camera[i, 4] = agents[i, YAW], agents[i, PITCH]
         for j in range(ranks.shape[1]):
-            frame = orientation[i, j]
-            half = extents[ranks[i, j], 2] / 2
+            frame, extent = orientation[i, j], extents[ranks[i, j]]
+            half = extent[2] / 2
+            middle = objects[i, j, Z] + half_width(frame, extent, 0.0, 0.0, 1.0)
             # Objects turn about their centres.
             position[i, j, 0] = objects[i, j, X] - half * frame[0, 2]
             position[i, j, 1] = objects[i, j, Y] - half * frame[1, 2]
-            position[i, j, 2] = objects[i, j, Z] + half - half * frame[2, 2]
+            position[i, j, 2] = middle - half * frame[2, 2]
             for r in range(3):
                 for c in range(3):
                     rotation[i, j, r, c] = frame[r, c]
