@@ -124,10 +124,10 @@ def maze(*, pitched: bool, ceiling: bool, seed: int = 0) -> Scenes:
 
 
 def room(*, objects: int, pitched: bool, seed: int = 0) -> Scenes:
-    """Rooms of 4 x 3 m, with objects 1 to 2.5 m before the eyes."""
+    """Rooms of 4 x 3 m, with objects 1 to 2.5 m before the eyes and their shadows on the floor."""
     rng = np.random.default_rng(seed)
     meshes = len(load_meshes().names)
-    scenes = Scenes(WORLDS, walls=4, flats=2, instances=objects)
+    scenes = Scenes(WORLDS, walls=4, flats=2, instances=objects, shadows=objects)
     corners = ((0, 0), (4, 0), (4, 3), (0, 3))
     for world in range(WORLDS):
         for k, name in enumerate(("wallpaper", "plaster_blue", "stripes", "brick")):
@@ -149,6 +149,8 @@ def room(*, objects: int, pitched: bool, seed: int = 0) -> Scenes:
                 1.1 + far * np.tan(pitch + rng.uniform(-0.5, 0.3)) - 0.2,
             )
             turn = rng.uniform(-np.pi, np.pi)
+            x_y = scenes.position[world, k, :2]
+            scenes.shadows[world, k] = *x_y, 0, turn, 0.1, 0.07, 0.15, 0.5
             cos, sin = np.cos(turn), np.sin(turn)
             scenes.rotation[world, k, :2, :2] = (cos, -sin), (sin, cos)
         scenes.colours[world] = rng.integers(40, 256, (objects, 2, 3))

@@ -2,9 +2,9 @@
 
     python scripts/contact_sheet.py out.png
 
-The close views show the shape. The others are cut out of 96 x 72 views of a room with the eye at
-1.2 m, from 1.5 m away (two sides) and 2.5 m, every pixel magnified: these few pixels must be enough
-to distinguish the toys. All toys have the same two greys, because their colours are random.
+The close views show the shape. The others are cut out of the 96 x 72 pixels of the playroom's view,
+from 1.5 m away (two sides) and 2 m, every pixel magnified: these few pixels must be enough to
+distinguish the toys. All toys have the same two greys, because their colours are random.
 """
 
 import argparse
@@ -15,24 +15,26 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from zipf.envs.playroom.constants import EYE
+from zipf.envs.playroom.view import FIELD_OF_VIEW
 from zipf.envs.render3d import Renderer, Scenes, load_meshes, textures
 
 GREYS = [(165, 165, 170), (120, 122, 130)]
 CLOSE = 132
 """Pixels of a close view."""
-CUT = 22
+CUT = 28
 """Pixels of a room view that are shown, around the object, and how much they are magnified."""
-MAGNIFIED = 6
+MAGNIFIED = 5
 COLUMNS = 2
 ROOM = 6.0
 CLOSE_YAWS = (-25, 90, 205)
-ROOM_VIEWS = ((1.5, -30), (1.5, 70), (2.5, -30))
+ROOM_VIEWS = ((1.5, -30), (1.5, 70), (2.0, -30))
 """Distance in metres along the floor, and the degrees by which the object is turned."""
 
 
 def rooms(views: Sequence[tuple[int, float, float, float, float]]) -> Scenes:
     """A room for each (mesh, degrees it is turned, distance, eye height, height looked at)."""
-    scenes = Scenes(len(views), walls=4, flats=1, instances=1)
+    scenes = Scenes(len(views), walls=4, flats=1, instances=1, shadows=1)
     half = ROOM / 2
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
     for world, (mesh, degrees, distance, eye, target) in enumerate(views):
@@ -50,6 +52,8 @@ def rooms(views: Sequence[tuple[int, float, float, float, float]]) -> Scenes:
             (math.sin(turn), math.cos(turn)),
         )
         scenes.mesh[world, 0] = mesh
+        length, width, _ = load_meshes().extent[mesh].tolist()
+        scenes.shadows[world, 0] = 0, 0, 0, turn, 0.3 * length, 0.3 * width, 0.1, 0.5
         scenes.colours[world, 0] = GREYS
     return scenes
 
@@ -64,18 +68,21 @@ def sheet() -> Image.Image:
     atlas = load_meshes()
     stack = textures.stack()
     close = Renderer(atlas, stack, width=2 * CLOSE, height=2 * CLOSE, fov=18)
-    far = Renderer(atlas, stack)
+    far = Renderer(atlas, stack, fov=FIELD_OF_VIEW)
     closes, fars = [], []
     for mesh, extent in enumerate(atlas.extent):
         middle = float(extent[2]) / 2
         away = 4.2 * float(extent.max())
         closes += [(mesh, yaw, away, middle + 0.5 * away, middle) for yaw in CLOSE_YAWS]
-        fars += [(mesh, yaw, distance, 1.2, 0.17) for distance, yaw in ROOM_VIEWS]
+        fars += [(mesh, yaw, distance, EYE, 0.17) for distance, yaw in ROOM_VIEWS]
     close_views, far_views = draw(close, rooms(closes)), draw(far, rooms(fars))
     left, top = (far.width - CUT) // 2, (far.height - CUT) // 2
     far_views = far_views[:, top : top + CUT, left : left + CUT]
 
-    row, column = CLOSE + 18, len(CLOSE_YAWS) * CLOSE + len(ROOM_VIEWS) * CUT * MAGNIFIED + 12
+    row, column = (
+        max(CLOSE, CUT * MAGNIFIED) + 18,
+        len(CLOSE_YAWS) * CLOSE + len(ROOM_VIEWS) * CUT * MAGNIFIED + 12,
+    )
     rows = -(-len(atlas.names) // COLUMNS)
     page = Image.new("RGB", (COLUMNS * column, rows * row), "white")
     pen = ImageDraw.Draw(page)

@@ -51,13 +51,14 @@ def view(scenes, stack=STACK, width=WIDTH, height=HEIGHT, **options):
     return out
 
 
-def sun_on(normal, dark, sun):
-    direction = np.array(optics.SUN) / np.linalg.norm(optics.SUN)
-    return dark + sun * (0.5 + 0.5 * np.asarray(normal) @ direction)
+def sun_on(scenes, world, normal, dark, bright):
+    """The light on a surface, in red, green and blue."""
+    lit = dark + bright * (0.5 + 0.5 * np.asarray(normal) @ scenes.sun[world].astype(float))
+    return lit * scenes.lamp[world].astype(float)
 
 
 def shaded(colour, light, t):
-    return colour * np.asarray(light / (1 + (t / optics.FADE) ** 2))[..., None]
+    return colour * light / (1 + (np.asarray(t)[..., None] / optics.FADE) ** 2)
 
 
 def texel(packed, texture, u, v, area):
@@ -129,7 +130,9 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
             )
             if flags & SEE_THROUGH:
                 inside &= found[..., 3] >= 128
-            light = sun_on(normal * np.sign(distance), optics.SURFACE_DARK, optics.SURFACE_SUN)
+            light = sun_on(
+                scenes, world, normal * np.sign(distance), optics.SURFACE_DARK, optics.SURFACE_SUN
+            )
             put(t, inside, shaded(found[..., :3] * scenes.wall_tint[world, k] / 255, light, t))
         for k in range(scenes.flat_count[world]):
             x0, y0, x1, y1, z = scenes.flats[world, k].astype(float)
@@ -155,7 +158,8 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
             found = texel(packed, which, u * per_u, v * per_v, area)
             if flags & SEE_THROUGH:
                 inside &= found[..., 3] >= 128
-            light = sun_on((0, 0, 1 if above else -1), optics.SURFACE_DARK, optics.SURFACE_SUN)
+            normal = (0, 0, 1 if above else -1)
+            light = sun_on(scenes, world, normal, optics.SURFACE_DARK, optics.SURFACE_SUN)
             put(t, inside, shaded(found[..., :3] * scenes.flat_tint[world, k] / 255, light, t))
         for k, mesh in enumerate(scenes.mesh[world]):
             if mesh < 0:
@@ -176,11 +180,26 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
                 inside = np.ones(t.shape, bool)
                 for p, q in ((a, b), (b, c), (c, a)):
                     inside &= np.cross(q - p, hit - p) @ normal >= 0
-                light = sun_on(normal, optics.MESH_DARK, optics.MESH_SUN)
+                light = sun_on(scenes, world, normal, optics.MESH_DARK, optics.MESH_SUN)
                 colour = shaded(colours[ATLAS.parts[triangle]], light, fade)
                 put(t, inside, np.broadcast_to(colour, (height, width, 3)))
         if scenes.terrain[world, 2] > 0:
             cast_terrain(scenes, world, packed, eye, rays, focal, put)
+        heights = eye[2] + depth * rays[..., 2]
+        for k, shadow in enumerate(scenes.shadows[world].astype(float)):
+            x, y, z, angle, half_length, half_width, soft, darkness = shadow
+            if darkness == 0 or eye[2] <= z:
+                continue
+            dx, dy = (eye[c] + depth * rays[..., c] - (x, y)[c] for c in range(2))
+            along = math.cos(angle) * dx + math.sin(angle) * dy
+            across = math.cos(angle) * dy - math.sin(angle) * dx
+            beside = np.hypot(
+                np.maximum(abs(along) - half_length, 0), np.maximum(abs(across) - half_width, 0)
+            )
+            there = abs(heights - z) <= optics.SHADOW_DEPTH
+            share = np.maximum(1 - (beside / soft) ** 2, 0) ** 2
+            image[there] = np.floor(image[there]) * (1 - darkness * share[there])[:, None]
+            shown[there] += 1000 << k  # one more edge: where a surface leaves the shadow's plane
     return image, shown
 
 
@@ -207,7 +226,7 @@ def cast_terrain(scenes, world, packed, eye, rays, focal, put):
             u, v = np.nan_to_num(hit[..., 0] - west), np.nan_to_num(hit[..., 1] - south)
             look = scenes.terrain_looks[world, row, column]
             found = texel(packed, look, u * per, v * per, per**2 * t**3 / focal**2 / above)
-            light = sun_on(normal, optics.MESH_DARK, optics.MESH_SUN)
+            light = sun_on(scenes, world, normal, optics.MESH_DARK, optics.MESH_SUN)
             colour = found[..., :3] * scenes.terrain_tint[world] / 255
             put(t, inside, shaded(colour, light, t))
 
@@ -233,7 +252,7 @@ def random_rotation(rng):
 def random_scenes(seed, worlds=6, **more):
     """Rooms with walls, a patchwork floor with a hole, shelves, a fence and meshes."""
     rng = np.random.default_rng(seed)
-    scenes = Scenes(worlds, walls=10, flats=4, instances=5, tile_cells=12, **more)
+    scenes = Scenes(worlds, walls=10, flats=4, instances=5, tile_cells=12, shadows=6, **more)
     corners = ((0, 0), (5, 0), (5, 4), (0, 4))
     for world in range(worlds):
         for k in range(4):
@@ -262,6 +281,14 @@ def random_scenes(seed, worlds=6, **more):
             scenes.rotation[world, k] = random_rotation(rng)
             scenes.scale[world, k] = rng.uniform(0.5, 2)
         scenes.colours[world] = rng.integers(0, 256, (5, 2, 3))
+        sun = rng.normal(size=3)
+        scenes.sun[world] = sun / np.linalg.norm(sun)
+        scenes.lamp[world] = rng.uniform(0.3, 1, 3)
+        for k, height in enumerate((0, 0, 0, 0.7, 0.4, 1.2)):  # nothing is at 1.2
+            scenes.shadows[world, k] = (
+                *rng.uniform((0, 0), (5, 4)), height, rng.uniform(-4, 4),
+                *rng.uniform((0, 0, 0.05, 0.2), (1, 1, 1, 1)),
+            )  # fmt: skip
         scenes.camera[world] = (
             *rng.uniform((0.3, 0.3, 0.3), (4.7, 3.7, 2.2)),
             *rng.uniform((-math.pi, -0.9), (math.pi, 0.9)),

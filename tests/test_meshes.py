@@ -1,29 +1,21 @@
 """The meshes of the playroom: their conventions, their differences and their file."""
 
 import importlib
-from itertools import combinations
+import math
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from zipf.envs.playroom.constants import EYE, FURNITURE_SIZE
+from zipf.envs.playroom.levels import OBJECTS, SUPPORTS
+from zipf.envs.playroom.view import FIELD_OF_VIEW
 from zipf.envs.render3d import MeshAtlas, load_meshes
 
 ROOT = Path(__file__).parent.parent
 FILE = ROOT / "zipf" / "envs" / "render3d" / "meshes.npz"
-TOYS = [
-    "duck", "ball", "book", "cup", "car",
-    "train", "boat", "robot", "teddy", "rocket",
-    "bus", "plane", "mug", "spoon", "bowl",
-    "plate", "bottle", "chair", "lamp", "hat",
-    "drum", "guitar", "piano", "clock", "phone",
-    "keyboard", "helicopter", "carriage", "racket", "pillow",
-    "candle", "teapot", "banana", "apple", "carrot",
-    "mushroom", "toothbrush", "toothpaste", "comb", "hairdryer",
-    "fork", "hammer", "screwdriver", "key", "scissors",
-    "umbrella", "basket", "cactus", "dice", "pyramid",
-]  # fmt: skip
-NAMES = [*TOYS, "bed", "tray"]
+NAMES = [*OBJECTS, *SUPPORTS]
 ATLAS = load_meshes()
 
 
@@ -91,7 +83,7 @@ def test_the_atlas_is_loaded_once_and_its_arrays_are_as_documented():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_mesh_stands_on_its_origin_at_its_size(name):
+def test_a_mesh_stands_on_its_origin(name):
     vertices, triangles, _ = mesh(name)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     assert low[2] == 0
@@ -99,8 +91,25 @@ def test_a_mesh_stands_on_its_origin_at_its_size(name):
     np.testing.assert_allclose(ATLAS.extent[ATLAS.index(name)], high - low, atol=1e-6)
     assert sorted(set(triangles.ravel())) == list(range(len(vertices)))
     assert 60 <= len(triangles) <= 260
-    if name in TOYS:
-        assert (high - low).max() == pytest.approx(0.40, abs=2e-5)
+
+
+def test_a_toy_is_larger_than_another_where_the_thing_it_stands_for_is():
+    longest = dict(zip(ATLAS.names, ATLAS.extent.max(axis=1).tolist(), strict=True))
+    for smaller, larger in pairwise(
+        ("dice", "apple", "key", "mug", "fork", "ball", "teapot", "hammer", "basket", "pillow",
+         "chair", "guitar", "piano", "bed")
+    ):  # fmt: skip
+        assert longest[smaller] < 0.99 * longest[larger], (smaller, larger)
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_a_toy_is_large_enough_to_see_and_small_enough_for_the_tray(name):
+    width, depth, height = ATLAS.extent[ATLAS.index(name)].tolist()
+    focal = 96 / 2 / math.tan(math.radians(FIELD_OF_VIEW) / 2)
+    pixels = max(width, depth, height) * focal / math.hypot(2.0, EYE)  # from 2 m away
+    assert pixels > 6.5
+    assert min(width, depth) < 2 * FURNITURE_SIZE[1, 1]
+    assert max(width, depth) < 2 * FURNITURE_SIZE[1, 0]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -169,7 +178,7 @@ def test_the_tops_of_bed_and_tray_are_level():
 def silhouettes(name: str, yaws: np.ndarray) -> np.ndarray:
     """The outlines of a toy from 30 degrees above, by yaw: bool [yaws, 32, 32]."""
     vertices, triangles, _ = mesh(name)
-    axis = (np.arange(32) + 0.5) / 32 * 0.5 - 0.25
+    axis = ((np.arange(32) + 0.5) / 32 - 0.5) * 1.25 * ATLAS.extent[ATLAS.index(name)].max()
     pixels = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     views = []
     for yaw in yaws:
@@ -191,8 +200,8 @@ def test_no_two_toys_are_alike():
     other.
     """
     yaws = np.radians(np.arange(0, 360, 30) + 10)
-    views = {name: silhouettes(name, yaws) for name in TOYS}
-    for one, other in combinations(TOYS, 2):
+    views = {name: silhouettes(name, yaws) for name in OBJECTS}
+    for one, other in combinations(OBJECTS, 2):
         a, b = views[one][:, None], views[other][None]
         difference = 1 - (a & b).sum(axis=(2, 3)) / (a | b).sum(axis=(2, 3))
         told = max(np.median(difference.min(axis=1)), np.median(difference.min(axis=0)))

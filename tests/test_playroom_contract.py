@@ -55,8 +55,9 @@ def test_every_level_keeps_the_contract(level: str) -> None:
     )
 
 
-def test_the_other_order_keeps_the_contract() -> None:
-    name, options = "playroom/put/put_on_bed_tray_all", {**SMALL, "object_order": "alternate"}
+@pytest.mark.parametrize("changed", [{"object_order": "alternate"}, {"looks": "varied"}])
+def test_other_worlds_keep_the_contract(changed: dict[str, str]) -> None:
+    name, options = "playroom/put/put_on_bed_tray_all", {**SMALL, **changed}
     check_vector_env(
         partial(make_vec, name, **options), partial(make, name, **options), num_envs=2, steps=45
     )
@@ -144,6 +145,7 @@ def test_gymnasium_makes_every_level(level: str) -> None:
         ({"image_size": "ab"}, "image_size .*whole numbers.*got 'ab'"),
         ({"object_order": "alternative"}, "'default' or 'alternate', got 'alternative'"),
         ({"object_order": ["default"]}, r"'default' or 'alternate', got \['default'\]"),
+        ({"looks": "vary"}, "looks must be 'plain' or 'varied', got 'vary'"),
         ({"max_steps": 0}, "max_steps .*at least 1, got 0"),
         ({"max_steps": 2.5}, r"max_steps .*whole number.*got 2\.5"),
         ({"max_steps": None}, "max_steps .*whole number.*got None"),
@@ -183,11 +185,14 @@ def played(level: str, steps: int, **options: Any) -> PlayroomVectorEnv:
     return env
 
 
-@pytest.mark.parametrize("level", ["put/put_on_bed_tray_all", "put/lift_shape_many_zipf1"])
-def test_stepping_continues_from_a_state(level: str) -> None:
+@pytest.mark.parametrize(
+    ("level", "looks"),
+    [("put/put_on_bed_tray_all", "plain"), ("put/lift_shape_many_zipf1", "varied")],
+)
+def test_stepping_continues_from_a_state(level: str, looks: str) -> None:
     """Including speeds, heights and orientations, which no observation shows."""
-    env = played(level, 150)
-    fresh = PlayroomVectorEnv(3, level, **{**SMALL, "max_steps": 200})
+    env = played(level, 150, looks=looks)
+    fresh = PlayroomVectorEnv(3, level, looks=looks, **{**SMALL, "max_steps": 200})
     fresh.set_state(env.get_state())
     copies = [pickle.loads(pickle.dumps(env)), copy.deepcopy(env), fresh]
     rng = np.random.default_rng(1)

@@ -284,7 +284,7 @@ def test_pixels_do_not_depend_on_other_worlds_mask_or_threads():
     renderer.render(scenes, some, mask)
     assert (some[mask] == out[mask]).all()
     assert (some[~mask] == 7).all()
-    alone = Scenes(1, walls=10, flats=4, instances=5, tile_cells=12)
+    alone = Scenes(1, walls=10, flats=4, instances=5, tile_cells=12, shadows=6)
     for world in range(7):
         for name, array in vars(alone).items():
             if isinstance(array, np.ndarray):

@@ -233,7 +233,9 @@ def test_pixels_do_not_depend_on_other_worlds_mask_or_threads():
     assert (some[mask] == out[mask]).all()
     assert (some[~mask] == 7).all()
     bare = np.zeros((6, 20, 50, 3), np.uint8)
-    alone = Scenes(1, walls=10, flats=4, instances=5, tile_cells=12, terrain=(ROWS, COLUMNS))
+    alone = Scenes(
+        1, walls=10, flats=4, instances=5, tile_cells=12, shadows=6, terrain=(ROWS, COLUMNS)
+    )
     for world in range(7):
         renderer.render(random_scenes(world), bare)
         for name, array in vars(alone).items():

@@ -23,7 +23,7 @@ def bed() -> Mesh:
                 LIGHT,
             ),
         ],
-        size=None,
+        None,
     )
 
 
@@ -40,7 +40,7 @@ def tray() -> Mesh:
         ]
 
     rings = [outline(0.02, 0.0), outline(0.0, 0.06), outline(0.018, 0.06), outline(0.03, 0.03)]
-    return assemble([loft(rings)], size=None)
+    return assemble([loft(rings)], None)
 
 
 FURNITURE = {thing.__name__: thing for thing in (bed, tray)}

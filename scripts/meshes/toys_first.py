@@ -65,7 +65,8 @@ def duck() -> Mesh:
                 ellipsoid((9, 3, 6), ACCENT, at=(-4, 11, 11), sides=6, rings=2),
                 box(3, 2, 3.4, DARK, at=(12, 6.8, 29)),
             ),
-        ]
+        ],
+        0.10,
     )
 
 
@@ -74,7 +75,7 @@ def ball() -> Mesh:
     middle = whole.vertices[whole.triangles].mean(axis=1)
     sector = (np.degrees(np.arctan2(middle[:, 1], middle[:, 0])) - 15) // 60
     stripes = np.array([MAIN, LIGHT, ACCENT, LIGHT, MAIN, LIGHT])
-    return assemble([replace(whole, parts=stripes[sector.astype(int) % 6])])
+    return assemble([replace(whole, parts=stripes[sector.astype(int) % 6])], 0.22)
 
 
 def book() -> Mesh:
@@ -90,7 +91,7 @@ def book() -> Mesh:
         *(box(1, 13, 1.6, DARK, at=(4.2, 12, z)).turn("z", 4) for z in (9, 14, 19, 24)),
     ]
     opened = [solid.turn("z", -28) for solid in leaf]
-    return assemble([*both_sides(*opened), cylinder(2.2, 34.6, ACCENT, sides=6)])
+    return assemble([*both_sides(*opened), cylinder(2.2, 34.6, ACCENT, sides=6)], 0.25)
 
 
 def cup() -> Mesh:
@@ -104,7 +105,8 @@ def cup() -> Mesh:
             lathe(bowl_shape, [MAIN] * 4 + [DARK] * 2, sides=12),
             lathe(saucer, ACCENT, sides=12),
             handle.turn("z", 90),
-        ]
+        ],
+        0.14,
     )
 
 
@@ -124,7 +126,8 @@ def car() -> Mesh:
                 box(1.5, 4, 3, LIGHT, at=(20, 6.5, 10)),
                 box(1.5, 3, 2, ACCENT, at=(-20, 7, 10.5)),
             ),
-        ]
+        ],
+        0.25,
     )
 
 
@@ -143,7 +146,8 @@ def train() -> Mesh:
             wheels(5.5, 18, -14),
             wheels(4, 18, -1),
             wheels(4, 18, 9),
-        ]
+        ],
+        0.30,
     )
 
 
@@ -160,30 +164,31 @@ def boat() -> Mesh:
             slab([(0, 13), (0, 39), (-16, 13)], 2, LIGHT, plane="xz"),
             slab([(3, 13), (15, 13), (3, 34)], 2, ACCENT, plane="xz"),
             rod((1, 0, 11), (-15, 0, 11), 0.8, WOOD, sides=4),
-        ]
+        ],
+        0.35,
     )
 
 
 def robot() -> Mesh:
+    arm = [(0, 8, 21), (1, 13.5, 19), (3, 14.5, 12)]
     return assemble(
         [
-            box(11, 15, 13, MAIN, at=(0, 0, 18.5)),
-            box(1, 9, 6, ACCENT, at=(5.8, 0, 19)),
-            box(4, 5, 4, DARK, at=(0, 0, 26)),
-            box(10, 13, 8.5, MAIN, at=(0, 0, 31)),
-            box(1.2, 11, 4.6, DARK, at=(5, 0, 31.5)),
-            rod((0, 0, 35), (0, 0, 39), 1, DARK, sides=4),
-            ellipsoid((2.4, 2.4, 2.4), ACCENT, at=(0, 0, 39.6), sides=5, rings=2),
+            block((11, 16), (13, 20), 14, MAIN, at=(0, 0, 10)),
+            box(1.4, 12, 8, ACCENT, at=(6.2, 0, 17.5)),
+            box(6, 7, 4, DARK, at=(0, 0, 25)),
+            box(15, 20, 15, MAIN, at=(0, 0, 33.5)),
+            box(1.6, 17, 8.6, DARK, at=(7.5, 0, 34.4)),
+            rod((0, 0, 40), (0, 0, 46), 1.2, DARK, sides=4),
+            ellipsoid((3.2, 3.2, 3.2), ACCENT, at=(0, 0, 47), sides=5, rings=2),
             *both_sides(
-                box(1.4, 3, 2.8, LIGHT, at=(5.4, 2.9, 31.5)),
-                box(4, 2, 4, ACCENT, at=(0, 7, 31)),
-                rod((0, 7, 23), (0, 12, 20), 2, DARK, sides=4),
-                block((5.4, 5.4), (4, 4), 12, MAIN, at=(0, 14.5, 9.5), shift=(0, -3)),
-                box(7, 6.4, 4.4, ACCENT, at=(1, 14.8, 8)),
-                box(5, 4.4, 10, MAIN, at=(0, 5.4, 8)),
-                box(11, 7, 4, ACCENT, at=(2, 6, 2)),
+                box(2, 5.4, 5.4, LIGHT, at=(8.1, 4.4, 34.4)),
+                tube(arm, 2.6, DARK, sides=5),
+                box(6.6, 6.6, 5, ACCENT, at=(4, 14.6, 11)),
+                box(5, 5.4, 8, DARK, at=(0, 5.4, 8)),
+                block((14, 8.6), (8, 7.6), 5, ACCENT, at=(1.5, 5.6, 0)),
             ),
-        ]
+        ],
+        0.30,
     )
 
 
@@ -207,7 +212,8 @@ def teddy() -> Mesh:
                 limb(9, 4.4, 4.4).turn("z", 22).move(10, 8.5, 4),
                 bead(1.9, 8.4, 4.2, 27.6),
             ),
-        ]
+        ],
+        0.35,
     )
 
 
@@ -223,7 +229,8 @@ def rocket() -> Mesh:
                 cylinder(3.4, 3, LIGHT, sides=8).turn("y", side * 90).move(side * 4.6, 0, 22)
                 for side in (-1, 1)
             ),
-        ]
+        ],
+        0.40,
     )
 
 
@@ -240,7 +247,8 @@ def bus() -> Mesh:
             wheels(4, 16.4, -12),
             wheels(4, 16.4, 12),
             *both_sides(box(1.6, 3, 2.4, LIGHT, at=(20, 5, 6))),
-        ]
+        ],
+        0.30,
     )
 
 
@@ -266,18 +274,17 @@ def plane() -> Mesh:
             wheels(2, 8, 1),
             box(1.6, 1.6, 6, DARK, at=(14, 0, 4)),
             wheels(2, 2.5, 14),
-        ]
+        ],
+        0.35,
     )
 
 
 def mug() -> Mesh:
-    wall = [(0, 0), (12, 0), (12, 30), (10, 30), (10, 3), (0, 3)]
-    handle = tube(arc(9.5, -80, 80, 6, plane="yz", at=(0, 11.5, 15)), 2.4, ACCENT, sides=5)
+    wall = [(0, 0), (9.4, 0), (10, 1), (10, 18), (8.6, 18), (8.4, 15), (0, 15)]
+    handle = tube(arc(6.2, -95, 95, 7, plane="yz", at=(0, 9.4, 9.2)), 2.1, ACCENT, sides=5)
     return assemble(
-        [
-            lathe(wall, [MAIN, MAIN, MAIN, DARK, DARK], sides=14),
-            handle,
-        ]
+        [lathe(wall, [MAIN, MAIN, MAIN, LIGHT, LIGHT, WOOD], sides=14), handle],
+        0.12,
     )
 
 
@@ -304,7 +311,8 @@ def spoon() -> Mesh:
                 ],
                 ACCENT,
             ),
-        ]
+        ],
+        0.18,
     )
 
 
@@ -313,12 +321,14 @@ def bowl() -> Mesh:
         (0, 0), (8, 0), (7, 2.5), (14, 7), (19, 16), (20, 19),
         (18, 19), (12.5, 8.5), (0, 5),
     ]  # fmt: skip
-    return assemble([lathe(wall, [ACCENT] * 2 + [MAIN] * 3 + [ACCENT] + [LIGHT] * 2, sides=14)])
+    return assemble(
+        [lathe(wall, [ACCENT] * 2 + [MAIN] * 3 + [ACCENT] + [LIGHT] * 2, sides=14)], 0.16
+    )
 
 
 def plate() -> Mesh:
     wall = [(0, 0), (11, 0), (20, 3.6), (20, 4.6), (12, 2), (0, 2)]
-    return assemble([lathe(wall, [MAIN, MAIN, ACCENT, ACCENT, LIGHT], sides=18)])
+    return assemble([lathe(wall, [MAIN, MAIN, ACCENT, ACCENT, LIGHT], sides=18)], 0.26)
 
 
 def bottle() -> Mesh:
@@ -328,22 +338,24 @@ def bottle() -> Mesh:
             lathe(profile, sides=11),
             cylinder(8.8, 9, LIGHT, at=(0, 0, 6), sides=11),
             cylinder(3.8, 6, ACCENT, at=(0, 0, 34), sides=8),
-        ]
+        ],
+        0.28,
     )
 
 
 def chair() -> Mesh:
     return assemble(
         [
-            box(23, 23, 3, ACCENT, at=(0, 0, 17)),
-            box(2, 22, 4.4, MAIN, at=(-10, 0, 37.8)),
-            *(box(1.6, 1.8, 18, MAIN, at=(-10, y, 27)) for y in (-4.5, 0, 4.5)),
+            box(25, 25, 4, ACCENT, at=(0, 0, 19)),
+            box(3, 24.6, 10, ACCENT, at=(-11, 0, 41)),
+            box(3, 22, 4, MAIN, at=(-11, 0, 29)),
             *both_sides(
-                box(3, 3, 40, MAIN, at=(-9.5, 9.5, 20)),
-                box(3, 3, 16, MAIN, at=(9.5, 9.5, 8)),
-                box(17, 1.6, 2, MAIN, at=(0, 9.5, 7)),
+                box(4, 4, 47, MAIN, at=(-10.6, 10.6, 23.5)),
+                box(4, 4, 18, MAIN, at=(10.6, 10.6, 9)),
             ),
-        ]
+            box(2.4, 22, 2.4, MAIN, at=(10.6, 0, 8)),
+        ],
+        0.90,
     )
 
 
@@ -354,7 +366,8 @@ def lamp() -> Mesh:
         [
             lathe(shade, [ACCENT, LIGHT, LIGHT, LIGHT, ACCENT], sides=10, closed=True),
             lathe(foot, MAIN, sides=8),
-        ]
+        ],
+        0.50,
     )
 
 
@@ -364,7 +377,8 @@ def hat() -> Mesh:
             lathe([(0, 0), (20, 0), (20, 1.8), (11, 2.2), (0, 2.2)], MAIN, sides=14),
             cylinder(11, 22, MAIN, at=(0, 0, 2), sides=14, top=12.5),
             cylinder(11.6, 5, ACCENT, at=(0, 0, 2.2), sides=14, top=11.9),
-        ]
+        ],
+        0.30,
     )
 
 
@@ -379,7 +393,8 @@ def drum() -> Mesh:
                 rod((-12, 3 * s, 21.5), (18, -11 * s, 24), 1, WOOD, sides=5).move(2, 0, 0)
                 for s in (-1, 1)
             ),
-        ]
+        ],
+        0.36,
     )
 
 
@@ -395,27 +410,30 @@ def guitar() -> Mesh:
             cylinder(3.6, 1, DARK, sides=8).turn("y", 90).move(3.6, 0, 13),
             box(1.6, 9, 2, DARK, at=(4.1, 0, 5)),
             *both_sides(*(box(1.4, 2.2, 1.4, LIGHT, at=(2.6, 4, z)) for z in (35.6, 38.4))),
-        ]
+        ],
+        1.00,
     )
 
 
 def piano() -> Mesh:
-    case = [(12, -15), (12, 15), (-4, 15), (-8, 9), (-13, 4), (-20, 1), (-22, -6), (-20, -15)]
-    lid = slab(case, 1.2, ACCENT).turn("x", 38).move(0, 3, 31)
     return assemble(
         [
-            slab(case, 7, MAIN, at=(0, 0, 17)),
-            slab([(x * 0.85, y * 0.85) for x, y in case], 1, WOOD, at=(-1, 0, 20.5)),
-            lid,
-            rod((-2, 10, 20), (-2, 12, 36), 0.6, WOOD, sides=4),
-            box(7, 30, 3.4, MAIN, at=(15, 0, 15.2)),
-            box(5, 26, 1.2, LIGHT, at=(15.6, 0, 17.3)),
-            *(box(3, 1.8, 1.4, DARK, at=(14.4, y, 18)) for y in (-10, -6.5, -1, 2.5, 8)),
+            box(13, 44, 36, MAIN, at=(-5, 0, 18)),
+            block((15, 46), (13.6, 44.6), 2.4, ACCENT, at=(-4.6, 0, 35.4)),
+            box(12, 44, 4, MAIN, at=(6.5, 0, 15)),
+            box(9, 40, 1.6, LIGHT, at=(7.6, 0, 17.4)),
             *(
-                cylinder(2, 14, MAIN, at=(x, y, 0), sides=5, top=2.4)
-                for x, y in ((9, -12), (9, 12), (-17, -8))
+                box(5, 2.6, 1.8, DARK, at=(5.8, y, 18.8))
+                for y in (-15.5, -10.5, -1.5, 3.5, 8.5, 16.5)
             ),
-        ]
+            box(1.4, 34, 1.6, DARK, at=(1.8, 0, 21)),
+            box(1.6, 16, 8, LIGHT, at=(1.6, 0, 27)),
+            *both_sides(
+                box(12, 2.4, 6.5, MAIN, at=(6.5, 21.6, 16.4)),
+                box(2.6, 2.6, 14, DARK, at=(10.8, 19.6, 7)),
+            ),
+        ],
+        1.40,
     )
 
 
@@ -434,7 +452,8 @@ def clock() -> Mesh:
             box(2, 5, 2, DARK, at=(0, 0, 38)),
             rod((0, 0, 30), (0, 0, 38), 1, DARK, sides=4),
             *both_sides(bell, rod((0, 8, 6), (0, 13, 0), 2.2, DARK, sides=5)),
-        ]
+        ],
+        0.15,
     )
 
 
@@ -461,7 +480,8 @@ def phone() -> Mesh:
                 cylinder(4.2, 6, ACCENT, at=(-4.5, 15, 17), sides=8, top=3),
                 box(3, 2, 6, DARK, at=(-4.5, 6.5, 18.5)),
             ),
-        ]
+        ],
+        0.22,
     )
 
 

@@ -63,7 +63,7 @@ def keyboard() -> Mesh:
     for x, y, width in keys:
         key = box(4.6, width, 2.6, DARK, at=(x, y, 0.8))
         solids.append(key.turn("y", slope).move(z=3 + 10 * np.tan(np.radians(slope))))
-    return assemble(solids)
+    return assemble(solids, 0.44)
 
 
 def _spread(count: int, pitch: float, shift: float = 0.0) -> list[float]:
@@ -86,7 +86,7 @@ def helicopter() -> Mesh:
     for y in (-8, 8):
         solids.append(box(26, 2.4, 2.4, DARK, at=(4, y, 1.2)))
         solids += [rod((x, y, 1), (x, y * 0.5, 10), 1.2, DARK, sides=3) for x in (-2, 10)]
-    return assemble(solids)
+    return assemble(solids, 0.35)
 
 
 def carriage() -> Mesh:
@@ -110,7 +110,7 @@ def carriage() -> Mesh:
         spokes = loft([_star(8, 3.2, 4, 3.0), [(0, 0, 5.0)]], LIGHT)
         for x in (-10.5, 10.5):
             solids += [s.turn("x", -90 * side).move(x, 11 * side, 9) for s in (wheel, spokes)]
-    return assemble(solids)
+    return assemble(solids, 0.60)
 
 
 def racket() -> Mesh:
@@ -127,7 +127,7 @@ def racket() -> Mesh:
         y, z = 12.5 * reach, 13.5 * reach
         solids.append(rod((0, offset, 26 - z), (0, offset, 26 + z), 1.1, LIGHT, sides=3))
         solids.append(rod((0, -y, 26 + offset), (0, y, 26 + offset), 1.1, LIGHT, sides=3))
-    return assemble(solids)
+    return assemble(solids, 0.68)
 
 
 def pillow() -> Mesh:
@@ -149,7 +149,7 @@ def pillow() -> Mesh:
     vertices = np.concatenate([np.stack([x, y, sign * height], 1) for sign in (1, -1)])
     used, triangles = np.unique(np.concatenate([upper, lower]), return_inverse=True)
     triangles = triangles.reshape(-1, 3)
-    return assemble([Solid(vertices[used], triangles, np.full(len(triangles), MAIN))])
+    return assemble([Solid(vertices[used], triangles, np.full(len(triangles), MAIN))], 0.60)
 
 
 def candle() -> Mesh:
@@ -160,7 +160,8 @@ def candle() -> Mesh:
             cylinder(6, 21, at=(0, 0, 1), sides=8),
             rod((0, 0, 21), (0, 0, 26), 1.0, DARK, sides=4),
             lathe([(0, 24), (4.2, 28.5), (3.2, 32), (0, 40)], LIGHT, sides=6),
-        ]
+        ],
+        0.13,
     )
 
 
@@ -175,7 +176,8 @@ def teapot() -> Mesh:
             ellipsoid((3.6, 3.6, 3.6), ACCENT, at=(0, 0, 30), sides=5, rings=2),
             tube(spout, [6, 5, 3.6, 3.6], sides=5),
             tube(handle, 2.5, ACCENT, sides=4),
-        ]
+        ],
+        0.24,
     )
 
 
@@ -183,7 +185,7 @@ def banana() -> Mesh:
     path = arc(17, -75, 75, 10, plane="xy")
     path = np.concatenate([path[:1] + (-2.5, -0.4, 0), path, path[-1:] + (-5, 1.4, 0)])
     radii = [1.6, 2.4, 4.2, 5.4, 5.9, 6.0, 5.9, 5.6, 5.0, 4.0, 2.2, 2.0]
-    return assemble([tube(path, radii, [DARK, *[MAIN] * 9, DARK], sides=6)])
+    return assemble([tube(path, radii, [DARK, *[MAIN] * 9, DARK], sides=6)], 0.20)
 
 
 def apple() -> Mesh:
@@ -194,7 +196,8 @@ def apple() -> Mesh:
             lathe(flesh, sides=10),
             rod((0, 0, 23), (-3, 0, 40), 2.2, WOOD, sides=5, end_radius=2.6),
             slab(leaf, 2.6, GREEN).turn("y", -25).move(-1.5, 0, 33),
-        ]
+        ],
+        0.09,
     )
 
 
@@ -205,7 +208,7 @@ def carrot() -> Mesh:
     for angle in (0, 72, 144, 216, 288):
         leaf = slab(outline, 2.6, GREEN).turn("y", -52)
         solids.append(leaf.turn("z", angle).move(z=27))
-    return assemble(solids)
+    return assemble(solids, 0.22)
 
 
 def mushroom() -> Mesh:
@@ -220,7 +223,7 @@ def mushroom() -> Mesh:
     ]:
         spot = cylinder(4.6, 1.6, LIGHT, sides=5, top=3.8).move(z=-0.6)
         solids.append(spot.turn("y", tilt).move(radius, 0, height).turn("z", angle))
-    return assemble(solids)
+    return assemble(solids, 0.10)
 
 
 def toothbrush() -> Mesh:
@@ -232,7 +235,7 @@ def toothbrush() -> Mesh:
     ]
     for z in (28.2, 32.7, 37.2, 41.7):
         solids.append(block((3, 6), (3.7, 8), 11, LIGHT).turn("y", 90).move(1.2, 0, z))
-    return assemble(solids)
+    return assemble(solids, 0.19)
 
 
 def toothpaste() -> Mesh:
@@ -248,7 +251,8 @@ def toothpaste() -> Mesh:
             cylinder(6, 6.5, LIGHT, sides=8, top=5.4),
             cylinder(3.5, 3, DARK, at=(0, 0, 5), sides=6),
             loft(body, [MAIN, ACCENT, MAIN, LIGHT]),
-        ]
+        ],
+        0.18,
     )
 
 
@@ -256,7 +260,7 @@ def comb() -> Mesh:
     spine = [(-20.5, 17.0), (20.5, 17.0), (20.5, 22.0), (13.0, 26.0), (-13.0, 26.0), (-20.5, 22.0)]
     solids = [slab(spine, 6, plane="yz")]
     solids += [block((3.4, 2.2), (5, 3.4), 18, at=(0, y, 0)) for y in _spread(7, 6.26)]
-    return assemble(solids)
+    return assemble(solids, 0.18)
 
 
 def hairdryer() -> Mesh:
@@ -269,7 +273,8 @@ def hairdryer() -> Mesh:
             .move(0, 0, 29),
             slab(grip, 7, plane="xz"),
             box(3, 3, 8, DARK, at=(5, 0, 16)),
-        ]
+        ],
+        0.24,
     )
 
 
@@ -280,7 +285,7 @@ def fork() -> Mesh:
         lathe([(3, 0), (4.6, 2), (4, 10), (2.8, 16), (2.8, 22)], sides=8),
     ]
     solids += [block((6, 4.4), (4.6, 3), 15, at=(0, y, 28)) for y in (-9.6, 0, 9.6)]
-    return assemble(solids)
+    return assemble(solids, 0.19)
 
 
 def hammer() -> Mesh:
@@ -294,7 +299,8 @@ def hammer() -> Mesh:
             neck,
             face.turn("x", -90).move(0, 8, 33),
             *(slab(claw, 3.4, plane="yz", at=(x, 0, 0)) for x in (-3, 3)),
-        ]
+        ],
+        0.33,
     )
 
 
@@ -306,33 +312,35 @@ def screwdriver() -> Mesh:
             loft(grip, [MAIN, MAIN, ACCENT]),
             cylinder(2.9, 16, LIGHT, at=(0, 0, 18), sides=6),
             loft(tip, LIGHT),
-        ]
+        ],
+        0.23,
     )
 
 
 def key() -> Mesh:
     return assemble(
         [
-            torus(9.6, 4.8, around=12, sides=4).turn("y", 90).move(0, 0, 29),
-            cylinder(3.6, 20, sides=8),
-            cylinder(5.2, 3.6, ACCENT, at=(0, 0, 14), sides=8),
-            box(6.6, 13, 4.8, at=(0, 7.5, 2.4)),
-            box(6.6, 9, 4.2, at=(0, 5.5, 10)),
-        ]
+            torus(12, 4, around=12, sides=4).turn("y", 90).move(0, 0, 34),
+            cylinder(3.8, 22, sides=8),
+            cylinder(6, 4, ACCENT, at=(0, 0, 18.5), sides=8),
+            box(6.4, 17, 6, at=(0, 9, 3)),
+            box(6.4, 12, 5, at=(0, 6.5, 13.4)),
+        ],
+        0.10,
     )
 
 
 def scissors() -> Mesh:
-    outline = [(-3.4, -2), (2.6, -2), (3.6, 10), (0.6, 25), (-1.6, 25), (-3.4, 12)]
-    solids = [cylinder(2.8, 9, DARK, sides=6).move(z=-4.5).turn("y", 90)]
+    outline = [(-3.6, -3), (3.4, -3), (4.4, 8), (0.8, 26), (-2.2, 26), (-3.6, 10)]
+    solids = [cylinder(2.6, 10, DARK, sides=6).move(z=-5).turn("y", 90)]
     for side in (-1, 1):
         blade = slab(outline, 3.6, LIGHT, plane="yz")
-        arm = rod((0, 0, 2), (0, 1, -8), 2.4, sides=4)
-        ring = torus(5.2, 2.1, around=10, sides=4).turn("y", 90).move(0, 3.4, -12.5)
+        arm = rod((0, 0, 2), (0, 1, -8), 2.6, sides=4)
+        ring = torus(6.2, 2.2, around=10, sides=4).turn("y", 90).move(0, 3.0, -13.5)
         for solid in (blade, arm, ring):
             upright = solid.mirror("y") if side < 0 else solid
-            solids.append(upright.turn("x", side * 22).move(side * 1.8))
-    return assemble(solids)
+            solids.append(upright.turn("x", side * 27).move(side * 1.8))
+    return assemble(solids, 0.18)
 
 
 def umbrella() -> Mesh:
@@ -347,7 +355,8 @@ def umbrella() -> Mesh:
             _panels(loft(canopy), 8, (MAIN, ACCENT)),
             tube(hook, 2.2, DARK, sides=4),
             cone(1.8, 6, DARK, at=(0, 0, 35), sides=4),
-        ]
+        ],
+        0.90,
     )
 
 
@@ -360,7 +369,7 @@ def basket() -> Mesh:
     hold = replace(hold, parts=np.where(hold.parts == DARK, DARK, checked))
     handle = arc(15.5, 0, 180, 8, plane="yz", at=(0, 0, 16)) * (1, 1, 1.15)
     rim = torus(16, 1.8, WOOD, at=(0, 0, 18), around=10, sides=4)
-    return assemble([hold, tube(handle, 2.4, WOOD, sides=4), rim])
+    return assemble([hold, tube(handle, 2.4, WOOD, sides=4), rim], 0.40)
 
 
 def cactus() -> Mesh:
@@ -376,7 +385,8 @@ def cactus() -> Mesh:
             tube(left.astype(float), radii, GREEN, sides=5),
             tube(right.astype(float), radii, GREEN, sides=5),
             cone(3, 4, ACCENT, sides=5, at=(0, 0, 38)),
-        ]
+        ],
+        0.25,
     )
 
 
@@ -396,7 +406,7 @@ def dice() -> Mesh:
         for x, y in pips[face]:
             pip = cone(4.6, 1.0, DARK, sides=5).move(9.8 * x, 9.8 * y, 19.9)
             solids.append(pip.turn(axis, degrees))
-    return assemble(solids)
+    return assemble(solids, 0.05)
 
 
 def _chamfered_cube(half: float, cut: float) -> Solid:
@@ -422,7 +432,7 @@ def pyramid() -> Mesh:
     peak: list[Point] = [(0, 0, 33)]
     solids.append(loft([circle(2.1, 4, 29.4, start=45), peak], ACCENT))
     solids.append(block((6, 10), (6, 7), 9, DARK, at=(18.2, 0, 0), shift=(-5.8, 0)))
-    return assemble(solids)
+    return assemble(solids, 0.40)
 
 
 TOYS = {

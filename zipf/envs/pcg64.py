@@ -54,6 +54,18 @@ def next_double(stream):
 
 
 @compiled()
+def between(stream, low, high):
+    """A float drawn uniformly from low .. high."""
+    return low + (high - low) * next_double(stream)
+
+
+@compiled()
+def below(stream, n):
+    """An integer drawn uniformly from 0 .. n - 1."""
+    return min(int(next_double(stream) * n), n - 1)
+
+
+@compiled()
 def choice(stream, cumulative):
     """What `Generator.choice(len(p), p=p)` returns next, for `cumulative` = `cumulative(p)`."""
     return np.searchsorted(cumulative, next_double(stream), side="right")

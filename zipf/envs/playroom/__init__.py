@@ -19,6 +19,7 @@ class PlayroomOptions(Options):
 
     image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
     object_order: Literal["default", "alternate"] = "default"  # ours: the paper lists no objects
+    looks: Literal["plain", "varied"] = "plain"  # ours: the paper does not say that they vary
     max_steps: Size = 900  # released loader: 120 s; paper: 7.5 actions a second
     # ours: the paper does not say how far the hand reaches, metres
     reach: Annotated[float, Field(ge=REACH_BOUNDS[0], le=REACH_BOUNDS[1])] = 2.0
@@ -65,7 +66,7 @@ FAMILY = Family(
     make="zipf.envs.playroom.single:PlayroomEnv",
     make_vec="zipf.envs.playroom.vector:PlayroomVectorEnv",
     chance="zipf.envs.playroom.chance:chance",
-    appearance=frozenset({"image_size"}),
+    appearance=frozenset({"image_size", "looks"}),
     keys="zipf.envs.playroom.keys:KEYS",
     expert="zipf.envs.playroom.expert:Expert",
     questions="zipf.envs.playroom.first_frame:questions",

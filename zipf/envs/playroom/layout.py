@@ -35,18 +35,9 @@ FIRST_YAW = math.radians(30)
 PASSAGE = 0.55
 """Free space between the tray and the walls, metres, so that the agent can pass. Ours."""
 
+_between, _below = pcg64.between, pcg64.below
 _TRAY_RADIUS = 0.375
 _MAX_TRIES = 10_000
-
-
-@compiled()
-def _between(stream, low, high):
-    return low + (high - low) * pcg64.next_double(stream)
-
-
-@compiled()
-def _below(stream, n):
-    return min(int(pcg64.next_double(stream) * n), n - 1)
 
 
 @compiled()

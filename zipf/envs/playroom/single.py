@@ -99,6 +99,9 @@ class PlayroomEnv(SingleWorld):
     - `image_size`: (height, width) of the image.
     - `object_order`: which toys are how frequent: `"default"`, or `"alternate"` to check that a
       result does not hang on which shapes are rare.
+    - `looks`: `"plain"`, or `"varied"`: every episode has its own light (direction, brightness,
+      warmth), textures of walls and floor, and sizes that toys are drawn at, 0.85 to 1 times
+      theirs. Nothing else changes: the same actions lead to the same rewards.
     - `max_steps`: after how many actions an episode is truncated.
     - `render_mode`: `"rgb_array"` (384 x 288, with the instruction) or None.
 
@@ -109,7 +112,7 @@ class PlayroomEnv(SingleWorld):
     `gymnasium.make_vec` the same id gives `PlayroomVectorEnv`, which steps many worlds at once.
 
     Raises:
-        ValueError: for an unknown level or order of objects, or sizes below 1.
+        ValueError: for an unknown level, order of objects or looks, or sizes below 1.
     """
 
     metadata = PlayroomVectorEnv.metadata
@@ -120,6 +123,7 @@ class PlayroomEnv(SingleWorld):
         *,
         image_size: Sequence[int] = (72, 96),
         object_order: str = "default",
+        looks: str = "plain",
         max_steps: int = 900,
         reach: float = 2.0,
         frequent_exponent: float = 0.0,
@@ -131,6 +135,7 @@ class PlayroomEnv(SingleWorld):
             level=level,
             image_size=image_size,
             object_order=object_order,
+            looks=looks,
             max_steps=max_steps,
             reach=reach,
             frequent_exponent=frequent_exponent,

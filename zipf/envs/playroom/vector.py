@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from zipf.envs.playroom import hand, judgement, layout, levels
 from zipf.envs.playroom.actions import ACTIONS
 from zipf.envs.playroom.constants import EXPONENT_BOUNDS, REACH_BOUNDS
+from zipf.envs.playroom.looks import LOOKS
 from zipf.envs.playroom.room import Room
 from zipf.envs.playroom.state import YAW, make_commands, make_worlds
 from zipf.envs.playroom.view import View, extents_of
@@ -24,7 +25,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
 
     Every episode takes the same number of draws from its world's random stream: one for each
     object, one each to choose the target and the task, and two that seed a stream of the
-    episode's own for poses and colours.
+    episode's own for poses, colours and looks.
 
     A saved state is how each world's episode began and the actions since: `set_state` replays
     them, which takes up to a few hundredths of a second for each world.
@@ -39,6 +40,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         *,
         image_size: Sequence[int] = (72, 96),
         object_order: str = "default",
+        looks: str = "plain",
         max_steps: int = 900,
         reach: float = 2.0,
         frequent_exponent: float = 0.0,
@@ -67,10 +69,13 @@ class PlayroomVectorEnv(ZipfVectorEnv):
                 f"object_order must be {' or '.join(map(repr, levels.ORDERS))}, "
                 f"got {object_order!r}"
             )
+        if looks not in tuple(LOOKS):
+            raise ValueError(f"looks must be {' or '.join(map(repr, LOOKS))}, got {looks!r}")
         steps = _whole_numbers([max_steps])
         if steps is None or steps[0] < 1:
             raise ValueError(f"max_steps must be a whole number of at least 1, got {max_steps!r}")
         self.object_names = levels.ORDERS[object_order]
+        self.looks = looks
         self.max_steps = max_steps
         height, width = sizes
         super().__init__(
@@ -106,7 +111,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._instructions = np.zeros((n, levels.VOCABULARY.length), np.int64)
         self._texts = np.full(n, "", "<U40")
         self._side = np.zeros(n, np.int64)
-        self._view = View(self.object_names, self.worlds, width, height)
+        self._view = View(self.object_names, self.worlds, width, height, varied=looks == "varied")
         self._commands = make_commands(n, count)
 
     @property
@@ -226,8 +231,9 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         level = self.level
         return (
             (level.furnished, level.finding, tuple(self.situation.items())),
-            (self.object_names, self.max_steps, self.single_observation_space["image"].shape),
+            (self.object_names, self.looks, self.max_steps),
             (self.worlds.reach, self.worlds.near_failure),
+            self.single_observation_space["image"].shape,
         )
 
     def _use_engine(self, other: Self) -> None:

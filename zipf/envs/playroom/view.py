@@ -1,18 +1,34 @@
 """The images of the playroom: the agent's view, and larger frames for people to watch."""
 
+import math
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zipf.compiled import compiled
-from zipf.envs.playroom.constants import CEILING, EYE, ROOM
-from zipf.envs.playroom.geometry import half_width
+from zipf.envs.playroom import looks
+from zipf.envs.playroom.constants import CEILING, EYE, FURNITURE_SIZE, LANDING, ROOM
+from zipf.envs.playroom.geometry import half_width, rectangle_gap
 from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Worlds, X, Y, Z
 from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
 
 FIELD_OF_VIEW = 75.0
-"""Horizontal, degrees. Ours: an object 0.4 m wide at 1.5 m is 17 of 96 pixels wide."""
+"""Horizontal, degrees. Ours: the smallest object is 7 of 96 pixels wide from 2 m away."""
+
+# Shadows, ours. They are darkest below the inner part of an object, and fainter and softer the
+# higher it is.
+_DARKNESS = 0.55
+_INNER = 0.6
+"""Share of an object's footprint."""
+_SOFTNESS = 0.07
+"""How far a shadow reaches beyond an object on the floor, metres."""
+_SPREAD = 0.25
+"""How much farther for every metre of height."""
+_FAINT = 0.5
+"""Height at which half of the darkness is left, metres."""
+_FURNITURE_SOFTNESS = (0.2, 0.09)
+"""Of bed and tray, metres, from as far inside their edges."""
 
 _FRAME = (240, 384)
 _CAPTION = 48
@@ -31,14 +47,18 @@ class View:
         names: the objects' names by rank.
         worlds: the state of the worlds, read again by every method.
         width, height: of the agent's image, pixels.
+        varied: whether every episode has its own looks, see `looks.py`.
     """
 
-    def __init__(self, names: tuple[str, ...], worlds: Worlds, width: int, height: int) -> None:
+    def __init__(
+        self, names: tuple[str, ...], worlds: Worlds, width: int, height: int, *, varied: bool
+    ) -> None:
         atlas = load_meshes()
         self.worlds = worlds
+        self.varied = varied
         self.meshes = np.array([atlas.index(name) for name in names])
         num_worlds, count = worlds.ranks.shape
-        self.scenes = Scenes(num_worlds, walls=4, flats=2, instances=count + 2)
+        self.scenes = Scenes(num_worlds, walls=4, flats=2, instances=count + 2, shadows=count + 2)
         for world in range(num_worlds):
             _build_room(self.scenes, world)
         if worlds.furnished:
@@ -48,7 +68,10 @@ class View:
         )
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
-        """Reads what stays the same for an episode, in the worlds of `mask`."""
+        """Reads or draws what stays the same for an episode, in the worlds of `mask`.
+
+        Varied looks are drawn from `worlds.scenery`, after everything else of the episode.
+        """
         worlds, scenes = self.worlds, self.scenes
         count = worlds.ranks.shape[1]
         scenes.mesh[mask, :count] = self.meshes[worlds.ranks[mask]]
@@ -62,6 +85,17 @@ class View:
             rotation[..., 0, 1], rotation[..., 1, 0] = -sin, sin
             rotation[..., 2, 2] = 1
             scenes.rotation[mask, count:] = rotation
+            soft = np.array(_FURNITURE_SOFTNESS)
+            shadows = np.zeros((*x.shape, 8))
+            shadows[..., 0], shadows[..., 1], shadows[..., 3] = x, y, angle
+            shadows[..., 4:6] = FURNITURE_SIZE[:, :2] - soft[:, None]
+            shadows[..., 6], shadows[..., 7] = 2 * soft, _DARKNESS
+            scenes.shadows[mask, count:] = shadows
+        if self.varied:
+            looks.vary(
+                mask, worlds.scenery, looks.VARIED_WALLS, looks.VARIED_FLOORS, count,
+                scenes.wall_looks, scenes.flat_looks, scenes.sun, scenes.lamp, scenes.scale,
+            )  # fmt: skip
 
     def draw(self, out: NDArray[np.uint8], mask: NDArray[np.bool_]) -> None:
         """Writes the images of the worlds of `mask` to their rows of `out`."""
@@ -82,7 +116,8 @@ class View:
         worlds, scenes = self.worlds, self.scenes
         _pose(
             mask, worlds.agents, worlds.objects, worlds.orientation, worlds.ranks, worlds.extents,
-            scenes.camera, scenes.position, scenes.rotation,
+            worlds.furnished, worlds.furniture, scenes.scale, scenes.camera, scenes.position,
+            scenes.rotation, scenes.shadows,
         )  # fmt: skip
 
 
@@ -90,8 +125,7 @@ def _build_room(scenes: Scenes, world: int) -> None:
     """Adds floor, ceiling and four walls with different wallpapers, which show the direction."""
     half = ROOM / 2
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
-    papers = ("wallpaper", "wallpaper_blue", "stripes", "stripes_green")
-    for k, paper in enumerate(papers):
+    for k, paper in enumerate(looks.WALLS):
         scenes.add_wall(
             world,
             (*corners[k], *corners[(k + 1) % 4]),
@@ -100,13 +134,17 @@ def _build_room(scenes: Scenes, world: int) -> None:
             repeat=(1.0, 1.0),
         )
     square = (-half, -half, half, half)
-    scenes.add_flat(world, square, 0.0, textures.index("planks"), repeat=1.0)
+    scenes.add_flat(world, square, 0.0, textures.index(looks.FLOOR), repeat=1.0)
     scenes.add_flat(world, square, CEILING, textures.index("ceiling"), flags=FACES_DOWN, repeat=2.0)
 
 
 @compiled()
-def _pose(mask, agents, objects, orientation, ranks, extents, camera, position, rotation):
-    """Writes the last three, which are arrays of `Scenes`, from the others, those of `Worlds`."""
+def _pose(
+    mask, agents, objects, orientation, ranks, extents, furnished, furniture, scale, camera,
+    position, rotation, shadows,
+):  # fmt: skip
+    """Writes the last four, which are arrays of `Scenes` as `scale` is, from those of `Worlds`."""
+    size = np.empty(3)
     for i in range(mask.size):
         if not mask[i]:
             continue
@@ -114,9 +152,11 @@ def _pose(mask, agents, objects, orientation, ranks, extents, camera, position, 
         camera[i, 2] = EYE
         camera[i, 3], camera[i, 4] = agents[i, YAW], agents[i, PITCH]
         for j in range(ranks.shape[1]):
-            frame, extent = orientation[i, j], extents[ranks[i, j]]
-            half = extent[2] / 2
-            middle = objects[i, j, Z] + half_width(frame, extent, 0.0, 0.0, 1.0)
+            frame = orientation[i, j]
+            for c in range(3):
+                size[c] = extents[ranks[i, j], c] * scale[i, j]
+            half = size[2] / 2
+            middle = objects[i, j, Z] + half_width(frame, size, 0.0, 0.0, 1.0)
             # Objects turn about their centres.
             position[i, j, 0] = objects[i, j, X] - half * frame[0, 2]
             position[i, j, 1] = objects[i, j, Y] - half * frame[1, 2]
@@ -124,6 +164,36 @@ def _pose(mask, agents, objects, orientation, ranks, extents, camera, position, 
             for r in range(3):
                 for c in range(3):
                     rotation[i, j, r, c] = frame[r, c]
+            _shade(shadows[i, j], objects[i, j], middle, frame, size, furnished, furniture[i])
+
+
+@compiled()
+def _shade(shadow, item, middle, frame, size, furnished, furniture):
+    """Writes a row of `Scenes.shadows`: the shadow of an object on what is below.
+
+    `middle` is the height of the object's centre, and `size` that at which it is drawn, metres.
+    """
+    top = 0.0
+    if furnished:
+        for k in range(2):
+            over = rectangle_gap(furniture[k], FURNITURE_SIZE[k], item[X], item[Y]) == 0.0
+            if over and item[Z] >= FURNITURE_SIZE[k, 2] - LANDING:
+                top = FURNITURE_SIZE[k, 2]
+    # Along one of the object's own axes that is not upright.
+    axis = 0 if abs(frame[2, 0]) < 0.9 else 1
+    angle = math.atan2(frame[1, axis], frame[0, axis])
+    cos, sin = math.cos(angle), math.sin(angle)
+    length = breadth = tall = 0.0
+    for c in range(3):
+        length += abs(cos * frame[0, c] + sin * frame[1, c]) * size[c] / 2
+        breadth += abs(cos * frame[1, c] - sin * frame[0, c]) * size[c] / 2
+        tall += abs(frame[2, c]) * size[c] / 2
+    height = max(middle - tall - top, 0.0)
+    shadow[0], shadow[1], shadow[2] = item[X], item[Y], top
+    shadow[3] = angle
+    shadow[4], shadow[5] = _INNER * length, _INNER * breadth
+    shadow[6] = (1 - _INNER) * min(length, breadth) + _SOFTNESS + _SPREAD * height
+    shadow[7] = _DARKNESS / (1 + height / _FAINT)
 
 
 @cache

@@ -65,6 +65,9 @@ class SceneArrays(NamedTuple):
 
     camera: Any
     sky: Any
+    sun: Any
+    lamp: Any
+    shadows: Any
     screen: Any
     solid: Any
     grid: Any
@@ -239,10 +242,13 @@ class Canvas(NamedTuple):
 @compiled()
 def named_scenes(fields):
     """`SceneArrays` of plain tuples."""
-    camera, sky, screen, solid, grid, walls, flats, instances, terrains, overlays = fields
+    (
+        camera, sky, sun, lamp, shadows, screen, solid, grid, walls, flats, instances, terrains,
+        overlays,
+    ) = fields  # fmt: skip
     return SceneArrays(
-        camera, sky, screen, solid, grid, Walls(*walls), Flats(*flats), Instances(*instances),
-        Terrains(*terrains), Overlays(*overlays),
+        camera, sky, sun, lamp, shadows, screen, solid, grid, Walls(*walls), Flats(*flats),
+        Instances(*instances), Terrains(*terrains), Overlays(*overlays),
     )  # fmt: skip
 
 

@@ -123,6 +123,40 @@ def patchwork_block(
 
 
 @intrinsic
+def shadow_block(
+    typingctx, colour, depth, x, last, z, slack, u, du, v, dv, half_u, half_v, per_soft, dark
+):  # fmt: skip
+    """Darkens those of the pixels x .. min(x + 15, last) whose 1/t is that of a shadow's plane.
+
+    Exactly, those where it differs from z by no more than its share `slack`. The share of light
+    that is taken away is `dark` where the coordinates u and v, affine in x, are within +-half_u and
+    +-half_v; outside it falls to 0 at a distance of 1 / per_soft.
+    """
+
+    def write(builder, colour, depth, x, last, z, slack, u, du, v, dv, half_u, half_v, per_soft,
+              dark):  # fmt: skip
+        code = Code(builder)
+        splat = code.splat
+        column = code.columns(x)
+        place = column.floats_()
+        inverse = code.load(depth, FLOAT)
+        gap = inverse - splat(z)
+        mask = (column <= splat(last)) & (gap.most(gap * -1.0) <= splat(slack) * inverse)
+        with builder.if_then(mask.any()):
+            left = inverse.like(1.0)
+            for start, step, half in ((u, du, half_u), (v, dv, half_v)):
+                along = splat(start) + splat(step) * place
+                out = (along.most(along * -1.0) - splat(half)).most(0.0) * splat(per_soft)
+                left = left - out * out
+            left = left.most(0.0)
+            share = left.like(1.0) - splat(dark) * left * left
+            paint = code.load(colour, INT)
+            code.store(mask.choose(code.shade(paint, [share] * 3), paint), colour)
+
+    return written([ADDRESS, ADDRESS, I32, I32] + [F32] * 10, write)
+
+
+@intrinsic
 def vertex_block(
     typingctx, vertices, vertex_line, seen, seen_line, xx, xy, xz, xw, yx, yy, yz, yw, zx, zy, zz,
     zw, focal, middle_x, middle_y,

@@ -34,6 +34,7 @@ from zipf.envs.render3d.flats import draw_flat
 from zipf.envs.render3d.instances import draw_instance
 from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.scene import SCREEN
+from zipf.envs.render3d.shadows import draw_shadow
 from zipf.envs.render3d.sight import look_around
 from zipf.envs.render3d.terrain import draw_terrain
 from zipf.envs.render3d.walls import draw_wall
@@ -50,7 +51,7 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
     lens, buffers = Lens(*lens_fields), named_buffers(buffer_fields)
     walls, flats, instances = scenes.walls, scenes.flats, scenes.instances
     terrains, overlays = scenes.terrains, scenes.overlays
-    texels, focal, grid = assets.texels, lens.focal, scenes.grid
+    texels, focal, grid, shadows = assets.texels, lens.focal, scenes.grid, scenes.shadows
     height, width = out.shape[1], out.shape[2]
     middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
     frame = np.empty((3, 3))
@@ -68,10 +69,13 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
         width, height, image.colour.shape[1], address(image.colour), address(image.depth)
     )
     palette = np.empty((len(assets.fixed_colours) + 2, 3), np.float32)
-    palette[2:] = assets.fixed_colours
     for i in range(start, stop):
         if not mask[i]:
             continue
+        sun, lamp = scenes.sun[i], scenes.lamp[i]
+        for part in range(2, len(palette)):
+            for c in range(3):
+                palette[part, c] = assets.fixed_colours[part - 2, c] * lamp[c]
         eye = scenes.camera[i]
         yaw, pitch = np.float64(eye[3]), np.float64(eye[4])
         hx, hy = math.cos(yaw), math.sin(yaw)
@@ -93,8 +97,8 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
                         return i
             # First of all, because it uses the colours of the pixels that it covers.
             draw_terrain(
-                terrains.heights[i], terrains.looks[i], terrains.place[i], terrains.tint[i], view,
-                projection, texels, canvas, image, buffers.terrain,
+                terrains.heights[i], terrains.looks[i], terrains.place[i], terrains.tint[i], sun,
+                lamp, view, projection, texels, canvas, image, buffers.terrain,
             )  # fmt: skip
         # Seen from above, the view is a sector as wide as its widest line; half a pixel is added.
         narrowest = min(view.c0, view.c0 + view.dc * (height - 1))
@@ -120,16 +124,18 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
             if texture >= 0 or texture == SCREEN:
                 draw_wall(
                     walls.places[i, k], walls.looks[i, k], walls.repeat[i, k], walls.tint[i, k],
-                    scenes.screen[i], view, sector, texels, image, buffers.wall, width,
+                    scenes.screen[i], sun, lamp, view, sector, texels, image, buffers.wall, width,
                 )  # fmt: skip
         for k in range(instances.mesh.shape[1]):
             if instances.mesh[i, k] >= len(assets.meshes.balls):
                 return i
             if instances.mesh[i, k] >= 0:
-                palette[:2] = instances.colours[i, k]
+                for part in range(2):
+                    for c in range(3):
+                        palette[part, c] = instances.colours[i, k, part, c] * lamp[c]
                 draw_instance(
                     instances.mesh[i, k], instances.position[i, k], instances.rotation[i, k],
-                    instances.scale[i, k], assets.meshes, palette, eye, projection, canvas,
+                    instances.scale[i, k], assets.meshes, palette, sun, eye, projection, canvas,
                     buffers.mesh,
                 )  # fmt: skip
         for k in range(flats.count[i]):
@@ -139,8 +145,10 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
             if texture >= 0 or rows > 0:
                 draw_flat(
                     flats.places[i, k], flats.looks[i, k], flats.tiling[i, k], flats.repeat[i, k],
-                    flats.tint[i, k], flats.tiles[i], view, texels, image, width,
+                    flats.tint[i, k], flats.tiles[i], sun, lamp, view, texels, image, width,
                 )  # fmt: skip
+        for k in range(shadows.shape[1]):
+            draw_shadow(shadows[i, k], view, projection, image, width)
         _write_image(image.colour, out, i)
         for k in range(overlays.count[i]):
             _draw_overlay(overlays.places[i, k], overlays.colours[i, k], out[i])

@@ -22,12 +22,14 @@ from zipf.envs.render3d.sight import narrow
 
 
 @compiled(error_model="numpy", fastmath=True)
-def draw_flat(place, looks, tiling, repeat, tint, tiles, view, texels, image, width):
+def draw_flat(
+    place, looks, tiling, repeat, tint, tiles, sun, lamp, view, texels, image, width
+):  # fmt: skip
     """Draws one flat.
 
     Args:
         place, looks, tiling, repeat, tint: rows of `Flats`.
-        tiles: of the flat's world.
+        tiles, sun, lamp: of the flat's world.
         view: `View`.
         texels: of `Assets`.
         image: `ImageBuffers`, written.
@@ -52,12 +54,13 @@ def draw_flat(place, looks, tiling, repeat, tint, tiles, view, texels, image, wi
     if east <= west or north <= south:
         return
     hx, hy, a0, da = view.hx, view.hy, view.a0, view.da
-    light = light_on(0.0, 0.0, 1.0 if up < 0.0 else -1.0, SURFACE_DARK, SURFACE_SUN)
+    light = light_on(0.0, 0.0, 1.0 if up < 0.0 else -1.0, SURFACE_DARK, SURFACE_SUN, sun)
     per_column = columns / (east - west)
     per_row = rows / (north - south)
     per_u = 64.0 / repeat if repeat > 0.0 else 64.0 * max(columns, 1) / (east - west)
     per_v = 64.0 / repeat if repeat > 0.0 else 64.0 * max(rows, 1) / (north - south)
     area = per_u * per_v * da * da / abs(up)
+    lit_red, lit_green, lit_blue = lamp[0] * tint[0], lamp[1] * tint[1], lamp[2] * tint[2]
     solid = 0 if flags & SEE_THROUGH else OPAQUE
     tiles_at = address(tiles) + 2 * first
     texels_at = address(texels)
@@ -80,7 +83,7 @@ def draw_flat(place, looks, tiling, repeat, tint, tiles, view, texels, image, wi
             continue
         level = _level(area * t * t * t)
         fade = light / (1.0 + t * t * FADE2) / 255.0
-        red, green, blue = fade * tint[0], fade * tint[1], fade * tint[2]
+        red, green, blue = fade * lit_red, fade * lit_green, fade * lit_blue
         first_x, last_x = math.ceil(low), math.floor(high)
         if first_x > last_x:
             continue

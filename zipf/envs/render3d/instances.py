@@ -5,20 +5,21 @@ import numpy as np
 from zipf.compiled import compiled
 from zipf.envs.render3d.blocks import address, light_block, vertex_block
 from zipf.envs.render3d.lanes import LANES
-from zipf.envs.render3d.optics import FADE2, MESH_DARK, MESH_SUN, NEAR, UNIT_SUN
+from zipf.envs.render3d.optics import FADE2, MESH_DARK, MESH_SUN, NEAR
 from zipf.envs.render3d.triangles import draw_cut_triangle, draw_triangle
 
 
 @compiled(error_model="numpy", fastmath=True)
 def draw_instance(
-    mesh, position, rotation, scale, meshes, palette, eye, projection, canvas, buffers
+    mesh, position, rotation, scale, meshes, palette, sun, eye, projection, canvas, buffers
 ):  # fmt: skip
     """Draws an instance of a mesh.
 
     Args:
         mesh, position, rotation, scale: of `Instances`.
         meshes: `Meshes`.
-        palette: the colours of the mesh's parts, float32 [6, 3].
+        palette: the colours of the mesh's parts in the light of the lamp, float32 [6, 3].
+        sun: of the mesh's world.
         eye: a row of `Scenes.camera`.
         projection, canvas: `Projection`, `Canvas`.
         buffers: `MeshBuffers`, written.
@@ -69,7 +70,6 @@ def draw_instance(
     eye_z = -own * (
         rotation[0, 2] * offset[0] + rotation[1, 2] * offset[1] + rotation[2, 2] * offset[2]
     )
-    sun = UNIT_SUN
     sun_x = rotation[0, 0] * sun[0] + rotation[1, 0] * sun[1] + rotation[2, 0] * sun[2]
     sun_y = rotation[0, 1] * sun[0] + rotation[1, 1] * sun[1] + rotation[2, 1] * sun[2]
     sun_z = rotation[0, 2] * sun[0] + rotation[1, 2] * sun[1] + rotation[2, 2] * sun[2]

@@ -16,7 +16,7 @@ OPAQUE = -(1 << 31)
 """Combined with a texel by a bitwise or, this makes it opaque."""
 
 SUN = (0.36, 0.48, 0.8)
-"""Direction of the light."""
+"""Direction of the light, unless a scene has another."""
 SURFACE_DARK, SURFACE_SUN = 0.62, 0.38
 """Light on walls and flats: on the side away from the sun, and how much the sun adds."""
 MESH_DARK, MESH_SUN = 0.34, 0.66
@@ -24,11 +24,18 @@ MESH_DARK, MESH_SUN = 0.34, 0.66
 FADE = 14.0
 """Distance at which half of the light is left, metres."""
 
+SHADOW_DEPTH = 0.005
+"""A shadow lies on everything whose height differs from its own by no more than this, metres."""
+
 UNIT_SUN = tuple(np.float32(s / math.sqrt(sum(s * s for s in SUN))) for s in SUN)
 FADE2 = 1.0 / FADE**2
 
 
 @compiled(error_model="numpy")
-def light_on(x, y, z, dark, sun):
-    """The light on a surface with the unit normal x, y, z, which falls smoothly to all sides."""
-    return dark + sun * (0.5 + 0.5 * (x * UNIT_SUN[0] + y * UNIT_SUN[1] + z * UNIT_SUN[2]))
+def light_on(x, y, z, dark, bright, sun):
+    """The light on a surface with the unit normal x, y, z, which falls smoothly to all sides.
+
+    It is `dark` where the surface faces away from the sun, whose direction is the unit vector
+    `sun`, and dark + bright where it faces the sun.
+    """
+    return dark + bright * (0.5 + 0.5 * (x * sun[0] + y * sun[1] + z * sun[2]))

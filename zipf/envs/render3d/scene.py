@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from zipf.envs.render3d.optics import UNIT_SUN
+
 TWO_SIDED = 1
 """A wall or flat that is visible from both sides."""
 SEE_THROUGH = 2
@@ -53,6 +55,13 @@ class Scenes:
     - `position` float32 [N, M, 3]; `rotation` float32 [N, M, 3, 3] (initially the identity);
       `scale` float32 [N, M] (initially 1): world = rotation @ (scale * vertex) + position
     - `colours` uint8 [N, M, 2, 3]: main and accent colour
+    - `shadows` float32 [N, S, 8]: x, y, z of the middle, angle, half length, half width, softness
+      and darkness of horizontal rectangles with soft corners. Whatever is at the height z, within 5
+      mm, and seen from above loses the share `darkness` of its light (0, initially: there is no
+      shadow) in the rectangle and a share that falls to 0 within `softness` metres around it
+    - `sun` float32 [N, 3]: a unit vector, the direction of the light on walls, flats, meshes and
+      terrain (initially `optics.SUN`)
+    - `lamp` float32 [N, 3]: shares of red, green and blue of that light, 0 .. 1 (initially 1)
     - `sky` uint8 [N, 2, 3]: colours at the horizon and overhead
     - `screen` uint8 [N, h, w, 3]: the image on walls whose texture is SCREEN, stretched over the
       wall once and not shaded
@@ -74,7 +83,7 @@ class Scenes:
 
     Args:
         num_worlds: N.
-        walls, flats, instances, tile_cells, overlays: the capacity of each world.
+        walls, flats, instances, tile_cells, overlays, shadows: the capacity of each world.
         grid, terrain: rows and columns of cells.
         screen: height and width.
 
@@ -94,6 +103,7 @@ class Scenes:
         screen: tuple[int, int] = (0, 0),
         overlays: int = 0,
         terrain: tuple[int, int] = (0, 0),
+        shadows: int = 0,
     ) -> None:
         if min(terrain) < 0 or (min(terrain) == 0) != (max(terrain) == 0):
             raise ValueError(f"terrain must be rows and columns of 1 or more, not {terrain}")
@@ -118,6 +128,9 @@ class Scenes:
         self.rotation = np.tile(np.eye(3, dtype=np.float32), (n, instances, 1, 1))
         self.scale = np.ones((n, instances), np.float32)
         self.colours = np.full((n, instances, 2, 3), 200, np.uint8)
+        self.shadows = np.zeros((n, shadows, 8), np.float32)
+        self.sun = np.full((n, 3), UNIT_SUN, np.float32)
+        self.lamp = np.ones((n, 3), np.float32)
         self.sky = np.full((n, 2, 3), [(190, 215, 235), (95, 150, 215)], np.uint8)
         self.screen = np.zeros((n, *screen, 3), np.uint8)
         self.overlays = np.zeros((n, overlays, 4), np.float32)
@@ -135,6 +148,9 @@ class Scenes:
         return (
             self.camera,
             self.sky,
+            self.sun,
+            self.lamp,
+            self.shadows,
             self.screen,
             self.solid,
             self.grid,

@@ -36,12 +36,13 @@ def terrain_buffers(rows: int, columns: int) -> tuple[NDArray[Any], ...]:
 
 @compiled(error_model="numpy", fastmath=True)
 def draw_terrain(
-    heights, looks, place, tint, view, projection, texels, canvas, image, buffers
+    heights, looks, place, tint, sun, lamp, view, projection, texels, canvas, image, buffers
 ):  # fmt: skip
     """Draws a terrain where nothing has been drawn yet but the sky.
 
     Args:
         heights, looks, place, tint: of `Terrains`, for one world.
+        sun, lamp: of the world.
         view, projection, canvas: `View`, `Projection`, `Canvas`.
         texels: of `Assets`.
         image, buffers: `ImageBuffers` and `TerrainBuffers`, written.
@@ -111,7 +112,7 @@ def draw_terrain(
                 number = 2 * cell + half
                 area[number] = texels_each / above
                 up = 1.0 / math.sqrt(1.0 + east * east + north * north)
-                light[number] = light_on(-east * up, -north * up, up, MESH_DARK, MESH_SUN)
+                light[number] = light_on(-east * up, -north * up, up, MESH_DARK, MESH_SUN, sun)
                 if kinds[column] == 2:
                     draw_cut_triangle(seen, a, b, c, projection, corners, number, _GROW, canvas)
                 else:
@@ -131,5 +132,5 @@ def draw_terrain(
                 lines + at, depths + at, texels_at, x, light_at, area_at, looks_at,
                 -dx * per_texel, (hx * c + hy * a0) * per_texel, hy * da * per_texel,
                 (eye_y - south) * per_texel, (hy * c - hx * a0) * per_texel, -hx * da * per_texel,
-                FADE2, tint[0] / 255, tint[1] / 255, tint[2] / 255,
+                FADE2, lamp[0] * tint[0] / 255, lamp[1] * tint[1] / 255, lamp[2] * tint[2] / 255,
             )  # fmt: skip

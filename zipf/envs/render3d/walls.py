@@ -21,12 +21,14 @@ from zipf.envs.render3d.scene import SCREEN, SEE_THROUGH, TWO_SIDED
 
 
 @compiled(error_model="numpy", fastmath=True)
-def draw_wall(place, looks, repeat, tint, screen, view, sector, texels, image, buffers, width):
+def draw_wall(
+    place, looks, repeat, tint, screen, sun, lamp, view, sector, texels, image, buffers, width
+):  # fmt: skip
     """Draws one wall.
 
     Args:
         place, looks, repeat, tint: rows of `Walls`.
-        screen: of the wall's world.
+        screen, sun, lamp: of the wall's world.
         view, sector: `View`, `Sector`.
         texels: of `Assets`.
         image, buffers: `ImageBuffers` and `WallBuffers`, written.
@@ -112,8 +114,10 @@ def draw_wall(place, looks, repeat, tint, screen, view, sector, texels, image, b
     )
     if distance > 0.0:
         nx, ny = -nx, -ny
-    light = light_on(nx, ny, 0.0, SURFACE_DARK, SURFACE_SUN)
-    red, green, blue = light * tint[0] / 255, light * tint[1] / 255, light * tint[2] / 255
+    light = light_on(nx, ny, 0.0, SURFACE_DARK, SURFACE_SUN, sun) / 255
+    red = light * lamp[0] * tint[0]
+    green = light * lamp[1] * tint[1]
+    blue = light * lamp[2] * tint[2]
     # A pixel covers area * t**3 texels.
     area = per_u * per_v * da * da / abs(distance)
     solid = 0 if flags & SEE_THROUGH else OPAQUE
