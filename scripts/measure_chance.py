@@ -13,6 +13,7 @@ from typing import Any
 
 import zipf.envs.playroom
 from zipf.envs import measure_chance
+from zipf.envs.playroom import FAMILY
 from zipf.envs.playroom.levels import LEVELS
 
 MEASURED = [(level, 900) for level in LEVELS] + [
@@ -27,7 +28,8 @@ def main() -> None:
     episodes = parser.parse_args().episodes
     figures: dict[str, list[dict[str, Any]]] = {}
     for level, max_steps in MEASURED:
-        options = {"object_order": "default", "max_steps": max_steps}
+        defaults = FAMILY.options_class().model_dump(exclude=set(FAMILY.appearance))
+        options = {**defaults, "max_steps": max_steps}
         chance = measure_chance(
             f"playroom/{level}", episodes=episodes, image_size=(1, 1), **options
         )

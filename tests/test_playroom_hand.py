@@ -45,9 +45,12 @@ def half_width(env: PlayroomVectorEnv) -> float:
 # Gripping.
 
 
-@pytest.mark.parametrize(("distance", "taken"), [(0.7, True), (1.7, True), (2.1, False)])
-def test_the_hand_reaches_two_metres(distance: float, taken: bool) -> None:
-    env = playroom()
+@pytest.mark.parametrize(
+    ("distance", "reach", "taken"),
+    [(0.7, 2.0, True), (1.7, 2.0, True), (2.1, 2.0, False), (1.7, 1.5, False), (2.1, 2.5, True)],
+)
+def test_the_hand_reaches_two_metres(distance: float, reach: float, taken: bool) -> None:
+    env = playroom(reach=reach)
     arrange(env, (-1.5, 0, 0, 0), {0: (-1.5 + distance, 0)})
     look_at(env, 0)
     act(env, "GRAB")

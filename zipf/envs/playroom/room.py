@@ -106,7 +106,10 @@ class Room:
             furniture: (x, y, angle) of bed and tray; empty without them.
         """
         if self.shapes:
-            self.space.remove(*self.shapes, self._disc, *self._fixed, *self.bodies, *self._still)
+            self.space.remove(*self.shapes, self._disc, *self._fixed)
+            # Without shapes: what is left of the correction of overlaps is used up.
+            self.space.step(FRAME)
+            self.space.remove(*self.bodies, *self._still)
         for body, pose in zip(self._still[1:], furniture, strict=True):
             _place(body, *pose)
         _place(self.agent, agent[0], agent[1], 0.0)

@@ -76,7 +76,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             raise ValueError(f"max_steps must be a whole number of at least 1, got {max_steps!r}")
         self.object_names = levels.ORDERS[object_order]
         self.looks = looks
-        self.max_steps = max_steps
+        self.max_steps = steps[0]
         height, width = sizes
         super().__init__(
             num_envs,
@@ -96,7 +96,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         # How the episode began, and the actions since.
         self._began = np.zeros((n, 4), np.uint64)
         self._forced = np.full((len(self.situation), n), -1, np.int64)
-        self._actions = np.zeros((n, max_steps), np.uint8)
+        self._actions = np.zeros((n, self.max_steps), np.uint8)
         # The state that follows from them.
         self.worlds = make_worlds(
             n,
@@ -281,6 +281,9 @@ class PlayroomVectorEnv(ZipfVectorEnv):
 def _whole_numbers(values: Any) -> list[int] | None:
     """The values as integers, or None if they are not whole numbers."""
     try:
-        return [operator.index(value) for value in values]
+        numbers = list(values)
+        return (
+            None if any(isinstance(n, bool) for n in numbers) else [*map(operator.index, numbers)]
+        )
     except TypeError:
         return None
