@@ -295,20 +295,24 @@ def test_poses_and_colours_cover_their_ranges() -> None:
     assert (env.worlds.agents[:, PITCH] == FIRST_PITCH).all()
 
 
-@pytest.mark.parametrize("level", ["lift/lift_shape_uniform", "put/lift_shape_many_zipf1"])
-def test_the_place_does_not_tell_the_target(level: str) -> None:
-    """Neither the order by distance from the middle of the room nor that from the view does."""
-    env = PlayroomVectorEnv(10_000, level, image_size=(1, 1), max_steps=1)
-    env.reset(seed=0)
-    worlds, alike = env.worlds, np.full(env.worlds.ranks.shape[1], 1 / env.worlds.ranks.shape[1])
-    x, y = (worlds.objects[:, :, :2] - worlds.agents[:, None, :2]).transpose(2, 0, 1)
-    aside = np.angle(np.exp(1j * (np.arctan2(y, x) - worlds.agents[:, YAW, None])))
-    for values in (
-        np.linalg.norm(worlds.objects[:, :, :2], axis=-1),
-        np.abs(aside),
-        np.hypot(x, y),
-    ):
-        assert fits(np.bincount(values.argmin(1), minlength=alike.size), alike)
+def test_the_place_does_not_tell_the_target() -> None:
+    """Nor does how central it is in the room or in the view, or how near.
+
+    Where the target is placed first, it is the most central of six in 17.3 % of episodes.
+    """
+    env = PlayroomVectorEnv(10_000, "put/lift_shape_many_zipf1", image_size=(1, 1), max_steps=1)
+    first: dict[str, list[NDArray[np.int64]]] = {"central": [], "aside": [], "near": []}
+    for seed in range(0, 50_000, 10_000):
+        env.reset(seed=seed)
+        places, agents = env.worlds.objects[:, :, :2], env.worlds.agents[:, None]
+        x, y = (places - agents[..., :2]).transpose(2, 0, 1)
+        aside = np.angle(np.exp(1j * (np.arctan2(y, x) - agents[..., YAW])))
+        first["central"].append(np.linalg.norm(places, axis=-1).argmin(1))
+        first["aside"].append(np.abs(aside).argmin(1))
+        first["near"].append(np.hypot(x, y).argmin(1))
+    for numbers in first.values():
+        counts = np.bincount(np.concatenate(numbers), minlength=6)
+        assert fits(counts, np.full(6, 1 / 6))
 
 
 def test_the_first_frame_shows_an_object() -> None:

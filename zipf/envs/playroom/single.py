@@ -70,8 +70,8 @@ class PlayroomEnv(SingleWorld):
 
     The toys' frequency ranks are drawn first, from the level's distribution without replacement
     (with it in `supervised/` levels), the target uniformly among them. Poses do not overlap. The
-    agent faces the middle of the toys, up to 30 degrees beside it; in `supervised/` levels there are
-    two toys in view, one on the left and one on the right.
+    agent faces the middle of the toys, give or take 30 degrees; in `supervised/` levels two toys
+    are in view, one on the left and one on the right.
     `reset(options={"target": 3, "other_1": 17})` forces ranks; forced ones are drawn all the same
     and then replaced, so that the episodes that follow do not depend on it.
 
