@@ -9,17 +9,18 @@ again. The exit code is 1 if more than one in 2,000 episodes of a level fails.
 
 import argparse
 import sys
+from typing import Any
 
 import numpy as np
 
-import zipf.envs
 from zipf.envs.playroom.expert import Expert
 from zipf.envs.playroom.levels import LEVELS
+from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 NUM_ENVS = 100
 
 
-def failures(level: str, episodes: int, first_seed: int = 0, **options: object) -> list[int]:
+def failures(level: str, episodes: int, first_seed: int = 0, **options: Any) -> list[int]:
     """The seeds of the episodes of a level that the expert does not solve.
 
     Args:
@@ -29,8 +30,8 @@ def failures(level: str, episodes: int, first_seed: int = 0, **options: object) 
         options: constructor options of the level.
     """
     num_envs = min(NUM_ENVS, episodes)
-    env = zipf.envs.make_vec(
-        f"playroom/{level}", num_envs, image_size=(1, 1), autoreset_mode="Disabled", **options
+    env = PlayroomVectorEnv(
+        num_envs, level, image_size=(1, 1), autoreset_mode="Disabled", **options
     )
     seeds = np.arange(first_seed, first_seed + num_envs)
     unfinished, last = set(seeds.tolist()), first_seed + episodes

@@ -1,5 +1,7 @@
 """The scripted expert solves every level with the 46 actions."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,7 +12,7 @@ from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 
 def solved(
-    level: str, seeds: list[int], **options: object
+    level: str, seeds: list[int], **options: Any
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
     """Whether the episodes of these seeds succeed in 300 actions, and their lengths."""
     env = PlayroomVectorEnv(
@@ -40,6 +42,6 @@ def test_the_expert_solves_every_level(level: str) -> None:
     "options", [{"object_order": "alternate"}, {"reach": 1.5}, {"reach": 3.0}, {"looks": "varied"}]
 )
 @pytest.mark.parametrize("level", ["lift/lift_shape_uniform", "put/put_near_bed_tray_frequent"])
-def test_the_expert_solves_other_worlds(level: str, options: dict[str, object]) -> None:
+def test_the_expert_solves_other_worlds(level: str, options: dict[str, Any]) -> None:
     success, _ = solved(level, list(range(2000, 2020)), **options)
     assert success.all()
