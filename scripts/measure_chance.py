@@ -17,6 +17,7 @@ from typing import Any
 
 import zipf.envs.playroom
 from zipf.envs import blind, measure_chance
+from zipf.envs.playroom import FAMILY
 from zipf.envs.playroom.blind import BlindExpert
 from zipf.envs.playroom.levels import LEVELS
 from zipf.envs.random_play import measure
@@ -51,7 +52,8 @@ def show_blind(episodes: int) -> None:
 def write_chance(episodes: int) -> None:
     figures: dict[str, list[dict[str, Any]]] = {}
     for level, max_steps in MEASURED:
-        options = {"object_order": "default", "max_steps": max_steps}
+        defaults = FAMILY.options_class().model_dump(exclude=set(FAMILY.appearance))
+        options = {**defaults, "max_steps": max_steps}
         chance = measure_chance(
             f"playroom/{level}", episodes=episodes, image_size=(1, 1), **options
         )

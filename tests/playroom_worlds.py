@@ -1,14 +1,14 @@
 """Playrooms with given poses, for the tests of rules and actions."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from zipf.envs.playroom import actions
-from zipf.envs.playroom.constants import EYE
+from zipf.envs.playroom.constants import AGENT_RADIUS, CEILING, EYE, ROOM
 from zipf.envs.playroom.layout import begin
-from zipf.envs.playroom.room import Room, furniture_of
 from zipf.envs.playroom.state import AIR, AX, AY, PITCH, YAW, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
@@ -64,14 +64,7 @@ def arrange(
     everywhere = np.ones(1, np.bool_)
     begin(everywhere, env.worlds)
     env.worlds.status[0, env.worlds.objects[0, :, Z] > 0] = AIR
-    env.rooms[0] = Room(
-        env.worlds.agents[0, :2].tolist(),
-        [
-            [*pose[:3], *env.worlds.extents[rank, :2]]
-            for pose, rank in zip(env.worlds.objects[0].tolist(), env.worlds.ranks[0], strict=True)
-        ],
-        furniture_of(env.worlds.furniture[0]) if env.level.furnished else [],
-    )
+    env._furnish(0)
     env._view.begin(everywhere)
     return env.observations()
 
@@ -115,3 +108,28 @@ def wait(env: PlayroomVectorEnv, limit: int = 12) -> tuple[float, bool, bool, bo
         if end != RUNS:
             return end
     return RUNS
+
+
+def check_held(env: PlayroomVectorEnv, i: int) -> None:
+    """Raises unless the held object of world `i` is in view, in the room and outside of the agent.
+
+    By the corners of its rotated bounding box and points between them.
+    """
+    worlds = env.worlds
+    item, (x, y, yaw, pitch) = worlds.hands[i], worlds.agents[i, :4]
+    frame, extent = worlds.orientation[i, item], worlds.extents[worlds.ranks[i, item]]
+    surface = np.array(list(itertools.product((-0.5, -0.25, 0, 0.25, 0.5), repeat=3)))
+    offsets = (surface * extent) @ frame.T
+    middle = np.append(
+        worlds.objects[i, item, :2], worlds.objects[i, item, Z] - offsets[:, 2].min()
+    )
+    points = middle + offsets
+    assert np.abs(points[:, :2]).max() <= ROOM / 2 + 1e-6
+    assert points[:, 2].min() >= -1e-6
+    assert points[:, 2].max() <= CEILING + 1e-6
+    assert np.hypot(points[:, 0] - x, points[:, 1] - y).min() > AGENT_RADIUS
+    ahead = middle - (x, y, EYE)
+    aside = np.cos(yaw) * ahead[1] - np.sin(yaw) * ahead[0]
+    flat = np.cos(yaw) * ahead[0] + np.sin(yaw) * ahead[1]
+    assert abs(np.arctan2(aside, flat)) < 1e-6
+    assert abs(np.arctan2(ahead[2], flat) - pitch) < np.radians(25) + 1e-6

@@ -153,6 +153,7 @@ def test_the_papers_values_in_the_playroom(experiment, window):
     assert paper.is_released_benchmark
     for other in (
         "object_order=alternate", "image_size=[36,48]", "looks=varied", "max_steps=100",
+        "reach=1.8", "frequent_exponent=2", "near_failure=true",
     ):  # fmt: skip
         changed = command_line.load([f"experiment={experiment}", f"environment.{other}"])
         assert not changed.is_released_benchmark

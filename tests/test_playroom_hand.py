@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playroom_worlds import BED, TRAY, act, arrange, look_at, playroom
+from playroom_worlds import BED, TRAY, act, arrange, check_held, look_at, playroom
 
 from zipf.envs.playroom.actions import ACTIONS, CONTROL_TABLE
 from zipf.envs.playroom.constants import AGENT_RADIUS, CEILING, EYE, FURNITURE_SIZE, ROOM
 from zipf.envs.playroom.geometry import rectangle_gap
+from zipf.envs.playroom.holding import CLEARANCE
 from zipf.envs.playroom.state import ANGLE, FLOOR, HELD, HOLD, ON_BED, ON_TRAY, PITCH, YAW, X, Y, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
@@ -44,9 +45,12 @@ def half_width(env: PlayroomVectorEnv) -> float:
 # Gripping.
 
 
-@pytest.mark.parametrize(("distance", "taken"), [(0.7, True), (1.7, True), (2.1, False)])
-def test_the_hand_reaches_two_metres(distance: float, taken: bool) -> None:
-    env = playroom()
+@pytest.mark.parametrize(
+    ("distance", "reach", "taken"),
+    [(0.7, 2.0, True), (1.7, 2.0, True), (2.1, 2.0, False), (1.7, 1.5, False), (2.1, 2.5, True)],
+)
+def test_the_hand_reaches_two_metres(distance: float, reach: float, taken: bool) -> None:
+    env = playroom(reach=reach)
     arrange(env, (-1.5, 0, 0, 0), {0: (-1.5 + distance, 0)})
     look_at(env, 0)
     act(env, "GRAB")
@@ -163,8 +167,56 @@ def test_a_held_object_stays_in_the_room(yaw: float) -> None:
     for action in rng.choice([18, 18, 18, 20, 22, 23, 24, 25, 41], size=150).tolist():
         act(env, int(action))
         assert held(env) == 0
-        assert np.abs(env.worlds.objects[0, 0, :2]).max() < ROOM / 2 - 0.75 * half_width(env)
+        check_held(env, 0)
     assert np.abs(env.worlds.objects[0, 0, :2]).max() > 1.2
+
+
+@pytest.mark.parametrize("name", ["bottle", "guitar", "keyboard", "umbrella", "dice"])
+@pytest.mark.parametrize("place", [(1.0, 0.0), (1.2, 1.2)])
+def test_a_held_object_has_room_at_walls_and_in_corners(
+    name: str, place: tuple[float, float]
+) -> None:
+    env = playroom(FREE)
+    arrange(env, (0.2, 0.2, 0, 0), {0: place}, (name, "candle", "robot"), task="on bed",
+            furniture=((-1.2, -1.5, 0.0), (1.2, -1.5, 0.0)))  # fmt: skip
+    look_at(env, 0)
+    act(env, "GRAB")
+    walk, turn, down = "MOVE_FORWARD_FULL", "LOOK_LEFT_FULL", "LOOK_DOWN_FULL"
+    spins = ["SPIN_UP"] * 4 + ["SPIN_FORWARD"] * 3 + ["SPIN_RIGHT"] * 2
+    up = ["LOOK_UP_FULL"] * 8
+    for move in [*[walk] * 9, *spins, *[turn, walk] * 12, *[down] * 6, *spins, *[turn] * 9, *up]:
+        act(env, f"GRAB_AND_{move}")
+        assert held(env) == 0
+        check_held(env, 0)
+
+
+def test_a_held_object_keeps_the_agent_from_the_wall() -> None:
+    env = playroom(FREE)
+    arrange(env, (0.5, 0, 0, 0), {0: (1.3, 0.0)}, ("dice", "candle", "robot"), task="on bed",
+            furniture=((-1.2, -1.5, 0.0), (1.2, -1.5, 0.0)))  # fmt: skip
+    look_at(env, 0)
+    act(env, "GRAB", *["GRAB_AND_LOOK_UP_FULL"] * 3, *["GRAB_AND_MOVE_FORWARD_FULL"] * 12)
+    wide = env.worlds.extents[env.worlds.ranks[0, 0], 0]
+    assert env.worlds.objects[0, 0, X] == pytest.approx(ROOM / 2 - wide / 2, abs=1e-6)
+    gap = env.worlds.objects[0, 0, X] - env.worlds.agents[0, 0]
+    assert gap == pytest.approx(AGENT_RADIUS + wide / 2 + CLEARANCE, abs=1e-6)
+    # Without the object, the agent reaches the wall.
+    act(env, "NOOP", "MOVE_LEFT_FULL", *["MOVE_FORWARD_FULL"] * 20)
+    assert env.worlds.agents[0, 0] > env.worlds.objects[0, 0, X] - wide / 2 - AGENT_RADIUS - 0.05
+
+
+def test_the_agent_walks_over_the_tray() -> None:
+    env = playroom(FREE)
+    arrange(env, (-0.5, 1.2, 0, 0), task="on bed")
+    act(env, *["MOVE_FORWARD_FULL"] * 8)
+    assert env.worlds.agents[0, 0] > 1.2
+    # But not through an object there.
+    arrange(env, (-0.5, 1.2, 0, 0), {0: (0.8, 1.2, 0.0, 0.03)}, task="on bed")
+    act(env, "NOOP", *["MOVE_FORWARD_FULL"] * 4)
+    assert env.worlds.agents[0, 0] < env.worlds.objects[0, 0, X] - AGENT_RADIUS
+    act(env, *["MOVE_FORWARD_FULL"] * 8)
+    assert env.worlds.status[0, 0] == FLOOR
+    assert env.worlds.objects[0, 0, X] > 1.1
 
 
 @pytest.mark.parametrize("height", [0.0, 0.05, 0.12, 0.2])

@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from playroom_worlds import check_held
 
 from zipf.envs.playroom.actions import ACTIONS, GRAB
 from zipf.envs.playroom.constants import AGENT_RADIUS, CEILING, FURNITURE_SIZE, ROOM
 from zipf.envs.playroom.falling import STILL_STEPS
-from zipf.envs.playroom.hand import HIGHEST, LOWEST, NEAREST_HOLD, REACH
+from zipf.envs.playroom.hand import HIGHEST, LOWEST, NEAREST_HOLD
 from zipf.envs.playroom.state import AIR, AX, AY, BASE, FLOOR, HELD, HOLD, ON_BED, PITCH, YAW, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
@@ -50,18 +51,19 @@ def check(env: PlayroomVectorEnv, ranks: NDArray[np.int64], overlap: float = OVE
     width = worlds.extents[worlds.ranks, :2].min(-1) / 2
     assert (np.abs(worlds.objects[:, :, :2]).max(-1) <= half - width + overlap).all()
     heights, tops = worlds.objects[:, :, Z], worlds.extents[worlds.ranks, 2]
+    held = worlds.status == HELD
     assert (heights >= 0).all()
-    assert (heights + tops <= CEILING + 1e-9).all()
+    assert (heights + tops <= CEILING + 1e-9)[~held].all()
     # Angles and the hand are in range.
     assert (np.abs(worlds.agents[:, YAW]) <= np.pi).all()
     assert (worlds.agents[:, PITCH] >= LOWEST).all()
     assert (worlds.agents[:, PITCH] <= HIGHEST).all()
-    held = worlds.status == HELD
     assert (held.sum(1) == (worlds.hands >= 0)).all()
     for i in np.flatnonzero(worlds.hands >= 0):
         assert held[i, worlds.hands[i]]
-        assert NEAREST_HOLD <= worlds.agents[i, HOLD] <= REACH
+        assert NEAREST_HOLD <= worlds.agents[i, HOLD] <= worlds.reach
         assert worlds.agents[i, BASE] >= 0
+        check_held(env, i)
     product = np.einsum("njrk,njrl->njkl", worlds.orientation, worlds.orientation)
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(worlds.orientation), 1, atol=1e-9)
@@ -77,7 +79,7 @@ def check(env: PlayroomVectorEnv, ranks: NDArray[np.int64], overlap: float = OVE
         pieces = list(zip(worlds.furniture[i], FURNITURE_SIZE, strict=True))
         for k, (pose, size) in enumerate(pieces):
             # A held object may slide onto the tray, but reaches the bed only from above.
-            assert inside(pose, size, *worlds.agents[i, :2]) == 0
+            assert k == 1 or inside(pose, size, *worlds.agents[i, :2]) == 0
             for j in range(worlds.objects.shape[1]):
                 depth = inside(pose, size, *worlds.objects[i, j, :2])
                 low = held[i, j] and k == 0 and worlds.objects[i, j, Z] < 0.25

@@ -94,19 +94,22 @@ def put(env: PlayroomVectorEnv, item: int, place: str, task: str, lifted: bool =
     env.worlds.lifted[0, item] = lifted
 
 
+@pytest.mark.parametrize("near_failure", [False, True])
 @pytest.mark.parametrize("item", [0, 1, 2])
 @pytest.mark.parametrize("place", list(PLACES))
 @pytest.mark.parametrize("task", ["on bed", "on tray", "near bed", "near tray"])
-def test_putting(task: str, place: str, item: int) -> None:
+def test_putting(task: str, place: str, item: int, near_failure: bool) -> None:
     relation, support = task.split()
     where, what = place.split()
     if place == "far away" or (relation == "on" and where == "near"):
         expected = RUNS
     elif item == 0 and what == support:
         expected = DONE  # where it should be near a support, it may also be on it
+    elif where == "near" and not near_failure:
+        expected = RUNS  # the paper: near a support, only the right object counts
     else:
         expected = FAILED
-    env = playroom(f"put/put_{relation}_bed_tray_frequent")
+    env = playroom(f"put/put_{relation}_bed_tray_frequent", near_failure=near_failure)
     put(env, item, place, task)
     assert outcome(act(env, "NOOP")) == RUNS  # at rest takes two actions
     result = act(env, "NOOP")

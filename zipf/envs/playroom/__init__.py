@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from zipf.envs.family import Family
+from zipf.envs.playroom.constants import EXPONENT_BOUNDS, REACH_BOUNDS
 from zipf.envs.playroom.levels import LEVELS
 from zipf.envs.splits import Split
 from zipf.options import Options
@@ -20,6 +21,12 @@ class PlayroomOptions(Options):
     object_order: Literal["default", "alternate"] = "default"  # ours: the paper lists no objects
     looks: Literal["plain", "varied"] = "plain"  # ours: the paper does not say that they vary
     max_steps: Size = 900  # released loader: 120 s; paper: 7.5 actions a second
+    # ours: the paper does not say how far the hand reaches, metres
+    reach: Annotated[float, Field(ge=REACH_BOUNDS[0], le=REACH_BOUNDS[1])] = 2.0
+    # ours: the paper's "most frequent 20%" drawn uniformly, like its levels "all" and "rare"
+    frequent_exponent: Annotated[float, Field(ge=EXPONENT_BOUNDS[0], le=EXPONENT_BOUNDS[1])] = 0.0
+    # paper: for putting near, "reward is also given if the correct object is placed near"
+    near_failure: bool = False
 
 
 FAMILY = Family(

@@ -17,11 +17,19 @@ FRAME = 1 / 30
 """Duration of a physics frame: the paper."""
 STEP = FRAMES * FRAME
 
+REACH_BOUNDS = 1.5, 4.0
+"""Of the option `reach`, the hand's from the eye. To the floor just before the agent it is 1.2."""
+EXPONENT_BOUNDS = 0.0, 10.0
+"""Of the option `frequent_exponent`."""
+
 AGENT_RADIUS = 0.25
 AGENT_MASS = 20.0
 """Kilograms."""
 DAMPING = 5.0
 """1/s: the rate at which every speed decays, so that the agent has momentum."""
+
+NEAR_DISTANCE = 0.5
+"""An object is near a support up to this distance from its edge."""
 
 FURNITURE_SIZE = np.array([[0.70, 0.45, 0.35], [0.30, 0.225, 0.03]])
 """Half length and half width of the footprint and height of the top, of bed and tray."""

@@ -7,7 +7,16 @@ from numpy.typing import NDArray
 
 from zipf.compiled import compiled
 from zipf.envs.playroom import actions, hand
-from zipf.envs.playroom.constants import AGENT_RADIUS, EYE, FURNITURE_SIZE, ROOM, STEP
+from zipf.envs.playroom.constants import (
+    AGENT_RADIUS,
+    DAMPING,
+    EYE,
+    FRAME,
+    FRAMES,
+    FURNITURE_SIZE,
+    ROOM,
+    STEP,
+)
 from zipf.envs.playroom.falling import STILL_STEPS
 from zipf.envs.playroom.geometry import footprint, rectangle_gap
 from zipf.envs.playroom.judgement import APPROACH_DISTANCE
@@ -17,10 +26,15 @@ from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 _CELL = 0.1
 _CELLS = round(ROOM / _CELL)
-_FAR = 1_000_000
 _SPEED = 1.2  # m/s; faster, it would overshoot
+# The share of its speed that the agent keeps through an action, and the speed that a push adds.
+_DECAY = math.exp(-DAMPING * STEP)
+_PUSH = hand.ACCELERATION * FRAME * sum(math.exp(-DAMPING * FRAME * k) for k in range(FRAMES))
 _TURN = hand.TURN_RATE * STEP
 _LOOK = hand.LOOK_RATE * STEP
+# How precisely the view can be turned: half of its smallest steps, and a little more.
+_AIM_YAW = 0.51 * 0.05 * _TURN
+_AIM_PITCH = 0.51 * 0.03 * _LOOK
 
 
 class Expert:
@@ -44,7 +58,7 @@ class Expert:
         worlds = self.worlds
         if worlds.finding:
             near = _around(worlds.objects[i, 0], APPROACH_DISTANCE - 0.1)
-            return self._go(i, near, closed=False)
+            return self._go(i, near)
         if worlds.hands[i] == 0:
             return self._raise(i) if worlds.task[i] == LIFT else self._bring(i)
         comes_to_rest = worlds.lifted[i, 0] and worlds.still[i, 0] < STILL_STEPS
@@ -58,13 +72,9 @@ class Expert:
         agent = worlds.agents[i].copy()
         if _points_at(agent, worlds, i) == 0:
             return actions.GRAB
-        _aim(agent, worlds.objects[i, 0], worlds.extents[worlds.ranks[i, 0]])
-        if _points_at(agent, worlds, i) == 0:
-            action = self._face(i, agent[YAW], agent[PITCH], closed=False)
-            if action != actions.NOOP:
-                return action
-            # The view cannot be turned more precisely: an object or a support hides the target.
-        return self._go(i, _viewpoints(agent, worlds, i), closed=False)
+        if _can_aim(agent, one_world(worlds, i)):
+            return self._face(i, agent[YAW], agent[PITCH], closed=False)
+        return self._go(i, _viewpoints(agent, worlds, i))
 
     def _raise(self, i: int) -> int:
         """Lifts the held object by looking up, and at the highest view by pushing it away."""
@@ -95,7 +105,12 @@ class Expert:
         distance = math.hypot(spot[0] - agent[AX], spot[1] - agent[AY])
         if distance > 1.1 or distance < closest or gap < 0.3:
             goals = _beside(pose, size, inset, closest)
-            return self._go(i, goals, closed=True)
+            # It faces the support on its way: a held object would keep it away from walls.
+            aside = math.atan2(pose[1] - agent[AY], pose[0] - agent[AX]) - agent[YAW]
+            aside = (aside + math.pi) % (2 * math.pi) - math.pi
+            if abs(aside) > _TURN and self.env.lengths[i] % 2:
+                return actions.GRAB + (actions.TURN_RIGHT if aside < 0 else actions.TURN_LEFT)
+            return actions.GRAB + self._go(i, goals)
         top = 0.0 if near else float(size[2])
         height = max(top + 0.12, 0.2) + extent[2] / 2 - EYE
         if math.hypot(item[X] - spot[0], item[Y] - spot[1]) < 0.1 and item[Z] < top + 0.25:
@@ -104,7 +119,7 @@ class Expert:
             swinging = room.objects[0].velocity.length > 0.3
             return actions.GRAB if swinging else actions.NOOP
         yaw = math.atan2(spot[1] - agent[AY], spot[0] - agent[AX])
-        hold = min(max(math.hypot(distance, height), hand.NEAREST_HOLD), hand.REACH)
+        hold = min(max(math.hypot(distance, height), hand.NEAREST_HOLD), worlds.reach)
         if abs(hold - agent[HOLD]) > 0.07:
             return actions.PUSH if hold > agent[HOLD] else actions.PULL
         return self._face(i, yaw, math.atan2(height, distance), closed=True)
@@ -115,7 +130,7 @@ class Expert:
         aside = (yaw - agent[YAW] + math.pi) % (2 * math.pi) - math.pi
         above = pitch - agent[PITCH]
         grip = actions.GRAB if closed else 0
-        if abs(aside) > max(abs(above), 0.1 * _TURN):
+        if abs(aside) > max(abs(above), _AIM_YAW):
             for share, right, left in (
                 (0.6, actions.TURN_RIGHT, actions.TURN_LEFT),
                 (0.1, actions.TURN_RIGHT_MID, actions.TURN_LEFT_MID),
@@ -125,28 +140,29 @@ class Expert:
                     return grip + (right if aside < 0 else left)
         if abs(above) > 0.5 * _LOOK:
             return grip + (actions.LOOK_DOWN if above < 0 else actions.LOOK_UP)
-        if abs(above) > 0.02 * _LOOK:
+        if abs(above) > _AIM_PITCH:
             return grip + (actions.LOOK_DOWN_MID if above < 0 else actions.LOOK_UP_MID)
         return grip
 
-    def _go(self, i: int, goals: NDArray[np.bool_], *, closed: bool) -> int:
+    def _go(self, i: int, goals: NDArray[np.bool_]) -> int:
         """Walks the shortest way to one of the cells of `goals`, bool [rows, columns]."""
         agent = self.worlds.agents[i]
         heading = _way(goals, self.worlds, i)
-        grip = actions.GRAB if closed else 0
         room = self.env.rooms[i]
         assert room is not None
         vx, vy = room.agent.velocity
         if math.isnan(heading):  # there is no way: move, so that objects are pushed aside
-            return grip + (actions.BACKWARD if self.env.lengths[i] // 8 % 2 else actions.TURN_LEFT)
-        aside = (heading - agent[YAW] + math.pi) % (2 * math.pi) - math.pi
-        quarter = round(aside / (math.pi / 2))
-        aside -= quarter * math.pi / 2
-        move = (actions.FORWARD, actions.LEFT, actions.BACKWARD, actions.RIGHT)[quarter % 4]
-        if abs(aside) > 0.3:
-            return grip + (actions.TURN_RIGHT if aside < 0 else actions.TURN_LEFT)
-        along = vx * math.cos(heading) + vy * math.sin(heading)
-        return grip + (move if along < _SPEED else actions.NOOP)
+            return actions.BACKWARD if self.env.lengths[i] // 8 % 2 else actions.TURN_LEFT
+        # The change of velocity that is wanted, in the agent's own directions.
+        dx = _SPEED * math.cos(heading) - _DECAY * vx
+        dy = _SPEED * math.sin(heading) - _DECAY * vy
+        cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
+        ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
+        if max(abs(ahead), abs(aside)) > _PUSH / 2:
+            if abs(ahead) > abs(aside):
+                return actions.FORWARD if ahead > 0 else actions.BACKWARD
+            return actions.LEFT if aside > 0 else actions.RIGHT
+        return actions.NOOP
 
 
 def _inside(
@@ -170,6 +186,25 @@ def _aim(agent, item, extent):
 
 
 @compiled()
+def _can_aim(agent, world):
+    """Whether the target can be gripped from here; turns the view of `agent` to it.
+
+    The view need not be turned more precisely than it can be.
+    """
+    _aim(agent, world.objects[0], world.extents[world.ranks[0]])
+    yaw, pitch = agent[YAW], agent[PITCH]
+    if pitch < hand.LOWEST + _AIM_PITCH or hand.pick(agent, world) != 0:
+        return False
+    sure = True
+    for side in (-_AIM_YAW, _AIM_YAW):
+        for rise in (-_AIM_PITCH, _AIM_PITCH):
+            agent[YAW], agent[PITCH] = yaw + side, pitch + rise
+            sure = sure and hand.pick(agent, world) == 0
+    agent[YAW], agent[PITCH] = yaw, pitch
+    return sure
+
+
+@compiled()
 def _centre(row, column):
     """x and y of a cell."""
     return (column + 0.5) * _CELL - ROOM / 2, (row + 0.5) * _CELL - ROOM / 2
@@ -185,7 +220,7 @@ def _points_at(agent, worlds, i):
 def _viewpoints(agent, worlds, i):
     """The cells from which the target can be gripped: bool [rows, columns]."""
     world = one_world(worlds, i)
-    target, extent = world.objects[0], world.extents[world.ranks[0]]
+    target = world.objects[0]
     goals = np.zeros((_CELLS, _CELLS), np.bool_)
     there = agent.copy()
     for row in range(_CELLS):
@@ -194,10 +229,7 @@ def _viewpoints(agent, worlds, i):
             distance = math.hypot(there[AX] - target[X], there[AY] - target[Y])
             if distance < 0.55 or distance > 1.5:
                 continue
-            _aim(there, target, extent)
-            if there[PITCH] < hand.LOWEST:
-                continue
-            goals[row, column] = hand.pick(there, world) == 0
+            goals[row, column] = _can_aim(there, world)
     return goals
 
 
@@ -240,9 +272,7 @@ def _is_blocked(x, y, world):
         if math.hypot(x - objects[j, X], y - objects[j, Y]) < clear:
             return True
     if world.furnished:
-        for k in range(2):
-            if rectangle_gap(world.furniture[k], FURNITURE_SIZE[k], x, y) < margin:
-                return True
+        return rectangle_gap(world.furniture[0], FURNITURE_SIZE[0], x, y) < margin
     return False
 
 
@@ -251,44 +281,44 @@ def _way(goals, worlds, i):
     """The heading of the shortest way to a cell of `goals`, radians; NaN if there is no way."""
     agent, world = worlds.agents[i], one_world(worlds, i)
     blocked = np.zeros((_CELLS, _CELLS), np.bool_)
-    distance = np.full((_CELLS, _CELLS), _FAR)
-    queue = np.empty((_CELLS * _CELLS, 2), np.int64)
-    tail = 0
+    distance = np.full((_CELLS, _CELLS), np.inf)
     for row in range(_CELLS):
         for column in range(_CELLS):
             x, y = _centre(row, column)
             blocked[row, column] = _is_blocked(x, y, world)
             if goals[row, column] and not blocked[row, column]:
-                distance[row, column] = 0
-                queue[tail, 0], queue[tail, 1] = row, column
-                tail += 1
-    head = 0
-    while head < tail:
-        row, column = queue[head]
-        head += 1
-        for down in range(-1, 2):
-            for right in range(-1, 2):
-                r, c = row + down, column + right
-                if r < 0 or c < 0 or r >= _CELLS or c >= _CELLS or blocked[r, c]:
-                    continue
-                if distance[r, c] == _FAR:
-                    distance[r, c] = distance[row, column] + 1
-                    queue[tail, 0], queue[tail, 1] = r, c
-                    tail += 1
+                distance[row, column] = 0.0
+    changed = True
+    while changed:  # sweeps in opposite directions, until every distance is the shortest
+        changed = False
+        for sweep in range(2):
+            for k in range(_CELLS * _CELLS):
+                row, column = divmod(k if sweep == 0 else _CELLS * _CELLS - 1 - k, _CELLS)
+                if not blocked[row, column]:
+                    changed |= _shorten(distance, row, column)
     # The best cell nearby rather than the agent's own, which an obstacle it touches may block.
     row = min(max(int((agent[AY] + ROOM / 2) / _CELL), 0), _CELLS - 1)
     column = min(max(int((agent[AX] + ROOM / 2) / _CELL), 0), _CELLS - 1)
     best, heading = np.inf, np.nan
-    for down in range(-3, 4):
-        for right in range(-3, 4):
-            r, c = row + down, column + right
-            if r < 0 or c < 0 or r >= _CELLS or c >= _CELLS or distance[r, c] == _FAR:
-                continue
+    for r in range(max(row - 3, 0), min(row + 4, _CELLS)):
+        for c in range(max(column - 3, 0), min(column + 4, _CELLS)):
             x, y = _centre(r, c)
             gap = math.hypot(x - agent[AX], y - agent[AY])
-            if gap < 0.02:
-                continue
-            cost = distance[r, c] + 1.1 * gap / _CELL
-            if cost < best:
-                best, heading = cost, math.atan2(y - agent[AY], x - agent[AX])
+            length = distance[r, c] + 1.1 * gap
+            if gap >= 0.02 and length < best:
+                best, heading = length, math.atan2(y - agent[AY], x - agent[AX])
     return heading
+
+
+@compiled()
+def _shorten(distance, row, column):
+    """Shortens the distance of a cell by way of its neighbours; whether that was possible."""
+    least = distance[row, column]
+    for r in range(max(row - 1, 0), min(row + 2, _CELLS)):
+        for c in range(max(column - 1, 0), min(column + 2, _CELLS)):
+            step = _CELL * math.sqrt((r - row) ** 2 + (c - column) ** 2)
+            least = min(least, distance[r, c] + step)
+    if least < distance[row, column] - 1e-9:
+        distance[row, column] = least
+        return True
+    return False

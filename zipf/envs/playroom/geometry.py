@@ -27,6 +27,40 @@ def footprint(extent):
 
 
 @compiled()
+def rectangles_gap(one, one_size, two, two_size):
+    """The distance of two rectangles that do not cross; poses and sizes as in `rectangle_gap`."""
+    return min(_corner_gap(one, one_size, two, two_size), _corner_gap(two, two_size, one, one_size))
+
+
+@compiled()
+def _corner_gap(one, one_size, two, two_size):
+    """The least distance of a corner of the first rectangle from the second."""
+    cos, sin = math.cos(one[2]), math.sin(one[2])
+    gap = math.inf
+    for side_x in (-1.0, 1.0):
+        for side_y in (-1.0, 1.0):
+            x, y = side_x * one_size[0], side_y * one_size[1]
+            corner_x, corner_y = one[0] + cos * x - sin * y, one[1] + sin * x + cos * y
+            gap = min(gap, rectangle_gap(two, two_size, corner_x, corner_y))
+    return gap
+
+
+@compiled()
+def half_width(frame, extent, x, y, z):
+    """Half the width of a rotated box along the unit vector (x, y, z).
+
+    Args:
+        frame: the box's rotation matrix, [3, 3].
+        extent: its size before the rotation, [3].
+    """
+    total = 0.0
+    for c in range(3):
+        along = frame[0, c] * x + frame[1, c] * y + frame[2, c] * z
+        total += abs(along) * extent[c]
+    return 0.5 * total
+
+
+@compiled()
 def set_upright(frame, angle):
     """Writes the rotation about the vertical by `angle` to `frame`, float64 [3, 3]."""
     cos, sin = math.cos(angle), math.sin(angle)

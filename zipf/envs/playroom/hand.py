@@ -1,8 +1,9 @@
 """Before the physics, an action turns the view, pushes the agent and moves the hand.
 
 The hand grips the object that the middle of the view points at and holds it at a fixed distance
-from the eye, in the direction of the view. Where a held object is on the floor plane is left to
-the physics, which is told a velocity; its height and its orientation are set here.
+from the eye, in the direction of the view, or closer where there is no room. The physics takes it
+there on the floor plane, so that it pushes other objects; its height and its orientation are set
+here. A turn of the view or the object for which there is no room is not made.
 """
 
 import math
@@ -13,7 +14,6 @@ from zipf.compiled import compiled
 from zipf.envs.playroom.actions import CONTROL_TABLE
 from zipf.envs.playroom.constants import (
     AGENT_MASS,
-    AGENT_RADIUS,
     CEILING,
     DAMPING,
     EYE,
@@ -24,24 +24,27 @@ from zipf.envs.playroom.constants import (
     ROOM,
     STEP,
 )
-from zipf.envs.playroom.geometry import footprint, rectangle_gap, set_upright
+from zipf.envs.playroom.geometry import half_width, set_upright
+from zipf.envs.playroom.holding import find_room, floor_of_hand
 from zipf.envs.playroom.state import (
     AIR,
     ANGLE,
     AX,
     AY,
     BASE,
+    BED_LAYER,
     CARRIED_LAYER,
     FLOOR,
     GROUND_LAYER,
     HELD,
+    HELD_LAYER,
     HOLD,
     LOW_LAYER,
     ON_BED,
     ON_TRAY,
     PITCH,
     RAISED_LAYER,
-    SUPPORTED_LAYER,
+    TRAY_LAYER,
     VZ,
     YAW,
     X,
@@ -57,16 +60,13 @@ TURN_RATE = math.radians(120)
 LOOK_RATE = math.radians(90)
 LOWEST, HIGHEST = math.radians(-75), math.radians(60)
 """Limits of the pitch."""
-REACH = 2.0
-"""From the eye, metres."""
 NEAREST_HOLD = 0.45
 AIM_MARGIN = 0.03
 """How far beside an object's bounding box the hand may point, metres."""
 PUSH_RATE = 1.0
 SPIN_RATE = math.radians(180)
 HAND_SPEED = 5.0
-CLIMB = 0.1
-"""A held object is put on a top when its lowest point is no more than this below it, metres."""
+"""At which a held object moves back to its distance, m/s."""
 
 # How far a body coasts in one action, divided by its speed at the beginning: positions are
 # advanced before the damping.
@@ -83,42 +83,48 @@ def control(mask, actions, worlds, commands):
         worlds: read and written.
         commands: written.
     """
+    spot, pose, turned = np.empty(3), np.empty(6), np.empty((3, 3))
     for i in range(mask.size):
         if not mask[i]:
             continue
         act = CONTROL_TABLE[actions[i]]
         agent, objects, orientation = worlds.agents[i], worlds.objects[i], worlds.orientation[i]
         status = worlds.status[i]
+        pose[:] = agent
         agent[YAW] -= act[2] * TURN_RATE * STEP
         agent[YAW] -= 2 * math.pi * math.floor((agent[YAW] + math.pi) / (2 * math.pi))
         agent[PITCH] = min(max(agent[PITCH] + act[3] * LOOK_RATE * STEP, LOWEST), HIGHEST)
+        commands.turned[i] = -1
+        held = worlds.hands[i]
+        if held < 0:
+            if act[8] > 0:
+                held = pick(agent, one_world(worlds, i))
+                if held >= 0 and find_room(agent, one_world(worlds, i), held, spot):
+                    worlds.hands[i] = held
+                    status[held] = HELD
+                    agent[BASE] = objects[held, Z]
+        elif act[8] == 0:
+            worlds.hands[i] = -1
+            status[held] = AIR
+            _release(objects[held], orientation[held], worlds.extents[worlds.ranks[i, held]])
+            commands.turned[i] = held
+        else:
+            turned[:] = orientation[held]
+            agent[HOLD] += act[7] * PUSH_RATE * STEP
+            agent[HOLD] = min(max(agent[HOLD], NEAREST_HOLD), worlds.reach)
+            _spin(orientation[held], agent, act)
+            if not find_room(agent, one_world(worlds, i), held, spot):
+                agent[:] = pose
+                orientation[held] = turned
+                find_room(agent, one_world(worlds, i), held, spot)
+        held = worlds.hands[i]
+        if held >= 0:
+            _reach_out(agent, objects[held], spot, commands.drives[i])
+            objects[held, Z] = spot[2]
         cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
         push = AGENT_MASS * ACCELERATION
         commands.forces[i, 0] = push * (act[0] * cos + act[1] * sin)
         commands.forces[i, 1] = push * (act[0] * sin - act[1] * cos)
-        commands.turned[i] = -1
-        held = worlds.hands[i]
-        if act[8] > 0 and held < 0:
-            held = pick(agent, one_world(worlds, i))
-            if held >= 0:
-                worlds.hands[i] = held
-                status[held] = HELD
-                agent[BASE] = objects[held, Z]
-        elif act[8] == 0 and held >= 0:
-            worlds.hands[i] = -1
-            status[held] = AIR
-            objects[held, VZ] = 0.0
-            floor = _floor_of_hand(worlds.furnished, worlds.furniture[i], objects[held])
-            objects[held, Z] = max(objects[held, Z], floor)
-            _set_angle(objects[held], orientation[held])
-            commands.turned[i] = held
-            held = -1
-        if held >= 0:
-            if act[7] != 0:
-                agent[HOLD] += act[7] * PUSH_RATE * STEP
-                agent[HOLD] = min(max(agent[HOLD], NEAREST_HOLD), REACH)
-            _spin(orientation[held], agent, act)
-            _carry(worlds, i, held, commands.drives[i])
         for j in range(status.size):
             commands.layers[i, j] = _layer(status[j], objects[j, Z])
 
@@ -128,11 +134,13 @@ def _layer(status, height):
     """What an object collides with, by where it is and its height."""
     if status == FLOOR:
         return GROUND_LAYER
-    if status in (ON_BED, ON_TRAY):
-        return SUPPORTED_LAYER
-    if status == HELD and height < 0.1:
-        return CARRIED_LAYER
-    if height < FURNITURE_SIZE[0, 2] - (CLIMB if status == HELD else LANDING):
+    if status == ON_BED:
+        return BED_LAYER
+    if status == ON_TRAY:
+        return TRAY_LAYER
+    if status == HELD:
+        return CARRIED_LAYER if height < 0.1 else HELD_LAYER
+    if height < FURNITURE_SIZE[0, 2] - LANDING:
         return LOW_LAYER
     return RAISED_LAYER
 
@@ -151,7 +159,7 @@ def pick(agent, world):
     direction[0] = math.cos(agent[PITCH]) * math.cos(agent[YAW])
     direction[1] = math.cos(agent[PITCH]) * math.sin(agent[YAW])
     direction[2] = math.sin(agent[PITCH])
-    picked, nearest = -1, REACH
+    picked, nearest = -1, world.reach
     centre = np.empty(3)
     half = np.empty(3)
     frame = np.empty((3, 3))
@@ -167,7 +175,7 @@ def pick(agent, world):
         for c in range(3):
             half[c] = extent[c] / 2 + AIM_MARGIN
         centre[0], centre[1] = objects[j, X], objects[j, Y]
-        centre[2] = objects[j, Z] + extent[2] / 2
+        centre[2] = objects[j, Z] + half_width(orientation[j], extent, 0.0, 0.0, 1.0)
         distance = _distance_along(direction, agent, centre, orientation[j], half)
         if distance < nearest:
             picked, nearest = j, distance
@@ -176,7 +184,7 @@ def pick(agent, world):
                 + (centre[1] - agent[AY]) * direction[1]
                 + (centre[2] - EYE) * direction[2]
             )
-            agent[HOLD] = min(max(along, NEAREST_HOLD), REACH)
+            agent[HOLD] = min(max(along, NEAREST_HOLD), world.reach)
     return picked
 
 
@@ -205,10 +213,17 @@ def _distance_along(direction, agent, centre, frame, half):
 
 
 @compiled()
-def _set_angle(item, frame):
-    """Sets a released object's angle on the floor to that of its front, unless that is vertical."""
-    if math.hypot(frame[0, 0], frame[1, 0]) > 0.1:
+def _release(item, frame, extent):
+    """Lets an object go where it has room to stand up, its front in the direction it has now."""
+    item[VZ] = 0.0
+    if math.hypot(frame[0, 0], frame[1, 0]) > 0.1:  # otherwise its front is vertical
         item[ANGLE] = math.atan2(frame[1, 0], frame[0, 0])
+    cos, sin = abs(math.cos(item[ANGLE])), abs(math.sin(item[ANGLE]))
+    limit_x = (ROOM - cos * extent[0] - sin * extent[1]) / 2
+    limit_y = (ROOM - sin * extent[0] - cos * extent[1]) / 2
+    item[X] = min(max(item[X], -limit_x), limit_x)
+    item[Y] = min(max(item[Y], -limit_y), limit_y)
+    item[Z] = min(item[Z], CEILING - extent[2])
 
 
 @compiled()
@@ -236,55 +251,36 @@ def _rotate(frame, x, y, z, angle):
 
 
 @compiled()
-def _carry(worlds, i, held, drive):
-    """Moves a held object to the hand: its height at once, its position by a velocity, `drive`."""
-    agent, item = worlds.agents[i], worlds.objects[i, held]
-    extent, furniture = worlds.extents[worlds.ranks[i, held]], worlds.furniture[i]
-    radius = footprint(extent)
-    flat = max(math.cos(agent[PITCH]) * agent[HOLD], AGENT_RADIUS + radius + 0.05)
-    limit = ROOM / 2 - radius
-    x = min(max(agent[AX] + flat * math.cos(agent[YAW]), -limit), limit)
-    y = min(max(agent[AY] + flat * math.sin(agent[YAW]), -limit), limit)
-    if worlds.furnished and item[Z] < FURNITURE_SIZE[0, 2] - CLIMB:
-        x, y = _beside(furniture[0], FURNITURE_SIZE[0], 0.5 * min(extent[0], extent[1]), item, x, y)
-    dx, dy = x - item[X], y - item[Y]
+def _reach_out(agent, item, spot, drive):
+    """The velocity that takes a held object to the greatest distance of `spot`, to `drive`."""
+    dx = agent[AX] + spot[1] * math.cos(agent[YAW]) - item[X]
+    dy = agent[AY] + spot[1] * math.sin(agent[YAW]) - item[Y]
     distance = math.hypot(dx, dy)
     share = min(1.0, HAND_SPEED * STEP / distance) if distance > 0 else 0.0
     drive[0], drive[1] = dx * share / _COAST, dy * share / _COAST
-    height = EYE + math.sin(agent[PITCH]) * agent[HOLD] - extent[2] / 2
-    floor = _floor_of_hand(worlds.furnished, furniture, item)
-    height = min(max(height, floor), CEILING - extent[2])
-    step = HAND_SPEED * STEP
-    item[Z] += min(max(height - item[Z], -step), step)
 
 
 @compiled()
-def _floor_of_hand(furnished, furniture, item):
-    """The lowest height at which an object may be held where it is now."""
-    floor = 0.0
-    if furnished:
-        for k in range(2):
-            over = rectangle_gap(furniture[k], FURNITURE_SIZE[k], item[X], item[Y]) == 0.0
-            if over and item[Z] >= FURNITURE_SIZE[k, 2] - CLIMB:
-                floor = FURNITURE_SIZE[k, 2]
-    return floor
+def keep_in_hand(worlds, i, start):
+    """After the physics, puts the held object of world `i`, if any, back in front of the agent.
 
+    Other objects may have stopped it on its way, but do not push it aside.
 
-@compiled()
-def _beside(pose, size, radius, item, x, y):
-    """The point nearest to (x, y) on the side of a rectangle that an object is on now.
-
-    The physics alone would let the object through: a body whose velocity is set moves before its
-    collisions are resolved.
+    Args:
+        worlds: read and written.
+        i: the world.
+        start: the agent's x, y before the physics, float64 [2], where there was room.
     """
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    own_x = cos * (item[X] - pose[0]) + sin * (item[Y] - pose[1])
-    own_y = cos * (item[Y] - pose[1]) - sin * (item[X] - pose[0])
-    to_x = cos * (x - pose[0]) + sin * (y - pose[1])
-    to_y = cos * (y - pose[1]) - sin * (x - pose[0])
-    least_x, least_y = size[0] + radius, size[1] + radius
-    if abs(own_x) - least_x > abs(own_y) - least_y:
-        to_x = max(to_x, least_x) if own_x > 0 else min(to_x, -least_x)
-    else:
-        to_y = max(to_y, least_y) if own_y > 0 else min(to_y, -least_y)
-    return pose[0] + cos * to_x - sin * to_y, pose[1] + sin * to_x + cos * to_y
+    held = worlds.hands[i]
+    if held < 0:
+        return
+    agent, item = worlds.agents[i], worlds.objects[i, held]
+    world, spot = one_world(worlds, i), np.empty(3)
+    if not find_room(agent, world, held, spot):
+        agent[AX], agent[AY] = start[0], start[1]
+        find_room(agent, world, held, spot)
+    cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
+    distance = (item[X] - agent[AX]) * cos + (item[Y] - agent[AY]) * sin
+    distance = min(max(distance, spot[0]), spot[1])
+    item[X], item[Y] = agent[AX] + distance * cos, agent[AY] + distance * sin
+    item[Z] = max(spot[2], floor_of_hand(worlds.furnished, worlds.furniture[i], item))

@@ -3,25 +3,24 @@
 import math
 
 from zipf.compiled import compiled
-from zipf.envs.playroom.constants import FURNITURE_SIZE
+from zipf.envs.playroom.constants import FURNITURE_SIZE, NEAR_DISTANCE
 from zipf.envs.playroom.falling import STILL_STEPS, fall
 from zipf.envs.playroom.geometry import rectangle_gap
+from zipf.envs.playroom.hand import keep_in_hand
 from zipf.envs.playroom.levels import LIFT, NEAR, ON
 from zipf.envs.playroom.state import AX, AY, FLOOR, ON_BED, X, Y
 
-# Ours.
-NEAR_DISTANCE = 0.5
-"""An object is near a support up to this distance from its edge, metres."""
 APPROACH_DISTANCE = 0.7
-"""Between the centres of agent and object, in `supervised/` levels, metres."""
+"""Between the centres of agent and object, in `supervised/` levels, metres. Ours."""
 
 
 @compiled()
-def settle(mask, before, worlds, reward, terminated, success):
-    """Lets the objects of the worlds of `mask` fall after the physics, and judges their episodes.
+def settle(mask, start, before, worlds, reward, terminated, success):
+    """After the physics, objects are held or fall, and episodes are judged.
 
     Args:
-        mask: bool [N].
+        mask: the worlds concerned, bool [N].
+        start: the agents' x, y before the physics of this step, float64 [N, 2].
         before: the objects' x, y before the physics of this step, float64 [N, C, 2].
         worlds: read and written.
         reward, terminated, success: float64, bool, bool [N], written.
@@ -29,6 +28,7 @@ def settle(mask, before, worlds, reward, terminated, success):
     for i in range(mask.size):
         if not mask[i]:
             continue
+        keep_in_hand(worlds, i, start[i])
         fall(worlds, i, before[i])
         outcome = _judge(worlds, i)
         terminated[i] = outcome >= 0
@@ -69,7 +69,8 @@ def _judge_put(worlds, i):
     """1 if the target was put on or near the right support, 0 for any other, -1 if nothing was put.
 
     An object has been put when it rests after having been lifted. Where the task is to put the
-    target near a support, putting it on the support is right, too.
+    target near a support, putting it on the support is right, too; another object near a support,
+    or the target near the wrong one, is nothing yet, or a failure with `near_failure`.
     """
     task, ranks, status = worlds.task[i], worlds.ranks[i], worlds.status[i]
     objects, furniture = worlds.objects[i], worlds.furniture[i]
@@ -78,14 +79,12 @@ def _judge_put(worlds, i):
     for j in range(ranks.size):
         if not worlds.lifted[i, j] or worlds.still[i, j] < STILL_STEPS:
             continue
-        somewhere = right = False
         for k in range(2):
-            there = status[j] == ON_BED + k
-            if near and status[j] == FLOOR:
+            right = k == support and ranks[j] == ranks[0]
+            if status[j] == ON_BED + k:
+                return 1 if right else 0
+            if near and status[j] == FLOOR and (right or worlds.near_failure):
                 gap = rectangle_gap(furniture[k], FURNITURE_SIZE[k], objects[j, X], objects[j, Y])
-                there = gap <= NEAR_DISTANCE
-            somewhere |= there
-            right |= there and k == support
-        if somewhere:
-            return 1 if right and ranks[j] == ranks[0] else 0
+                if gap <= NEAR_DISTANCE:
+                    return 1 if right else 0
     return -1

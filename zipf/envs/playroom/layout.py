@@ -6,8 +6,8 @@ import numpy as np
 
 from zipf.compiled import compiled
 from zipf.envs import pcg64
-from zipf.envs.playroom.constants import AGENT_RADIUS, FURNITURE_SIZE, ROOM
-from zipf.envs.playroom.geometry import footprint, rectangle_gap, set_upright
+from zipf.envs.playroom.constants import AGENT_RADIUS, FURNITURE_SIZE, NEAR_DISTANCE, ROOM
+from zipf.envs.playroom.geometry import footprint, rectangle_gap, rectangles_gap, set_upright
 from zipf.envs.playroom.levels import LIFT
 from zipf.envs.playroom.state import ANGLE, AX, AY, BASE, FLOOR, HOLD, PITCH, VZ, YAW, X, Y, Z
 
@@ -30,8 +30,10 @@ PALETTE = np.array(
 
 FIRST_PITCH = math.radians(-25)
 """Objects on the floor are in view. Ours."""
+FIRST_YAW = math.radians(30)
+"""How far to either side of the objects' middle the agent may look at first. Ours."""
 PASSAGE = 0.55
-"""Free space around furniture, metres, so that the agent can pass. Ours."""
+"""Free space between the tray and the walls, metres, so that the agent can pass. Ours."""
 
 _between, _below = pcg64.between, pcg64.below
 _TRAY_RADIUS = 0.375
@@ -119,7 +121,8 @@ def _keep_apart(ranks, drawn, forced):
 def lay_out(mask, worlds):
     """Places agent, objects and furniture of the episodes of `mask`, and paints them.
 
-    Nothing overlaps, and the agent can reach everything. Draws from `worlds.scenery`.
+    Nothing overlaps, the agent can reach everything, and no place is near both bed and tray. Draws
+    from `worlds.scenery`.
 
     Returns:
         Whether there was room for everything.
@@ -138,17 +141,17 @@ def lay_out(mask, worlds):
             if worlds.furnished:
                 _place_furniture(stream, furniture)
                 bed, tray = furniture[0], furniture[1]
-                gap = rectangle_gap(bed, FURNITURE_SIZE[0], tray[0], tray[1])
-                if gap < PASSAGE + _TRAY_RADIUS:
+                gap = rectangles_gap(bed, FURNITURE_SIZE[0], tray, FURNITURE_SIZE[1])
+                if gap <= 2 * NEAR_DISTANCE:
                     continue
             agent[HOLD] = agent[BASE] = 0.0
             agent[PITCH] = FIRST_PITCH
-            agent[YAW] = _between(stream, -math.pi, math.pi)
             if worlds.finding:
                 _face_two(stream, agent, objects)
                 placed = True
             else:
                 placed = _scatter(stream, worlds, i)
+                _face_the_objects(stream, agent, objects)
         fits &= placed
         for j in range(objects.shape[0]):
             objects[j, ANGLE] = _between(stream, -math.pi, math.pi)
@@ -203,10 +206,19 @@ def _is_free(x, y, radius, furnished, furniture):
 
 @compiled()
 def _scatter(stream, worlds, i):
-    """Places agent and objects anywhere; False where no place was found for one of them."""
+    """Places agent and objects anywhere; False where no place was found for one of them.
+
+    The objects are placed in a random order: the later ones are pushed outwards by those before,
+    and the target, which is the first of them, would be found in the middle of the room.
+    """
     ranks, extents = worlds.ranks[i], worlds.extents
     agent, objects = worlds.agents[i], worlds.objects[i]
-    for j in range(-1, ranks.size):
+    order = np.arange(ranks.size)
+    for last in range(ranks.size - 1, 0, -1):
+        other = _below(stream, last + 1)
+        order[last], order[other] = order[other], order[last]
+    for turn in range(-1, ranks.size):
+        j = order[turn] if turn >= 0 else -1
         radius = AGENT_RADIUS if j < 0 else footprint(extents[ranks[j]])
         found = False
         for _ in range(50):
@@ -215,7 +227,7 @@ def _scatter(stream, worlds, i):
             if not _is_free(x, y, radius + 0.05, worlds.furnished, worlds.furniture[i]):
                 continue
             found = j < 0 or math.hypot(x - agent[AX], y - agent[AY]) > radius + AGENT_RADIUS + 0.2
-            for k in range(max(j, 0)):
+            for k in order[: max(turn, 0)]:
                 gap = radius + footprint(extents[ranks[k]]) + 0.1
                 found &= math.hypot(x - objects[k, X], y - objects[k, Y]) > gap
             if found:
@@ -230,8 +242,18 @@ def _scatter(stream, worlds, i):
 
 
 @compiled()
+def _face_the_objects(stream, agent, objects):
+    """Turns the agent to the middle of all objects, give or take, so that it sees some of them."""
+    aside = _between(stream, -FIRST_YAW, FIRST_YAW)
+    dx, dy = objects[:, X].mean() - agent[AX], objects[:, Y].mean() - agent[AY]
+    agent[YAW] = math.atan2(dy, dx) + aside
+    agent[YAW] -= 2 * math.pi * math.floor((agent[YAW] + math.pi) / (2 * math.pi))
+
+
+@compiled()
 def _face_two(stream, agent, objects):
     """Places two objects in view, one on the left and one on the right, the target on either."""
+    agent[YAW] = _between(stream, -math.pi, math.pi)
     x, y = _between(stream, -0.2, 0.2), _between(stream, -0.2, 0.2)
     cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
     agent[AX], agent[AY] = x - 0.6 * cos, y - 0.6 * sin

@@ -1,7 +1,7 @@
 """The playroom's eighteen levels, its objects and its instructions."""
 
 import difflib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,17 +76,21 @@ class Level:
         return situation
 
 
+def _frequent(exponent: float) -> NDArray[np.float64]:
+    """Zipf's law over the most frequent fifth of the objects, float64 [50]."""
+    n = len(OBJECTS)
+    return np.append(distributions.zipfian(n // 5, exponent), np.zeros(n - n // 5))
+
+
 def _levels() -> dict[str, Level]:
     n = len(OBJECTS)
-    frequent = np.zeros(n)
-    frequent[: n // 5] = 1 / (n // 5)
     drawn = {
         **{f"zipf{exponent}": distributions.zipfian(n, exponent) for exponent in (1, 2, 3, 4)},
         "uniform": distributions.uniform(n),
         "uniform_rare": distributions.rare(n),
         "all": distributions.uniform(n),
         "rare": distributions.rare(n),
-        "frequent": frequent,
+        "frequent": _frequent(0.0),
     }
     near = tuple(NEAR + i for i in range(len(SUPPORTS)))
     on = tuple(ON + i for i in range(len(SUPPORTS)))
@@ -114,18 +118,27 @@ def _levels() -> dict[str, Level]:
 LEVELS = _levels()
 
 
-def by_name(name: str) -> Level:
+def by_name(name: str, frequent_exponent: float = 0.0) -> Level:
     """The level of this name, with or without `playroom/` before it.
+
+    Args:
+        name: one of `LEVELS`.
+        frequent_exponent: of Zipf's law over the ten most frequent objects in `*_frequent` levels.
 
     Raises:
         ValueError: there is none; names the nearest.
     """
+    if not isinstance(name, str):
+        raise ValueError(f"level must be a name, got {name!r}: expected one of {', '.join(LEVELS)}")
     name = name.removeprefix("playroom/")
     if name not in LEVELS:
         nearest = difflib.get_close_matches(name, LEVELS, n=2, cutoff=0.4)
         hint = f" (did you mean {' or '.join(map(repr, nearest))}?)" if nearest else ""
         raise ValueError(f"unknown level {name!r}{hint}: expected one of {', '.join(LEVELS)}")
-    return LEVELS[name]
+    level = LEVELS[name]
+    if name.endswith("_frequent"):
+        level = replace(level, probabilities=_frequent(frequent_exponent))
+    return level
 
 
 def instruction(level: Level, target: str, task: int) -> str:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 
 import pymunk
-from numpy.typing import NDArray
 
 from zipf.envs.playroom.constants import (
     AGENT_MASS,
@@ -16,11 +15,13 @@ from zipf.envs.playroom.constants import (
     ROOM,
 )
 from zipf.envs.playroom.state import (
+    BED_LAYER,
     CARRIED_LAYER,
     GROUND_LAYER,
+    HELD_LAYER,
     LOW_LAYER,
     RAISED_LAYER,
-    SUPPORTED_LAYER,
+    TRAY_LAYER,
 )
 
 _WALL, _AGENT, _GROUND, _BED, _TRAY, _RAISED, _CARRIED, _SUPPORTED = (1 << k for k in range(8))
@@ -31,15 +32,17 @@ def _filter(category: int, *against: int) -> pymunk.ShapeFilter:
     return pymunk.ShapeFilter(categories=category, mask=sum(against))
 
 
-# A held object near the floor pushes objects on the floor, but not the agent that holds it; an
-# object lower than the bed collides with its sides; a high one only with walls; one on a support
-# only with others there.
+# A flying object collides with walls, and lower than the bed with its sides. One on a support
+# collides with others there, and on the tray with the agent, who can walk over the tray. A held
+# object near the floor pushes objects on the floor; `holding.py` keeps it out of everything else.
 _LAYERS = {
     GROUND_LAYER: _filter(_GROUND, _WALL, _AGENT, _GROUND, _BED, _TRAY, _CARRIED),
     RAISED_LAYER: _filter(_RAISED, _WALL),
     LOW_LAYER: _filter(_RAISED, _WALL, _BED),
-    CARRIED_LAYER: _filter(_CARRIED, _WALL, _GROUND, _BED),
-    SUPPORTED_LAYER: _filter(_SUPPORTED, _WALL, _SUPPORTED),
+    CARRIED_LAYER: _filter(_CARRIED, _GROUND),
+    HELD_LAYER: _filter(_CARRIED),
+    BED_LAYER: _filter(_SUPPORTED, _WALL, _SUPPORTED),
+    TRAY_LAYER: _filter(_SUPPORTED, _WALL, _SUPPORTED, _AGENT),
 }
 _SLOP = 0.005  # metres of overlap that is not corrected; pymunk's 0.1 is meant for pixels
 _ITERATIONS = 30  # ours: enough for several objects that are pushed into a corner
@@ -48,74 +51,124 @@ _ELONGATED = 1.3  # above this ratio of sides a footprint is a box, below it a d
 
 
 class Room:
-    """The bodies of one episode.
+    """The bodies of a world, for one episode after the other.
 
-    Every episode has a new room, so that it does not depend on the episodes before it.
+    Every episode has a new space, so that it does not depend on the episodes before it. Bodies and
+    shapes are used again, because making them takes longer than everything else in a reset.
 
     Args:
-        agent: x and y of the agent.
-        objects: (x, y, angle, length, width) of each object.
-        furniture: (x, y, angle, half length, half width) of bed and tray; empty without them.
+        num_objects: how many objects an episode has.
+        furnished: whether there are a bed and a tray.
     """
 
-    def __init__(
+    def __init__(self, num_objects: int, furnished: bool) -> None:
+        self.space = pymunk.Space()
+        self._still: list[pymunk.Body] = []
+        self._fixed: list[pymunk.Shape] = []
+        half = ROOM / 2 + _WALL_DEPTH
+        corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
+        walls = pymunk.Body(body_type=pymunk.Body.STATIC)
+        self._still.append(walls)
+        for one, two in zip(corners, corners[1:] + corners[:1], strict=True):
+            wall = pymunk.Segment(walls, one, two, _WALL_DEPTH)
+            wall.filter = _filter(_WALL, _AGENT, _GROUND, _RAISED, _SUPPORTED)
+            self._fixed.append(wall)
+        for kind, size in zip((_BED, _TRAY), FURNITURE_SIZE.tolist(), strict=True):
+            if furnished:
+                body = pymunk.Body(body_type=pymunk.Body.STATIC)
+                piece = pymunk.Poly.create_box(body, (2 * size[0], 2 * size[1]))
+                piece.filter = _filter(kind, _AGENT, _GROUND, _RAISED)
+                self._still.append(body)
+                self._fixed.append(piece)
+        self.agent = pymunk.Body(AGENT_MASS, math.inf)
+        self._disc = pymunk.Circle(self.agent, AGENT_RADIUS)
+        self._disc.filter = _filter(_AGENT, _WALL, _GROUND, _BED, _SUPPORTED)
+        self.objects = [pymunk.Body(_MASS, 1.0) for _ in range(num_objects)]
+        self._boxes = [pymunk.Poly.create_box(body, (1.0, 1.0)) for body in self.objects]
+        self._discs = [pymunk.Circle(body, 1.0) for body in self.objects]
+        for shape in (*self._boxes, *self._discs):
+            shape.friction = 0.5
+        self.shapes: list[pymunk.Shape] = []
+        self.bodies = [self.agent, *self.objects]
+        self.layers: list[int] = []
+
+    def begin(
         self,
         agent: Sequence[float],
         objects: Sequence[Sequence[float]],
         furniture: Sequence[Sequence[float]],
     ) -> None:
+        """Begins an episode.
+
+        Args:
+            agent: x and y of the agent.
+            objects: (x, y, angle, length, width) of each object.
+            furniture: (x, y, angle) of bed and tray; empty without them.
+        """
+        if self.shapes:
+            self.space.remove(*self.shapes, self._disc, *self._fixed)
+            # Without shapes: what is left of the correction of overlaps is used up.
+            self.space.step(FRAME)
+            self.space.remove(*self.bodies, *self._still)
+        for body, pose in zip(self._still[1:], furniture, strict=True):
+            _place(body, *pose)
+        _place(self.agent, agent[0], agent[1], 0.0)
+        self.shapes = []
+        for j, (x, y, angle, length, width) in enumerate(objects):
+            body = self.objects[j]
+            _place(body, x, y, angle)
+            body.moment = pymunk.moment_for_box(_MASS, (length, width))
+            if max(length, width) > _ELONGATED * min(length, width):
+                box = self._boxes[j]
+                x, y = length / 2, width / 2
+                box.unsafe_set_vertices([(x, -y), (x, y), (-x, y), (-x, -y)])
+                self.shapes.append(box)
+            else:
+                disc = self._discs[j]
+                disc.unsafe_set_radius((length + width) / 4)
+                self.shapes.append(disc)
+            self.shapes[j].filter = _LAYERS[GROUND_LAYER]
+        self.layers = [GROUND_LAYER] * len(self.objects)
         self.space = pymunk.Space()
         self.space.iterations = _ITERATIONS
         self.space.collision_slop = _SLOP
         self.space.damping = math.exp(-DAMPING)
-        still = self.space.static_body
-        half = ROOM / 2 + _WALL_DEPTH
-        corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
-        for one, two in zip(corners, corners[1:] + corners[:1], strict=True):
-            wall = pymunk.Segment(still, one, two, _WALL_DEPTH)
-            wall.filter = _filter(_WALL, _AGENT, _GROUND, _RAISED, _CARRIED, _SUPPORTED)
-            self.space.add(wall)
-        for kind, (x, y, angle, length, width) in zip((_BED, _TRAY), furniture, strict=False):
-            placed = pymunk.Transform.translation(x, y).rotated(angle)
-            points = [(length, width), (-length, width), (-length, -width), (length, -width)]
-            piece = pymunk.Poly(still, points, placed)
-            piece.filter = _filter(kind, _AGENT, _GROUND, _RAISED, _CARRIED)
-            self.space.add(piece)
-        self.agent = pymunk.Body(AGENT_MASS, math.inf)
-        self.agent.position = agent[0], agent[1]
-        disc = pymunk.Circle(self.agent, AGENT_RADIUS)
-        disc.filter = _filter(_AGENT, _WALL, _GROUND, _BED, _TRAY)
-        self.space.add(self.agent, disc)
-        self.objects: list[pymunk.Body] = []
-        self.shapes: list[pymunk.Shape] = []
-        for x, y, angle, length, width in objects:
-            body = pymunk.Body(_MASS, pymunk.moment_for_box(_MASS, (length, width)))
-            body.position = x, y
-            body.angle = angle
-            shape: pymunk.Shape
-            if max(length, width) > _ELONGATED * min(length, width):
-                shape = pymunk.Poly.create_box(body, (length, width))
-            else:
-                shape = pymunk.Circle(body, (length + width) / 4)
-            shape.friction = 0.5
-            shape.filter = _LAYERS[GROUND_LAYER]
-            self.space.add(body, shape)
-            self.objects.append(body)
-            self.shapes.append(shape)
-        self.bodies = [self.agent, *self.objects]
-        self.layers = [GROUND_LAYER] * len(self.objects)
+        self.space.add(*self._still, *self.bodies, *self._fixed, self._disc, *self.shapes)
 
     def set_layers(self, layers: Sequence[int]) -> None:
-        """Sets what each object collides with, GROUND_LAYER .. SUPPORTED_LAYER."""
+        """Sets what each object collides with, GROUND_LAYER .. TRAY_LAYER."""
         for j, layer in enumerate(layers):
             if layer != self.layers[j]:
                 self.shapes[j].filter = _LAYERS[layer]
         self.layers = list(layers)
 
-    def turn(self, item: int, angle: float) -> None:
-        """Sets the angle of an object, radians."""
-        self.objects[item].angle = angle
-        self.space.reindex_shapes_for_body(self.objects[item])
+    def place(self, item: int, x: float, y: float, angle: float) -> None:
+        """Puts an object somewhere on the floor plane; it keeps its velocity."""
+        body = self.objects[item]
+        body.position = x, y
+        body.angle = angle
+        self.space.reindex_shapes_for_body(body)
+
+    def carry(self, item: int, place: Sequence[float], drive: Sequence[float]) -> None:
+        """Puts a held object somewhere, to move with the agent and by a velocity of its own."""
+        body = self.objects[item]
+        vx, vy = self.agent.velocity
+        body.position = place[0], place[1]
+        body.velocity = vx + drive[0], vy + drive[1]
+        body.angular_velocity = 0.0
+
+    def move_agent(self, x: float, y: float) -> None:
+        """Puts the agent where a held object has pushed it, with no velocity back from there."""
+        agent = self.agent
+        before_x, before_y = agent.position
+        dx, dy = x - before_x, y - before_y
+        if dx == 0 and dy == 0:
+            return
+        agent.position = x, y
+        vx, vy = agent.velocity
+        back = (vx * dx + vy * dy) / (dx * dx + dy * dy)
+        if back < 0:
+            agent.velocity = vx - back * dx, vy - back * dy
 
     def step(self, force: Sequence[float]) -> None:
         """Simulates the frames of one action, with a force (x, y) on the agent, newtons."""
@@ -135,7 +188,10 @@ class Room:
         return values
 
 
-def furniture_of(poses: NDArray) -> list[list[float]]:
-    """(x, y, angle, half length, half width) of bed and tray from their poses, float64 [2, 3]."""
-    sizes = FURNITURE_SIZE.tolist()
-    return [[*pose, *size[:2]] for pose, size in zip(poses.tolist(), sizes, strict=True)]
+def _place(body: pymunk.Body, x: float, y: float, angle: float) -> None:
+    """Puts a body that is in no space somewhere, at rest."""
+    body.position = x, y
+    body.angle = angle
+    if body.body_type == pymunk.Body.DYNAMIC:
+        body.velocity = 0.0, 0.0
+        body.angular_velocity = 0.0

@@ -50,9 +50,11 @@ class PlayroomEnv(SingleWorld):
     | 40, 41 | grips and pulls closer, pushes away     | 0.13 m        | 42, 43: half              |
     | 44, 45 | pulls, pushes with an empty hand: nothing |             |                           |
 
-    Gripping takes the toy at the middle of the view, within 2 m, and holds it there as long as
+    Gripping takes the toy at the middle of the view, within `reach`, and holds it there as long as
     gripping actions follow; the first that does not grip lets go. What is held follows the view:
-    looking up raises it. What is let go falls.
+    looking up raises it. At a wall it comes closer and then keeps the agent away, and a turn for
+    which there is no room is not made. What is let go falls. The agent walks over the tray, but not
+    over the bed or through toys.
 
     ## Rewards
 
@@ -60,21 +62,26 @@ class PlayroomEnv(SingleWorld):
 
     - Lift: the right toy is 0.15 m above where it lay.
     - Put on: the right toy, once lifted, rests on the right one of bed and tray for 0.27 s.
-    - Put near: the same, or it rests on the floor within 0.5 m of the right one.
+    - Put near: the same, or it rests on the floor within 0.5 m of the right one. Bed and tray are
+      so far apart that no place is near both.
     - Find: the agent's middle comes within 0.7 m of the right toy's.
 
     ## Starting state
 
     The toys' frequency ranks are drawn first, from the level's distribution without replacement
-    (with it in `supervised/` levels), the target uniformly among them. Poses do not overlap. In
-    `supervised/` levels the agent faces two toys, one on the left and one on the right.
+    (with it in `supervised/` levels), the target uniformly among them. Poses do not overlap. The
+    agent faces the middle of the toys, give or take 30 degrees; in `supervised/` levels two toys
+    are in view, one on the left and one on the right.
     `reset(options={"target": 3, "other_1": 17})` forces ranks; forced ones are drawn all the same
     and then replaced, so that the episodes that follow do not depend on it.
 
     ## Episode end
 
     Terminated when the task is done, or done to the wrong toy or in the wrong place; truncated
-    after `max_steps` actions, 120 s.
+    after `max_steps` actions, 120 s. In `put/put_near_*` levels the wrong toy on either support, or
+    the right one on the wrong support, ends the episode, but nothing that only lies near one: in
+    the paper "reward is also given if the correct object is placed near the target box". With
+    `near_failure=True` these end it, too.
 
     ## Info
 
@@ -89,7 +96,9 @@ class PlayroomEnv(SingleWorld):
     - `lift/lift_shape_*`: no furniture; `zipf2`, `zipf3`, `zipf4`, `uniform`, `uniform_rare`.
     - `put/lift_shape_*`: the same with furniture; `zipf2`, `uniform`, `uniform_rare`, and with six
       toys (ours: how many is not published) `many_zipf1`, `many_zipf4`.
-    - `put/put_near_bed_tray_frequent`, `put/put_on_bed_tray_frequent`: the 10 most frequent toys.
+    - `put/put_near_bed_tray_frequent`, `put/put_on_bed_tray_frequent`: the 10 most frequent toys,
+      all alike, or by Zipf's law with `frequent_exponent`. The paper says of putting that "we only
+      trained on the most frequent 20%", and elsewhere that its exponent in training is 2.
     - `put/put_on_bed_tray_all`, `put/put_on_bed_tray_rare`: all alike; the 10 rarest.
     - `supervised/find_shape_*`: `zipf2`, `zipf3`, `uniform`, `uniform_rare`.
 
@@ -103,6 +112,10 @@ class PlayroomEnv(SingleWorld):
       warmth), textures of walls and floor, and sizes that toys are drawn at, 0.85 to 1 times
       theirs. Nothing else changes: the same actions lead to the same rewards.
     - `max_steps`: after how many actions an episode is truncated.
+    - `reach`: of the hand from the eye, 1.5 to 4 m. The paper does not give it.
+    - `frequent_exponent`: of Zipf's law over the 10 most frequent toys, 0 to 10, in the levels
+      named `frequent`; 0 draws all alike. Other levels have it, too, and do not use it.
+    - `near_failure`: see above. Levels with other tasks have it, too, and do not use it.
     - `render_mode`: `"rgb_array"` (384 x 288, with the instruction) or None.
 
     ## Registered as
@@ -112,7 +125,7 @@ class PlayroomEnv(SingleWorld):
     `gymnasium.make_vec` the same id gives `PlayroomVectorEnv`, which steps many worlds at once.
 
     Raises:
-        ValueError: for an unknown level, order of objects or looks, or sizes below 1.
+        ValueError: for an option of the wrong type or out of range.
     """
 
     metadata = PlayroomVectorEnv.metadata
@@ -125,6 +138,9 @@ class PlayroomEnv(SingleWorld):
         object_order: str = "default",
         looks: str = "plain",
         max_steps: int = 900,
+        reach: float = 2.0,
+        frequent_exponent: float = 0.0,
+        near_failure: bool = False,
         render_mode: str | None = None,
     ) -> None:
         super().__init__(
@@ -134,5 +150,8 @@ class PlayroomEnv(SingleWorld):
             object_order=object_order,
             looks=looks,
             max_steps=max_steps,
+            reach=reach,
+            frequent_exponent=frequent_exponent,
+            near_failure=near_failure,
             render_mode=render_mode,
         )

@@ -10,11 +10,12 @@ from zipf.compiled import compiled
 AX, AY, YAW, PITCH, HOLD, BASE = range(6)
 """Columns of `agents`: pose, distance of the held object from the eye, its height when gripped."""
 X, Y, ANGLE, Z, VZ = range(5)
-"""Columns of `objects`: pose on the floor plane, height of the lowest point, vertical speed."""
+"""Columns of `objects`: pose of the middle on the floor plane, height of the lowest point of the
+(rotated) bounding box, vertical speed."""
 
 FLOOR, AIR, HELD, ON_BED, ON_TRAY = range(5)
 """Values of `status`: where an object is."""
-GROUND_LAYER, RAISED_LAYER, LOW_LAYER, CARRIED_LAYER, SUPPORTED_LAYER = range(5)
+GROUND_LAYER, RAISED_LAYER, LOW_LAYER, CARRIED_LAYER, HELD_LAYER, BED_LAYER, TRAY_LAYER = range(7)
 """Values of `layers`: what an object collides with, see `room.py`."""
 
 
@@ -28,6 +29,10 @@ class Worlds(NamedTuple):
     """Whether the task is to approach the target (`supervised/` levels)."""
     furnished: bool
     """Whether there are a bed and a tray."""
+    near_failure: bool
+    """Whether a wrong object near a support ends an episode that asks for one near a support."""
+    reach: float
+    """Of the hand from the eye, metres."""
     extents: NDArray[np.float64]
     """Bounding boxes of the objects by rank, [50, 3], metres."""
     ranks: NDArray[np.int64]
@@ -61,6 +66,7 @@ class World(NamedTuple):
 
     finding: bool
     furnished: bool
+    reach: float
     extents: NDArray[np.float64]
     ranks: NDArray[np.int64]
     hand: int
@@ -76,8 +82,8 @@ def one_world(worlds, i):
     Its arrays are views. Passing all of `Worlds` takes longer than such a function.
     """
     return World(
-        worlds.finding, worlds.furnished, worlds.extents, worlds.ranks[i], worlds.hands[i],
-        worlds.objects[i], worlds.orientation[i], worlds.furniture[i],
+        worlds.finding, worlds.furnished, worlds.reach, worlds.extents, worlds.ranks[i],
+        worlds.hands[i], worlds.objects[i], worlds.orientation[i], worlds.furniture[i],
     )  # fmt: skip
 
 
@@ -85,23 +91,32 @@ class Commands(NamedTuple):
     """Commands to the physics that follow from the actions of a step."""
 
     layers: NDArray[np.int64]
-    """[N, C]: GROUND_LAYER .. SUPPORTED_LAYER, for each object."""
+    """[N, C]: GROUND_LAYER .. TRAY_LAYER, for each object."""
     forces: NDArray[np.float64]
     """On the agents, [N, 2], newtons."""
     drives: NDArray[np.float64]
     """Velocities of the held objects, [N, 2], m/s; meaningless where nothing is held."""
     turned: NDArray[np.int64]
-    """[N]: an object that was just released, to be turned to its new angle, or -1."""
+    """[N]: an object that was just released, to be placed at its new angle, or -1."""
 
 
 def make_worlds(
-    num_worlds: int, num_objects: int, finding: bool, furnished: bool, extents: NDArray[np.float64]
+    num_worlds: int,
+    num_objects: int,
+    *,
+    finding: bool,
+    furnished: bool,
+    near_failure: bool,
+    reach: float,
+    extents: NDArray[np.float64],
 ) -> Worlds:
     """The state of worlds in which no episode has begun."""
     n, count = num_worlds, num_objects
     return Worlds(
         finding=finding,
         furnished=furnished,
+        near_failure=near_failure,
+        reach=reach,
         extents=extents,
         ranks=np.zeros((n, count), np.int64),
         task=np.zeros(n, np.int64),

@@ -2,6 +2,7 @@
 
 import operator
 from collections.abc import Hashable, Mapping, Sequence
+from numbers import Real
 from typing import Any, Self
 
 import numpy as np
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 
 from zipf.envs.playroom import hand, judgement, layout, levels
 from zipf.envs.playroom.actions import ACTIONS
+from zipf.envs.playroom.constants import EXPONENT_BOUNDS, REACH_BOUNDS
 from zipf.envs.playroom.looks import LOOKS
-from zipf.envs.playroom.room import Room, furniture_of
-from zipf.envs.playroom.state import ANGLE, YAW, make_commands, make_worlds
+from zipf.envs.playroom.room import Room
+from zipf.envs.playroom.state import YAW, make_commands, make_worlds
 from zipf.envs.playroom.view import View, extents_of
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
@@ -40,11 +42,22 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         object_order: str = "default",
         looks: str = "plain",
         max_steps: int = 900,
+        reach: float = 2.0,
+        frequent_exponent: float = 0.0,
+        near_failure: bool = False,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
         render_mode: str | None = None,
     ) -> None:
-        self.level = levels.by_name(level)
+        for option, value, (low, high) in (
+            ("reach", reach, REACH_BOUNDS),
+            ("frequent_exponent", frequent_exponent, EXPONENT_BOUNDS),
+        ):
+            if not isinstance(value, Real) or not low <= value <= high:
+                raise ValueError(f"{option} must be a number of {low:g} to {high:g}, got {value!r}")
+        if not isinstance(near_failure, bool):
+            raise ValueError(f"near_failure must be True or False, got {near_failure!r}")
+        self.level = levels.by_name(level, frequent_exponent)
         sizes = _whole_numbers(image_size)
         if sizes is None or len(sizes) != 2 or min(sizes) < 1:
             raise ValueError(
@@ -63,7 +76,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             raise ValueError(f"max_steps must be a whole number of at least 1, got {max_steps!r}")
         self.object_names = levels.ORDERS[object_order]
         self.looks = looks
-        self.max_steps = max_steps
+        self.max_steps = steps[0]
         height, width = sizes
         super().__init__(
             num_envs,
@@ -83,10 +96,16 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         # How the episode began, and the actions since.
         self._began = np.zeros((n, 4), np.uint64)
         self._forced = np.full((len(self.situation), n), -1, np.int64)
-        self._actions = np.zeros((n, max_steps), np.uint8)
+        self._actions = np.zeros((n, self.max_steps), np.uint8)
         # The state that follows from them.
         self.worlds = make_worlds(
-            n, count, self.level.finding, self.level.furnished, extents_of(self.object_names)
+            n,
+            count,
+            finding=self.level.finding,
+            furnished=self.level.furnished,
+            near_failure=near_failure,
+            reach=float(reach),
+            extents=extents_of(self.object_names),
         )
         self.rooms: list[Room | None] = [None] * n
         self._instructions = np.zeros((n, levels.VOCABULARY.length), np.int64)
@@ -120,21 +139,29 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             raise RuntimeError("no room for every object: this should not happen")
         layout.begin(mask, worlds)
         for i in np.flatnonzero(mask).tolist():
-            sizes = worlds.extents[worlds.ranks[i], :2].tolist()
-            poses = worlds.objects[i, :, :3].tolist()
-            self.rooms[i] = Room(
-                worlds.agents[i, :2].tolist(),
-                [[*pose, *size] for pose, size in zip(poses, sizes, strict=True)],
-                furniture_of(worlds.furniture[i]) if level.furnished else [],
-            )
+            self._furnish(i)
             target = self.object_names[worlds.ranks[i, 0]]
             text = levels.instruction(level, target, int(worlds.task[i]))
             self._texts[i] = text
             self._instructions[i] = levels.VOCABULARY.encode(text)
-        yaw = worlds.agents[:, YAW]
-        dx, dy = (worlds.objects[:, 0, :2] - worlds.agents[:, :2]).T
-        self._side[mask] = (np.cos(yaw) * dy < np.sin(yaw) * dx)[mask]
+        if level.finding:
+            yaw = worlds.agents[:, YAW]
+            dx, dy = (worlds.objects[:, 0, :2] - worlds.agents[:, :2]).T
+            self._side[mask] = (np.cos(yaw) * dy < np.sin(yaw) * dx)[mask]
         self._view.begin(mask)
+
+    def _furnish(self, i: int) -> None:
+        """Begins an episode in the physics of world `i`, from the poses in `worlds`."""
+        worlds = self.worlds
+        room = self.rooms[i]
+        if room is None:
+            room = self.rooms[i] = Room(worlds.ranks.shape[1], self.level.furnished)
+        sizes = worlds.extents[worlds.ranks[i], :2]
+        room.begin(
+            worlds.agents[i, :2].tolist(),
+            np.concatenate([worlds.objects[i, :, :3], sizes], axis=1).tolist(),
+            worlds.furniture[i].tolist() if self.level.furnished else [],
+        )
 
     def _advance(
         self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
@@ -154,8 +181,9 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         terminated = np.zeros(self.num_envs, np.bool_)
         success = np.zeros(self.num_envs, np.bool_)
         hand.control(mask, actions, self.worlds, self._commands)
+        start = self.worlds.agents[:, :2].copy()
         self._simulate(mask)
-        judgement.settle(mask, before, self.worlds, reward, terminated, success)
+        judgement.settle(mask, start, before, self.worlds, reward, terminated, success)
         return reward, terminated, success
 
     def _simulate(self, mask: NDArray[np.bool_]) -> None:
@@ -172,11 +200,11 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             if layers[i] != room.layers:
                 room.set_layers(layers[i])
             if turned[i] >= 0:
-                room.turn(turned[i], float(worlds.objects[i, turned[i], ANGLE]))
+                room.place(turned[i], *worlds.objects[i, turned[i], :3].tolist())
+                room.move_agent(*worlds.agents[i, :2].tolist())
             if hands[i] >= 0:
-                held = room.objects[hands[i]]
-                held.velocity = drives[i][0], drives[i][1]
-                held.angular_velocity = 0.0
+                room.move_agent(*worlds.agents[i, :2].tolist())
+                room.carry(hands[i], worlds.objects[i, hands[i], :2].tolist(), drives[i])
             room.step(forces[i])
             flat += room.poses()
         poses = np.array(flat).reshape(len(rows), -1, 3)
@@ -204,6 +232,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         return (
             (level.furnished, level.finding, tuple(self.situation.items())),
             (self.object_names, self.looks, self.max_steps),
+            (self.worlds.reach, self.worlds.near_failure),
             self.single_observation_space["image"].shape,
         )
 
@@ -252,6 +281,9 @@ class PlayroomVectorEnv(ZipfVectorEnv):
 def _whole_numbers(values: Any) -> list[int] | None:
     """The values as integers, or None if they are not whole numbers."""
     try:
-        return [operator.index(value) for value in values]
+        numbers = list(values)
+        return (
+            None if any(isinstance(n, bool) for n in numbers) else [*map(operator.index, numbers)]
+        )
     except TypeError:
         return None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from zipf.compiled import compiled
 from zipf.envs.playroom import looks
 from zipf.envs.playroom.constants import CEILING, EYE, FURNITURE_SIZE, LANDING, ROOM
-from zipf.envs.playroom.geometry import rectangle_gap
+from zipf.envs.playroom.geometry import half_width, rectangle_gap
 from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Worlds, X, Y, Z
 from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
 
@@ -156,7 +156,7 @@ def _pose(
             for c in range(3):
                 size[c] = extents[ranks[i, j], c] * scale[i, j]
             half = size[2] / 2
-            middle = objects[i, j, Z] + half
+            middle = objects[i, j, Z] + half_width(frame, size, 0.0, 0.0, 1.0)
             # Objects turn about their centres.
             position[i, j, 0] = objects[i, j, X] - half * frame[0, 2]
             position[i, j, 1] = objects[i, j, Y] - half * frame[1, 2]

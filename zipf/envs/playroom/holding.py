@@ -1,0 +1,176 @@
+"""Where a held object can be: in view, and outside of the agent, the walls and the bed.
+
+It is held in the direction of the view. Where walls or the bed leave no room at the full distance
+it comes closer, down to the body or to the edge of the view; from there it pushes the agent back.
+One that lies before the agent's feet keeps the view from turning further down.
+"""
+
+import math
+
+from zipf.compiled import compiled
+from zipf.envs.playroom.constants import AGENT_RADIUS, CEILING, EYE, FURNITURE_SIZE, ROOM
+from zipf.envs.playroom.geometry import half_width, rectangle_gap
+from zipf.envs.playroom.state import AX, AY, HOLD, PITCH, YAW, X, Y, Z
+
+# Ours.
+CLEARANCE = 0.05
+"""Between the body and a held object, metres."""
+SLACK = math.radians(20)
+"""How far below the middle of the view a wall may push the middle of a held object. The view
+reaches 30 degrees up and down."""
+STEEP = math.radians(25)
+"""How far above the middle of the view floor or bed may push the middle of a held object."""
+CLIMB = 0.1
+"""A held object is put on a top when its lowest point is no more than this below it, metres."""
+
+_STEEPEST = math.radians(80)
+_ROUNDS = 8
+_EXACT = 1e-6
+
+
+@compiled()
+def find_room(agent, world, held, spot):
+    """Finds where an object can be held, and pushes the agent back where there is too little room.
+
+    Args:
+        agent: a row of `Worlds.agents`; its place and its pitch may be changed.
+        world: `World`, read.
+        held: the object.
+        spot: float64 [3], written: the least and greatest distance of the object's middle from
+            the agent's on the floor plane, and the height of its lowest point, metres.
+
+    Returns:
+        Whether there is room. If not, the agent's place is as it was.
+    """
+    item = world.objects[held]
+    floor = floor_of_hand(world.furnished, world.furniture, item)
+    if _find_room(agent, world, held, floor, spot):
+        return True
+    # Where there is no room beside the bed, an object as high as the bed stays as high.
+    top = FURNITURE_SIZE[0, 2]
+    high = world.furnished and item[Z] >= top - CLIMB
+    return high and _find_room(agent, world, held, top, spot)
+
+
+@compiled()
+def _find_room(agent, world, held, floor, spot):
+    """As `find_room`, with the object no lower than `floor`."""
+    frame, extent = world.orientation[held], world.extents[world.ranks[held]]
+    cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
+    high = half_width(frame, extent, 0.0, 0.0, 1.0)
+    body = AGENT_RADIUS + CLEARANCE + half_width(frame, extent, cos, sin, 0.0)
+    slope = math.tan(agent[PITCH])
+    far = max(math.cos(agent[PITCH]) * agent[HOLD], body)
+    height = EYE + slope * far
+    if height < floor + high or height > CEILING - high:
+        height = min(max(height, floor + high), CEILING - high)
+        far = max((height - EYE) / slope, body)
+    steepest = min(abs(agent[PITCH]) + SLACK, _STEEPEST)
+    near = max(body, abs(height - EYE) / math.tan(steepest))
+    low = world.furnished and height - high < FURNITURE_SIZE[0, 2] - CLIMB
+    x, y = agent[AX], agent[AY]
+    for _ in range(_ROUNDS):
+        start_x, start_y = agent[AX], agent[AY]
+        spot[0], spot[1], spot[2] = near, far, height - high
+        _clear_walls(agent, frame, extent, cos, sin, spot)
+        if low:
+            _clear_bed(agent, world, held, cos, sin, spot)
+        if agent[AX] != x or agent[AY] != y:
+            _keep_body_out(agent, world)
+        if math.hypot(agent[AX] - start_x, agent[AY] - start_y) < _EXACT:
+            agent[PITCH] = max(agent[PITCH], math.atan2(height - EYE, far) - STEEP)
+            return True
+    agent[AX], agent[AY] = x, y
+    return False
+
+
+@compiled()
+def _clear_walls(agent, frame, extent, cos, sin, spot):
+    """Shortens the greatest distance to the walls, and pushes the agent back if it is too short."""
+    for axis in range(2):
+        along = cos if axis == 0 else sin
+        limit = ROOM / 2 - half_width(frame, extent, 1.0 - axis, float(axis), 0.0)
+        nearest = agent[AX + axis] + along * spot[0]
+        agent[AX + axis] += min(max(nearest, -limit), limit) - nearest
+        if along != 0:
+            reach = (math.copysign(limit, along) - agent[AX + axis]) / along
+            spot[1] = min(spot[1], max(reach, spot[0]))
+
+
+@compiled()
+def _clear_bed(agent, world, held, cos, sin, spot):
+    """Keeps the distances on the side of the bed where the object is, or pushes the agent back."""
+    bed, item, frame = world.furniture[0], world.objects[held], world.orientation[held]
+    extent = world.extents[world.ranks[held]]
+    c, s = math.cos(bed[2]), math.sin(bed[2])
+    # The bed with a margin of half the object's size, in the bed's own directions.
+    half_x = FURNITURE_SIZE[0, 0] + half_width(frame, extent, c, s, 0.0)
+    half_y = FURNITURE_SIZE[0, 1] + half_width(frame, extent, -s, c, 0.0)
+    x = c * (agent[AX] - bed[0]) + s * (agent[AY] - bed[1])
+    y = c * (agent[AY] - bed[1]) - s * (agent[AX] - bed[0])
+    along_x, along_y = c * cos + s * sin, c * sin - s * cos
+    enter, leave = _crossing(x, along_x, half_x)
+    enter_y, leave_y = _crossing(y, along_y, half_y)
+    enter, leave = max(enter, enter_y), min(leave, leave_y)
+    if enter >= leave - _EXACT or leave <= spot[0] + _EXACT or enter >= spot[1]:
+        return
+    now = (item[X] - agent[AX]) * cos + (item[Y] - agent[AY]) * sin
+    if leave <= spot[1] and (now > (enter + leave) / 2):
+        spot[0] = leave
+    elif enter >= spot[0] - _EXACT:
+        spot[1] = max(enter, spot[0])
+    else:
+        near_x, near_y = x + along_x * spot[0], y + along_y * spot[0]
+        push_x = push_y = 0.0
+        if abs(x) - FURNITURE_SIZE[0, 0] > abs(y) - FURNITURE_SIZE[0, 1]:
+            push_x = math.copysign(half_x, x) - near_x
+        else:
+            push_y = math.copysign(half_y, y) - near_y
+        agent[AX] += c * push_x - s * push_y
+        agent[AY] += s * push_x + c * push_y
+        spot[1] = spot[0]
+
+
+@compiled()
+def _crossing(start, along, half):
+    """Where start + t * along enters -half .. half and leaves it."""
+    if abs(along) < 1e-9:
+        return (-math.inf, math.inf) if abs(start) < half else (math.inf, -math.inf)
+    one, two = (-half - start) / along, (half - start) / along
+    return min(one, two), max(one, two)
+
+
+@compiled()
+def _keep_body_out(agent, world):
+    """Moves the agent out of the walls and the bed."""
+    limit = ROOM / 2 - AGENT_RADIUS
+    agent[AX] = min(max(agent[AX], -limit), limit)
+    agent[AY] = min(max(agent[AY], -limit), limit)
+    if not world.furnished:
+        return
+    bed = world.furniture[0]
+    gap = rectangle_gap(bed, FURNITURE_SIZE[0], agent[AX], agent[AY])
+    if gap >= AGENT_RADIUS:
+        return
+    c, s = math.cos(bed[2]), math.sin(bed[2])
+    x = c * (agent[AX] - bed[0]) + s * (agent[AY] - bed[1])
+    y = c * (agent[AY] - bed[1]) - s * (agent[AX] - bed[0])
+    out_x = x - min(max(x, -FURNITURE_SIZE[0, 0]), FURNITURE_SIZE[0, 0])
+    out_y = y - min(max(y, -FURNITURE_SIZE[0, 1]), FURNITURE_SIZE[0, 1])
+    if gap == 0:
+        out_x, gap = math.copysign(1e-3, x), 1e-3
+    push_x, push_y = (out_x / gap * (AGENT_RADIUS - gap), out_y / gap * (AGENT_RADIUS - gap))
+    agent[AX] += c * push_x - s * push_y
+    agent[AY] += s * push_x + c * push_y
+
+
+@compiled()
+def floor_of_hand(furnished, furniture, item):
+    """The lowest height at which an object may be held where it is now."""
+    floor = 0.0
+    if furnished:
+        for k in range(2):
+            over = rectangle_gap(furniture[k], FURNITURE_SIZE[k], item[X], item[Y]) == 0.0
+            if over and item[Z] >= FURNITURE_SIZE[k, 2] - CLIMB:
+                floor = FURNITURE_SIZE[k, 2]
+    return floor
