@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import TINY, assert_equal, command, learned, run, untimed
+from conftest import TINY, assert_equal, command, contents, learned, run, untimed
 
 import zipf.envs.family
 from zipf import envs, evaluate
@@ -140,7 +140,7 @@ def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
         assert (mean <= each.max(axis=1) + 1e-9).all()
     evaluations = pd.read_csv(folder / "evaluations.csv")
     levels_of_train = evaluations[evaluations["level_kind"] == "train"]["level"]
-    assert list(levels_of_train) == [*train] * 4  # at updates 0, 4, 6 and 8
+    assert list(levels_of_train) == [*train] * 3  # at updates 0, 4 and 8, no longer at 6
 
     described = run_folder.read_description(folder)
     assert [one["level"] for one in described["levels"]] == [
@@ -412,12 +412,38 @@ def test_a_run_stopped_at_its_start_is_not_scored_there_twice(tmp_path):
     assert list(rows["update"]) == [0, 0, 0, 2, 2, 2]
 
 
-def test_a_damaged_table_is_named_with_its_line(trained):
-    path = folder_of(trained) / "metrics.csv"
-    lines = path.read_text().splitlines(keepends=True)
-    path.write_text("".join([*lines[:2], "garbage,,,\n", *lines[2:]]))
-    with pytest.raises(UserError, match=r"metrics\.csv, line 3"):
-        runner.train(command_line.load([*trained, "updates=3"]))
+def test_a_finished_run_is_left_as_it_is(trained):
+    before = contents(folder_of(trained))
+    assert runner.train(command_line.load(trained)) == 0
+    assert contents(folder_of(trained)) == before
+
+
+@pytest.mark.parametrize("every", [2, 4])
+def test_more_updates_give_the_same_tables_as_if_they_had_been_asked_for_at_once(every, tmp_path):
+    """An evaluation that was due only because the run ended is dropped; also where the run is
+    killed after that, before its next checkpoint."""
+    common = [*TINY, f"evaluation.every={every}"]
+    whole = [*common, "updates=8", f"run_root={tmp_path / 'whole'}"]
+    cut = [*common, f"run_root={tmp_path / 'cut'}"]
+    assert runner.train(command_line.load(whole)) == 0
+    assert runner.train(command_line.load([*cut, "updates=6"])) == 0
+    for _ in range(2):
+        with runner.Run(command_line.load([*cut, "updates=8"])):
+            pass  # nothing is saved
+    assert runner.train(command_line.load([*cut, "updates=8"])) == 0
+    assert_equal(learned(folder_of(whole)), learned(folder_of([*cut, "updates=8"])))
+    for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
+        one, other = (untimed(folder_of(run) / name) for run in (whole, [*cut, "updates=8"]))
+        pd.testing.assert_frame_equal(one, other)
+
+
+def test_an_interrupted_run_that_ends_where_it_stopped_is_still_scored(trained):
+    longer = command_line.load([*trained, "updates=4", "evaluation.every=9"])
+    with runner.Run(longer) as run:
+        run.step()
+        run.save()
+    assert runner.train(command_line.load([*trained, "updates=3", "evaluation.every=9"])) == 0
+    assert list(pd.read_csv(longer.folder / "evaluations.csv")["update"])[-3:] == [3, 3, 3]
 
 
 def test_a_resumed_run_describes_how_it_went_on(trained):

@@ -28,7 +28,8 @@ def _job(_: DictConfig) -> None:
         for source in HydraConfig.get().runtime.config_sources:
             if source.schema == "file" and source.path != str(composing.CONFIG_DIR):
                 composing.add_folder(source.path)  # in a sweep's worker process
-        stopped = runner.train(command_line.load(list(HydraConfig.get().overrides.task)))
+        config = command_line.load(list(HydraConfig.get().overrides.task))
+        stopped = runner.train(config, alone=os.getpid() == _command_process)
     except UserError as error:
         if os.getpid() != _command_process:  # a sweep's worker: the launcher raises it in `main`
             raise

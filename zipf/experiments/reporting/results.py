@@ -252,7 +252,7 @@ def load_run(folder: Path) -> Run:
     Raises:
         UserError: one of its files is damaged.
     """
-    description = _read_description(folder / "run.json")
+    description = read_description(folder / "run.json")
     notes: list[str] = []
     evaluations = _read_evaluations(folder / "evaluations.csv", description, notes)
     situations, situation_names = _read_situations(folder / "situations.csv", description, notes)
@@ -276,7 +276,12 @@ def load_run(folder: Path) -> Run:
     )
 
 
-def _read_description(path: Path) -> RunDescription:
+def read_description(path: Path) -> RunDescription:
+    """The description in a `run.json`.
+
+    Raises:
+        UserError: it cannot be read, or is none.
+    """
     try:
         return RunDescription.model_validate_json(read_bytes(path))
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Stopping a run by Ctrl-C or SIGTERM."""
+"""What signals do to a run: Ctrl-C and SIGTERM stop it, a closed terminal does not."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from types import FrameType
 
 class StopSignals:
     """While this context is entered, SIGINT (Ctrl-C) and SIGTERM set `requested` to their number;
-    the second one raises KeyboardInterrupt at once.
+    the second one raises KeyboardInterrupt at once. SIGHUP, of a terminal that is closed, does
+    nothing.
 
     Args:
         say: told, at the first signal, what will happen.
@@ -21,6 +22,7 @@ class StopSignals:
 
     def __enter__(self) -> StopSignals:
         self._before = {s: signal.signal(s, self._stop) for s in (signal.SIGINT, signal.SIGTERM)}
+        self._before[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)
         return self
 
     def __exit__(self, *_: object) -> None:
