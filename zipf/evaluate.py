@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from zipf.experiments.errors import UserError
+from zipf.experiments.output import keep_going
 from zipf.experiments.running.external import record
 from zipf.experiments.running.scoring import Evaluation, geometry, score
 
@@ -28,6 +29,7 @@ Writes the scores to evaluation-<update>-episodes<N>-seed<seed>.csv in the run's
 
 def main() -> None:
     """The command."""
+    keep_going()
     arguments = sys.argv[1:]
     if not arguments or {"-h", "--help"} & set(arguments):
         print(USAGE)
@@ -64,12 +66,13 @@ def _evaluate(arguments: list[str]) -> None:
     by_kind = scores(results)
     table = Table("", *by_kind)
     table.add_row("score", *(f"{value:.3f}" for value in by_kind.values()))
-    table.add_row("chance", *(_figure(description["chance"][kind]) for kind in by_kind))
+    levels = description["levels"]
+    table.add_row("chance", *(_figure(run_folder.mean_chance(levels, kind)) for kind in by_kind))
     console = Console(highlight=False)
     console.print(f"{folder} at update {update}", soft_wrap=True)
     console.print(table)
     if len(results) > len(by_kind):
-        chance = {level["level"]: level["chance"] for level in description["levels"]}
+        chance = {level["level"]: level["chance"] for level in levels}
         each = Table("level", "score", "chance")
         for result in results:
             each.add_row(result.level, f"{result.score:.3f}", _figure(chance[result.level]))

@@ -227,10 +227,13 @@ def load_runs(folders: Iterable[str | Path]) -> list[Run]:
     roots = [Path(folder) for folder in folders]
     found: dict[Path, Path] = {}
     for folder in roots:
-        if not folder.is_dir():
-            raise UserError(f"{folder.as_posix()}: no such folder")
-        for path in folder.rglob("run.json"):
-            found.setdefault(path.parent.resolve(), path.parent)
+        try:
+            if not folder.is_dir():
+                raise UserError(f"{folder.as_posix()}: no such folder")
+            for path in folder.rglob("run.json"):
+                found.setdefault(path.parent.resolve(), path.parent)
+        except OSError as error:  # such as too long a name
+            raise UserError(f"{folder.as_posix():.200}: {error.strerror}") from None
     if not found:
         where = ", ".join(folder.as_posix() for folder in roots)
         raise UserError(f"no run found under {where}: a run's folder has a run.json")

@@ -63,10 +63,10 @@ class ResultTable:
                 saved = {"all": saved["regular"]}
         if hashed.hexdigest() != saved["all"]:
             raise _damaged(path, update)
-        table.columns = columns
+        table.columns = columns if kept else []
         table._all, table._regular = hashed, hashed.copy()
         if kept < len(rows) or torn:
-            table._kept = "".join(f"{line}\n" for line in lines[: 1 + kept])
+            table._kept = "".join(f"{line}\n" for line in lines[: 1 + kept if kept else 0])
         return table
 
     def drop_later_rows(self) -> None:

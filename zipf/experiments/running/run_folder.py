@@ -263,7 +263,7 @@ def read_description(folder: Path) -> dict[str, Any]:
         if not path.is_file():
             raise UserError(f"{folder}: is no run's folder (it has no run.json)")
     except OSError as error:
-        raise UserError(f"{folder}: cannot be read: {error.strerror}") from None
+        raise UserError(f"{folder!s:.200}: cannot be read: {error.strerror}") from None
     results.read_description(path)
     description = json.loads(path.read_text(encoding="utf-8"))
     if description["external"] is None and not _are_entries(description.get("resumed")):

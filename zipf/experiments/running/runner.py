@@ -33,13 +33,16 @@ def train(config: Config, *, alone: bool = True) -> int:
     A run that is finished is left as it is.
 
     Args:
-        alone: False where other runs print to the same terminal.
+        alone: False in a process that is given one run after another, beside others that print to
+            the same terminal. After a signal it begins no further run.
 
     Returns the number of the signal that stopped it, 0 for none.
 
     Raises:
         UserError: the run cannot begin, go on or be written; the last checkpoint is kept.
     """
+    if StopSignals.received and not alone:
+        return StopSignals.received
     keep_freed_ram()
     schedule = config.schedule
     with run_folder.lock(config.folder), _as_user_errors(config):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable
 from types import FrameType
+from typing import ClassVar
 
 
 class StopSignals:
@@ -14,7 +15,12 @@ class StopSignals:
 
     Args:
         say: told, at the first signal, what will happen.
+
+    Attributes:
+        received: of the class: the number of the first signal in this process, 0 before.
     """
+
+    received: ClassVar[int] = 0
 
     def __init__(self, say: Callable[[str], None]):
         self.say = say
@@ -32,5 +38,5 @@ class StopSignals:
     def _stop(self, number: int, frame: FrameType | None) -> None:
         if self.requested:
             raise KeyboardInterrupt
-        self.requested = number
+        self.requested = StopSignals.received = number
         self.say("stopping after this update, with a checkpoint; a second signal stops at once")
