@@ -285,7 +285,7 @@ def test_the_agent_that_was_chosen_is_tried(monkeypatch):
         raise ValueError("this agent needs something else")
 
     monkeypatch.setattr(Impala, "__init__", refuse)
-    with pytest.raises(UserError, match="^this agent needs something else$"):
+    with pytest.raises(UserError, match=r"^this agent needs something else$"):
         command_line.load(["experiment=demo", "agent.discount=0.5"])
     monkeypatch.setattr(Impala, "__init__", Agent.__init__)
     command_line.load(["experiment=demo", "agent.discount=0.4", "network.patch=8"])

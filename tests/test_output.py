@@ -1,4 +1,4 @@
-"""Commands whose output is lost: a run trains on, a report is written, and nothing is a traceback."""
+"""Commands whose output is lost: a run trains on, a report is written, nothing is a traceback."""
 
 import io
 import os
@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import PACKAGE, TINY
+from conftest import ANNOUNCED, PACKAGE, TINY
 from rich.console import Console
 
 from zipf.experiments.running import checkpoint
@@ -17,7 +17,6 @@ from zipf.experiments.running.display import Display
 from zipf.experiments.running.signals import StopSignals
 
 TRAIN = [*TINY, "updates=6", "evaluation.every=1", "name=x"]
-ANNOUNCED = "zipf: compiling the environments: up to half a minute, once\n"
 
 
 def start(module: str, *arguments: str, **options: object) -> subprocess.Popen[str]:
