@@ -56,6 +56,8 @@ DESCRIPTIONS = {
         }
     ),
     "another seed": of_json(lambda described: {**described, "seed": 7}),
+    "no situation": of_json(lambda described: {**described, "situation": {}}),
+    "no chance": of_json(lambda described: {**described, "chance": None}),
     "resumed by a number": of_json(lambda described: {**described, "resumed": 5}),
 }
 OPTIONS = {

@@ -464,7 +464,9 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _read_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             seeds: list[int | None] = [None] * self.num_envs
-        elif isinstance(seed, Sequence | np.ndarray) and np.ndim(seed) > 0:
+        elif (isinstance(seed, np.ndarray) and seed.ndim > 0) or (
+            isinstance(seed, Sequence) and not isinstance(seed, str | bytes)
+        ):
             seeds = list(seed)
         else:
             first = whole("seed", seed, 0)

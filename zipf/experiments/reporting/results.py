@@ -100,11 +100,15 @@ class RunDescription(_Described):
     torch: str | None = None
     device: str | None = None
     precision: str | None = None
+    resumed: tuple[dict[str, Any], ...] = ()
+    chance: dict[str, Finite | None] | None = None
 
     @model_validator(mode="after")
     def _is_consistent(self) -> RunDescription:
         if self.window is None and self.external is None:
             raise ValueError("window: missing")
+        if not self.external and self.chance is not None and {*self.chance} != {*LEVEL_KINDS}:
+            raise ValueError(f"chance: should be of {', '.join(LEVEL_KINDS)}")
         if self.window is not None and self.window[0] > self.window[1]:
             raise ValueError(f"window {list(self.window)} ends before it starts")
         for level_kind in LEVEL_KINDS:
@@ -391,7 +395,20 @@ def _read_settings(path: Path, description: RunDescription) -> dict[str, Any]:
 
     content = read_bytes(path)
     try:
-        flat = flatten(yaml.safe_load(content), "")
+        options = yaml.safe_load(content)
+        flat = flatten(options, "")
     except Exception as error:  # the YAML library's errors have no common, documented base
         raise UserError(f"{path.as_posix()}: not a YAML file") from error
+    if not isinstance(options, dict) or "schedule" not in options:  # the last of them
+        raise UserError(f"{path.as_posix()}: is no run's options, or cut")
+    described = {
+        "experiment": description.experiment,
+        "condition": description.condition,
+        "seed": description.seed,
+        "environment": {"split": description.split, **description.environment},
+    }
+    if differing := [name for name in described if options.get(name) != described[name]]:
+        raise UserError(
+            f"{path.as_posix()}: has options of another run than run.json ({', '.join(differing)})"
+        )
     return {key: value for key, value in flat.items() if key.split(".")[0] not in BOOKKEEPING}

@@ -107,9 +107,9 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         "resumed": [],
     }
     if resumed_at is not None:
-        began = check_description(config)
+        began = check_description(config, situation)
         again = {"update": resumed_at, **{k: v for k, v in how.items() if k != "resumed"}}
-        how = {k: began.get(k) for k in how} | {"resumed": [*began["resumed"], again]}
+        how = {k: began.get(k) for k in how} | {"resumed": [*began.get("resumed", []), again]}
         described = began["levels"]
     else:
         described = describe_levels(
@@ -235,14 +235,14 @@ def read_config(folder: Path, plugins: Collection[str] = ()) -> Config:
     return config
 
 
-def check_description(config: Config) -> dict[str, Any]:
+def check_description(config: Config, situation: dict[str, int]) -> dict[str, Any]:
     """The contents of `run.json`, in the folder of a run that there is.
 
     Raises:
         UserError: `run.json` or `config.yaml` is gone, damaged or another run's.
     """
     description = read_description(config.folder)
-    _check_same(config.folder, description, config)
+    _check_same(config.folder, description, config, situation=situation)
     there = _read_options(config.folder, config.plugins)
     if there.what_is_learned != config.what_is_learned:
         raise UserError(
@@ -265,17 +265,10 @@ def read_description(folder: Path) -> dict[str, Any]:
     except OSError as error:
         raise UserError(f"{folder!s:.200}: cannot be read: {error.strerror}") from None
     results.read_description(path)
-    description = json.loads(path.read_text(encoding="utf-8"))
-    if description["external"] is None and not _are_entries(description.get("resumed")):
-        raise UserError(f"{path}: not a run's description: resumed: should be a list of objects")
-    return description
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 _REMEDY = "restore it from a copy, or remove the run's folder to train anew"
-
-
-def _are_entries(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(one, dict) for one in value)
 
 
 def _read_options(folder: Path, plugins: Collection[str]) -> Config:
@@ -298,8 +291,9 @@ def _read_options(folder: Path, plugins: Collection[str]) -> Config:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def _check_same(folder: Path, description: dict[str, Any], config: Config) -> None:
-    """Raises `UserError` where `run.json` describes another run than the configuration."""
+def _check_same(folder: Path, description: dict[str, Any], config: Config, **known: Any) -> None:
+    """Raises `UserError` where `run.json` describes another run than the configuration, or has
+    other entries than `known`."""
     split = envs.split(config.environment.split)
     here = {
         "experiment": config.experiment,
@@ -310,8 +304,10 @@ def _check_same(folder: Path, description: dict[str, Any], config: Config) -> No
         "levels": [
             [kind, one.name, one.weight] for kind in envs.KINDS for one in split.levels(kind)
         ],
+        "chance": {kind: mean_chance(description["levels"], kind) for kind in envs.KINDS},
+        **known,
     }
-    there = {name: description[name] for name in here} | {
+    there = {name: description.get(name) for name in here} | {
         "levels": [
             [one["level_kind"], one["level"], one["weight"]] for one in description["levels"]
         ]

@@ -137,7 +137,7 @@ class Run:
         self.is_finished = self.evaluated == self.update == config.updates
         if self.is_finished:
             assert self._tables is not None
-            run_folder.check_description(config)
+            run_folder.check_description(config, env.situation)
             Logger.check(self.folder, self.update, self._tables)
         self.name = f"{config.experiment} {config.condition} seed {config.seed}"
         self.display = Display(
@@ -150,7 +150,7 @@ class Run:
 
     def __enter__(self) -> Run:
         if not self.is_new:
-            run_folder.check_description(self.config)
+            run_folder.check_description(self.config, self.collector.env.situation)
         self.logger = Logger(
             self.folder,
             resume_at=-1 if self.is_new else self.update,
