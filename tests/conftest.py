@@ -15,6 +15,7 @@ from zipf.agents.unroll import Unroll
 from zipf.experiments.running import checkpoint
 
 PACKAGE = Path(__file__).parent.parent
+ANNOUNCED = "zipf: compiling the environments: up to half a minute, once\n"
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -76,10 +77,16 @@ def assert_equal(one, other, where=""):
         assert one == other, where
 
 
+def contents(folder: Path) -> dict:
+    """Of every file below a folder: what it holds, and when it was written."""
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in files}
+
+
 def learned(folder: Path) -> dict:
-    """A checkpoint without the times."""
+    """A checkpoint without the times, also those in the tables that it has hashes of."""
     state = checkpoint.load(folder / "checkpoint.pt")
-    del state["clock"]
+    del state["clock"], state["tables"]
     return state
 
 

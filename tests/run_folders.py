@@ -9,6 +9,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
+import yaml
 
 from zipf import envs, report
 from zipf.experiments import command_line, composing
@@ -113,7 +114,10 @@ def write_run(
     if situations:
         (folder / "situations.csv").write_text("\n".join(situations) + "\n")
     if settings is not None:
-        (folder / "config.yaml").write_text(settings)
+        own = {name: described[name] for name in ("experiment", "condition", "seed")}
+        worlds = {"split": described["split"], **described["environment"]}
+        options = {**own, "environment": worlds, "schedule": {}}
+        (folder / "config.yaml").write_text(settings + yaml.safe_dump(options))
     return folder
 
 

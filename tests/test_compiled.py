@@ -93,6 +93,31 @@ def test_where_no_folder_can_be_written_there_is_one_warning_and_no_cache(small:
     assert "NUMBA_CACHE_DIR" in errors
 
 
+def test_compiling_is_announced_once_and_never_when_saved(small: Path) -> None:
+    program = "kernel(1); kernel(1.5)"
+    _, errors = finish(start(small, program))
+    assert errors == "zipf: compiling the environments: up to half a minute, once\n"
+    assert finish(start(small, program))[1] == ""
+    silenced = "import logging; logging.getLogger('zipf').setLevel('ERROR'); kernel(1j)"
+    assert finish(start(small, silenced))[1] == ""
+
+
+@pytest.mark.parametrize("content", [b"", b"\x80\x04", b"garbage", b"\x80\x04K\x05."])
+def test_damaged_code_is_compiled_again(small: Path, content: bytes) -> None:
+    finish(start(small, "kernel(5)"))
+    for path in (small / "__pycache__").glob("*.nbc"):
+        path.write_bytes(content)
+    assert finish(start(small, f"print(kernel(5)){HITS}"))[0] == "11\n0"
+    assert finish(start(small, f"print(kernel(5)){HITS}"))[0] == "11\n1"
+
+
+def test_where_the_disk_is_full_there_is_one_warning_and_no_cache(small: Path) -> None:
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))"
+    output, errors = finish(start(small, f"{limit}; print(kernel(5)){HITS}"))
+    assert output == "11\n0"
+    assert errors.count("RuntimeWarning") == 1
+
+
 def test_processes_that_compile_at_the_same_time_save_all_signatures(small: Path) -> None:
     calls = ["kernel(1); kernel(1.5)", "kernel(1.5); kernel(1)", "kernel(1j); kernel(1)"]
     for process in [start(small, call) for call in calls]:

@@ -9,7 +9,9 @@ from worlds_of import chosen, needs
 
 import zipf.envs
 from zipf import envs
+from zipf.agents import Agent
 from zipf.agents.encoders import Encoder
+from zipf.agents.impala import Impala
 from zipf.envs.gridworld import GridworldOptions
 from zipf.experiments import command_line, composing, config
 from zipf.experiments.errors import UserError
@@ -214,6 +216,22 @@ MISTAKES = [
     (["experiment=demo", "agent.lr=1"], ["agent.lr", "agent.learning_rate"]),
     (["experiment=demo", "run_root=/tmp/a=b"], ["quotes"]),
     (["experiment=demo", "+agent.momentum=1"], ["agent.momentum", "no such option"]),
+    (["experiment=demo", "hydrax=1"], ["hydrax: no such option"]),
+    (["experiment=demo", 'updates="1'], ["check its quotes"]),
+    (["experiment=demo", "experiment=gridworld"], ["choose one", "experiment=demo,gridworld"]),
+    (["experiment=demo", f"run_root={'x' * 300}"], ["run_root=", "File name too long"]),
+    (["experiment=demo", 'run_root="~no-such/x"'], ["run_root=~no-such/x", "home directory"]),
+    (["experiment=demo", "memory.size=1000000000"], ["memory.size=1000000000", "at most 65536"]),
+    (["experiment=demo", "memory.size=65536", "memory.layers=60"], ["memory.size", "of RAM"]),
+    (["experiment=demo", "memory=lstm", "memory.layers=60000"], ["memory.size", "too many"]),
+    (["experiment=demo", "network.channels=70000"], ["network.channels=70000", "at most 65536"]),
+    (["experiment=demo", "collector.num_envs=1000000000"], ["collector.num_envs", "TB of RAM"]),
+    (
+        ["experiment=demo", "evaluation.num_envs=1000000000", "evaluation.episodes=1000000000"],
+        ["evaluation.num_envs=1000000000", "TB of RAM"],
+    ),
+    (["experiment=demo", "environment.num_maps=1000000000"], ["num_maps must be at most 10000"]),
+    (["experiment=demo", "environment.max_steps=99999999999999999999"], ["max_steps must be at"]),
 ]
 
 
@@ -225,6 +243,33 @@ def test_a_mistake_is_one_clear_line(overrides, told):
     assert len(message.splitlines()) == 1
     for words in told:
         assert words in message
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("updates=glob(*)", "list the values, as in updates=a,b"),
+        ("condition=glob(*)", "list the values, as in condition=a,b"),
+        ("agent.discount=interval(0,1)", "list the values"),
+        ("seed=range(1000000000)", "more than 10,000 jobs"),
+    ],
+)
+def test_a_sweep_is_over_lists_that_are_not_endless(override, told):
+    with pytest.raises(UserError, match=told):
+        command_line.check_command_line(["experiment=demo", override])
+
+
+def test_the_agent_that_was_chosen_is_tried(monkeypatch):
+    """And no other: an agent without a network cannot be refused for one."""
+
+    def refuse(self, options, setting):
+        raise ValueError("this agent needs something else")
+
+    monkeypatch.setattr(Impala, "__init__", refuse)
+    with pytest.raises(UserError, match=r"^this agent needs something else$"):
+        command_line.load(["experiment=demo", "agent.discount=0.5"])
+    monkeypatch.setattr(Impala, "__init__", Agent.__init__)
+    command_line.load(["experiment=demo", "agent.discount=0.4", "network.patch=8"])
 
 
 def test_all_mistakes_are_told_at_once():

@@ -12,7 +12,7 @@ from zipf import envs, evaluate, play, report
 from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import results
-from zipf.experiments.running import run_folder, runner
+from zipf.experiments.running import external, run_folder, runner
 
 DEMO = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 9}
 PLAY = {"episodes": 12, "num_envs": 6}
@@ -25,6 +25,17 @@ def policy(observation):
 def recorded(folder, frames=1000, **options):
     options = {"name": "Theirs", "experiment": "demo", **PLAY, **DEMO, **options}
     return evaluate.record(policy, "gridworld", folder, frames=frames, **options)
+
+
+@pytest.mark.parametrize("content", [b"update,frames\n", b"\x80\n", b"update\n1,2\n"])
+def test_a_damaged_record_is_refused(tmp_path, content):
+    rows = [{"update": 1, "score": 0.5}]
+    path = tmp_path / "evaluations.csv"
+    path.write_bytes(content)
+    with pytest.raises(UserError, match=r"evaluations\.csv, line "):
+        external._with_rows(path, 1, rows)
+    path.write_bytes(b"")
+    assert external._with_rows(path, 1, rows) == "update,score\n1,0.5\n"
 
 
 def test_a_record_is_a_run_that_the_report_reads(tmp_path):

@@ -139,6 +139,57 @@ def test_a_damaged_state_is_refused_before_anything_is_taken() -> None:
         np.testing.assert_array_equal(value, before[key])
 
 
+def test_a_state_with_an_agent_in_a_wall_is_refused() -> None:
+    """From the outer wall a few steps lead off the board, where the kernels read other memory."""
+    env = GridworldVectorEnv(2)
+    unbegun = env.get_state()
+    env.reset(seed=0)
+    last = env.level.maps.boards.shape[1] - 1
+    for cell in ((0, 0), (0, 5), (last, last), (5, last), (4, 4)):
+        state = env.get_state()
+        state["worlds"][1, 2:] = cell
+        with pytest.raises(ValueError, match="an agent in a wall"):
+            env.set_state(state)
+    env.set_state(unbegun)  # worlds that have not begun are at (0, 0), and cannot be stepped
+    state = env.get_state()
+    state["running"][:] = True
+    with pytest.raises(ValueError, match="running that have not begun"):
+        env.set_state(state)
+
+
+BAD_SIZES = [
+    ({"max_steps": float("nan")}, "max_steps must be a whole number, got nan"),
+    ({"max_steps": 10**20}, "max_steps must be at most"),
+    ({"max_steps": True}, "max_steps must be a whole number"),
+    ({"num_maps": 2.5}, "num_maps must be a whole number, got 2.5"),
+    ({"num_maps": 10**9}, "num_maps must be at most 10000"),
+    ({"num_maps": [3]}, "num_maps must be a whole number"),
+    ({"num_rooms": "33"}, r"num_rooms must be \(rows, columns\)"),
+    ({"num_rooms": 3}, r"num_rooms must be \(rows, columns\)"),
+    ({"num_rooms": ([3], 3)}, "num_rooms must be a whole number"),
+    ({"num_rooms": (1000, 1000)}, "pairs of rooms"),
+    ({"room_size": (10**6, 10**6)}, "cells"),
+    ({"num_objects": "20"}, "num_objects must be a whole number"),
+    ({"level": 2}, "level must be a level's name"),
+    ({"observation": ["image"]}, "observation must be"),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), BAD_SIZES)
+def test_arguments_of_the_wrong_kind_or_size_are_refused_at_once(
+    options: dict[str, Any], message: str
+) -> None:
+    for make in (GridworldEnv, GridworldVectorEnv):
+        with pytest.raises(ValueError, match=message):
+            make(**options)
+
+
+def test_chance_of_very_long_episodes_is_known_at_once() -> None:
+    long = zipf.envs.chance("gridworld/uniform", max_steps=10**9)
+    assert long is not None
+    assert long.score == pytest.approx(1 / 20)  # every episode ends at one of 20 objects
+
+
 # Rendering.
 
 

@@ -408,7 +408,7 @@ def test_it_draws_what_the_environment_draws() -> None:
         ),
         ({"render_mode": "human"}, "render_mode must be 'rgb_array' or None"),
         ({"text_length": 0}, "text_length must be at least 1"),
-        ({"vocabulary": 1}, "vocabulary at least 2"),
+        ({"vocabulary": 1}, "vocabulary must be at least 2"),
     ],
 )
 def test_what_cannot_be_used_is_refused(options: dict[str, Any], message: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.stats import chisquare
-from tensordict import TensorDict
+from tensordict import NonTensorData, TensorDict
 
 from zipf.agents import free_space, replay
 from zipf.agents.priorities import PrioritySampler, SumTree
@@ -223,7 +223,7 @@ def test_files_of_another_replay_are_refused(tmp_path):
     play(kept, 12, 20)  # far more than there is room for
     with pytest.raises(OSError, match="another replay than the checkpoint's"):
         build(folder).load_state_dict(state)
-    with pytest.raises(OSError, match="cannot be read"):
+    with pytest.raises(OSError, match="missing"):
         build(tmp_path / "gone").load_state_dict(state)
     with pytest.raises(OSError, match="room for 6 items between two checkpoints, and 7 are needed"):
         build(folder, spare=7).load_state_dict(state)
@@ -238,8 +238,62 @@ def test_files_of_another_replay_are_refused(tmp_path):
         spare=6,
         seed=0,
     )
-    with pytest.raises(OSError, match="another replay's items"):
+    with pytest.raises(OSError, match="has 256 bytes, and the checkpoint's replay 320"):
         other.load_state_dict(state)
+
+
+def damages(folder):
+    """Ways in which a file of the replay may be damaged."""
+    image, number = folder / "steps" / "image.memmap", folder / "number.memmap"
+
+    def flip(path):
+        content = bytearray(path.read_bytes())
+        content[len(content) // 3] ^= 1
+        path.write_bytes(content)
+
+    return {
+        "flipped": lambda: flip(image),
+        "flipped number": lambda: flip(number),
+        "emptied": lambda: image.write_bytes(b""),
+        "cut": lambda: image.write_bytes(image.read_bytes()[:-1]),
+        "overwritten": lambda: image.write_bytes(bytes(image.stat().st_size)),
+        "longer": lambda: image.write_bytes(image.read_bytes() * 2),
+        "deleted": image.unlink,
+        "a folder": lambda: (image.unlink(), image.mkdir()),
+        "a link": lambda: image.rename(folder / "x") and image.symlink_to(folder / "x"),
+    }
+
+
+@pytest.mark.parametrize("damage", list(damages(Path())))
+def test_damaged_files_are_refused(damage, tmp_path):
+    kept = build(tmp_path / "replay")
+    play(kept, 0, 12)
+    state = deepcopy(kept.state_dict())
+    build(tmp_path / "replay").load_state_dict(state)
+    damages(tmp_path / "replay")[damage]()
+    with pytest.raises(OSError, match=str(tmp_path / "replay")):
+        build(tmp_path / "replay").load_state_dict(state)
+
+
+class Malice:
+    def __reduce__(self):
+        return print, ("run",)
+
+
+def test_what_a_stranger_puts_beside_the_files_is_not_loaded(tmp_path, capsys):
+    """TensorDict's own loader unpickles whatever `meta.json` names."""
+    folder = tmp_path / "replay"
+    kept = build(folder)
+    play(kept, 0, 6)
+    state = deepcopy(kept.state_dict())
+    planted = TensorDict({"evil": NonTensorData(Malice(), batch_size=[16])}, [16])
+    planted.memmap(folder)
+    TensorDict.load_memmap(folder, allow_pickle=True)
+    assert "run" in capsys.readouterr().out, "the attack itself works"
+    again = build(folder)
+    again.load_state_dict(state)
+    assert torch.equal(again.sample(4)[0]["steps", "image"], kept.sample(4)[0]["steps", "image"])
+    assert capsys.readouterr().out == ""
 
 
 def test_a_replay_that_does_not_fit_is_refused_before_it_is_allocated(tmp_path, monkeypatch):

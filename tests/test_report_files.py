@@ -151,6 +151,8 @@ def test_a_missing_column_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
         ({"situation": {"map": 0}}, "situation.map: Input should be greater than 0"),
         ({"window": None}, "window: missing"),
         ({"external": {}}, "external.name: Field required"),
+        ({"resumed": 5}, "resumed: Input should be a valid"),
+        ({"chance": {}}, "chance: should be of train, uniform, rare"),
         ({"paper": "atari"}, "paper: the paper has no experiment 'atari'; it has gridworld"),
     ],
 )
@@ -172,6 +174,35 @@ def test_a_run_without_its_options_is_refused(
 ) -> None:
     folder = write_run(tmp_path, constant(0.5), settings=None)
     assert f"{folder.as_posix()}/config.yaml: cannot be read" in refusal(capsys, str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        ("", "is no run's options, or cut"),
+        ("- 1\n", "is no run's options, or cut"),
+        ("agent: {learning_rate: 0.001}\n", "is no run's options, or cut"),
+        (
+            "schedule: {}\n",
+            "than run.json (experiment, condition, seed, environment)",
+        ),
+    ],
+)
+def test_options_of_another_run_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, problem: str
+) -> None:
+    folder = write_run(tmp_path, constant(0.5))
+    (folder / "config.yaml").write_text(content)
+    message = refusal(capsys, str(tmp_path))
+    assert f"{folder.as_posix()}/config.yaml" in message
+    assert problem in message
+
+
+def test_a_description_of_another_seed_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change_description(write_run(tmp_path, constant(0.5)), seed=9)
+    assert "options of another run than run.json (seed)" in refusal(capsys, str(tmp_path))
 
 
 def test_a_rank_that_cannot_be_is_refused(

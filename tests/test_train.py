@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -14,7 +15,17 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import TINY, assert_equal, command, learned, run, untimed
+from conftest import (
+    ANNOUNCED,
+    PACKAGE,
+    TINY,
+    assert_equal,
+    command,
+    contents,
+    learned,
+    run,
+    untimed,
+)
 from worlds_of import chosen, needs
 
 import zipf.envs.family
@@ -140,7 +151,7 @@ def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
         assert (mean <= each.max(axis=1) + 1e-9).all()
     evaluations = pd.read_csv(folder / "evaluations.csv")
     levels_of_train = evaluations[evaluations["level_kind"] == "train"]["level"]
-    assert list(levels_of_train) == [*train] * 4  # at updates 0, 4, 6 and 8
+    assert list(levels_of_train) == [*train] * 3  # at updates 0, 4 and 8, no longer at 6
 
     described = run_folder.read_description(folder)
     assert [one["level"] for one in described["levels"]] == [
@@ -255,7 +266,7 @@ def test_a_run_that_a_signal_stopped_resumes_bit_for_bit(number, lag, tmp_path):
     process.send_signal(number)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 128 + number
-    assert errors == b""
+    assert errors.replace(ANNOUNCED.encode(), b"") == b""
     update = checkpoint.load(folder_of(arguments) / "checkpoint.pt")["update"]
     assert update >= 2
     assert len(pd.read_csv(metrics)) == update
@@ -340,6 +351,13 @@ def test_evaluate_scores_a_run(trained, monkeypatch, capsys):
         ("zipf.evaluate", ["rn=x"], "run"),
         ("zipf.evaluate", ["run=nowhere", "episodes=0"], "episodes=0"),
         ("zipf.report", ["nowhere"], "nowhere"),
+        ("zipf.train", ["experiment=demo", "-m", "seed=0,-1"], "seed=-1"),
+        ("zipf.train", ["--resolve"], "--resolve: goes with --cfg job"),
+        ("zipf.train", ["--run", "--cfg", "job", "experiment=demo"], "--run and --cfg: choose one"),
+        ("zipf.train", ["--help", "experiment=nope"], "nope"),
+        ("zipf.train", ["experiment=demo", "--config-dir", "x" * 5000], "no such folder"),
+        ("zipf.evaluate", [f"run={'x' * 5000}"], "File name too long"),
+        ("zipf.report", ["x" * 5000], "File name too long"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(
@@ -379,6 +397,36 @@ def test_a_sweep_makes_a_run_per_job(tmp_path):
     assert {description["seed"] for description in descriptions} == {0, 1}
 
 
+def test_ctrl_c_in_a_parallel_sweep_stops_every_job_with_a_checkpoint(tmp_path):
+    """Each line of the jobs, which share the terminal, says whose it is."""
+    arguments = [*TINY, "updates=100000", "schedule.checkpoint_every=99999", "name=x"]
+    arguments += ["evaluation.every=99999", f"run_root={tmp_path}", "seed=0,1,2"]
+    sweep = command("-m", *arguments, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    process = subprocess.Popen(
+        sweep,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(PACKAGE)},
+    )
+    begun = []
+    while len(begun) < 2:
+        assert process.poll() is None
+        begun = [p for p in tmp_path.glob("demo/x/*/metrics.csv") if p.read_text().count("\n") > 2]
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    output, errors = process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGINT, errors
+    assert "Traceback" not in errors
+    assert all(line.startswith("demo x seed ") for line in output.splitlines())
+    assert output.count("stopped at update") == 2
+    for path in begun:
+        update = checkpoint.load(path.parent / "checkpoint.pt")["update"]
+        assert len(pd.read_csv(path)) == update > 1
+
+
 def test_a_run_whose_checkpoint_is_gone_is_not_written_over(trained):
     folder = folder_of(trained)
     (folder / "checkpoint.pt").unlink()
@@ -412,12 +460,38 @@ def test_a_run_stopped_at_its_start_is_not_scored_there_twice(tmp_path):
     assert list(rows["update"]) == [0, 0, 0, 2, 2, 2]
 
 
-def test_a_damaged_table_is_named_with_its_line(trained):
-    path = folder_of(trained) / "metrics.csv"
-    lines = path.read_text().splitlines(keepends=True)
-    path.write_text("".join([*lines[:2], "garbage,,,\n", *lines[2:]]))
-    with pytest.raises(UserError, match=r"metrics\.csv, line 3"):
-        runner.train(command_line.load([*trained, "updates=3"]))
+def test_a_finished_run_is_left_as_it_is(trained):
+    before = contents(folder_of(trained))
+    assert runner.train(command_line.load(trained)) == 0
+    assert contents(folder_of(trained)) == before
+
+
+@pytest.mark.parametrize("every", [2, 4])
+def test_more_updates_give_the_same_tables_as_if_they_had_been_asked_for_at_once(every, tmp_path):
+    """An evaluation that was due only because the run ended is dropped; also where the run is
+    killed after that, before its next checkpoint."""
+    common = [*TINY, f"evaluation.every={every}"]
+    whole = [*common, "updates=8", f"run_root={tmp_path / 'whole'}"]
+    cut = [*common, f"run_root={tmp_path / 'cut'}"]
+    assert runner.train(command_line.load(whole)) == 0
+    assert runner.train(command_line.load([*cut, "updates=6"])) == 0
+    for _ in range(2):
+        with runner.Run(command_line.load([*cut, "updates=8"])):
+            pass  # nothing is saved
+    assert runner.train(command_line.load([*cut, "updates=8"])) == 0
+    assert_equal(learned(folder_of(whole)), learned(folder_of([*cut, "updates=8"])))
+    for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
+        one, other = (untimed(folder_of(run) / name) for run in (whole, [*cut, "updates=8"]))
+        pd.testing.assert_frame_equal(one, other)
+
+
+def test_an_interrupted_run_that_ends_where_it_stopped_is_still_scored(trained):
+    longer = command_line.load([*trained, "updates=4", "evaluation.every=9"])
+    with runner.Run(longer) as run:
+        run.step()
+        run.save()
+    assert runner.train(command_line.load([*trained, "updates=3", "evaluation.every=9"])) == 0
+    assert list(pd.read_csv(longer.folder / "evaluations.csv")["update"])[-3:] == [3, 3, 3]
 
 
 def test_a_resumed_run_describes_how_it_went_on(trained):

@@ -7,6 +7,7 @@ one state of all source files of the package.
 
 import contextlib
 import hashlib
+import logging
 import pickle
 import sys
 import warnings
@@ -23,6 +24,9 @@ Function = Callable[..., Any]
 
 def compiled(**options: Any) -> Callable[[Function], Any]:
     """Compiles a function by `numba.njit(nogil=True)` at its first call and saves the result.
+
+    The first compilation of a process is announced by a warning of the logger `zipf`, which goes to
+    standard error unless logging is told otherwise.
 
     It is saved where numba would save it: in `NUMBA_CACHE_DIR`, else in `__pycache__` beside the
     function's file, else in the user's cache folder. Where none of them can be written, every
@@ -53,6 +57,11 @@ def fingerprint() -> str:
         digest.update(f"\n{path.relative_to(package).as_posix()} {len(source)}\n".encode())
         digest.update(source)
     return digest.hexdigest()
+
+
+@cache
+def _announce_once() -> None:
+    logging.getLogger("zipf").warning("zipf: compiling the environments: up to half a minute, once")
 
 
 @cache
@@ -96,14 +105,23 @@ class _Files(IndexDataCacheFile):
         """The code that was saved for a signature, or None."""
         try:
             saved_key, data = pickle.loads(self._path(key).read_bytes())
+            if saved_key == key:
+                return data
         except FileNotFoundError:
-            return None
-        return data if saved_key == key else None
+            pass
+        except (OSError, EOFError, pickle.UnpicklingError, ValueError, TypeError):
+            pass  # damaged: it is compiled and saved again
+        _announce_once()
+        return None
 
     def save(self, key: Any, data: Any) -> None:
         """Saves the code for a signature and deletes code of other states of the sources."""
-        with self._open_for_write(str(self._path(key))) as file:
-            file.write(self._dump((key, data)))
+        try:
+            with self._open_for_write(str(self._path(key))) as file:
+                file.write(self._dump((key, data)))
+        except OSError:  # the disk is full
+            _warn_once()
+            return
         for path in self._folder.glob(f"{self._name}-*.nbc"):
             if not path.name.startswith(self._prefix):
                 with contextlib.suppress(OSError):  # another process, or another user's file

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from zipf.experiments.errors import UserError
+from zipf.experiments.output import keep_going
 from zipf.experiments.running.external import record
 from zipf.experiments.running.scoring import Evaluation, geometry, score
 
@@ -28,6 +29,7 @@ Writes the scores to evaluation-<update>-episodes<N>-seed<seed>.csv in the run's
 
 def main() -> None:
     """The command."""
+    keep_going()
     arguments = sys.argv[1:]
     if not arguments or {"-h", "--help"} & set(arguments):
         print(USAGE)
@@ -64,15 +66,16 @@ def _evaluate(arguments: list[str]) -> None:
     by_kind = scores(results)
     table = Table("", *by_kind)
     table.add_row("score", *(f"{value:.3f}" for value in by_kind.values()))
+    levels = description["levels"]
     for name in run_folder.REFERENCES:
-        means = [run_folder.mean_of_levels(description["levels"], kind, name) for kind in by_kind]
+        means = [run_folder.mean_of_levels(levels, kind, name) for kind in by_kind]
         if name == "chance" or any(mean is not None for mean in means):
             table.add_row(name, *map(_figure, means))
     console = Console(highlight=False)
     console.print(f"{folder} at update {update}", soft_wrap=True)
     console.print(table)
     if len(results) > len(by_kind):
-        described = {level["level"]: level for level in description["levels"]}
+        described = {level["level"]: level for level in levels}
         each = Table("level", "score", *run_folder.REFERENCES)
         for result in results:
             known = (described[result.level].get(name) for name in run_folder.REFERENCES)

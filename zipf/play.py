@@ -7,6 +7,7 @@ import sys
 
 from zipf.experiments.command_line import read_options
 from zipf.experiments.errors import UserError
+from zipf.experiments.output import keep_going
 from zipf.experiments.playing.playing import PlayOptions, play
 
 __all__ = ["main"]
@@ -34,6 +35,7 @@ The screen lists the keys; q leaves."""
 
 def main() -> None:
     """The command."""
+    keep_going()
     arguments = sys.argv[1:]
     if not arguments or {"-h", "--help"} & set(arguments):
         print(USAGE)

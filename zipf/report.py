@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zipf.experiments.errors import UserError
+from zipf.experiments.output import keep_going
 from zipf.experiments.reporting.wording import PLOT_FORMATS, PlotFormat
 
 if TYPE_CHECKING:
@@ -121,6 +122,7 @@ def _command(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
+    keep_going()
     parser = argparse.ArgumentParser(
         prog="python -m zipf.report",
         description="Print and write the paper's tables and plots for the runs found in folders.",
@@ -157,6 +159,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        return 130
     return 0
 
 

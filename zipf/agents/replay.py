@@ -5,13 +5,16 @@ Importing this costs the second or so that importing TorchRL takes.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 from torchrl.data import TensorDictReplayBuffer, TensorStorage
@@ -26,8 +29,9 @@ class Replay:
     In RAM, `state_dict()` holds the items. On disk it does not: they stay in the files of `folder`,
     a ring with room for `spare` items more than the capacity. As long as no more than that are
     inserted between two checkpoints, no item that the last checkpoint can draw is overwritten, and
-    a run that is killed at any time resumes from there. Every item has its number, from which
-    loading tells whether the files are those of the checkpoint.
+    a run that is killed at any time resumes from there. A file holds numbers and nothing else, one
+    for each part of an item. Every item has its number and is hashed as it is inserted; the state
+    has the hashes, and loading checks every item that can be drawn, which reads all files once.
 
     Args:
         item: an example of an item, a TensorDict without batch axes.
@@ -67,6 +71,8 @@ class Replay:
         self._check_room()
         self._buffer: TensorDictReplayBuffer | None = None
         self._items: TensorDict
+        self._contents: list[NDArray[np.uint8]]  # on disk: the parts of `_items`, [slots, bytes]
+        self._digests: NDArray[np.int64]  # on disk: of each slot
 
     def __len__(self) -> int:
         return len(self._buffer.sampler) if self._buffer else 0
@@ -84,7 +90,11 @@ class Replay:
             assert self._buffer is not None
         first = self._buffer.sampler.inserted
         items["number"] = torch.arange(first, first + len(items))
-        return self._buffer.extend(items)
+        slots = self._buffer.extend(items)
+        if self.folder:
+            for slot in slots.tolist():
+                self._digests[slot] = self._digest(slot)
+        return slots
 
     def sample(self, batch_size: int) -> tuple[TensorDict, Tensor, Tensor]:
         """Items [N] drawn with replacement, their slots int64 [N], and importance weights float32
@@ -108,7 +118,8 @@ class Replay:
             "writer": self._buffer.writer.state_dict(),
         }
         if self.folder:
-            for path in self.folder.rglob("*.memmap"):
+            state["digests"] = torch.from_numpy(self._digests.copy())
+            for path, _ in self._files(len(self._items)):
                 with open(path, "r+b") as file:
                     os.fsync(file.fileno())
         else:
@@ -119,10 +130,10 @@ class Replay:
         """Continues from `state_dict()`.
 
         Raises:
-            OSError: the files on disk are missing, or are not those of this state.
+            OSError: the files on disk are missing or damaged, or are not those of this state.
         """
+        self._buffer = None
         if not state:
-            self._buffer = None
             return
         self._open(state["slots"], new=self.folder is None)
         assert self._buffer is not None
@@ -134,52 +145,95 @@ class Replay:
         self._buffer.writer.load_state_dict(state["writer"])
         inserted = self._buffer.sampler.inserted
         numbers = np.arange(inserted - len(self), inserted)
-        if (self._items["number"].numpy()[numbers % state["slots"]] != numbers).any():
+        slots = numbers % state["slots"]
+        if (self._items["number"].numpy()[slots] != numbers).any():
             raise OSError(f"{self.folder}: these files hold another replay than the checkpoint's")
+        if self.folder:
+            self._digests = state["digests"].numpy().copy()
+            damaged = [slot for slot in slots.tolist() if self._digest(slot) != self._digests[slot]]
+            if damaged:
+                raise OSError(
+                    f"{self.folder}: is damaged: {len(damaged)} of {len(slots)} items are not what "
+                    "was written; restore it from a copy, or remove the run's folder to train anew"
+                )
 
     def _open(self, slots: int, *, new: bool) -> None:
         """Allocates `slots` items, or opens the files that have them."""
         if self.folder is None:
             self._items = torch.empty_like(self.item.expand(slots))
-        elif new:
-            self._items = self._new_files(slots)
         else:
-            self._items = self._existing_files(slots)
+            if new:
+                self._make_files(slots)
+            else:
+                self._check_files(slots)
+            self._map_files(slots)
         self._buffer = TensorDictReplayBuffer(
             storage=TensorStorage(self._items),
             sampler=PrioritySampler(slots, self.capacity, **self.sampling),
         )
 
-    def _new_files(self, slots: int) -> TensorDict:
+    def _files(self, slots: int) -> Iterator[tuple[Path, int]]:
+        """The file of each part of the items, and its size in bytes."""
+        for name, leaf in self.item.items(True, True):
+            yield self._file(name), slots * leaf.nbytes
+
+    def _file(self, name: str | tuple[str, ...]) -> Path:
+        assert self.folder is not None
+        return self.folder / f"{_joined(name)}.memmap"
+
+    def _make_files(self, slots: int) -> None:
         assert self.folder is not None
         shutil.rmtree(self.folder, ignore_errors=True)
         try:
-            items = self.item.expand(slots).memmap_like(self.folder)
-            # Otherwise files grow as they are filled, and on a full disk the process is killed.
-            if hasattr(os, "posix_fallocate"):
-                for path in self.folder.rglob("*.memmap"):
-                    with open(path, "r+b") as file:
-                        os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+            for path, size in self._files(slots):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                with open(path, "xb") as file:
+                    if hasattr(os, "posix_fallocate"):
+                        # Otherwise files grow as they are filled, and on a full disk the process
+                        # is killed.
+                        os.posix_fallocate(file.fileno(), 0, size)
+                    else:
+                        file.truncate(size)
         except OSError as error:
             shutil.rmtree(self.folder, ignore_errors=True)
             raise OSError(f"{self.folder}: cannot be written: {error.strerror}") from None
-        return items
 
-    def _existing_files(self, slots: int) -> TensorDict:
+    def _check_files(self, slots: int) -> None:
         if slots < self.capacity + self.spare:
             raise OSError(
                 f"{self.folder}: has room for {slots - self.capacity} items between two "
                 f"checkpoints, and {self.spare} are needed; write checkpoints as often as before"
             )
-        try:
-            items = TensorDict.load_memmap(self.folder)
-        except (OSError, RuntimeError, ValueError) as error:
-            first = str(error).splitlines()[0]
-            raise OSError(f"{self.folder}: the replay's files cannot be read ({first})") from None
-        for name, leaf in self.item.items(True, True):
-            if items[name].shape != (slots, *leaf.shape):
-                raise OSError(f"{self.folder}: these files hold another replay's items")
-        return items
+        for path, size in self._files(slots):
+            if path.is_symlink() or not path.is_file():
+                raise OSError(f"{path}: this file of the replay is missing")
+            if (found := path.stat().st_size) != size:
+                raise OSError(
+                    f"{path}: has {found} bytes, and the checkpoint's replay {size}: it is damaged "
+                    "or of another replay"
+                )
+
+    def _map_files(self, slots: int) -> None:
+        """Opens the files as `_items`. Types and shapes are those of `item`: files do not tell."""
+
+        def mapped(name: Any, leaf: Tensor) -> Tensor:
+            try:
+                array = np.memmap(self._file(name), leaf.numpy().dtype, "r+", shape=leaf.shape)
+            except OSError as error:
+                raise OSError(f"{self._file(name)}: cannot be read: {error.strerror}") from None
+            self._contents.append(array.reshape(slots, -1).view(np.uint8))
+            return torch.from_numpy(array)
+
+        self._contents = []
+        self._items = self.item.expand(slots).named_apply(mapped, nested_keys=True)
+        self._digests = np.zeros(slots, np.int64)
+
+    def _digest(self, slot: int) -> int:
+        """A hash of all parts of the item in a slot, 64 bits."""
+        digest = hashlib.sha256()
+        for part in self._contents:
+            digest.update(part[slot])
+        return int.from_bytes(digest.digest()[:8], "little", signed=True)
 
     def _check_room(self) -> None:
         each = f"{self.capacity} items of {in_words(self.item_bytes)}"

@@ -3,6 +3,7 @@
 import difflib
 import math
 from collections.abc import Callable
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ def zipfian(n: int, exponent: float) -> NDArray[np.float64]:
         ValueError: for an `n` or `exponent` outside these bounds.
     """
     _check_size(n)
-    if not math.isfinite(exponent) or exponent < 0:
+    if not isinstance(exponent, Real) or not math.isfinite(exponent) or exponent < 0:
         raise ValueError(f"the exponent of Zipf's law must be finite and >= 0, got {exponent}")
     with np.errstate(over="ignore"):  # 1 / inf is the 0 that is meant
         weights = 1.0 / np.arange(1, n + 1, dtype=np.float64) ** exponent

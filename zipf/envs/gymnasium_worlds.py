@@ -17,11 +17,13 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs import pcg64
+from zipf.envs.arguments import mapping, whole
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 Success = Callable[[float, bool, dict[str, Any]], bool]
 """Whether an episode was a success: `success(episode_return, terminated, last_info)`."""
 
+_SEEDS = 2**31  # some environments take no larger ones
 _REPORTED = ("is_success", "success")
 _NOT_DETERMINISTIC: set[str] = set()
 """Ids of the environments that this process has warned about."""
@@ -99,14 +101,14 @@ class GymnasiumVectorEnv(ZipfVectorEnv):
         render_mode: str | None = None,
     ) -> None:
         self.id = id
-        self.options = dict(options or {})
+        self.options = dict(mapping("options", options))
         self.wrap = wrap
         self.render_mode = render_mode
         if render_mode not in ("rgb_array", None):
             raise ValueError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}")
         first = self._make()
         words = Words(text_length, vocabulary)
-        self.parts = _parts(id, first.observation_space, codes or {}, words)
+        self.parts = _parts(id, first.observation_space, mapping("codes", codes), words)
         action_space = first.action_space
         if not isinstance(action_space, spaces.Discrete):
             raise ValueError(
@@ -177,8 +179,7 @@ class GymnasiumVectorEnv(ZipfVectorEnv):
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         for i in np.flatnonzero(mask).tolist():
-            # Some environments take seeds of 31 bits only.
-            self._begin_world(i, int(pcg64.next_double(self._streams[i]) * 2**31))
+            self._begin_world(i, int(pcg64.next_double(self._streams[i]) * _SEEDS))
 
     def _begin_world(self, i: int, seed: int) -> None:
         env = self._envs[i]
@@ -258,6 +259,7 @@ class GymnasiumVectorEnv(ZipfVectorEnv):
         begun = state["seeded"]
         if (
             (seeds < 0).any()
+            or (seeds >= _SEEDS).any()
             or (counts != state["lengths"] * begun).any()
             or counts.sum() != len(actions)
             or (actions >= self.single_action_space.n).any()
@@ -326,11 +328,8 @@ class Words:
     size: int
 
     def __post_init__(self) -> None:
-        if self.length < 1 or self.size < 2:
-            raise ValueError(
-                "text_length must be at least 1 and vocabulary at least 2, "
-                f"got {self.length} and {self.size}"
-            )
+        whole("text_length", self.length, 1)
+        whole("vocabulary", self.size, 2)
 
     def space(self) -> spaces.Box:
         """The space of `encode`, that of an instruction in the benchmark's families."""
@@ -439,10 +438,12 @@ def _flattened(
             yield from _flattened(id, part, full, (*path, key), codes, words)
     elif name in codes:
         n = codes[name]
-        if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.integer) or n < 1:
+        number = isinstance(n, int | np.integer) and n >= 1
+        integers = isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.integer)
+        if not number or not integers:
             raise ValueError(
-                f"codes={{{name!r}: {n}}} of {id}: expected a number >= 1, for a Box of integers; "
-                f"the observation is {space}"
+                f"codes={{{name!r}: {n!r}}} of {id}: expected a number >= 1, for a Box of "
+                f"integers; the observation is {space}"
             )
         coded: spaces.Space = spaces.Discrete(n)
         if space.shape:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zipf.compiled import compiled
 from zipf.envs import pcg64
+from zipf.envs.arguments import mapping, whole
 from zipf.envs.distributions import zipfian
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
@@ -83,9 +84,10 @@ class Mixture(ZipfVectorEnv):
     ) -> None:
         if draw not in ("worlds", "resets"):
             raise ValueError(f"draw must be 'worlds' or 'resets', got {draw!r}")
-        if not levels:
+        if not mapping("levels", levels):
             raise ValueError("a mixture needs at least one level, got none")
-        level_options = level_options or {}
+        num_envs = whole("num_envs", num_envs, 1)
+        level_options = mapping("level_options", level_options)
         if unknown := level_options.keys() - levels.keys():
             raise ValueError(
                 f"level_options of unknown levels {sorted(unknown)}: expected some of "
@@ -174,7 +176,10 @@ class Mixture(ZipfVectorEnv):
         if self.draw != "resets":
             raise ValueError("levels have probabilities with draw='resets' only")
         count = len(self.level_names)
-        given = np.asarray(values, np.float64)
+        try:
+            given = np.asarray(values, np.float64)
+        except (TypeError, ValueError):
+            given = np.empty(0)
         if given.shape != (count,) or not np.isfinite(given).all() or (given < 0).any():
             raise ValueError(f"probabilities must be {count} finite numbers >= 0, got {values}")
         if not given.any():
@@ -289,8 +294,8 @@ class Mixture(ZipfVectorEnv):
         terminated, truncated, success = np.zeros((3, self.num_envs), np.bool_)
         for batch, part in parts:
             results = batch._advance(actions, part)
-            for whole, own in zip((reward, terminated, truncated, success), results, strict=True):
-                np.copyto(whole, own, where=part)
+            for total, own in zip((reward, terminated, truncated, success), results, strict=True):
+                np.copyto(total, own, where=part)
         return reward, terminated, truncated, success
 
     def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:

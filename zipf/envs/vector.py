@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from zipf.envs import pcg64
+from zipf.envs.arguments import mapping, whole
 
 Observation = dict[str, NDArray[Any]]
 Info = dict[str, Any]
@@ -87,8 +88,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         copy: bool = True,
         render_mode: str | None = None,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs must be at least 1, got {num_envs}")
+        num_envs = whole("num_envs", num_envs, 1)
         modes = [mode.value for mode in AutoresetMode]
         if autoreset_mode not in (*AutoresetMode, *modes):
             raise ValueError(f"autoreset_mode must be one of {modes}, got {autoreset_mode!r}")
@@ -198,7 +198,9 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         A family that cannot restore the running episode of a world begins one and sets the
         world's entry of `self._restarted`.
 
-        Raises ValueError, with nothing restored, if a kernel could not work on it.
+        Raises ValueError, with nothing restored, if a kernel could not work on it: a kernel checks
+        no bounds. Numbers may be anything; those of worlds that have not begun (`state["seeded"]`)
+        are never stepped.
         """
 
     _resizable: frozenset[str] = frozenset()
@@ -359,12 +361,18 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             does.
 
         Raises:
-            ValueError: if the state is of another kind or number of worlds.
+            ValueError: if the state is of another kind or number of worlds, or damaged. The worlds
+                are then as they were.
         """
         own = self.get_state()
-        if state.keys() != own.keys():
-            raise ValueError(f"a state has the keys {sorted(own)}, got {sorted(state)}")
+        if not isinstance(state, Mapping) or state.keys() != own.keys():
+            got = list(state) if isinstance(state, Mapping) else type(state).__name__
+            raise ValueError(f"a state has the keys {sorted(own)}, got {got}")
         for key, value in own.items():
+            if not isinstance(state[key], np.ndarray):
+                raise ValueError(
+                    f"state {key!r} must be an array, got a {type(state[key]).__name__}"
+                )
             shape = state[key].shape
             if key in self._resizable and value.ndim == len(shape):
                 shape = (len(value), *shape[1:])
@@ -373,6 +381,10 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                     f"state {key!r} must be {value.dtype} {value.shape}, "
                     f"got {state[key].dtype} {state[key].shape}"
                 )
+        if (state["running"] & ~state["seeded"]).any():
+            raise ValueError("the state is damaged: worlds are running that have not begun")
+        if (state["lengths"] < 0).any() or not np.isfinite(state["returns"]).all():
+            raise ValueError("the state is damaged: lengths or returns of episodes out of range")
         self._restarted[:] = False
         self._set_worlds(state)
         self._streams[:] = state["streams"]
@@ -410,19 +422,22 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             if name not in self._buffers:
                 self._buffers[name] = self.allocate()
             return self._buffers[name]
-        if out.keys() != self._shapes.keys():
+        if mapping(name, out).keys() != self._shapes.keys():
             raise ValueError(f"{name} must have the keys {list(self._shapes)}, got {list(out)}")
         for key, (shape, dtype) in self._shapes.items():
             array = out[key]
-            flags = array.flags
             if (
-                array.shape != shape
+                not isinstance(array, np.ndarray)
+                or array.shape != shape
                 or array.dtype != dtype
-                or not (flags.c_contiguous and flags.writeable)
+                or not (array.flags.c_contiguous and array.flags.writeable)
             ):
+                got = type(array).__name__
+                if isinstance(array, np.ndarray):
+                    got = f"{array.dtype} {array.shape}"
                 raise ValueError(
                     f"{name}[{key!r}] must be a writable C-contiguous array {dtype} {shape}, "
-                    f"got {array.dtype} {array.shape}"
+                    f"got {got}"
                 )
         return out
 
@@ -449,25 +464,26 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _read_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             seeds: list[int | None] = [None] * self.num_envs
-        elif isinstance(seed, int | np.integer):
-            seeds = [int(seed) + i for i in range(self.num_envs)]
-        else:
+        elif (isinstance(seed, np.ndarray) and seed.ndim > 0) or (
+            isinstance(seed, Sequence) and not isinstance(seed, str | bytes)
+        ):
             seeds = list(seed)
+        else:
+            first = whole("seed", seed, 0)
+            seeds = [first + i for i in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed must have {self.num_envs} entries, got {len(seeds)}")
-        if any(one is not None and one < 0 for one in seeds):
-            raise ValueError(f"seeds must not be negative, got {seed}")
-        return seeds
+        return [None if one is None else whole("each seed", one, 0) for one in seeds]
 
     def _read_options(
         self, options: Mapping[str, Any] | None
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
         """The worlds to reset, bool [N], and the ranks to force, int64 [ranks, N]."""
-        options = options or {}
+        options = mapping("options", options)
         unknown = options.keys() - self.situation.keys() - {"reset_mask"}
         if unknown:
             raise ValueError(
-                f"unknown reset options {sorted(unknown)}: "
+                f"unknown reset options {sorted(map(str, unknown))}: "
                 f"expected {['reset_mask', *self.situation]}"
             )
         mask = np.asarray(options.get("reset_mask", self._everywhere))

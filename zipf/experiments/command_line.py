@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
+import math
 from collections.abc import Iterator
 from typing import Any, TypeVar
 
@@ -30,6 +31,7 @@ from zipf.experiments.errors import UserError
 from zipf.options import Options
 
 AnyOptions = TypeVar("AnyOptions", bound=Options)
+MOST_JOBS = 10_000  # ours: all of them are checked before the first one starts
 _GROUPS = ("agent", "memory", "network", "auxiliary", "exploration")
 
 
@@ -56,7 +58,7 @@ def load(overrides: list[str]) -> Config:
     except ValidationError as error:
         problems += _explain(error, values)
     else:
-        problems += feasibility.problems(config)
+        problems += dict.fromkeys(feasibility.problems(config))
     if problems:
         raise UserError("\n".join(problems))
     return config
@@ -164,25 +166,47 @@ def _parse(overrides: list[str]) -> list[Override]:
         try:
             parsed.append(parser.parse_override(text))
         except HydraException:
-            name, equals, value = text.partition("=")
-            if equals:
-                problems.append(f"{text}: needs quotes within quotes: '{name}=\"{value}\"'")
-            else:
-                problems.append(f"{text}: not of the form option=value")
+            problems.append(_advice(parser, text))
     if problems:
         raise UserError("\n".join(problems))
     return parsed
 
 
+def _advice(parser: OverridesParser, text: str) -> str:
+    """What to write in the place of an override that cannot be parsed."""
+    name, equals, value = text.partition("=")
+    shown = text if len(text) <= 200 else f"{text[:200]}..."
+    if not equals:
+        return f"{shown}: not of the form option=value"
+    quoted = f'{name}="{value}"'
+    try:
+        if parser.parse_override(quoted).value() == value:
+            return f"{shown}: needs quotes within quotes: '{quoted}'"
+    except HydraException:
+        pass
+    return f"{shown}: cannot be read; check its quotes and brackets"
+
+
 def _jobs(overrides: list[str]) -> Iterator[list[str]]:
-    """Every combination of the listed values."""
+    """Every combination of the listed values.
+
+    Raises:
+        UserError: there are too many, or what should be a list is none.
+    """
     alternatives = []
     for override in _parse(overrides):
-        if override.is_sweep_override():
-            prefix = override.get_key_element()
-            alternatives.append([f"{prefix}={v}" for v in override.sweep_string_iterator()])
-        else:
+        if not override.is_sweep_override():
             alternatives.append([str(override.input_line)])
+            continue
+        prefix, text = override.get_key_element(), override.input_line
+        try:
+            values = list(itertools.islice(override.sweep_string_iterator(), MOST_JOBS + 1))
+        except HydraException:  # glob, and intervals of a sweeper that draws from them
+            raise UserError(f"{text}: list the values, as in {prefix}=a,b") from None
+        alternatives.append([f"{prefix}={value}" for value in values])
+    count = math.prod(map(len, alternatives))
+    if count > MOST_JOBS:
+        raise UserError(f"the lists of values make a sweep of more than {MOST_JOBS:,} jobs")
     for job in itertools.product(*alternatives):
         yield list(job)
 
@@ -191,13 +215,19 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
     """The overrides with a known name, and a line about each of the others."""
     available = groups()
     known, problems, options = [], [], []
+    chosen: dict[str, str] = {}
     for override in overrides:
         key, text = override.key_or_group, str(override.input_line)
         if override.is_delete():
             problems.append(f"{text}: options cannot be deleted; give another value")
         elif key in available:
             value = str(override.value())
-            if value in choices(key):
+            if chosen.setdefault(key, value) != value:
+                problems.append(
+                    f"{key}={chosen[key]} and {key}={value}: choose one; for both, a sweep: "
+                    f"-m {key}={chosen[key]},{value}"
+                )
+            elif value in choices(key):
                 known.append(text)
             else:
                 own = "; for a name of your own, use name=<name>" if key == "condition" else ""
@@ -214,7 +244,7 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
     parents = {name.rsplit(".", 1)[0] for name in accepted if "." in name}
     for override in options:
         key = override.key_or_group
-        if key in accepted or key in parents or key.startswith("hydra"):
+        if key in accepted or key in parents or key.startswith(("hydra.", "hydra/")):
             known.append(str(override.input_line))
         else:
             problems.append(f"{key}: no such option; {nearest(key, accepted)}")
@@ -252,7 +282,7 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
         else:
             kind = problem.get("ctx", {}).get("pattern", problem["type"])
             message = _IN_WORDS.get(kind, problem["msg"].removeprefix("Input "))
-            yield f"{name}={problem['input']}: {message}"
+            yield f"{name}={problem['input']!s:.200}: {message}"
 
 
 def _name(composed: Composed) -> str:

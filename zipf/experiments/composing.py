@@ -56,9 +56,13 @@ def add_folder(folder: str | Path) -> None:
     Raises:
         UserError: there is no such folder.
     """
-    path = Path(folder).expanduser().resolve()
-    if not path.is_dir():
-        raise UserError(f"--config-dir {folder}: there is no such folder")
+    try:
+        path = Path(folder).expanduser().resolve()
+        found = path.is_dir()
+    except (OSError, RuntimeError):  # too long a name, or no such user's home
+        found = False
+    if not found:
+        raise UserError(f"--config-dir {folder!s:.200}: there is no such folder")
     if path not in _user_folders:
         _user_folders.append(path)
 

@@ -161,9 +161,7 @@ class Config(Options):
         only be resumed with the same ones."""
         options = flatten(self.model_dump()) | {"collector.lag": self.lag}
         return {
-            name: value
-            for name, value in options.items()
-            if name.split(".")[0] not in NOT_LEARNED
+            name: value for name, value in options.items() if name.split(".")[0] not in NOT_LEARNED
         }
 
 

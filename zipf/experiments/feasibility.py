@@ -10,10 +10,12 @@ import torch
 
 from zipf import envs
 from zipf.agents.agent import agents, no_auxiliary_losses
-from zipf.agents.auxiliary import NO_AUXILIARY, build_auxiliary
+from zipf.agents.auxiliary import NO_AUXILIARY
+from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.network import ActorCritic
-from zipf.experiments.config import Config, find_device
+from zipf.experiments.config import Config, find_device, flatten
 from zipf.experiments.errors import UserError
+from zipf.experiments.running.factory import build_agent
 
 
 def problems(config: Config) -> Iterator[str]:
@@ -36,8 +38,8 @@ def problems(config: Config) -> Iterator[str]:
         find_device(config.device)
     except UserError as error:
         yield str(error)
-    if any(path.exists() and not path.is_dir() for path in (config.folder, *config.folder.parents)):
-        yield f"run_root={config.run_root}: should be a folder, but there is a file of that name"
+    if problem := _no_folder(config):
+        yield f"run_root={config.run_root:.200}: {problem}"
     if agent.answers_questions and config.exploration.name != "none":
         yield (
             f"exploration={config.exploration.name}: agent={config.agent.name} answers questions "
@@ -48,9 +50,7 @@ def problems(config: Config) -> Iterator[str]:
             f"collector.lag={config.lag}: agent={config.agent.name} does not correct for older "
             f"weights; should be at most {agent.largest_lag}"
         )
-    problem = _cannot_be_built(config)
-    if problem:
-        yield problem
+    yield from _cannot_be_built(config)
 
 
 def has_instruction(environment: dict[str, Any]) -> bool:
@@ -63,49 +63,143 @@ def has_instruction(environment: dict[str, Any]) -> bool:
             env = envs.make_vec(envs.split(environment["split"]).uniform[0], 1, **options)
             _instructed[key] = "instruction" in env.single_observation_space.spaces
             env.close()
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, MemoryError):
             _instructed[key] = True
     return _instructed[key]
 
 
 _instructed: dict[str, bool] = {}
 
-_BUILT = ("environment", "network", "memory", "auxiliary")
-_buildable: dict[str, str | None] = {}
+
+def too_many_worlds(config: Config, num_envs: int, episodes: int | None, option: str) -> str | None:
+    """Why an evaluation with so many worlds does not fit into RAM, or None."""
+    played = min(num_envs, episodes or max(config.split.episodes.values()))
+    # What is seen, what was seen last, and the agent's copy.
+    return _too_large(f"{option}={num_envs}", "its worlds", played, 3 * _frame_bytes(config))
 
 
-def _cannot_be_built(config: Config) -> str | None:
-    """Why the levels or the network cannot be made, or None. Equal options are tried once."""
-    built = {name: value for name, value in config.model_dump().items() if name in _BUILT}
-    key = json.dumps({"agent": config.agent.name, **built}, sort_keys=True)
+def _too_large(options: str, what: str, count: int, each: int) -> str | None:
+    free = free_ram()
+    if count * each <= free:
+        return None
+    return (
+        f"{options}: {what} take {in_words(count * each)} of RAM, and {in_words(free)} are free; "
+        f"{max(free // each, 1)} would fit"
+    )
+
+
+def _frame_bytes(config: Config) -> int:
+    """RAM for a frame of one world: the observation and what is kept beside it."""
+    env = envs.make_vec(config.split.uniform[0], 1, **config.level_options)
+    env.close()
+    return sum(part.nbytes for part in env.allocate().values()) + BESIDE_A_FRAME
+
+
+def _no_folder(config: Config) -> str | None:
+    """Why a run's folder cannot be made, or None."""
+    try:
+        paths = config.folder, *config.folder.parents
+        if any(path.exists() and not path.is_dir() for path in paths):
+            return "should be a folder, but there is a file of that name"
+    except OSError as error:
+        return f"cannot be a folder: {error.strerror}"
+    except (RuntimeError, ValueError) as error:  # a home that there is not, or a zero byte
+        return f"cannot be a folder: {error}"
+    return None
+
+
+BESIDE_A_FRAME = 64  # bytes: reward, action, flags and so on
+LARGEST_SIZE = 2**16  # ours: the weights between two such layers take 17 GB
+
+_buildable: dict[str, list[str]] = {}
+
+
+def _cannot_be_built(config: Config) -> list[str]:
+    """Why the levels or the agent cannot be made. Equal options are tried once."""
+    others = {"seed": 0, "compile": config.compile, "evaluation": config.evaluation.model_dump()}
+    key = json.dumps(config.what_is_learned | others)
     if key not in _buildable:
-        _buildable[key] = _try_to_build(config)
+        _buildable[key] = list(_try_to_build(config))
     return _buildable[key]
 
 
-def _try_to_build(config: Config) -> str | None:
+def _try_to_build(config: Config) -> Iterator[str]:
     try:
         split = config.split
     except ValueError as error:
         answering = [one.name for one in envs.all_splits().values() if _has_questions(one)]
-        return (
+        yield (
             f"agent={config.agent.name}: {error}; splits with such questions: "
             f"{', '.join(answering)}"
         )
+        return
     try:
         for level in split.all_levels:
             env = envs.make_vec(level, 1, **config.level_options)
             env.close()
     except ValueError as error:
-        return f"environment: {error}"
+        yield f"environment: {error}"
+        return
+    except MemoryError as error:
+        yield f"environment: one world does not fit into RAM ({error})"
+        return
+    if lacking := list(_lacking_ram(config, env)):
+        yield from lacking
+        return
+    try:
+        with torch.random.fork_rng(devices=[]):  # an agent may seed the global generator
+            build_agent(config.model_copy(update={"device": "cpu", "run_root": "."}), env)
+    except UserError as error:
+        yield from str(error).splitlines()
+
+
+def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
+    """What does not fit into RAM, by arithmetic: nothing is allocated."""
+    collector, evaluation = config.collector, config.evaluation
+    frames = (collector.unroll_length + 1) * (1 + collector.lag)
+    problems = [
+        _too_large(
+            f"collector.num_envs={collector.num_envs}, "
+            f"collector.unroll_length={collector.unroll_length}",
+            "the worlds of an unroll",
+            collector.num_envs,
+            frames * _frame_bytes(config),
+        ),
+        too_many_worlds(config, evaluation.num_envs, evaluation.episodes, "evaluation.num_envs"),
+    ]
+    yield from filter(None, problems)
+    parts = {name: getattr(config, name).model_dump() for name in ("memory", "network")}
+    too_large = False
+    for name, value in flatten(parts).items():
+        numbers = value if isinstance(value, list) else [value]
+        if any(isinstance(one, int) and one > LARGEST_SIZE for one in numbers):
+            too_large = True
+            yield f"{name}={value}: should be at most {LARGEST_SIZE}"
+    if too_large:
+        return
+    size, free = _weight_bytes(config, env), free_ram()
+    if size is None:
+        yield f"memory.size={config.memory.size}: such a network has too many weights or layers"
+    elif size > free:
+        yield (
+            f"memory.size={config.memory.size}: the weights of such a network, their gradients and "
+            f"the optimiser take {in_words(size)}, and {in_words(free)} of RAM are free"
+        )
+
+
+def _weight_bytes(config: Config, env: envs.ZipfVectorEnv) -> int | None:
+    """Of an actor-critic with this network and memory; 0 where none can be made of them, None where
+    it is too large for PyTorch. On a GPU only the weights themselves are in RAM."""
     try:
         with torch.device("meta"):
             spaces = env.single_observation_space, env.single_action_space
             network = ActorCritic(*spaces, config.network, config.memory)
-            build_auxiliary(config.auxiliary, spaces[0], config.network, network, seed=0)
-    except ValueError as error:
-        return str(error)
-    return None
+    except ValueError:
+        return 0  # the agent, which may use neither, will tell
+    except (RuntimeError, RecursionError):  # more bytes than an integer holds, or layers
+        return None
+    size = sum(parameter.nbytes for parameter in network.parameters())
+    return size if config.device.startswith("cuda") else 4 * size
 
 
 def _has_questions(split: envs.Split) -> bool:

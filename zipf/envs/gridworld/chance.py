@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from zipf.envs import distributions
 from zipf.envs.gridworld import kernels, looks
-from zipf.envs.gridworld.maps import MOVES, Maps, build_maps
+from zipf.envs.gridworld.maps import MOVES, Maps, build_maps, check_sizes
 from zipf.envs.random_play import Chance
+
+SURVIVAL = 1e-20  # ours: less of an episode is left than a sum of probabilities can show
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,8 @@ def random_policy_success(
 
     On the released maps 0.0324 (`zipf_2`), 0.0477 (`uniform`) and 0.0859 (`rare`).
     """
-    return _chance(
-        level, num_maps, tuple(num_rooms), tuple(room_size), num_objects, max_steps
-    ).score
+    sizes = check_sizes(num_maps, num_rooms, room_size, num_objects)
+    return _chance(level.removeprefix("gridworld/"), *sizes, max_steps).score
 
 
 def chance(
@@ -99,6 +100,8 @@ def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:
         at = np.zeros(height * width)
         at[cells[-1]] = 1.0
         for _ in range(max_steps):
+            if at.sum() < SURVIVAL:
+                break
             length[i] += at.sum()
             at = np.bincount(
                 leads_to[i].ravel(), np.repeat(at / len(MOVES), len(MOVES)), height * width

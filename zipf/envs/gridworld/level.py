@@ -8,9 +8,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from zipf.envs import distributions, pcg64
+from zipf.envs.arguments import whole
 from zipf.envs.gridworld import kernels
 from zipf.envs.gridworld.looks import CELL, NUM_CODES
-from zipf.envs.gridworld.maps import MOVES, VIEW, Maps, build_maps
+from zipf.envs.gridworld.maps import MOVES, VIEW, Maps, build_maps, check_sizes
+
+MOST_STEPS = 10**9  # ours: no episode is as long, and the count stays exact as float64
 
 OBSERVATIONS: dict[str, dict[str, tuple[int, ...]]] = {
     "image": {"image": (VIEW * CELL, VIEW * CELL, 3)},
@@ -54,22 +57,19 @@ class Level:
         Raises:
             ValueError: for an unknown level or observation, or sizes that make no map.
         """
+        if not isinstance(name, str):
+            raise ValueError(f"level must be a level's name, got {name!r}")
         name = name.removeprefix("gridworld/")
         distribution = distributions.by_name(name)
-        if observation not in OBSERVATIONS:
+        if not isinstance(observation, str) or observation not in OBSERVATIONS:
             raise ValueError(
                 f"observation must be {' or '.join(map(repr, OBSERVATIONS))}, got {observation!r}"
             )
-        if max_steps < 1:
-            raise ValueError(f"max_steps must be at least 1, got {max_steps}")
-        for option, pair in (("num_rooms", num_rooms), ("room_size", room_size)):
-            if len(pair) != 2:
-                raise ValueError(f"{option} must be (rows, columns), got {pair}")
+        max_steps = whole("max_steps", max_steps, 1, MOST_STEPS)
+        sizes = check_sizes(num_maps, num_rooms, room_size, num_objects)
         return cls(
             name=name,
-            maps=build_maps(
-                num_maps, (num_rooms[0], num_rooms[1]), (room_size[0], room_size[1]), num_objects
-            ),
+            maps=build_maps(*sizes),
             map_cdf=pcg64.cumulative(distribution(num_maps)),
             target_cdf=pcg64.cumulative(distribution(num_objects)),
             max_steps=max_steps,

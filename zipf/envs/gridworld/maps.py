@@ -7,10 +7,12 @@ all draws must not change. In some places it depends on the order in which Pytho
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.arguments import pair, whole
 from zipf.envs.gridworld import looks
 
 FIRST_SEED = 1234
@@ -18,6 +20,11 @@ VIEW = 7  # rows and columns of cells in the agent's view, which is centred on t
 PAD = VIEW // 2
 MOVES = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
 """(row, column) steps of the actions N, NE, E, SE, S, SW, W, NW."""
+
+# Ours: more take more than ten seconds to build, whenever a program starts.
+MOST_MAPS = 10_000
+MOST_CELLS = 10_000_000  # of all maps
+MOST_PAIRS = 10_000_000  # of rooms, over all maps: each may be joined to any other
 
 _LOOK_ATTEMPTS = 10_000
 
@@ -58,6 +65,35 @@ class Maps:
         return looks.look(int(self.boards[map, row, column]))
 
 
+def check_sizes(
+    num_maps: Any, num_rooms: Any, room_size: Any, num_objects: Any
+) -> tuple[int, tuple[int, int], tuple[int, int], int]:
+    """The arguments of `build_maps`, as whole numbers.
+
+    Raises:
+        ValueError: one is none, or below 1; they would take minutes to build; or there are fewer
+            looks than objects.
+    """
+    num_maps = whole("num_maps", num_maps, 1, MOST_MAPS)
+    num_rooms = pair("num_rooms", num_rooms)
+    room_size = pair("room_size", room_size)
+    num_objects = whole("num_objects", num_objects, 1)
+    if num_objects > looks.NUM_LOOKS:
+        raise ValueError(
+            f"num_objects = {num_objects}, but there are only {looks.NUM_LOOKS} different looks "
+            f"({len(looks.COLOURS)} colours x {len(looks.SHAPES)} shapes)"
+        )
+    height, width = (n * (size + 1) + 1 for n, size in zip(num_rooms, room_size, strict=True))
+    rooms = num_rooms[0] * num_rooms[1]
+    if num_maps * height * width > MOST_CELLS or num_maps * rooms**2 > MOST_PAIRS:
+        raise ValueError(
+            f"num_maps = {num_maps}, num_rooms = {num_rooms} and room_size = {room_size} make "
+            f"{num_maps * height * width:,} cells and {num_maps * rooms**2:,} pairs of rooms; "
+            f"at most {MOST_CELLS:,} and {MOST_PAIRS:,} can be built"
+        )
+    return num_maps, num_rooms, room_size, num_objects
+
+
 @lru_cache(maxsize=16)
 def build_maps(
     num_maps: int = 20,
@@ -68,22 +104,9 @@ def build_maps(
     """Builds maps `0 .. num_maps - 1`, of `num_rooms` rooms (rows, columns) of `room_size` cells.
 
     Raises:
-        ValueError: if a size is below 1, or a map has fewer places or looks than objects.
+        ValueError: as `check_sizes`, or a map has fewer places than objects.
     """
-    for name, value in (
-        ("num_maps", (num_maps,)),
-        ("num_rooms", num_rooms),
-        ("room_size", room_size),
-        ("num_objects", (num_objects,)),
-    ):
-        if min(value) < 1:
-            shown = value if len(value) > 1 else value[0]
-            raise ValueError(f"{name} must be at least 1, got {shown}")
-    if num_objects > looks.NUM_LOOKS:
-        raise ValueError(
-            f"num_objects = {num_objects}, but there are only {looks.NUM_LOOKS} different looks "
-            f"({len(looks.COLOURS)} colours x {len(looks.SHAPES)} shapes)"
-        )
+    check_sizes(num_maps, num_rooms, room_size, num_objects)
     height, width = (n * (size + 1) + 1 for n, size in zip(num_rooms, room_size, strict=True))
     codes = np.zeros((num_maps, height + 2 * PAD, width + 2 * PAD), dtype=np.uint8)
     cells = np.zeros((num_maps, num_objects + 1, 2), dtype=np.int64)

@@ -10,6 +10,7 @@ from gymnasium import spaces
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from numpy.typing import NDArray
 
+from zipf.envs.arguments import mapping
 from zipf.envs.gridworld import looks
 from zipf.envs.gridworld.level import OBSERVATIONS, Level
 from zipf.envs.gridworld.maps import MOVES
@@ -156,10 +157,11 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
         """
         if self._closed:
             raise ClosedEnvironmentError("reset() of an environment that was closed")
-        options = options or {}
+        options = dict(mapping("options", options))
         if unknown := options.keys() - self.situation.keys():
             raise ValueError(
-                f"unknown reset options {sorted(unknown)}: expected {list(self.situation)}"
+                f"unknown reset options {sorted(map(str, unknown))}: "
+                f"expected {list(self.situation)}"
             )
         for name, rank in options.items():
             size = self.situation[name]
@@ -185,6 +187,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
 
         Raises:
             ValueError: if the action is not in 0 .. 7.
+            TypeError: if it is no integer.
             ResetNeeded: if no episode is running.
         """
         if self._closed:

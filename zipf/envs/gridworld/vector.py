@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs.gridworld import kernels
+from zipf.envs.gridworld import kernels, looks
 from zipf.envs.gridworld.level import Level
 from zipf.envs.gridworld.render import frame
 from zipf.envs.vector import Observation, ZipfVectorEnv
@@ -107,9 +107,13 @@ class GridworldVectorEnv(ZipfVectorEnv):
         return {"worlds": self._worlds}
 
     def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
-        # The kernels index with these numbers and check no bounds.
-        maps = self.level.maps
+        # The kernels index with these numbers and check no bounds. From a wall, which no agent can
+        # reach, a step may lead off the board.
+        maps, worlds = self.level.maps, state["worlds"]
         limits = (maps.num_maps, maps.num_objects, *maps.boards.shape[1:])
-        if (state["worlds"] < 0).any() or (state["worlds"] >= limits).any():
+        if (worlds < 0).any() or (worlds >= limits).any():
             raise ValueError("the state is of other maps, or damaged: worlds outside the board")
-        self._worlds[:] = state["worlds"]
+        map, _, row, column = worlds[state["seeded"]].T
+        if (maps.boards[map, row, column] == looks.WALL).any():
+            raise ValueError("the state is of other maps, or damaged: an agent in a wall")
+        self._worlds[:] = worlds

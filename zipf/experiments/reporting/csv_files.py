@@ -42,10 +42,10 @@ def read_table(path: Path, columns: Mapping[str, Kind], notes: list[str]) -> pd.
     Raises:
         UserError: the file cannot be read, a column is missing, or a line is damaged.
     """
-    lines, torn = _complete_lines(path)
+    lines, torn = read_lines(path)
     if torn:
         notes.append(f"{path.as_posix()}: the last line is torn and was left out")
-    header = _check_fields(path, lines) or list(columns)
+    header = read_fields(path, lines)[0] if lines else list(columns)
     if missing := [name for name in columns if name not in header]:
         raise UserError(f"{path.as_posix()}, line 1: no column {', '.join(missing)}")
     texts = pd.read_csv(
@@ -63,8 +63,8 @@ def read_table(path: Path, columns: Mapping[str, Kind], notes: list[str]) -> pd.
 
 def read_header(path: Path) -> list[str]:
     """The names of the columns; empty where the file has no complete line."""
-    lines, _ = _complete_lines(path)
-    return _check_fields(path, lines[:1])
+    lines, _ = read_lines(path)
+    return read_fields(path, lines[:1])[0] if lines else []
 
 
 def read_bytes(path: Path) -> bytes:
@@ -79,8 +79,13 @@ def read_bytes(path: Path) -> bytes:
         raise UserError(f"{path.as_posix()}: cannot be read: {error.strerror}") from error
 
 
-def _complete_lines(path: Path) -> tuple[list[str], bool]:
-    """The lines that end in a newline, and whether there is a rest that does not."""
+def read_lines(path: Path) -> tuple[list[str], bool]:
+    """The lines that end in a newline, without it, and whether there is a rest that does not; no
+    lines where there is no file.
+
+    Raises:
+        UserError: the file cannot be read.
+    """
     if not path.exists():
         return [], False
     complete, _, torn = read_bytes(path).rpartition(b"\n")
@@ -88,27 +93,31 @@ def _complete_lines(path: Path) -> tuple[list[str], bool]:
     return (text.split("\n") if text else []), bool(torn)
 
 
-def _check_fields(path: Path, lines: list[str]) -> list[str]:
-    """The header, empty where there is no line; raises `UserError` at a line with another number of
-    fields."""
-    header: list[str] = []
+def read_fields(path: Path, lines: list[str]) -> list[list[str]]:
+    """The fields of each line, those of the header first.
+
+    Args:
+        path: of the file, for messages.
+
+    Raises:
+        UserError: a line has another number of fields than the header, or other damage.
+    """
     reader = csv.reader(lines, strict=True)
-    checked = 0
+    found: list[list[str]] = []
     try:
         for fields in reader:
-            if reader.line_num != checked + 1:
+            if reader.line_num != len(found) + 1:
                 raise csv.Error("a quoted field does not end")
-            if "\r" in lines[checked].removesuffix("\r"):
+            if "\r" in lines[len(found)].removesuffix("\r"):
                 raise csv.Error("a carriage return inside the line")
-            header = header or fields
-            if len(fields) != len(header):
-                raise csv.Error(f"{len(fields)} fields where there are {len(header)} columns")
-            checked += 1
+            if found and len(fields) != len(found[0]):
+                raise csv.Error(f"{len(fields)} fields where there are {len(found[0])} columns")
+            found.append(fields)
     except csv.Error as error:
-        raise UserError(f"{path.as_posix()}, line {checked + 1}: {error}") from error
-    if len(set(header)) < len(header):
+        raise UserError(f"{path.as_posix()}, line {len(found) + 1}: {error}") from error
+    if len(set(found[0])) < len(found[0]):
         raise UserError(f"{path.as_posix()}, line 1: two columns of the same name")
-    return header
+    return found
 
 
 def _convert(path: Path, texts: pd.Series, kind: Kind) -> pd.Series:

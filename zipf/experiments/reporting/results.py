@@ -106,11 +106,15 @@ class RunDescription(_Described):
     torch: str | None = None
     device: str | None = None
     precision: str | None = None
+    resumed: tuple[dict[str, Any], ...] = ()
+    chance: dict[str, Finite | None] | None = None
 
     @model_validator(mode="after")
     def _is_consistent(self) -> RunDescription:
         if self.window is None and self.external is None:
             raise ValueError("window: missing")
+        if not self.external and self.chance is not None and {*self.chance} != {*LEVEL_KINDS}:
+            raise ValueError(f"chance: should be of {', '.join(LEVEL_KINDS)}")
         if self.window is not None and self.window[0] > self.window[1]:
             raise ValueError(f"window {list(self.window)} ends before it starts")
         for level_kind in LEVEL_KINDS:
@@ -233,10 +237,13 @@ def load_runs(folders: Iterable[str | Path]) -> list[Run]:
     roots = [Path(folder) for folder in folders]
     found: dict[Path, Path] = {}
     for folder in roots:
-        if not folder.is_dir():
-            raise UserError(f"{folder.as_posix()}: no such folder")
-        for path in folder.rglob("run.json"):
-            found.setdefault(path.parent.resolve(), path.parent)
+        try:
+            if not folder.is_dir():
+                raise UserError(f"{folder.as_posix()}: no such folder")
+            for path in folder.rglob("run.json"):
+                found.setdefault(path.parent.resolve(), path.parent)
+        except OSError as error:  # such as too long a name
+            raise UserError(f"{folder.as_posix():.200}: {error.strerror}") from None
     if not found:
         where = ", ".join(folder.as_posix() for folder in roots)
         raise UserError(f"no run found under {where}: a run's folder has a run.json")
@@ -258,7 +265,7 @@ def load_run(folder: Path) -> Run:
     Raises:
         UserError: one of its files is damaged.
     """
-    description = _read_description(folder / "run.json")
+    description = read_description(folder / "run.json")
     notes: list[str] = []
     evaluations = _read_evaluations(folder / "evaluations.csv", description, notes)
     situations, situation_names = _read_situations(folder / "situations.csv", description, notes)
@@ -282,7 +289,12 @@ def load_run(folder: Path) -> Run:
     )
 
 
-def _read_description(path: Path) -> RunDescription:
+def read_description(path: Path) -> RunDescription:
+    """The description in a `run.json`.
+
+    Raises:
+        UserError: it cannot be read, or is none.
+    """
     try:
         return RunDescription.model_validate_json(read_bytes(path))
     except ValidationError as error:
@@ -389,7 +401,20 @@ def _read_settings(path: Path, description: RunDescription) -> dict[str, Any]:
 
     content = read_bytes(path)
     try:
-        flat = flatten(yaml.safe_load(content), "")
+        options = yaml.safe_load(content)
+        flat = flatten(options, "")
     except Exception as error:  # the YAML library's errors have no common, documented base
         raise UserError(f"{path.as_posix()}: not a YAML file") from error
+    if not isinstance(options, dict) or "schedule" not in options:  # the last of them
+        raise UserError(f"{path.as_posix()}: is no run's options, or cut")
+    described = {
+        "experiment": description.experiment,
+        "condition": description.condition,
+        "seed": description.seed,
+        "environment": {"split": description.split, **description.environment},
+    }
+    if differing := [name for name in described if options.get(name) != described[name]]:
+        raise UserError(
+            f"{path.as_posix()}: has options of another run than run.json ({', '.join(differing)})"
+        )
     return {key: value for key, value in flat.items() if key.split(".")[0] not in BOOKKEEPING}

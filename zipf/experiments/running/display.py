@@ -24,14 +24,28 @@ class Display:
         name: the run's.
         updates: to reach.
         update: those made already.
+        frames_per_update: frames that one consumes.
+        alone: False where other runs print to the same terminal: lines only, each with the name.
         console: where to print; standard output by default.
     """
 
-    def __init__(self, name: str, updates: int, update: int, console: Console | None = None):
+    def __init__(
+        self,
+        name: str,
+        updates: int,
+        update: int,
+        *,
+        frames_per_update: int,
+        alone: bool = True,
+        console: Console | None = None,
+    ):
         self.console = console or Console(highlight=False)
         self.name = name
         self.updates = updates
-        self.live = self.console.is_terminal
+        self.update = update
+        self.frames_per_update = frames_per_update
+        self.alone = alone
+        self.live = alone and self.console.is_terminal
         self.scores: dict[str, float] = {}
         self.metrics: dict[str, float] = {}
         self.progress = Progress(
@@ -56,40 +70,48 @@ class Display:
 
     def say(self, line: str) -> None:
         """Prints a line, above the panel on a terminal."""
+        if not self.alone and not line.startswith(self.name):
+            line = f"{self.name}: {line}"
         self.console.print(line, soft_wrap=True, markup=False)
 
     def advance(self, update: int) -> None:
-        """Moves the progress bar to this update."""
+        """An update was made."""
+        self.update = update
         self.progress.update(self.task, completed=update)
 
-    def show_metrics(self, update: int, metrics: Mapping[str, float]) -> None:
+    def show_metrics(self, metrics: Mapping[str, float]) -> None:
         """The latest row of metrics."""
         self.metrics = dict(metrics)
         if not self.live and time.monotonic() - self._printed > 30:
-            self._print(update)
+            self._print()
 
-    def show_scores(self, update: int, results: list[Result]) -> None:
+    def show_scores(self, results: list[Result]) -> None:
         """The latest scores."""
         self.scores = scores(results)
         if not self.live:
-            self._print(update)
+            self._print()
 
-    def _print(self, update: int) -> None:
+    def _print(self) -> None:
         self._printed = time.monotonic()
-        parts = [f"update {update}/{self.updates}"]
-        if "frames" in self.metrics:
-            parts.append(f"{int(self.metrics['frames']):,} frames")
-            parts.append(f"{self.metrics['frames_per_second']:,.0f} frames/s")
-        parts += [f"{kind} {score:.3f}" for kind, score in self.scores.items()]
-        self.say("  ".join(parts))
+        shown = [f"{kind} {score:.3f}" for kind, score in self.scores.items()]
+        self.say("  ".join([f"update {self.update}/{self.updates}", *self._speed(), *shown]))
+
+    def _speed(self) -> list[str]:
+        if not self.metrics:
+            return []
+        return [
+            f"{self.update * self.frames_per_update:,} frames",
+            f"{self.metrics['frames_per_second']:,.0f} frames/s",
+        ]
 
     def _panel(self) -> Group:
         scores = Table.grid(padding=(0, 3))
         m = self.metrics
         cells = [f"{k} [bold]{self.scores[k]:.3f}[/]" for k in KINDS if k in self.scores]
-        if m:
-            cells += [f"{int(m['frames']):,} frames", f"{m['frames_per_second']:,.0f} frames/s"]
-        scores.add_row(*cells or ["[dim]evaluating before the first update[/]"])
+        cells += self._speed()
+        if not cells and self.update == 0:
+            cells = ["[dim]evaluating before the first update[/]"]
+        scores.add_row(*cells)
         name = Text(self.name, style="bold", no_wrap=True, overflow="ellipsis")
         if not m:
             return Group(name, self.progress, scores)

@@ -18,6 +18,7 @@ import numpy as np
 import zipf
 from zipf import envs
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting.csv_files import read_fields, read_lines
 from zipf.experiments.running.evaluator import derive_seed
 from zipf.experiments.running.scoring import Evaluation, geometry, score
 
@@ -200,14 +201,18 @@ def _recorded_levels(folder: Path, description: Mapping[str, Any]) -> list[dict[
 
 
 def _with_rows(path: Path, update: int, rows: Sequence[Mapping[str, Any]]) -> str:
-    """The file's rows of other updates, then these."""
+    """The file's rows of other updates, then these.
+
+    Raises:
+        UserError: the file is damaged.
+    """
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    if path.exists():
-        header, *lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-        text.write(header + "".join(one for one in lines if one.split(",")[0] != str(update)))
-    else:
-        writer.writeheader()
+    lines, _ = read_lines(path)
+    if lines and read_fields(path, lines)[0] != list(rows[0]):
+        raise UserError(f"{path}, line 1: has other columns than its record; choose another folder")
+    writer.writeheader()
+    text.writelines(f"{one}\n" for one in lines[1:] if one.split(",")[0] != str(update))
     writer.writerows(rows)
     return text.getvalue()
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,9 @@ from tensorboard.summary.writer.record_writer import RecordWriter
 
 from zipf.experiments.errors import UserError
 from zipf.experiments.running.evaluator import Result, scores, situations
+from zipf.experiments.running.result_table import ResultTable
+
+TABLES = ("metrics.csv", "evaluations.csv", "situations.csv")
 
 
 class Logger:
@@ -24,27 +25,60 @@ class Logger:
 
     Args:
         folder: the run's folder.
-        resume_at: rows of later updates are dropped; -1 for a new run.
+        resume_at: the update that the run goes on from; -1 for a new run.
+        saved: `state_dict()` at that update; None for a new run.
+        every: an evaluation of an update that is no multiple of it is dropped when a run goes on:
+            it was made because the run ended there.
 
     Raises (here and in every method):
-        UserError: the disk is full or cannot be written.
+        UserError: the disk is full or cannot be written, or a table is damaged.
     """
 
-    def __init__(self, folder: Path, resume_at: int):
+    def __init__(
+        self, folder: Path, resume_at: int, saved: Mapping[str, Any] | None = None, every: int = 1
+    ):
         self.folder = folder
-        for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
+        self.every = every
+        self._tables = {}
+        for name in TABLES:
             with _writing(folder / name):
-                _forget_after(folder / name, resume_at)
+                if saved is None:
+                    self._tables[name] = ResultTable(folder / name)
+                else:
+                    self._tables[name] = ResultTable.resumed(
+                        folder / name,
+                        resume_at,
+                        saved[name],
+                        keep_closing=resume_at % every == 0,
+                    )
+        for table in self._tables.values():  # none of them is damaged
+            with _writing(table.path):
+                table.drop_later_rows()
         events = folder / "tensorboard"
         with _writing(events):
             events.mkdir(exist_ok=True)
             # TensorBoard's own writer writes in a thread, where nobody sees that the disk is full.
-            name = f"events.out.tfevents.{time.time_ns()}"
-            self._events = open(events / name, "wb")  # noqa: SIM115
+            # It reads the files in the order of their names, so they are numbered: the time of day
+            # may stand still, or be set back.
+            numbers = (path.name.rpartition(".")[2] for path in events.iterdir())
+            number = 1 + max((int(text) for text in numbers if text.isdecimal()), default=0)
+            name = f"events.out.tfevents.{number:08}"
+            self._events = open(events / name, "xb")  # noqa: SIM115
         self._records = RecordWriter(self._events)
         self._event(file_version="brain.Event:2")
         # TensorBoard then hides the points that a resumed run writes again.
         self._event(step=resume_at + 1, session_log=SessionLog(status=SessionLog.START))
+
+    @staticmethod
+    def check(folder: Path, update: int, saved: Mapping[str, Any]) -> None:
+        """Raises `UserError` where the tables of a finished run are not as at its checkpoint."""
+        for name in TABLES:
+            ResultTable.check(folder / name, update, saved[name])
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint has to know of the tables, which are on the disk when this returns."""
+        with _writing(self.folder):
+            return {name: table.state_dict() for name, table in self._tables.items()}
 
     def metrics(self, update: int, metrics: Mapping[str, float]) -> None:
         """One row, a column for each metric; metrics may come and go."""
@@ -54,10 +88,12 @@ class Logger:
     def evaluation(self, when: Mapping[str, float], results: list[Result]) -> None:
         """The rows of an evaluation, and of the situations in it."""
         update = int(when["update"])
+        closing = update % self.every != 0
         met = situations(results)
         met.insert(0, "update", update)
-        self._append("situations.csv", met.to_dict("records"))
-        self._append("evaluations.csv", [{**when, **result.row()} for result in results])
+        rows = [{**when, **result.row()} for result in results]
+        self._append("situations.csv", met.to_dict("records"), closing=closing)
+        self._append("evaluations.csv", rows, closing=closing)
         of_levels = {f"score/{result.kind}/{result.level}": result.score for result in results}
         of_kinds = {f"score/{kind}": score for kind, score in scores(results).items()}
         several = len(of_levels) > len(of_kinds)
@@ -65,30 +101,17 @@ class Logger:
 
     def text(self, line: str) -> None:
         """One line of `train.log`."""
-        self._write("train.log", f"{time.strftime('%Y-%m-%d %H:%M:%S')} {line}\n")
+        path = self.folder / "train.log"
+        with _writing(path), open(path, "a", encoding="utf-8") as file:
+            file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {line}\n")
 
     def close(self) -> None:
         """Closes TensorBoard's file."""
         self._events.close()
 
-    def _append(self, name: str, rows: list[Any]) -> None:
-        path = self.folder / name
-        columns = _columns(path)
-        new = [column for column in rows[0] if column not in columns]
-        if columns and new:
-            with _writing(path):
-                _add_columns(path, new)
-        text = io.StringIO()
-        writer = csv.DictWriter(text, [*columns, *new], restval="", lineterminator="\n")
-        if not columns:
-            writer.writeheader()
-        writer.writerows(rows)
-        self._write(name, text.getvalue())
-
-    def _write(self, name: str, text: str) -> None:
-        path = self.folder / name
-        with _writing(path), open(path, "a", newline="") as file:
-            file.write(text)
+    def _append(self, name: str, rows: Sequence[Any], *, closing: bool = False) -> None:
+        with _writing(self.folder / name):
+            self._tables[name].append(rows, closing=closing)
 
     def _scalars(self, update: int, values: Mapping[str, float]) -> None:
         summary = [Summary.Value(tag=tag, simple_value=value) for tag, value in values.items()]
@@ -109,44 +132,6 @@ def _writing(path: Path) -> Iterator[None]:
         raise UserError(
             f"{path}: cannot be written: {error.strerror}; the last checkpoint is kept"
         ) from None
-
-
-def _columns(path: Path) -> list[str]:
-    """The columns of a table; none before its first row."""
-    if not path.exists():
-        return []
-    with open(path, newline="") as file:
-        return next(csv.reader(file), [])
-
-
-def _add_columns(path: Path, columns: list[str]) -> None:
-    """Adds empty columns to a table."""
-    table = pd.read_csv(path, dtype=str, keep_default_na=False)
-    replacement = path.with_name(path.name + ".new")
-    table.assign(**dict.fromkeys(columns, "")).to_csv(replacement, index=False)
-    replacement.replace(path)
-
-
-def _forget_after(path: Path, update: int) -> None:
-    """Drops the rows that a resumed run will write again, and a last line that a crash cut."""
-    if not path.exists():
-        return
-    header, *rows = path.read_text().splitlines(keepends=True) or [""]
-    if not header.endswith("\n"):
-        path.unlink()
-        return
-    kept = []
-    for number, row in enumerate(rows, 2):
-        first = row.split(",")[0]
-        if not row.endswith("\n"):
-            continue
-        if not first.isdigit():
-            raise UserError(f"{path}, line {number}: should begin with an update, not {first!r}")
-        if int(first) <= update:
-            kept.append(row)
-    replacement = path.with_name(path.name + ".new")
-    replacement.write_text("".join([header, *kept]))
-    replacement.replace(path)
 
 
 def write_results(stem: Path, results: list[Result]) -> list[Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 import platform
 import shlex
 import subprocess
@@ -23,7 +24,9 @@ import zipf
 from zipf import envs
 from zipf.experiments.config import Config, schema
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting import results
 from zipf.experiments.running import checkpoint
+from zipf.experiments.running.result_table import last_update
 
 Reference = Literal["chance", "blind"]
 REFERENCES: tuple[Reference, ...] = ("chance", "blind")
@@ -43,9 +46,9 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
             raise UserError(f"resume=must: there is no checkpoint {path}")
         for name in ("metrics.csv", "evaluations.csv"):
             last = last_update(config.folder / name)
-            if last > 0:
+            if last not in (None, "0"):
                 raise UserError(
-                    f"{config.folder / name}: holds results up to update {last}, and their "
+                    f"{config.folder / name}: holds results up to update {last:.40}, and their "
                     "checkpoint is gone; bring it back, or remove the folder, or choose another "
                     "run_root or name"
                 )
@@ -83,8 +86,8 @@ def fits(path: Path) -> Iterator[None]:
     """Raises `UserError` where what a checkpoint holds does not fit the parts of this version."""
     try:
         yield
-    except (KeyError, RuntimeError, ValueError) as error:
-        first = str(error).splitlines()[0]
+    except (LookupError, RuntimeError, TypeError, AttributeError, ValueError) as error:
+        first = next(iter(str(error).splitlines()), type(error).__name__)
         raise UserError(f"{path}: does not fit this version of zipf ({first})") from None
 
 
@@ -94,7 +97,7 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
     A resumed run keeps the description of how it began; how it went on is added to `resumed`.
 
     Raises:
-        UserError: the folder cannot be written.
+        UserError: the folder cannot be written, or a resumed run's description is gone or damaged.
     """
     split = envs.split(config.environment.split)
     how: dict[str, Any] = {
@@ -107,8 +110,8 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "resumed": [],
     }
-    if resumed_at is not None and (config.folder / "run.json").exists():
-        began = read_description(config.folder)
+    if resumed_at is not None:
+        began = check_description(config, situation)
         again = {"update": resumed_at, **{k: v for k, v in how.items() if k != "resumed"}}
         how = {k: began.get(k) for k in how} | {"resumed": [*began.get("resumed", []), again]}
         described = began["levels"]
@@ -141,7 +144,10 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
     for name, text in texts.items():
         replacement = config.folder / f"{name}.new"
         try:
-            replacement.write_text(text)
+            with open(replacement, "w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
             replacement.replace(config.folder / name)
         except OSError as error:
             replacement.unlink(missing_ok=True)
@@ -200,15 +206,6 @@ def mean_of_levels(
     return sum(level["weight"] * level[reference] for level in levels) / total
 
 
-def last_update(path: Path) -> int:
-    """The last update that a result file has a row of; -1 where it has none."""
-    if not path.exists():
-        return -1
-    lines = path.read_text().splitlines(keepends=True)
-    rows = [line for line in lines[1:] if line.endswith("\n")]
-    return int(rows[-1].split(",")[0]) if rows else -1
-
-
 def make(folder: Path) -> None:
     """Makes a run's folder. Raises `UserError` where it cannot be made."""
     try:
@@ -226,7 +223,7 @@ def lock(folder: Path) -> Iterator[None]:
     """
     make(folder)
     try:
-        file = open(folder / "lock", "w")  # noqa: SIM115
+        file = open(folder / "lock", "a")  # noqa: SIM115
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise UserError(f"{folder}: another process is training there") from None
@@ -245,14 +242,57 @@ def read_config(folder: Path, plugins: Collection[str] = ()) -> Config:
 
     Raises:
         UserError: the folder holds no run, one that needs other plugins, one that this version
-            cannot read, or the record of an agent of another program.
+            cannot read, or the record of an agent of another program; or it is damaged.
     """
-    path = folder / "config.yaml"
-    if (folder / "run.json").is_file() and (external := read_description(folder).get("external")):
+    description = read_description(folder)
+    if external := description["external"]:
         raise UserError(
             f"{folder}: records the scores of an agent of another program, {external['name']}; "
             "the agent is not there"
         )
+    config = _read_options(folder, plugins)
+    _check_same(folder, description, config)
+    return config
+
+
+def check_description(config: Config, situation: dict[str, int]) -> dict[str, Any]:
+    """The contents of `run.json`, in the folder of a run that there is.
+
+    Raises:
+        UserError: `run.json` or `config.yaml` is gone, damaged or another run's.
+    """
+    description = read_description(config.folder)
+    _check_same(config.folder, description, config, situation=situation)
+    there = _read_options(config.folder, config.plugins)
+    if there.what_is_learned != config.what_is_learned:
+        raise UserError(
+            f"{config.folder / 'config.yaml'}: has other options than the run's checkpoint; "
+            f"{_REMEDY}"
+        )
+    return description
+
+
+def read_description(folder: Path) -> dict[str, Any]:
+    """What `write_description`, or `zipf.evaluate.record`, wrote to `run.json`.
+
+    Raises:
+        UserError: there is none, or it is damaged.
+    """
+    path = folder / "run.json"
+    try:
+        if not path.is_file():
+            raise UserError(f"{folder}: is no run's folder (it has no run.json)")
+    except OSError as error:
+        raise UserError(f"{folder!s:.200}: cannot be read: {error.strerror}") from None
+    results.read_description(path)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+_REMEDY = "restore it from a copy, or remove the run's folder to train anew"
+
+
+def _read_options(folder: Path, plugins: Collection[str]) -> Config:
+    path = folder / "config.yaml"
     if not path.is_file():
         raise UserError(f"{folder}: is no run's folder (it has no config.yaml)")
     try:
@@ -264,19 +304,40 @@ def read_config(folder: Path, plugins: Collection[str] = ()) -> Config:
                 f"not loaded; say plugins=[{','.join(missing)}] if you trust them"
             )
         return schema().model_validate(values)
-    except (ValueError, AttributeError, OmegaConfBaseException, YAMLError, OSError) as error:
-        first = str(error).splitlines()[0]
+    except (ValueError, TypeError, AttributeError, OmegaConfBaseException, YAMLError) as error:
+        first = next(iter(str(error).splitlines()), type(error).__name__)
         raise UserError(f"{path}: is not a configuration of this version ({first})") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def read_description(folder: Path) -> dict[str, Any]:
-    """What `write_description` wrote to `run.json`."""
-    if not (folder / "run.json").is_file():
-        raise UserError(f"{folder}: is no run's folder (it has no run.json)")
-    try:
-        return json.loads((folder / "run.json").read_text())
-    except (OSError, ValueError) as error:
-        raise UserError(f"{folder / 'run.json'}: cannot be read: {error}") from None
+def _check_same(folder: Path, description: dict[str, Any], config: Config, **known: Any) -> None:
+    """Raises `UserError` where `run.json` describes another run than the configuration, or has
+    other entries than `known`."""
+    split = envs.split(config.environment.split)
+    here = {
+        "experiment": config.experiment,
+        "condition": config.condition,
+        "seed": config.seed,
+        "split": split.name,
+        "environment": config.level_options,
+        "levels": [
+            [kind, one.name, one.weight] for kind in envs.KINDS for one in split.levels(kind)
+        ],
+        "chance": {
+            kind: mean_of_levels(description["levels"], kind, "chance") for kind in envs.KINDS
+        },
+        **known,
+    }
+    there = {name: description.get(name) for name in here} | {
+        "levels": [
+            [one["level_kind"], one["level"], one["weight"]] for one in description["levels"]
+        ]
+    }
+    if differing := [name for name in here if here[name] != there[name]]:
+        raise UserError(
+            f"{folder / 'run.json'}: describes another run ({', '.join(differing)}); {_REMEDY}"
+        )
 
 
 def _commit() -> str | None:

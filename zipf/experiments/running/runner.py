@@ -21,73 +21,89 @@ from zipf.experiments.running.display import Display
 from zipf.experiments.running.evaluator import derive_seed, scores
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.running.logger import Logger
+from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.overlap import Overlap
 from zipf.experiments.running.signals import StopSignals
 from zipf.experiments.running.trained import evaluate_agent
 
 
-def train(config: Config) -> int:
+def train(config: Config, *, alone: bool = True) -> int:
     """Trains until `config.updates`, or until a signal asks to stop; the same command resumes.
+
+    A run that is finished is left as it is.
+
+    Args:
+        alone: False in a process that is given one run after another, beside others that print to
+            the same terminal. After a signal it begins no further run.
 
     Returns the number of the signal that stopped it, 0 for none.
 
     Raises:
         UserError: the run cannot begin, go on or be written; the last checkpoint is kept.
     """
+    if StopSignals.received and not alone:
+        return StopSignals.received
     keep_freed_ram()
     schedule = config.schedule
-    with (
-        run_folder.lock(config.folder),
-        _as_user_errors(config),
-        Run(config) as run,
-        StopSignals(run.display.say) as stop,
-    ):
-        if run.is_new:
-            run.evaluate()
-            run.save()
-        while run.update < config.updates and not stop.requested:
-            unroll, metrics = run.step()
-            if run.update % schedule.log_every == 0:
-                run.log(unroll, metrics)
-            if run.update % config.evaluation.every == 0 or run.update == config.updates:
+    with run_folder.lock(config.folder), _as_user_errors(config):
+        run = Run(config, alone=alone)
+        if run.is_finished:
+            run.close()
+            run.display.say(f"{run.name}: is finished at update {run.update}, in {run.folder}")
+            return 0
+        with run, StopSignals(run.display.say) as stop:
+            if run.is_new:
                 run.evaluate()
-            if run.update % schedule.checkpoint_every == 0:
                 run.save()
-            run.display.advance(run.update)
-        run.save()
+            while run.update < config.updates and not stop.requested:
+                unroll, metrics = run.step()
+                run.display.advance(run.update)
+                if run.update % schedule.log_every == 0:
+                    run.log(unroll, metrics)
+                if run.update % config.evaluation.every == 0:
+                    run.evaluate()
+                if run.update % schedule.checkpoint_every == 0:
+                    run.save()
+            if run.evaluated < run.update and not stop.requested:
+                run.evaluate()
+            run.save()
     return stop.requested
 
 
 @contextmanager
 def _as_user_errors(config: Config) -> Iterator[None]:
-    try:
-        yield
-    except RuntimeError as error:
-        if not config.compile or not isinstance(error, torch._dynamo.exc.TorchDynamoException):
-            raise
-        first = str(error).strip().splitlines()[0]
-        raise UserError(f"compile=true: {first}; choose compile=false") from None
-    except MemoryError as error:
-        raise UserError(
-            f"not enough RAM ({error}); smaller collector.num_envs or collector.unroll_length "
-            "need less"
-        ) from None
+    collector = config.collector
+    smaller = (
+        f"smaller collector.num_envs={collector.num_envs} or "
+        f"collector.unroll_length={collector.unroll_length} need less"
+    )
+    with enough_ram(smaller):
+        try:
+            yield
+        except RuntimeError as error:
+            if not config.compile or not isinstance(error, torch._dynamo.exc.TorchDynamoException):
+                raise
+            first = str(error).strip().splitlines()[0]
+            raise UserError(f"compile=true: {first}; choose compile=false") from None
 
 
 class Run:
     """One training run: its parts, and how many updates were made.
 
-    As a context manager it shows the display, and closes everything in the end.
+    Making it reads its folder and writes nothing. As a context manager it writes what describes the
+    run, shows the display, and closes everything in the end.
 
     Attributes:
         update: updates made.
+        evaluated: the update of the last evaluation; -1 for none.
         is_new: whether it was started rather than resumed from a checkpoint.
+        is_finished: whether there is nothing left to do.
 
     Raises (here and in the methods):
         UserError: the run cannot begin, go on or be written.
     """
 
-    def __init__(self, config: Config):
+    def __init__(self, config: Config, *, alone: bool = True):
         self.config = config
         self.folder = config.folder
         self.device = config.torch_device
@@ -95,7 +111,7 @@ class Run:
         env = envs.make_train(config.split, collector.num_envs, **config.level_options)
         self.agent = build_agent(config, env)
         try:
-            notes = self.agent.begin_learning()
+            self._notes = self.agent.begin_learning()
         except ValueError as error:
             raise UserError(str(error)) from None
         saved = run_folder.find_checkpoint(config)
@@ -112,27 +128,44 @@ class Run:
         self.frames_per_update = collector.num_envs * collector.unroll_length
         self.clock = Clock()
         self.update = 0
+        self.evaluated = -1
         self.is_new = saved is None
+        self._tables: dict[str, Any] | None = None
         torch.manual_seed(config.seed)
         if saved:
             self._load(saved)
-        resumed_at = self.update if saved else None
-        run_folder.write_description(config, env.situation, resumed_at)
-        self.logger = Logger(self.folder, resume_at=self.update if saved else -1)
-        self._logged = self.clock.training, self.update
-        name = f"{config.experiment} {config.condition} seed {config.seed}"
-        state = "a new run"
-        if saved:
-            done = self.update >= config.updates
-            state = f"{'is finished' if done else 'resumes'} at update {self.update}"
-        self.display = Display(name, config.updates, self.update)
-        self.display.say(f"{name}: {state}, on {self.device}, in {self.folder}")
-        self.logger.text(f"{name}: {state}, on {self.device}")
-        for note in notes:
-            self.display.say(note)
-            self.logger.text(note)
+        self.is_finished = self.evaluated == self.update == config.updates
+        if self.is_finished:
+            assert self._tables is not None
+            run_folder.check_description(config, env.situation)
+            Logger.check(self.folder, self.update, self._tables)
+        self.name = f"{config.experiment} {config.condition} seed {config.seed}"
+        self.display = Display(
+            self.name,
+            config.updates,
+            self.update,
+            frames_per_update=self.frames_per_update,
+            alone=alone,
+        )
 
     def __enter__(self) -> Run:
+        if not self.is_new:
+            run_folder.check_description(self.config, self.collector.env.situation)
+        self.logger = Logger(
+            self.folder,
+            resume_at=-1 if self.is_new else self.update,
+            saved=self._tables,
+            every=self.config.evaluation.every,
+        )
+        resumed_at = None if self.is_new else self.update
+        run_folder.write_description(self.config, self.collector.env.situation, resumed_at)
+        self._logged = self.clock.training, self.update
+        state = "a new run" if self.is_new else f"resumes at update {self.update}"
+        self.display.say(f"{self.name}: {state}, on {self.device}, in {self.folder}")
+        self.logger.text(f"{self.name}: {state}, on {self.device}")
+        for note in self._notes:
+            self.display.say(note)
+            self.logger.text(note)
         self.display.start()
         return self
 
@@ -141,15 +174,16 @@ class Run:
         if kind is None:
             finished = f"finished; python -m zipf.report {self.folder.parent.parent}"
             stopped = f"stopped at update {self.update}; the same command resumes"
-            self.display.say(finished if self.update >= self.config.updates else stopped)
+            done = self.evaluated == self.update == self.config.updates
+            self.display.say(finished if done else stopped)
             self.logger.text(f"stops at update {self.update}")
+        self.logger.close()
         self.close()
 
     def close(self) -> None:
-        """Ends the second thread, if there is one, and closes the files and the worlds."""
+        """Ends the second thread, if there is one, and closes the worlds."""
         if self.overlap:
             self.overlap.close()
-        self.logger.close()
         self.collector.env.close()
 
     def step(self) -> tuple[Unroll, dict[str, float]]:
@@ -197,7 +231,7 @@ class Run:
             **metrics,
         }
         self.logger.metrics(self.update, row)
-        self.display.show_metrics(self.update, row)
+        self.display.show_metrics(row)
 
     def evaluate(self) -> None:
         """Scores the agent and writes the rows; training's random draws stay the same."""
@@ -215,7 +249,8 @@ class Run:
             "seconds": self.clock.total,
         }
         self.logger.evaluation(when, results)
-        self.display.show_scores(self.update, results)
+        self.evaluated = self.update
+        self.display.show_scores(results)
         shown = "  ".join(f"{kind} {score:.3f}" for kind, score in scores(results).items())
         self.logger.text(f"update {self.update}: {shown}")
 
@@ -225,6 +260,8 @@ class Run:
         state = {
             "options": self.config.what_is_learned,
             "update": self.update,
+            "evaluated": self.evaluated,
+            "tables": self.logger.state_dict(),
             "clock": self.clock.state_dict(),
             "agent": self.agent.state_dict(),
             "collector": self.collector.state_dict(),
@@ -236,6 +273,8 @@ class Run:
     def _load(self, saved: dict[str, Any]) -> None:
         with run_folder.fits(self.folder / "checkpoint.pt"):
             self.update = saved["update"]
+            self.evaluated = saved["evaluated"]
+            self._tables = saved["tables"]
             self.clock.load_state_dict(saved["clock"])
             try:
                 self.agent.load_state_dict(saved["agent"])

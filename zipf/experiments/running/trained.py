@@ -8,12 +8,14 @@ from pathlib import Path
 
 from zipf import envs
 from zipf.agents.agent import Agent
-from zipf.experiments import composing
+from zipf.experiments import composing, feasibility
 from zipf.experiments.config import Config, EvaluateOptions, module_names
+from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder
 from zipf.experiments.running.agent_policy import AgentPolicy
 from zipf.experiments.running.evaluator import Result, derive_seed, evaluate
 from zipf.experiments.running.factory import build_agent
+from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.policies import Worlds, check_geometry
 
 
@@ -69,16 +71,22 @@ def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
     """Scores the agent of a run's checkpoint; returns the checkpoint's update and the scores.
 
     Raises:
-        UserError: as `load_agent`.
+        UserError: as `load_agent`, or so many worlds do not fit into RAM.
     """
     trained = load_agent(Path(options.run), options.device, module_names(options.plugins))
-    results = evaluate_agent(
-        trained.config,
-        trained.agent,
-        episodes=options.episodes,
-        num_envs=options.num_envs,
-        seed=options.seed,
-    )
+    with enough_ram(f"a smaller num_envs={options.num_envs} needs less"):
+        problem = feasibility.too_many_worlds(
+            trained.config, options.num_envs, options.episodes, "num_envs"
+        )
+        if problem:
+            raise UserError(problem)
+        results = evaluate_agent(
+            trained.config,
+            trained.agent,
+            episodes=options.episodes,
+            num_envs=options.num_envs,
+            seed=options.seed,
+        )
     return trained.update, results
 
 

@@ -1,0 +1,151 @@
+"""Damaged run folders: no run goes on beside a damaged file, and nothing is lost without a word."""
+
+import json
+import shutil
+
+import pytest
+from conftest import TINY, contents
+
+from zipf.experiments import command_line
+from zipf.experiments.errors import UserError
+from zipf.experiments.running import logger, runner
+from zipf.experiments.running.result_table import ResultTable
+
+
+def edit(old: bytes, new: bytes):
+    return lambda content: content.replace(old, new)
+
+
+def of_json(change):
+    return lambda content: json.dumps(change(json.loads(content))).encode()
+
+
+TABLES = {
+    "emptied": lambda content: b"",
+    "deleted": None,
+    "header only": lambda content: content[: content.index(b"\n") + 1],
+    "header renamed": edit(b"update,", b"updates,"),
+    "column renamed": edit(b",episode", b",epis0de"),
+    "last row gone": lambda content: content[: content[:-1].rindex(b"\n") + 1],
+    "first row gone": lambda content: b"\n".join(
+        line for i, line in enumerate(content.split(b"\n")) if i != 1
+    ),
+    "cut": lambda content: content[:-9],
+    "a word for a number": edit(b"\n2,", b"\nabc,"),
+    "byte 0x80": edit(b"\n2,", b"\n2,\x80"),
+    "carriage return": edit(b"\n2,", b"\n2,\r"),
+    "a huge number": edit(b"\n2,", b"\n" + b"9" * 400 + b","),
+    "another number": edit(b"\n2,", b"\n2,1"),
+    "a cell more": edit(b"\n2,", b"\n2,,"),
+    "nul": edit(b"\n2,", b"\n2,\0"),
+    "random": lambda content: bytes(range(256)) * 4,
+}
+DESCRIPTIONS = {
+    "emptied": lambda content: b"",
+    "deleted": None,
+    "cut": lambda content: content[:-9],
+    "byte 0x80": edit(b"demo", b"d\x80mo"),
+    "a list": of_json(lambda described: [described]),
+    "null": lambda content: b"null",
+    "no levels": of_json(lambda described: {**described, "levels": 5}),
+    "levels without chance": of_json(lambda described: {**described, "levels": [{}]}),
+    "levels of another run": of_json(
+        lambda described: {
+            **described,
+            "levels": [{**one, "level": "x"} for one in described["levels"]],
+        }
+    ),
+    "another seed": of_json(lambda described: {**described, "seed": 7}),
+    "no situation": of_json(lambda described: {**described, "situation": {}}),
+    "no chance": of_json(lambda described: {**described, "chance": None}),
+    "resumed by a number": of_json(lambda described: {**described, "resumed": 5}),
+}
+OPTIONS = {
+    "emptied": lambda content: b"",
+    "deleted": None,
+    "cut": lambda content: content[:-30],
+    "byte 0x80": edit(b"demo", b"d\x80mo"),
+    "a list": lambda content: b"- 5\n",
+    "no yaml": lambda content: b"{[",
+    "plugins are a number": edit(b"plugins: []", b"plugins: 5"),
+    "another discount": edit(b"discount: 0.99", b"discount: 0.9"),
+}
+EVERYWHERE = ("emptied", "deleted", "byte 0x80")
+DAMAGE = [
+    *((name, how, TABLES[how]) for name in logger.TABLES for how in EVERYWHERE),
+    *(("run.json", how, change) for how, change in DESCRIPTIONS.items()),
+    *(("config.yaml", how, change) for how, change in OPTIONS.items()),
+]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished run, to be copied and damaged."""
+    root = tmp_path_factory.mktemp("finished")
+    arguments = [*TINY, "updates=2"]
+    assert runner.train(command_line.load([*arguments, f"run_root={root}"])) == 0
+    return root, arguments
+
+
+@pytest.mark.parametrize(("how", "change"), TABLES.items(), ids=TABLES)
+def test_a_damaged_table_is_refused_and_kept(how, change, tmp_path):
+    path = tmp_path / "table.csv"
+    table = ResultTable(path)
+    for update in range(3):
+        table.append([{"update": update, "seconds": update / 3, "episode": 7.5}])
+    saved = table.state_dict()
+    content = path.read_bytes()
+    ResultTable.check(path, 2, saved)
+    if change is None:
+        path.unlink()
+    else:
+        assert change(content) != content
+        path.write_bytes(change(content))
+    before = contents(tmp_path)
+    for attempt in (
+        lambda: ResultTable.check(path, 2, saved),
+        lambda: ResultTable.resumed(path, 2, saved, keep_closing=False),
+    ):
+        with pytest.raises(UserError, match=r"^.*table\.csv.*$"):
+            attempt()
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("updates", [2, 3])
+@pytest.mark.parametrize(("name", "how", "change"), DAMAGE, ids=[f"{d[0]} {d[1]}" for d in DAMAGE])
+def test_no_run_goes_on_beside_a_damaged_file(finished, name, how, change, updates, tmp_path):
+    """Nor is a finished one accepted; one line names the file, and nothing is written."""
+    root, arguments = finished
+    shutil.copytree(root, tmp_path / "runs")
+    config = command_line.load([*arguments, f"run_root={tmp_path / 'runs'}", f"updates={updates}"])
+    path = config.folder / name
+    content = path.read_bytes()
+    if change is None:
+        path.unlink()
+    else:
+        assert change(content) != content
+        path.write_bytes(change(content))
+    before = contents(config.folder)
+    with pytest.raises(UserError) as error:
+        runner.train(config)
+    assert contents(config.folder) == before
+    assert name in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"update,frames\n0,0\nabc,1\n", b"\x80\n\x81,\n", b"update\n" + b"9" * 400 + b"\n"],
+    ids=["word", "no text", "huge"],
+)
+def test_rows_without_their_checkpoint_are_kept_however_damaged(content, finished, tmp_path):
+    root, arguments = finished
+    shutil.copytree(root, tmp_path / "runs")
+    config = command_line.load([*arguments, f"run_root={tmp_path / 'runs'}"])
+    folder = config.folder
+    (folder / "checkpoint.pt").unlink()
+    (folder / "metrics.csv").write_bytes(content)
+    (folder / "evaluations.csv").unlink()
+    with pytest.raises(UserError, match=r"metrics\.csv: holds results"):
+        runner.train(config)
+    assert (folder / "metrics.csv").read_bytes() == content

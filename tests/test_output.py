@@ -1,0 +1,148 @@
+"""Commands whose output is lost: a run trains on, a report is written, nothing is a traceback."""
+
+import io
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ANNOUNCED, PACKAGE, TINY
+from rich.console import Console
+
+from zipf.experiments.running import checkpoint
+from zipf.experiments.running.display import Display
+from zipf.experiments.running.signals import StopSignals
+
+TRAIN = [*TINY, "updates=6", "evaluation.every=1", "name=x"]
+
+
+def start(module: str, *arguments: str, **options: object) -> subprocess.Popen[str]:
+    """A command; `options` are those of Popen."""
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE), "PYTHONIOENCODING": "ascii"}
+    return subprocess.Popen(
+        [sys.executable, "-m", module, *arguments],
+        env=environment,
+        text=True,
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options},
+    )
+
+
+def errors_of(process: subprocess.Popen[str]) -> str:
+    assert process.stderr is not None
+    errors = process.stderr.read()
+    process.wait(timeout=60)
+    return errors.replace(ANNOUNCED, "")
+
+
+def finished(root: Path) -> bool:
+    return checkpoint.load(root / "demo" / "x" / "seed0" / "checkpoint.pt")["update"] == 6
+
+
+def test_a_reader_that_has_seen_enough_does_not_end_a_run(tmp_path: Path) -> None:
+    process = start("zipf.train", *TRAIN, f"run_root={tmp_path}")
+    assert process.stdout is not None
+    assert "a new run" in process.stdout.readline()
+    process.stdout.close()
+    assert errors_of(process) == ""
+    assert process.returncode == 0
+    assert finished(tmp_path)
+
+
+full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+
+
+@full
+def test_a_full_device_does_not_end_a_run_and_is_told_once(tmp_path: Path) -> None:
+    with open("/dev/full", "w") as device:
+        process = start("zipf.train", *TRAIN, f"run_root={tmp_path}", stdout=device)
+    told = "standard output cannot be written: No space left on device; going on without it\n"
+    assert errors_of(process) == told
+    assert process.returncode == 0
+    assert finished(tmp_path)
+
+
+def test_a_report_is_written_whatever_becomes_of_its_output(tmp_path: Path) -> None:
+    """Its dashes are no ASCII."""
+    folder = str(PACKAGE / "results" / "demo")
+    process = start("zipf.report", folder, "--output", str(tmp_path / "cut"))
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.stdout.close()
+    assert errors_of(process) == ""
+    assert process.returncode == 0
+    assert (tmp_path / "cut" / "report.md").exists()
+
+    process = start("zipf.report", folder, "--output", str(tmp_path / "whole"))
+    output, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (0, "")
+    assert "IMPALA + MLP" in output
+    assert "Wrote" in output
+
+
+def test_a_closed_terminal_is_no_reason_to_stop() -> None:
+    said: list[str] = []
+    with StopSignals(said.append) as stop:
+        os.kill(os.getpid(), signal.SIGHUP)
+    assert (stop.requested, said) == (0, [])
+
+
+METRICS = {"frames": 20.0, "frames_per_second": 5.0, "seconds": 4.0} | {
+    f"time_{part}": 1.0 for part in ("environment", "inference", "learning", "evaluation")
+}
+
+
+def shown(
+    update: int, *, alone: bool = True, terminal: bool = False
+) -> tuple[Display, io.StringIO]:
+    file = io.StringIO()
+    console = Console(file=file, force_terminal=terminal, width=100, no_color=True)
+    display = Display("demo x", 8, update, frames_per_update=4, alone=alone, console=console)
+    return display, file
+
+
+def panel(display: Display) -> str:
+    with display.console.capture() as captured:
+        display.console.print(display._panel())
+    return re.sub(r"\x1b\[[0-9;]*m", "", captured.get())
+
+
+def test_the_frames_shown_are_those_of_the_last_update() -> None:
+    """Also where no row of metrics was written since."""
+    display, file = shown(0, terminal=True)
+    assert "evaluating before the first update" in panel(display)
+    display.advance(5)
+    display.show_metrics(METRICS)
+    display.advance(8)
+    assert "32 frames" in panel(display)
+    assert "8/8" in panel(display)
+    display, file = shown(5)
+    display.show_metrics(METRICS)
+    display.advance(8)
+    display.show_scores([])
+    assert file.getvalue() == "update 8/8  32 frames  5 frames/s\n"
+
+
+def test_a_resumed_run_does_not_claim_to_be_at_its_beginning() -> None:
+    assert "before the first update" not in panel(shown(5, terminal=True)[0])
+
+
+def test_runs_that_share_a_terminal_print_lines_with_their_name() -> None:
+    display, file = shown(0, alone=False, terminal=True)
+    assert not display.live
+    display.say("stopping")
+    display.say("demo x: a new run")
+    assert file.getvalue() == "demo x: stopping\ndemo x: a new run\n"
+
+
+def test_ctrl_c_while_options_are_checked_is_no_traceback(tmp_path: Path) -> None:
+    """The signal comes as soon as the first of many jobs is being checked."""
+    program = (
+        "import os, signal, sys; from zipf import train; from zipf.experiments import command_line;"
+        "command_line.load = lambda job: os.kill(os.getpid(), signal.SIGINT);"
+        "sys.argv = ['zipf.train', 'experiment=demo']; train.main()"
+    )
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, cwd=tmp_path)
+    assert (process.returncode, process.stderr) == (130, b"")

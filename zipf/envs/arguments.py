@@ -1,0 +1,50 @@
+"""Checks of arguments that the worlds have in common."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+
+def whole(name: str, value: Any, least: int, most: int | None = None, *, given: Any = None) -> int:
+    """An argument that has to be a whole number, as an int.
+
+    Args:
+        given: what the message shows, where the number is part of something.
+
+    Raises:
+        ValueError: it is none, or not in `least .. most`.
+    """
+    got = repr(value) if given is None else repr(given)
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise ValueError(f"{name} must be a whole number, got {got}")
+    if value < least:
+        raise ValueError(f"{name} must be at least {least}, got {got}")
+    if most is not None and value > most:
+        raise ValueError(f"{name} must be at most {most}, got {got}")
+    return int(value)
+
+
+def pair(name: str, value: Any, most: int | None = None) -> tuple[int, int]:
+    """An argument that has to be (rows, columns), whole numbers from 1 on.
+
+    Raises:
+        ValueError: it is something else, or one is above `most`.
+    """
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:
+        raise ValueError(f"{name} must be (rows, columns), got {value!r}")
+    rows, columns = (whole(name, number, 1, most, given=value) for number in value)
+    return rows, columns
+
+
+def mapping(name: str, value: Any) -> Mapping[str, Any]:
+    """An argument that has to be a mapping; an empty one for None.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be a mapping, got {value!r}")
+    return value
