@@ -156,7 +156,7 @@ def _try_to_build(config: Config) -> Iterator[str]:
 def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
     """What does not fit into RAM, by arithmetic: nothing is allocated."""
     collector, evaluation = config.collector, config.evaluation
-    frames = (collector.unroll_length + 1) * (1 + collector.lag)
+    frames = (collector.unroll_length + 1) * (1 + config.lag)
     problems = [
         _too_large(
             f"collector.num_envs={collector.num_envs}, "
