@@ -133,6 +133,23 @@ def test_an_unroll_holds_the_observations_that_episodes_were_truncated_at(places
     assert (left_out > 0) == (places == 1)
 
 
+def test_a_time_limit_can_be_the_end_of_the_task():
+    """Played from the same seeds: the same steps, and what was cut has terminated."""
+    agent, apart = build()
+    alike = Collector(
+        apart.env.__class__(WORLDS, **SMALL), agent, unroll_length=STEPS, seed=3,
+        bootstrap_at_time_limit=False,
+    )  # fmt: skip
+    for _ in range(3):
+        one, other = apart.collect().steps, alike.collect().steps
+        assert one["truncated"][:-1].any()
+        assert not other["truncated"].any()
+        assert torch.equal(other["terminated"], one["terminated"] | one["truncated"])
+        assert not other["truncation_value"].any()
+        assert torch.equal(other["is_first"], one["is_first"])
+        assert torch.equal(other["action"], one["action"])
+
+
 def test_the_learner_recomputes_what_the_actor_did():
     """The unrolled network gives the stepped network's logits, across episodes' ends."""
     agent, collector = build("memory=lstm")

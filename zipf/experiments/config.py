@@ -33,12 +33,14 @@ class CollectorOptions(Options):
     """An update consumes num_envs x unroll_length frames.
 
     `lag` is how many unrolls collection runs ahead of learning; None: as many as the agent
-    corrects for.
+    corrects for. Without `bootstrap_at_time_limit` the agent learns as if a time limit were the end
+    of the task: no value is expected beyond it.
     """
 
     num_envs: PositiveInt
     unroll_length: PositiveInt
     lag: Annotated[int, Field(ge=0, le=1)] | None
+    bootstrap_at_time_limit: bool
 
 
 class EvaluationOptions(Options):

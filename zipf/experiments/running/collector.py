@@ -46,6 +46,8 @@ class Collector:
         device: where the agent computes. Unrolls are in RAM: pinned, if the device is CUDA.
         exploration: adds a bonus for the observations that actions lead to.
         lag: an unroll is overwritten by the call of `collect` after `lag` further ones.
+        bootstrap_at_time_limit: whether unrolls tell time limits from the end of the task. If
+            not, `terminated` is set in the place of `truncated`.
 
     Raises:
         ValueError: the agent's burn-in is longer than an unroll.
@@ -61,6 +63,7 @@ class Collector:
         device: str = "cpu",
         exploration: CountBonus | None = None,
         lag: int = 0,
+        bootstrap_at_time_limit: bool = True,
     ):
         if agent.burn_in > unroll_length:
             raise ValueError(
@@ -71,6 +74,7 @@ class Collector:
         self.unroll_length = unroll_length
         self.device = device
         self.exploration = exploration
+        self.bootstrap_at_time_limit = bootstrap_at_time_limit
         self.seconds = {"environment": 0.0, "inference": 0.0}
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
@@ -166,6 +170,8 @@ class Collector:
             fields["action"][t], out=following, final_out=self._final
         )
         ended = terminated | truncated
+        if not self.bootstrap_at_time_limit:
+            terminated, truncated = ended, np.zeros_like(truncated)
         fields["reward"][t] = reward
         fields["terminated"][t] = terminated
         fields["truncated"][t] = truncated

@@ -123,6 +123,7 @@ class Run:
             device=self.device,
             exploration=build_exploration(config.exploration),
             lag=config.lag,
+            bootstrap_at_time_limit=collector.bootstrap_at_time_limit,
         )
         self.overlap = Overlap(self.collector, self.agent) if config.lag else None
         self.frames_per_update = collector.num_envs * collector.unroll_length
