@@ -692,7 +692,7 @@ def test_a_run_without_its_replay_files_does_not_resume(tmp_path):
     with pytest.raises(UserError, match=r"replay: has room for 30 items .* and 36 are needed"):
         runner.train(seldom)
     shutil.rmtree(options.folder / "replay")
-    with pytest.raises(UserError, match="replay: the replay's files cannot be read"):
+    with pytest.raises(UserError, match="this file of the replay is missing"):
         runner.train(options)
 
 

@@ -58,7 +58,7 @@ def load(overrides: list[str]) -> Config:
     except ValidationError as error:
         problems += _explain(error, values)
     else:
-        problems += dict.fromkeys(feasibility.problems(config))
+        problems += feasibility.problems(config)
     if problems:
         raise UserError("\n".join(problems))
     return config
@@ -215,20 +215,21 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
     """The overrides with a known name, and a line about each of the others."""
     available = groups()
     known, problems, options = [], [], []
-    chosen: dict[str, str] = {}
+    experiment = None
     for override in overrides:
         key, text = override.key_or_group, str(override.input_line)
         if override.is_delete():
             problems.append(f"{text}: options cannot be deleted; give another value")
         elif key in available:
             value = str(override.value())
-            if chosen.setdefault(key, value) != value:
+            if key == "experiment" and experiment not in (None, value):
                 problems.append(
-                    f"{key}={chosen[key]} and {key}={value}: choose one; for both, a sweep: "
-                    f"-m {key}={chosen[key]},{value}"
+                    f"experiment={experiment} and experiment={value}: choose one; for both, a "
+                    f"sweep: -m experiment={experiment},{value}"
                 )
             elif value in choices(key):
                 known.append(text)
+                experiment = value if key == "experiment" else experiment
             else:
                 own = "; for a name of your own, use name=<name>" if key == "condition" else ""
                 told = nearest(value, choices(key))

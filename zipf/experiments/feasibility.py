@@ -31,9 +31,10 @@ def problems(config: Config) -> Iterator[str]:
             f"world for each train level of {split.name}"
         )
     agent, collector = agents()[config.agent.name], config.collector
-    yield from agent.problems(config.agent, collector.num_envs, collector.unroll_length)
+    told = list(agent.problems(config.agent, collector.num_envs, collector.unroll_length))
     if config.auxiliary != NO_AUXILIARY and not agent.auxiliary_losses:
-        yield no_auxiliary_losses(config.agent.name, config.auxiliary.name)
+        told.append(no_auxiliary_losses(config.agent.name, config.auxiliary.name))
+    yield from told
     try:
         find_device(config.device)
     except UserError as error:
@@ -50,7 +51,7 @@ def problems(config: Config) -> Iterator[str]:
             f"collector.lag={config.lag}: agent={config.agent.name} does not correct for older "
             f"weights; should be at most {agent.largest_lag}"
         )
-    yield from _cannot_be_built(config)
+    yield from (line for line in _cannot_be_built(config) if line not in told)
 
 
 def has_instruction(environment: dict[str, Any]) -> bool:
