@@ -262,7 +262,7 @@ def _reach_out(agent, item, spot, drive):
 
 @compiled()
 def keep_in_hand(worlds, i, start):
-    """After the physics, puts the held object of world `i`, if any, back in front of the agent.
+    """After the physics, puts the held object of world `i` back in front of the agent.
 
     Other objects may have stopped it on its way, but do not push it aside.
 
@@ -272,8 +272,6 @@ def keep_in_hand(worlds, i, start):
         start: the agent's x, y before the physics, float64 [2], where there was room.
     """
     held = worlds.hands[i]
-    if held < 0:
-        return
     agent, item = worlds.agents[i], worlds.objects[i, held]
     world, spot = one_world(worlds, i), np.empty(3)
     if not find_room(agent, world, held, spot):

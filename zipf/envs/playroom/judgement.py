@@ -28,7 +28,8 @@ def settle(mask, start, before, worlds, reward, terminated, success):
     for i in range(mask.size):
         if not mask[i]:
             continue
-        keep_in_hand(worlds, i, start[i])
+        if worlds.hands[i] >= 0:
+            keep_in_hand(worlds, i, start[i])
         fall(worlds, i, before[i])
         outcome = _judge(worlds, i)
         terminated[i] = outcome >= 0
