@@ -407,7 +407,8 @@ def _engines(batches: Sequence[ZipfVectorEnv]) -> NDArray[np.int64]:
 def _without_episodes(batch: ZipfVectorEnv) -> ZipfVectorEnv:
     """A shallow copy of a batch for pickling, of which no world has begun."""
     twin: ZipfVectorEnv = object.__new__(type(batch))
-    twin.__dict__.update(batch.__dict__, _seeded=np.zeros_like(batch._seeded))
+    none = np.zeros_like(batch._seeded)
+    twin.__dict__.update(batch.__dict__, _seeded=none, _running=none)
     return twin
 
 
