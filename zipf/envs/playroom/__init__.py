@@ -11,6 +11,8 @@ from zipf.envs.splits import Split
 from zipf.options import Options
 
 Size = Annotated[int, Field(ge=1)]
+Reach = Annotated[float, Field(ge=REACH_BOUNDS[0], le=REACH_BOUNDS[1])]
+Exponent = Annotated[float, Field(ge=EXPONENT_BOUNDS[0], le=EXPONENT_BOUNDS[1])]
 Pair = Annotated[list[Size], Field(min_length=2, max_length=2)]
 
 
@@ -21,12 +23,9 @@ class PlayroomOptions(Options):
     object_order: Literal["default", "alternate"] = "default"  # ours: the paper lists no objects
     looks: Literal["plain", "varied"] = "plain"  # ours: the paper does not say that they vary
     max_steps: Size = 900  # released loader: 120 s; paper: 7.5 actions a second
-    # ours: the paper does not say how far the hand reaches, metres
-    reach: Annotated[float, Field(ge=REACH_BOUNDS[0], le=REACH_BOUNDS[1])] = 2.0
-    # ours: the paper's "most frequent 20%" drawn uniformly, like its levels "all" and "rare"
-    frequent_exponent: Annotated[float, Field(ge=EXPONENT_BOUNDS[0], le=EXPONENT_BOUNDS[1])] = 0.0
-    # paper: for putting near, "reward is also given if the correct object is placed near"
-    near_failure: bool = False
+    reach: Reach = 2.0  # ours: the paper does not say how far the hand reaches, metres
+    frequent_exponent: Exponent = 0.0  # ours: the paper's "most frequent 20%", drawn uniformly
+    near_failure: bool = False  # paper: "reward is also given if the correct object is placed near"
 
 
 FAMILY = Family(
