@@ -1,0 +1,1 @@
+"""Zipf's Labyrinth."""

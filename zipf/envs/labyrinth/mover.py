@@ -1,0 +1,137 @@
+"""How a player moves: Quake III's kinematics as DeepMind Lab sets them, compiled.
+
+A frame is 0.016 s of physics. On the ground, speed falls by friction and grows along the wished
+direction up to 320 units a second; in the air there is no friction and little control. The player
+is a box, 30 x 30 wide and 56 high, that slides along what it meets and climbs steps of 18.
+"""
+
+import math
+
+from zipf.compiled import compiled
+from zipf.envs.labyrinth.state import CELL, PITCH, VX, VY, VZ, YAW, X, Y, Z
+
+FRAME = 0.016
+"""Seconds of physics."""
+RUN = 320.0
+ACCELERATION, IN_AIR = 10.0, 1.0
+FRICTION, STOP_SPEED = 6.0, 100.0
+GRAVITY = 800.0
+WIDE = 15.0
+"""Half the width of the player's box."""
+BELOW, ABOVE = 24.0, 32.0
+"""From the player's point down to the soles and up to the crown."""
+EYE = 26.0
+"""Of the eye above the player's point."""
+STEP_UP = 18.0
+_MOST_PITCH = math.radians(89.0)
+_SKIN = 1e-6
+
+
+@compiled(error_model="numpy")
+def move(worlds, i, turn, rise, strafe, forward):
+    """Moves the player of world `i` by one frame.
+
+    Args:
+        worlds: `Worlds`, written.
+        i: the world.
+        turn, rise: of the view, to the left and upwards, radians.
+        strafe, forward: 1, 0 or -1: to the right, forward.
+    """
+    body = worlds.bodies[i]
+    body[YAW] = (body[YAW] + turn) % (2 * math.pi)
+    body[PITCH] = min(max(body[PITCH] + rise, -_MOST_PITCH), _MOST_PITCH)
+    soles = body[Z] - BELOW
+    ground = _ground(worlds, i, body[X], body[Y], soles)
+    standing = soles <= ground + _SKIN
+    if standing and worlds.pushed[i] == 0:
+        speed = math.hypot(body[VX], body[VY])
+        if speed > 0.0:
+            left = max(speed - max(speed, STOP_SPEED) * FRICTION * FRAME, 0.0) / speed
+            body[VX] *= left
+            body[VY] *= left
+    if worlds.pushed[i] > 0:
+        worlds.pushed[i] -= 1
+    if strafe != 0.0 or forward != 0.0:
+        cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
+        wish_x, wish_y = forward * cos + strafe * sin, forward * sin - strafe * cos
+        length = math.hypot(wish_x, wish_y)
+        wish_x, wish_y = wish_x / length, wish_y / length
+        missing = RUN - (body[VX] * wish_x + body[VY] * wish_y)
+        if missing > 0.0:
+            gain = (ACCELERATION if standing else IN_AIR) * FRAME * RUN
+            gain = min(gain, missing)
+            body[VX] += gain * wish_x
+            body[VY] += gain * wish_y
+    if not standing:
+        body[VZ] -= GRAVITY * FRAME
+    for axis in range(2):
+        step = body[VX + axis] * FRAME
+        if step != 0.0:
+            wanted = body[X + axis] + step
+            reached = _reach(worlds, i, axis, wanted)
+            if reached != wanted:
+                body[VX + axis] = 0.0
+            body[X + axis] = reached
+    ground = _ground(worlds, i, body[X], body[Y], soles)
+    soles = soles + body[VZ] * FRAME
+    if soles <= ground or standing and ground > soles - _SKIN:
+        soles = ground
+        body[VZ] = 0.0
+    body[Z] = soles + BELOW
+
+
+@compiled(error_model="numpy")
+def _ground(worlds, i, x, y, soles):
+    """The height of the highest floor below the player's box that its soles can stand on."""
+    rows, columns = worlds.cells[i]
+    if rows == 0:
+        return 0.0
+    found = -1e9
+    for row in range(_cell(y - WIDE), _cell(y + WIDE) + 1):
+        for column in range(_cell(x - WIDE), _cell(x + WIDE) + 1):
+            if 0 <= row < rows and 0 <= column < columns and not worlds.solid[i, row, column]:
+                height = worlds.floor[i, row, column]
+                if height <= soles + STEP_UP:
+                    found = max(found, height)
+    return found
+
+
+@compiled(error_model="numpy")
+def _reach(worlds, i, axis, wanted):
+    """How far the player's box gets along an axis towards `wanted`, without entering anything."""
+    body = worlds.bodies[i]
+    now = body[X + axis]
+    ahead = 1.0 if wanted > now else -1.0
+    across = body[Y - axis]
+    soles = body[Z] - BELOW
+    crown = body[Z] + ABOVE
+    edge = wanted + ahead * WIDE
+    reached = wanted
+    rows, columns = worlds.cells[i]
+    if rows > 0:
+        line = _cell(edge)
+        for other in range(_cell(across - WIDE + _SKIN), _cell(across + WIDE - _SKIN) + 1):
+            row, column = (other, line) if axis == 0 else (line, other)
+            free = 0 <= row < rows and 0 <= column < columns and not worlds.solid[i, row, column]
+            if not free or worlds.floor[i, row, column] > soles + STEP_UP:
+                face = CELL * line if ahead > 0 else CELL * (line + 1)
+                limit = face - ahead * (WIDE + _SKIN)
+                if (limit - now) * ahead >= 0.0:
+                    reached = min(reached, limit) if ahead > 0 else max(reached, limit)
+    for k in range(worlds.box_count[i]):
+        box = worlds.boxes[i, k]
+        if box[2] >= crown or box[5] <= soles + STEP_UP:
+            continue
+        if box[1 - axis] >= across + WIDE or box[4 - axis] <= across - WIDE:
+            continue
+        face = box[axis] if ahead > 0 else box[3 + axis]
+        limit = face - ahead * (WIDE + _SKIN)
+        if (limit - now) * ahead >= 0.0 and (edge - face) * ahead > 0.0:
+            reached = min(reached, limit) if ahead > 0 else max(reached, limit)
+    return reached
+
+
+@compiled(error_model="numpy")
+def _cell(coordinate):
+    """The row or column of a coordinate."""
+    return int(math.floor(coordinate / CELL))

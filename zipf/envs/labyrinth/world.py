@@ -1,0 +1,223 @@
+"""One world, as the rules of a level see it, and the base class of these rules."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth.grids import Cell
+from zipf.envs.labyrinth.mover import BELOW
+from zipf.envs.labyrinth.scenery import METRES, Scenery, faces
+from zipf.envs.labyrinth.state import (
+    CELL,
+    FRAMES_PER_SECOND,
+    GRID,
+    ITEMS,
+    PITCH,
+    YAW,
+    Worlds,
+    X,
+    Y,
+    Z,
+)
+from zipf.envs.render3d import load_meshes
+
+END_DELAY = 12
+"""Frames from the event that closes an episode to its end (0.2 s)."""
+
+
+class World:
+    """One world: what a level builds in it, and what its rules do.
+
+    Args:
+        worlds, scenery: of the batch, written.
+        number: the world's.
+        rewards: float64 [N], of the running step.
+    """
+
+    def __init__(
+        self, worlds: Worlds, scenery: Scenery, number: int, rewards: NDArray[np.float64]
+    ) -> None:
+        self._worlds = worlds
+        self._scenery = scenery
+        self._number = number
+        self._rewards = rewards
+        self._items = 0
+
+    # Building.
+
+    def add_text_map(
+        self,
+        solid: NDArray[np.bool_],
+        floors: NDArray[np.int64],
+        walls: NDArray[np.int64],
+    ) -> None:
+        """Builds walls and floors of a text map, roofless.
+
+        Args:
+            solid: bool [rows, columns], rows to the north, with a solid border.
+            floors, walls: int64 [rows, columns], the textures of a cell's floor and of the walls
+                around it; used where a cell is not solid.
+        """
+        i, worlds, scenery = self._number, self._worlds, self._scenery
+        rows, columns = solid.shape
+        worlds.cells[i] = rows, columns
+        worlds.solid[i] = True
+        worlds.solid[i, :rows, :columns] = solid
+        ends, cells, numbers = faces(solid)
+        textures = walls[cells[:, 0], cells[:, 1]]
+        # Numbers of faces count the columns of the scene's grid.
+        cell, side = np.divmod(numbers, 4)
+        numbers = (cell // columns * GRID + cell % columns) * 4 + side
+        scenery.add_walls(i, ends, (0.0, CELL), textures, numbers)
+        scenes = scenery.scenes
+        scenes.solid[i] = worlds.solid[i]
+        scenes.grid[i] = 0, 0, CELL * METRES
+        rectangle = (0, 0, columns * CELL * METRES, rows * CELL * METRES)
+        scenes.add_flat(i, rectangle, 0, 0, tiles=np.where(solid, -1, floors))
+
+    def add_pictures(
+        self, solid: NDArray[np.bool_], rng: np.random.Generator, most: int = looks.PICTURES
+    ) -> None:
+        """Hangs pictures on some of a text map's walls: on every tenth, each another picture."""
+        ends, _, numbers = faces(solid)
+        count = math.floor(min(0.5 + 0.1 * len(ends), most))
+        chosen = rng.permutation(len(ends))[:count]
+        pictures = rng.permutation(looks.PICTURES)[:count] + looks.index("picture_0")
+        ends, (cell, side) = ends[chosen], np.divmod(numbers[chosen], 4)
+        columns = solid.shape[1]
+        # In the middle of the wall, three quarters as wide, a little in front of it.
+        along = ends[:, 2:] - ends[:, :2]
+        outward = np.stack([-along[:, 1], along[:, 0]], 1) / CELL
+        starts = ends[:, :2] + along * 0.125 + 2 * outward
+        stops = ends[:, :2] + along * 0.875 + 2 * outward
+        numbers = (cell // columns * GRID + cell % columns) * 4 + side
+        self._scenery.add_walls(
+            self._number, np.concatenate([starts, stops], 1), (12.5, 87.5), pictures, numbers
+        )
+
+    def add_item(
+        self,
+        mesh: str,
+        *,
+        colours: tuple[looks.Colour, looks.Colour],
+        scale: float = 1.0,
+        spins: bool = True,
+    ) -> int:
+        """Adds an item that is nowhere yet, and returns its number."""
+        item = self._items
+        if item >= ITEMS:
+            raise ValueError(f"a world has room for {ITEMS} items")
+        self._items += 1
+        i, scenery = self._number, self._scenery
+        scenery.shape[i, item] = load_meshes().index(mesh)
+        scenery.spins[i, item] = spins
+        scenery.scenes.rotation[i, item] = np.eye(3)
+        scenery.scenes.scale[i, item] = scale
+        scenery.scenes.colours[i, item] = colours
+        return item
+
+    # What rules do.
+
+    def put(self, item: int, x: float, y: float, floor: float = 0.0) -> None:
+        """Places an item on a floor of this height, to be touched."""
+        self._worlds.places[self._number, item] = x, y, floor + BELOW
+        self._worlds.present[self._number, item] = True
+
+    def put_in_cell(self, item: int, cell: Cell) -> None:
+        """Places an item at the middle of a cell of the text map."""
+        x, y = middle(cell)
+        self.put(item, x, y, float(self._worlds.floor[self._number, cell[0], cell[1]]))
+
+    def take(self, item: int) -> None:
+        """Removes an item."""
+        self._worlds.present[self._number, item] = False
+
+    def is_there(self, item: int) -> bool:
+        """Whether an item is there to be touched."""
+        return bool(self._worlds.present[self._number, item])
+
+    def place_player(self, x: float, y: float, yaw: float, floor: float = 0.0) -> None:
+        """Puts the player at rest on a floor of this height, looking straight ahead."""
+        body = self._worlds.bodies[self._number]
+        body[:] = 0.0
+        body[X], body[Y], body[Z], body[YAW] = x, y, floor + BELOW, yaw % (2 * math.pi)
+
+    def place_player_in_cell(self, cell: Cell, yaw: float) -> None:
+        """Puts the player at rest in the middle of a cell of the text map."""
+        floor = float(self._worlds.floor[self._number, cell[0], cell[1]])
+        self.place_player(*middle(cell), yaw, floor)
+
+    def reward(self, amount: float) -> None:
+        """Adds to the reward of this step."""
+        self._rewards[self._number] += amount
+
+    def finish_map(self) -> None:
+        """Lets the next frame begin with a new map."""
+        self._worlds.finishing[self._number] = True
+
+    def end_episode(self) -> None:
+        """Ends the episode 0.2 s from now."""
+        if self._worlds.ending[self._number] < 0:
+            self._worlds.ending[self._number] = END_DELAY
+
+    # What oracles read.
+
+    @property
+    def player(self) -> tuple[float, float, float, float]:
+        """x, y, yaw and pitch of the player."""
+        body = self._worlds.bodies[self._number]
+        return float(body[X]), float(body[Y]), float(body[YAW]), float(body[PITCH])
+
+    @property
+    def frames_left(self) -> int:
+        """Frames until the time limit."""
+        return int(self._worlds.limit[self._number] - self._worlds.clock[self._number])
+
+
+def middle(cell: Cell) -> tuple[float, float]:
+    """x and y of the middle of a cell of a text map, units."""
+    return CELL * (cell[1] + 0.5), CELL * (cell[0] + 0.5)
+
+
+class Episode(ABC):
+    """The rules of a level, for one episode of one world.
+
+    The constructor builds what stays for the episode, then `begin_map` what a map begins with. A
+    map ends with `World.finish_map`; the clock goes on.
+
+    Attributes:
+        seconds: of an episode.
+
+    Args:
+        world: empty.
+        rng: for this episode's layout.
+    """
+
+    seconds: ClassVar[int]
+
+    def __init__(self, world: World, rng: np.random.Generator) -> None:
+        self.world = world
+
+    @classmethod
+    def frames(cls) -> int:
+        """Frames of an episode."""
+        return cls.seconds * FRAMES_PER_SECOND
+
+    @abstractmethod
+    def begin_map(self, rng: np.random.Generator) -> None:
+        """Places the player and everything that a map begins with."""
+
+    def picked_up(self, item: int) -> None:
+        """The player has touched an item, which is gone now."""
+
+    def entered(self, zone: int) -> None:
+        """The player has entered a zone."""
+
+    def went_off(self, timer: int) -> None:
+        """A timer has gone off."""
