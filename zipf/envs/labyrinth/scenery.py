@@ -64,15 +64,16 @@ class Scenery:
 
     def add_walls(
         self, world: int, ends: NDArray[np.floating], heights: tuple[float, float],
-        textures: NDArray[np.integer], faces: NDArray[np.integer],
-    ) -> None:  # fmt: skip
-        """Adds walls with a texture each, stretched once over it.
+        textures: NDArray[np.integer], faces: NDArray[np.integer], flags: int = 0,
+    ) -> int:  # fmt: skip
+        """Adds walls with a texture each, stretched once over it; returns the first one's number.
 
         Args:
             world: the world.
             ends: [walls, 4], x0, y0, x1, y1 in units; see `Scenes`.
             heights: bottom and top, units.
             textures, faces: [walls].
+            flags: of all of them.
         """
         scenes = self.scenes
         first = int(scenes.wall_count[world])
@@ -82,11 +83,12 @@ class Scenery:
         rows = np.s_[world, first:last]
         scenes.walls[rows][:, :4] = ends * METRES
         scenes.walls[rows][:, 4:] = np.array(heights) * METRES
-        scenes.wall_looks[rows] = np.stack([textures, np.zeros_like(textures)], 1)
+        scenes.wall_looks[rows] = np.stack([textures, np.full_like(textures, flags)], 1)
         scenes.wall_repeat[rows] = 0
         scenes.wall_tint[rows] = 255
         scenes.wall_face[rows] = faces
         scenes.wall_count[world] = last
+        return first
 
 
 def faces(solid: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:

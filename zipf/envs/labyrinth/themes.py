@@ -8,9 +8,6 @@ from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.mazes import Maze
 from zipf.envs.labyrinth.world import World
 
-GOAL_SCALE = 1.2
-
-
 def build_maze(world: World, maze: Maze, rng: np.random.Generator, *, alike: bool = True) -> None:
     """Builds a maze with pictures on its walls.
 
@@ -31,3 +28,13 @@ def build_maze(world: World, maze: Maze, rng: np.random.Generator, *, alike: boo
     walls[~in_room] = looks.index("corridor_wall")
     world.add_text_map(maze.solid, floors, walls)
     world.add_pictures(maze.solid, rng)
+
+
+def add_goal(world: World, scale: float = 1.0) -> int:
+    """A goal object that is nowhere yet."""
+    return world.add_item("pyramid", colours=((250, 200, 40), (200, 40, 40)), scale=scale)
+
+
+def add_apple(world: World) -> int:
+    """An apple that is nowhere yet."""
+    return world.add_item("apple", colours=((220, 40, 36), (120, 180, 60)))

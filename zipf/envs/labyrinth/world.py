@@ -25,10 +25,12 @@ from zipf.envs.labyrinth.state import (
     Y,
     Z,
 )
-from zipf.envs.render3d import load_meshes
+from zipf.envs.render3d import TWO_SIDED, load_meshes
 
 END_DELAY = 12
 """Frames from the event that closes an episode to its end (0.2 s)."""
+DOOR, LIP = 2.0, 8.0
+"""Thickness of a door, and what is seen of an open one, units."""
 
 
 class World:
@@ -48,6 +50,7 @@ class World:
         self._number = number
         self._rewards = rewards
         self._items = 0
+        self._doors: dict[int, tuple[int, NDArray[np.float64], NDArray[np.float64]]] = {}
 
     # Building.
 
@@ -122,7 +125,41 @@ class World:
         scenery.scenes.colours[i, item] = colours
         return item
 
+    def add_door(self, cell: Cell, *, eastwards: bool) -> int:
+        """Adds an open door in the middle of a cell, and returns its number.
+
+        Args:
+            cell: of the text map.
+            eastwards: whether it is walked through to the east or west, else to the north or south.
+        """
+        i, scenery = self._number, self._scenery
+        door = int(self._worlds.box_count[i])
+        self._worlds.box_count[i] += 1
+        x, y = middle(cell)
+        half = np.array([0.0, CELL / 2]) if eastwards else np.array([CELL / 2, 0.0])
+        wall = scenery.add_walls(
+            i, np.array([[*((x, y) - half), *((x, y) + half)]]), (0.0, CELL),
+            np.array([looks.index("panel")]), np.array([-1]), flags=TWO_SIDED,
+        )  # fmt: skip
+        self._doors[door] = wall, np.array([x, y]), half
+        self.set_door(door, is_open=True)
+        return door
+
     # What rules do.
+
+    def set_door(self, door: int, *, is_open: bool) -> None:
+        """Opens or closes a door. An open one has slid into the wall but for a lip."""
+        i = self._number
+        wall, at, half = self._doors[door]
+        first = at + half * (1 - 2 * LIP / CELL) if is_open else at - half
+        self._scenery.scenes.walls[i, wall, :4] = np.array([*first, *(at + half)]) * METRES
+        box = self._worlds.boxes[i, door]
+        thick = np.array([DOOR / 2, DOOR / 2])
+        if is_open:
+            box[:] = 0.0
+        else:
+            box[:3] = *(at - half - thick), 0.0
+            box[3:] = *(at + half + thick), CELL
 
     def put(self, item: int, x: float, y: float, floor: float = 0.0) -> None:
         """Places an item on a floor of this height, to be touched."""
@@ -212,6 +249,13 @@ class Episode(ABC):
     @abstractmethod
     def begin_map(self, rng: np.random.Generator) -> None:
         """Places the player and everything that a map begins with."""
+
+    @abstractmethod
+    def expert(self) -> int:
+        """What the level's scripted expert does now: one of the fifteen actions.
+
+        It reads the state of the world, to show that the level can be solved.
+        """
 
     def picked_up(self, item: int) -> None:
         """The player has touched an item, which is gone now."""

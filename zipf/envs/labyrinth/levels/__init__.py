@@ -1,10 +1,14 @@
 """The levels of the labyrinth, one file for each kind."""
 
-from zipf.envs.labyrinth.levels.explore_goals import GoalLocationsLarge, GoalLocationsSmall
+from zipf.envs.labyrinth.levels import explore_goals, explore_object_locations
 from zipf.envs.labyrinth.world import Episode
 
 LEVELS: dict[str, type[Episode]] = {
-    "explore_goal_locations_small": GoalLocationsSmall,
-    "explore_goal_locations_large": GoalLocationsLarge,
+    "explore_object_locations_small": explore_object_locations.ObjectLocationsSmall,
+    "explore_object_locations_large": explore_object_locations.ObjectLocationsLarge,
+    "explore_obstructed_goals_small": explore_goals.ObstructedGoalsSmall,
+    "explore_obstructed_goals_large": explore_goals.ObstructedGoalsLarge,
+    "explore_goal_locations_small": explore_goals.GoalLocationsSmall,
+    "explore_goal_locations_large": explore_goals.GoalLocationsLarge,
 }
 """By name."""
