@@ -120,6 +120,11 @@ def _panel(colour: Colour) -> NDArray[np.uint8]:
     return _painted(colour, 0.82 + 0.2 * frame)
 
 
+def _riser(colour: Colour) -> NDArray[np.uint8]:
+    """The side of a platform, with a dark rim above."""
+    return _painted(colour, np.where(_Y < 14, 0.25, 1 - 0.15 * ((_X + _Y) % 16 < 2)))
+
+
 def _picture(number: int) -> NDArray[np.uint8]:
     """A framed figure on a ground; shape, colours and turn follow from the number."""
     hue = (number * 0.381966) % 1.0  # the golden angle: numbers that follow differ most
@@ -152,6 +157,7 @@ def _picture(number: int) -> NDArray[np.uint8]:
 @cache
 def _named() -> dict[str, NDArray[np.uint8]]:
     textures = {"plain": _plain((255, 255, 255)), "panel": _panel((170, 120, 70))}
+    textures["riser"] = _riser((52, 117, 174))
     textures["bars"] = _bars((255, 255, 255))
     textures["corridor_floor"] = hexagons(CORRIDOR_FLOOR, 7)
     textures["corridor_wall"] = _circuit(CORRIDOR_WALL, 7)

@@ -19,7 +19,20 @@ WALLS, FLATS, OVERLAYS = 720, 176, 4
 """Capacities of each world."""
 BOB, TURN = 4.0, 2.05
 """How far an item that is not static rises and sinks, units, and seconds of a turn."""
+SIDES = (
+    (0, 1, (1, 1, 1, 0)),
+    (1, 0, (0, 1, 1, 1)),
+    (0, -1, (0, 0, 0, 1)),
+    (-1, 0, (1, 0, 0, 0)),
+)
+"""East, north, west and south side of a solid cell: rows and columns to the cell from which it is
+seen, and its ends x0, y0, x1, y1 from the solid cell's south-west corner."""
 _FLOATS = 24.0  # of a player's point above the floor that an item stands on
+
+
+def mesh_index(name: str) -> int:
+    names = load_meshes().names
+    return names.index(name) if name in names else sum(map(ord, name)) % 50
 
 
 class Scenery:
@@ -104,13 +117,7 @@ def faces(solid: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
     """
     columns = solid.shape[1]
     all_ends, all_cells, all_numbers = [], [], []
-    # Side of the solid cell; where the free cell is; the face's ends from the solid cell's corner.
-    for side, (up, right), corners in (
-        (0, (0, 1), (1, 1, 1, 0)),
-        (1, (1, 0), (0, 1, 1, 1)),
-        (2, (0, -1), (0, 0, 0, 1)),
-        (3, (-1, 0), (1, 0, 0, 0)),
-    ):
+    for side, (up, right, corners) in enumerate(SIDES):
         free = ~np.roll(solid, (-up, -right), (0, 1))
         row, column = np.nonzero(solid & free)
         inside = (

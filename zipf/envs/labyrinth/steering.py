@@ -20,6 +20,7 @@ LARGE = 60 * 4 * DEGREES_PER_PIXEL
 
 _MARGIN = WIDE + 3.0  # units to the side of a line that is walked along
 _FORWARD = NAMES["forward"]
+BACKWARD = NAMES["backward"]
 WAIT = NAMES["fire"]
 """The only action that does nothing, outside lasertag."""
 

@@ -12,23 +12,28 @@ from numpy.typing import NDArray
 from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.grids import Cell
 from zipf.envs.labyrinth.mover import BELOW
-from zipf.envs.labyrinth.scenery import METRES, Scenery, faces
+from zipf.envs.labyrinth.scenery import METRES, SIDES, Scenery, faces, mesh_index
 from zipf.envs.labyrinth.state import (
     CELL,
     FRAMES_PER_SECOND,
     GRID,
     ITEMS,
     PITCH,
+    VX,
+    VY,
+    VZ,
     YAW,
     Worlds,
     X,
     Y,
     Z,
 )
-from zipf.envs.render3d import TWO_SIDED, load_meshes
+from zipf.envs.render3d import TWO_SIDED
 
 END_DELAY = 12
 """Frames from the event that closes an episode to its end (0.2 s)."""
+DEEP = 40.0
+"""Height of a platform's sides, units."""
 DOOR, LIP = 2.0, 8.0
 """Thickness of a door, and what is seen of an open one, units."""
 
@@ -84,6 +89,45 @@ class World:
         rectangle = (0, 0, columns * CELL * METRES, rows * CELL * METRES)
         scenes.add_flat(i, rectangle, 0, 0, tiles=np.where(solid, -1, floors))
 
+    def add_platforms(
+        self,
+        heights: NDArray[np.floating],
+        there: NDArray[np.bool_],
+        textures: dict[int, int],
+        unit: float,
+    ) -> None:
+        """Builds platforms of one cell each in the sky; between them are invisible walls.
+
+        Args:
+            heights: [rows, columns], of the platforms' tops, units.
+            there: bool [rows, columns], where platforms are.
+            textures: of the tops, by height in multiples of `unit`.
+            unit: of height, units.
+        """
+        i, worlds, scenery = self._number, self._worlds, self._scenery
+        rows, columns = there.shape
+        worlds.cells[i] = rows, columns
+        worlds.solid[i, :rows, :columns] = ~there
+        worlds.floor[i, :rows, :columns] = heights
+        scenes = scenery.scenes
+        scenes.tiles[i] = -1
+        for row, column in np.argwhere(there).tolist():
+            height = float(heights[row, column])
+            x, y = column * CELL, row * CELL
+            square = np.array([x, y, x + CELL, y + CELL]) * METRES
+            scenes.add_flat(
+                i, square, height * METRES, textures[round(height / unit)], flags=TWO_SIDED
+            )
+            sides = []
+            for up, right, (x0, y0, x1, y1) in SIDES:
+                beside = row + up, column + right
+                if not there[beside] or heights[beside] < height:
+                    sides.append((x + x0 * CELL, y + y0 * CELL, x + x1 * CELL, y + y1 * CELL))
+            riser = np.full(len(sides), looks.index("riser"))
+            none = np.full(len(sides), -1)
+            if sides:
+                scenery.add_walls(i, np.array(sides), (height - DEEP, height), riser, none)
+
     def add_pictures(
         self, solid: NDArray[np.bool_], rng: np.random.Generator, most: int = looks.PICTURES
     ) -> None:
@@ -118,7 +162,7 @@ class World:
             raise ValueError(f"a world has room for {ITEMS} items")
         self._items += 1
         i, scenery = self._number, self._scenery
-        scenery.shape[i, item] = load_meshes().index(mesh)
+        scenery.shape[i, item] = mesh_index(mesh)
         scenery.spins[i, item] = spins
         scenery.scenes.rotation[i, item] = np.eye(3)
         scenery.scenes.scale[i, item] = scale
@@ -210,6 +254,20 @@ class World:
         """x, y, yaw and pitch of the player."""
         body = self._worlds.bodies[self._number]
         return float(body[X]), float(body[Y]), float(body[YAW]), float(body[PITCH])
+
+    @property
+    def cell(self) -> Cell:
+        """The cell of the text map that the player's point is in."""
+        x, y, *_ = self.player
+        return int(y // CELL), int(x // CELL)
+
+    @property
+    def velocity(self) -> tuple[float, float, float]:
+        """Of the player forwards, to the left and upwards, units per second."""
+        body = self._worlds.bodies[self._number]
+        cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
+        forward = body[VX] * cos + body[VY] * sin
+        return float(forward), float(body[VY] * cos - body[VX] * sin), float(body[VZ])
 
     @property
     def frames_left(self) -> int:

@@ -1,14 +1,23 @@
 """The levels of the labyrinth, one file for each kind."""
 
-from zipf.envs.labyrinth.levels import explore_goals, explore_object_locations
+from zipf.envs.labyrinth.levels import (
+    explore_goals,
+    explore_object_locations,
+    explore_object_rewards,
+    skymaze,
+)
 from zipf.envs.labyrinth.world import Episode
 
 LEVELS: dict[str, type[Episode]] = {
+    "skymaze_irreversible_path_hard": skymaze.IrreversiblePathHard,
+    "skymaze_irreversible_path_varied": skymaze.IrreversiblePathVaried,
     "explore_object_locations_small": explore_object_locations.ObjectLocationsSmall,
     "explore_object_locations_large": explore_object_locations.ObjectLocationsLarge,
     "explore_obstructed_goals_small": explore_goals.ObstructedGoalsSmall,
     "explore_obstructed_goals_large": explore_goals.ObstructedGoalsLarge,
     "explore_goal_locations_small": explore_goals.GoalLocationsSmall,
     "explore_goal_locations_large": explore_goals.GoalLocationsLarge,
+    "explore_object_rewards_few": explore_object_rewards.ObjectRewardsFew,
+    "explore_object_rewards_many": explore_object_rewards.ObjectRewardsMany,
 }
 """By name."""
