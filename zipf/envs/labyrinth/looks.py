@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from zipf.envs.render3d.textures import SIZE, hexagons, planks
 
 Colour = tuple[int, int, int]
+WHITE: Colour = (255, 255, 255)
 
 _Y, _X = np.mgrid[0:SIZE, 0:SIZE]
 PICTURES = 80

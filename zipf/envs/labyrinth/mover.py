@@ -23,6 +23,8 @@ BELOW, ABOVE = 24.0, 32.0
 EYE = 26.0
 """Of the eye above the player's point."""
 STEP_UP = 18.0
+RISE = 12.0
+"""Of a platform that holds the player, units per frame."""
 _MOST_PITCH = math.radians(89.0)
 _SKIN = 1e-6
 
@@ -72,12 +74,34 @@ def move(worlds, i, turn, rise, strafe, forward):
             if reached != wanted:
                 body[VX + axis] = 0.0
             body[X + axis] = reached
+    _stay_in_room(worlds, i)
+    if worlds.held[i]:
+        body[X], body[Y] = worlds.hold[i, 0], worlds.hold[i, 1]
+        body[Z] = min(body[Z] + RISE, worlds.hold[i, 2] + BELOW)
+        body[VX] = body[VY] = body[VZ] = 0.0
+        return
     ground = _ground(worlds, i, body[X], body[Y], soles)
     soles = soles + body[VZ] * FRAME
     if soles <= ground or standing and ground > soles - _SKIN:
         soles = ground
         body[VZ] = 0.0
     body[Z] = soles + BELOW
+
+
+@compiled(error_model="numpy")
+def _stay_in_room(worlds, i):
+    """Moves the player out of the walls of a convex room, along which he slides."""
+    body = worlds.bodies[i]
+    for k in range(worlds.plane_count[i]):
+        x, y, distance = worlds.planes[i, k]
+        beyond = x * body[X] + y * body[Y] + WIDE * (abs(x) + abs(y)) - distance
+        if beyond > 0.0:
+            body[X] -= beyond * x
+            body[Y] -= beyond * y
+            into = body[VX] * x + body[VY] * y
+            if into > 0.0:
+                body[VX] -= into * x
+                body[VY] -= into * y
 
 
 @compiled(error_model="numpy")

@@ -78,8 +78,9 @@ class Scenery:
     def add_walls(
         self, world: int, ends: NDArray[np.floating], heights: tuple[float, float],
         textures: NDArray[np.integer], faces: NDArray[np.integer], flags: int = 0,
+        repeat: tuple[float, float] = (0.0, 0.0), tint: looks.Colour = looks.WHITE,
     ) -> int:  # fmt: skip
-        """Adds walls with a texture each, stretched once over it; returns the first one's number.
+        """Adds walls with a texture each and returns the first one's number.
 
         Args:
             world: the world.
@@ -87,6 +88,8 @@ class Scenery:
             heights: bottom and top, units.
             textures, faces: [walls].
             flags: of all of them.
+            repeat: units per repeat of the texture; 0: once over the wall.
+            tint: of all of them.
         """
         scenes = self.scenes
         first = int(scenes.wall_count[world])
@@ -97,8 +100,8 @@ class Scenery:
         scenes.walls[rows][:, :4] = ends * METRES
         scenes.walls[rows][:, 4:] = np.array(heights) * METRES
         scenes.wall_looks[rows] = np.stack([textures, np.full_like(textures, flags)], 1)
-        scenes.wall_repeat[rows] = 0
-        scenes.wall_tint[rows] = 255
+        scenes.wall_repeat[rows] = np.array(repeat) * METRES
+        scenes.wall_tint[rows] = tint
         scenes.wall_face[rows] = faces
         scenes.wall_count[world] = last
         return first

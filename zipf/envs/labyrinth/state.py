@@ -19,7 +19,7 @@ X, Y, Z, VX, VY, VZ, YAW, PITCH = range(8)
 
 GRID = 21
 """Most rows and columns of a text map."""
-ITEMS, BOXES, ZONES, TIMERS = 100, 64, 8, 8
+ITEMS, BOXES, PLANES, ZONES, TIMERS = 100, 64, 16, 4, 4
 """Capacities of each world."""
 
 
@@ -48,6 +48,15 @@ class Worlds(NamedTuple):
     """[N, BOXES, 6]: solid boxes, their lowest and highest corners."""
     box_count: NDArray[np.int64]
     """[N]"""
+    planes: NDArray[np.float64]
+    """[N, PLANES, 3]: walls of a convex room, x and y of the outward normal and its distance from
+    the origin."""
+    plane_count: NDArray[np.int64]
+    """[N]"""
+    held: NDArray[np.bool_]
+    """[N]: whether the player stands on a platform that holds him."""
+    hold: NDArray[np.float64]
+    """[N, 3]: where it holds him."""
     places: NDArray[np.float64]
     """[N, ITEMS, 3]: where items are."""
     present: NDArray[np.bool_]
@@ -77,6 +86,10 @@ def make_worlds(num_worlds: int) -> Worlds:
         floor=np.zeros((n, GRID, GRID)),
         boxes=np.zeros((n, BOXES, 6)),
         box_count=np.zeros(n, np.int64),
+        planes=np.zeros((n, PLANES, 3)),
+        plane_count=np.zeros(n, np.int64),
+        held=np.zeros(n, np.bool_),
+        hold=np.zeros((n, 3)),
         places=np.zeros((n, ITEMS, 3)),
         present=np.zeros((n, ITEMS), np.bool_),
         returning=np.full((n, ITEMS), -1, np.int64),
@@ -91,6 +104,7 @@ def clear(worlds: Worlds, world: int) -> None:
     for name, value in (
         ("clock", 0), ("limit", 1), ("ending", -1), ("finishing", False), ("bodies", 0.0),
         ("pushed", 0), ("cells", 0), ("solid", False), ("floor", 0.0), ("box_count", 0),
+        ("plane_count", 0), ("held", False),
         ("present", False), ("returning", -1), ("zones", 0.0), ("inside", False), ("timers", -1),
     ):  # fmt: skip
         getattr(worlds, name)[world] = value

@@ -10,7 +10,9 @@ from zipf.envs.labyrinth.actions import DEGREES_PER_PIXEL, EXTENDED
 from zipf.envs.labyrinth.grids import Cell, distances
 from zipf.envs.labyrinth.mover import WIDE
 from zipf.envs.labyrinth.state import CELL
-from zipf.envs.labyrinth.world import World, middle
+from zipf.envs.labyrinth.world import World
+
+Point = tuple[float, float]
 
 NAMES = {action.name: number for number, action in enumerate(EXTENDED)}
 """Numbers of the fifteen actions."""
@@ -18,7 +20,6 @@ SMALL = 10 * 4 * DEGREES_PER_PIXEL
 LARGE = 60 * 4 * DEGREES_PER_PIXEL
 """Degrees that a step of four frames turns."""
 
-_MARGIN = WIDE + 3.0  # units to the side of a line that is walked along
 _FORWARD = NAMES["forward"]
 BACKWARD = NAMES["backward"]
 WAIT = NAMES["fire"]
@@ -64,16 +65,34 @@ class Ways:
     Args:
         solid: bool [rows, columns].
         cells: where ways lead to.
+        origin: x and y of the grid's south-west corner.
+        size: of a cell.
+        margin: how far from solid cells the player's point stays.
     """
 
-    def __init__(self, solid: NDArray[np.bool_], cells: list[Cell]) -> None:
+    def __init__(
+        self,
+        solid: NDArray[np.bool_],
+        cells: list[Cell],
+        *,
+        origin: tuple[float, float] = (0.0, 0.0),
+        size: float = CELL,
+        margin: float = WIDE + 3.0,
+    ) -> None:
         self.solid = solid
+        self.origin = origin
+        self.size = size
+        self.margin = margin
         self.distances = {cell: distances(solid, *cell) for cell in cells}
+
+    def cell_of(self, x: float, y: float) -> Cell:
+        """The cell of a point."""
+        return int((y - self.origin[1]) // self.size), int((x - self.origin[0]) // self.size)
 
     def steps(self, world: World, cell: Cell) -> int:
         """Cells from the player to one of the cells; a large number if there is no way."""
         x, y, *_ = world.player
-        steps = int(self.distances[cell][int(y // CELL), int(x // CELL)])
+        steps = int(self.distances[cell][self.cell_of(x, y)])
         return steps if steps >= 0 else 1 << 20
 
     def nearest(self, world: World, cells: list[Cell]) -> Cell:
@@ -83,16 +102,21 @@ class Ways:
     def walk_to(self, world: World, cell: Cell) -> int:
         """The action that walks to one of the cells."""
         x, y, *_ = world.player
-        return walk_to(world, *_ahead(self.solid, self.distances[cell], x, y, *middle(cell)))
+        west, south = self.origin
+        ahead = _ahead(
+            self.solid, self.distances[cell], (x - west) / self.size, (y - south) / self.size,
+            cell[1] + 0.5, cell[0] + 0.5, self.margin / self.size,
+        )  # fmt: skip
+        return walk_to(world, west + ahead[0] * self.size, south + ahead[1] * self.size)
 
 
 @compiled(error_model="numpy")
-def _ahead(solid, steps, x, y, goal_x, goal_y):
-    """The farthest point of the shortest way that the player can walk to in a straight line."""
-    if _is_clear(solid, x, y, goal_x, goal_y):
+def _ahead(solid, steps, x, y, goal_x, goal_y, margin):
+    """The farthest point of the shortest way that can be walked to in a straight line; in cells."""
+    if _is_clear(solid, x, y, goal_x, goal_y, margin):
         return goal_x, goal_y
-    row, column = int(y // CELL), int(x // CELL)
-    best_x, best_y = CELL * (column + 0.5), CELL * (row + 0.5)
+    row, column = int(math.floor(y)), int(math.floor(x))
+    best_x, best_y = column + 0.5, row + 0.5
     while steps[row, column] > 0:
         for k in range(4):
             up, right = (k == 1) - (k == 3), (k == 0) - (k == 2)
@@ -101,26 +125,64 @@ def _ahead(solid, steps, x, y, goal_x, goal_y):
             if inside and steps[r, c] >= 0 and steps[r, c] < steps[row, column]:
                 row, column = r, c
                 break
-        middle_x, middle_y = CELL * (column + 0.5), CELL * (row + 0.5)
-        if not _is_clear(solid, x, y, middle_x, middle_y):
+        if not _is_clear(solid, x, y, column + 0.5, row + 0.5, margin):
             break
-        best_x, best_y = middle_x, middle_y
+        best_x, best_y = column + 0.5, row + 0.5
     return best_x, best_y
 
 
 @compiled(error_model="numpy")
-def _is_clear(solid, x, y, to_x, to_y):
-    """Whether the player's box can move from one point to another in a straight line."""
-    length = math.hypot(to_x - x, to_y - y)
-    count = int(length / 10.0) + 1
+def _is_clear(solid, x, y, to_x, to_y, margin):
+    """Whether a square with sides of twice `margin` moves freely along a line; in cells."""
+    count = int(10.0 * math.hypot(to_x - x, to_y - y)) + 1
     for k in range(count + 1):
         along = k / count
         at_x, at_y = x + (to_x - x) * along, y + (to_y - y) * along
-        margin = min(_MARGIN, WIDE - 1.0 + 20.0 * along)  # the player may stand at a wall
-        for dy in (-margin, margin):
-            for dx in (-margin, margin):
-                row, column = int((at_y + dy) // CELL), int((at_x + dx) // CELL)
+        wide = margin * min(0.75 + 2.0 * along, 1.0)  # the player may stand at a wall
+        for dy in (-wide, wide):
+            for dx in (-wide, wide):
+                row, column = int(math.floor(at_y + dy)), int(math.floor(at_x + dx))
                 inside = 0 <= row < solid.shape[0] and 0 <= column < solid.shape[1]
                 if not inside or solid[row, column]:
                     return False
     return True
+
+
+class Field(Ways):
+    """Shortest ways over an open floor, around obstacles, to one point.
+
+    Args:
+        low, high: corners of the floor that the player's point may be on.
+        goal: x and y.
+        obstacles: points to keep away from.
+        away: how far.
+        walls: further rectangles to keep out of, x0, y0, x1, y1.
+    """
+
+    SIZE = 20.0
+
+    def __init__(
+        self,
+        low: Point,
+        high: Point,
+        goal: Point,
+        obstacles: list[Point],
+        away: float,
+        walls: tuple[tuple[float, float, float, float], ...] = (),
+    ) -> None:
+        size = self.SIZE
+        rows, columns = (math.ceil((high[axis] - low[axis]) / size) for axis in (1, 0))
+        y, x = np.mgrid[0:rows, 0:columns] * size + size / 2
+        x, y = x + low[0], y + low[1]
+        solid = np.zeros((rows, columns), np.bool_)
+        for point in obstacles:
+            solid |= np.hypot(x - point[0], y - point[1]) < away
+        for x0, y0, x1, y1 in walls:
+            solid |= (x > x0) & (x < x1) & (y > y0) & (y < y1)
+        self.goal = int((goal[1] - low[1]) // size), int((goal[0] - low[0]) // size)
+        solid[self.goal] = False
+        super().__init__(solid, [self.goal], origin=low, size=size, margin=1.0)
+
+    def walk(self, world: World) -> int:
+        """The action that walks to the goal."""
+        return self.walk_to(world, self.goal)

@@ -28,10 +28,14 @@ from zipf.envs.labyrinth.state import (
     Y,
     Z,
 )
-from zipf.envs.render3d import TWO_SIDED
+from zipf.envs.render3d import FACES_DOWN, TWO_SIDED
+
+Point = tuple[float, float, float]
 
 END_DELAY = 12
 """Frames from the event that closes an episode to its end (0.2 s)."""
+PUSH, PUSHED_FRAMES = 400.0, 10
+"""Speed after a teleport, and frames without friction."""
 DEEP = 40.0
 """Height of a platform's sides, units."""
 DOOR, LIP = 2.0, 8.0
@@ -54,7 +58,7 @@ class World:
         self._scenery = scenery
         self._number = number
         self._rewards = rewards
-        self._items = 0
+        self._items = self._zones = 0
         self._doors: dict[int, tuple[int, NDArray[np.float64], NDArray[np.float64]]] = {}
 
     # Building.
@@ -127,6 +131,94 @@ class World:
             none = np.full(len(sides), -1)
             if sides:
                 scenery.add_walls(i, np.array(sides), (height - DEEP, height), riser, none)
+
+    def add_block(
+        self,
+        low: Point,
+        high: Point,
+        texture: str | None,
+        *,
+        tint: looks.Colour = looks.WHITE,
+        repeat: float = CELL,
+    ) -> int:
+        """Adds an upright solid block and returns its number as a box.
+
+        Args:
+            low, high: its lowest and highest corner.
+            texture: of its sides; None: it is invisible.
+            tint: of its sides.
+            repeat: units per repeat of the texture.
+        """
+        i = self._number
+        box = int(self._worlds.box_count[i])
+        self._worlds.box_count[i] += 1
+        self._worlds.boxes[i, box] = *low, *high
+        if texture is not None:
+            x, y = (low[0], high[0]), (low[1], high[1])
+            ends = np.array([(x[x0], y[y0], x[x1], y[y1]) for _, _, (x0, y0, x1, y1) in SIDES])
+            textures = np.full(4, looks.index(texture))
+            self._scenery.add_walls(
+                i, ends, (low[2], high[2]), textures, np.full(4, -1),
+                repeat=(repeat, repeat), tint=tint,
+            )  # fmt: skip
+        return box
+
+    def add_room(
+        self,
+        low: tuple[float, float],
+        high: tuple[float, float],
+        height: float,
+        texture: str,
+        *,
+        tint: looks.Colour = looks.WHITE,
+        repeat: float = CELL,
+        open_sides: str = "",
+    ) -> None:
+        """Adds the walls of a rectangular room.
+
+        Args:
+            low, high: its corners.
+            height: of the walls.
+            texture, tint, repeat: of the walls.
+            open_sides: of "east", "north", "west" and "south", those without a wall.
+        """
+        (x0, y0), (x1, y1) = low, high
+        thick = 40.0
+        for side, ends in (
+            ("east", ((x1, y0 - thick), (x1 + thick, y1 + thick))),
+            ("north", ((x0 - thick, y1), (x1 + thick, y1 + thick))),
+            ("west", ((x0 - thick, y0 - thick), (x0, y1 + thick))),
+            ("south", ((x0 - thick, y0 - thick), (x1 + thick, y0))),
+        ):
+            if side not in open_sides:
+                start, stop = ends
+                self.add_block((*start, 0.0), (*stop, height), texture, tint=tint, repeat=repeat)
+
+    def add_floor(
+        self,
+        low: tuple[float, float],
+        high: tuple[float, float],
+        texture: str,
+        *,
+        height: float = 0.0,
+        tint: looks.Colour = looks.WHITE,
+        repeat: float = CELL,
+        ceiling: bool = False,
+    ) -> int:
+        """Adds a visible floor, or ceiling, and returns its number."""
+        rectangle = np.array([*low, *high]) * METRES
+        return self._scenery.scenes.add_flat(
+            self._number, rectangle, height * METRES, looks.index(texture),
+            flags=FACES_DOWN if ceiling else 0, repeat=repeat * METRES, tint=tint,
+        )  # fmt: skip
+
+    def add_zone(self, low: Point, high: Point) -> int:
+        """Adds a box that tells when the player enters, and returns its number."""
+        i = self._number
+        zone = self._zones
+        self._zones += 1
+        self._worlds.zones[i, zone] = *low, *high
+        return zone
 
     def add_pictures(
         self, solid: NDArray[np.bool_], rng: np.random.Generator, most: int = looks.PICTURES
@@ -227,12 +319,42 @@ class World:
         """Puts the player at rest on a floor of this height, looking straight ahead."""
         body = self._worlds.bodies[self._number]
         body[:] = 0.0
+        self._worlds.held[self._number] = False
         body[X], body[Y], body[Z], body[YAW] = x, y, floor + BELOW, yaw % (2 * math.pi)
 
     def place_player_in_cell(self, cell: Cell, yaw: float) -> None:
         """Puts the player at rest in the middle of a cell of the text map."""
         floor = float(self._worlds.floor[self._number, cell[0], cell[1]])
         self.place_player(*middle(cell), yaw, floor)
+
+    def teleport(self, x: float, y: float, yaw: float) -> None:
+        """Moves the player, who leaves with a push along the new heading."""
+        self.place_player(x, y, yaw)
+        body = self._worlds.bodies[self._number]
+        body[VX], body[VY] = PUSH * math.cos(yaw), PUSH * math.sin(yaw)
+        self._worlds.pushed[self._number] = PUSHED_FRAMES
+
+    def hold_player(self, x: float, y: float, height: float) -> None:
+        """Holds the player at a place, on a platform that rises to a height."""
+        self._worlds.held[self._number] = True
+        self._worlds.hold[self._number] = x, y, height
+
+    def set_timer(self, timer: int, seconds: float) -> None:
+        """Lets one of the `TIMERS` timers go off after some seconds of the episode's clock."""
+        frames = round(seconds * FRAMES_PER_SECOND)
+        self._worlds.timers[self._number, timer] = self._worlds.clock[self._number] + frames
+
+    def tint_floor(self, floor: int, tint: looks.Colour) -> None:
+        """Changes the colour of a floor."""
+        self._scenery.scenes.flat_tint[self._number, floor] = tint
+
+    def set_colours(self, item: int, colours: tuple[looks.Colour, looks.Colour]) -> None:
+        """Changes the colours of an item."""
+        self._scenery.scenes.colours[self._number, item] = colours
+
+    def set_mesh(self, item: int, mesh: str) -> None:
+        """Changes the shape of an item."""
+        self._scenery.shape[self._number, item] = mesh_index(mesh)
 
     def reward(self, amount: float) -> None:
         """Adds to the reward of this step."""

@@ -4,11 +4,13 @@ from zipf.envs.labyrinth.levels import (
     explore_goals,
     explore_object_locations,
     explore_object_rewards,
+    rooms_collect,
     skymaze,
 )
 from zipf.envs.labyrinth.world import Episode
 
 LEVELS: dict[str, type[Episode]] = {
+    "rooms_collect_good_objects_train": rooms_collect.CollectGoodObjects,
     "skymaze_irreversible_path_hard": skymaze.IrreversiblePathHard,
     "skymaze_irreversible_path_varied": skymaze.IrreversiblePathVaried,
     "explore_object_locations_small": explore_object_locations.ObjectLocationsSmall,
