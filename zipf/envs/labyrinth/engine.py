@@ -83,7 +83,7 @@ def _touched(worlds, i):
         if worlds.returning[i, k] >= 0 and worlds.clock[i] >= worlds.returning[i, k]:
             worlds.returning[i, k] = -1
             worlds.present[i, k] = True
-        if worlds.present[i, k]:
+        if worlds.present[i, k] and worlds.touchable[i, k]:
             place = worlds.places[i, k]
             if (
                 abs(body[X] - place[0]) <= TOUCH_X

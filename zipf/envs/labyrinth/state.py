@@ -60,7 +60,9 @@ class Worlds(NamedTuple):
     places: NDArray[np.float64]
     """[N, ITEMS, 3]: where items are."""
     present: NDArray[np.bool_]
-    """[N, ITEMS]: whether an item is there to be touched."""
+    """[N, ITEMS]: whether an item is there."""
+    touchable: NDArray[np.bool_]
+    """[N, ITEMS]: whether an item that is there can be touched, or only seen."""
     returning: NDArray[np.int64]
     """[N, ITEMS]: the frame at which an item is there again; -1: it does not return."""
     zones: NDArray[np.float64]
@@ -92,6 +94,7 @@ def make_worlds(num_worlds: int) -> Worlds:
         hold=np.zeros((n, 3)),
         places=np.zeros((n, ITEMS, 3)),
         present=np.zeros((n, ITEMS), np.bool_),
+        touchable=np.zeros((n, ITEMS), np.bool_),
         returning=np.full((n, ITEMS), -1, np.int64),
         zones=np.zeros((n, ZONES, 6)),
         inside=np.zeros((n, ZONES), np.bool_),

@@ -86,8 +86,11 @@ class Ways:
         self.distances = {cell: distances(solid, *cell) for cell in cells}
 
     def cell_of(self, x: float, y: float) -> Cell:
-        """The cell of a point."""
-        return int((y - self.origin[1]) // self.size), int((x - self.origin[0]) // self.size)
+        """The cell of a point, or the nearest one of a point outside."""
+        rows, columns = self.solid.shape
+        row = int((y - self.origin[1]) // self.size)
+        column = int((x - self.origin[0]) // self.size)
+        return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
 
     def steps(self, world: World, cell: Cell) -> int:
         """Cells from the player to one of the cells; a large number if there is no way."""
@@ -115,7 +118,9 @@ def _ahead(solid, steps, x, y, goal_x, goal_y, margin):
     """The farthest point of the shortest way that can be walked to in a straight line; in cells."""
     if _is_clear(solid, x, y, goal_x, goal_y, margin):
         return goal_x, goal_y
-    row, column = int(math.floor(y)), int(math.floor(x))
+    rows, columns = solid.shape
+    row = min(max(int(math.floor(y)), 0), rows - 1)
+    column = min(max(int(math.floor(x)), 0), columns - 1)
     best_x, best_y = column + 0.5, row + 0.5
     while steps[row, column] > 0:
         for k in range(4):

@@ -194,6 +194,50 @@ class World:
                 start, stop = ends
                 self.add_block((*start, 0.0), (*stop, height), texture, tint=tint, repeat=repeat)
 
+    def add_ring(
+        self, apothem: float, sides: int, height: float, texture: str, *, tint: looks.Colour
+    ) -> None:
+        """Adds the walls of a regular room around the origin.
+
+        Args:
+            apothem: distance of the walls' middles from the origin.
+            sides: how many walls; the first is in the east.
+            height, texture, tint: of the walls.
+        """
+        i = self._number
+        angles = 2 * math.pi * np.arange(sides) / sides
+        self._worlds.plane_count[i] = sides
+        self._worlds.planes[i, :sides] = np.stack(
+            [np.cos(angles), np.sin(angles), np.full(sides, apothem)], 1
+        )
+        corners = angles - math.pi / sides
+        far = apothem / math.cos(math.pi / sides)
+        points = np.stack([far * np.cos(corners), far * np.sin(corners)], 1)
+        ends = np.concatenate([points, np.roll(points, -1, 0)], 1)
+        self._scenery.add_walls(
+            i, ends, (0.0, height), np.full(sides, looks.index(texture)), np.full(sides, -1),
+            repeat=(CELL, CELL), tint=tint,
+        )  # fmt: skip
+
+    def add_picture(
+        self, distance: float, angle: float, height: float, size: float, texture: int
+    ) -> None:
+        """Hangs a picture that faces the origin.
+
+        Args:
+            distance, angle: of its middle from the origin, units and radians.
+            height: of its middle above the floor.
+            size: of its sides.
+            texture: its number.
+        """
+        middle = distance * np.array([math.cos(angle), math.sin(angle)])
+        along = size / 2 * np.array([-math.sin(angle), math.cos(angle)])
+        ends = np.array([[*(middle - along), *(middle + along)]])
+        heights = (height - size / 2, height + size / 2)
+        self._scenery.add_walls(
+            self._number, ends, heights, np.array([texture]), np.array([-1]), flags=TWO_SIDED
+        )
+
     def add_floor(
         self,
         low: tuple[float, float],
@@ -247,8 +291,17 @@ class World:
         colours: tuple[looks.Colour, looks.Colour],
         scale: float = 1.0,
         spins: bool = True,
+        seen_only: bool = False,
     ) -> int:
-        """Adds an item that is nowhere yet, and returns its number."""
+        """Adds an item that is nowhere yet, and returns its number.
+
+        Args:
+            mesh: its shape.
+            colours: main and accent colour.
+            scale: of the mesh.
+            spins: whether it bobs and turns.
+            seen_only: whether nothing happens when it is touched.
+        """
         item = self._items
         if item >= ITEMS:
             raise ValueError(f"a world has room for {ITEMS} items")
@@ -256,6 +309,7 @@ class World:
         i, scenery = self._number, self._scenery
         scenery.shape[i, item] = mesh_index(mesh)
         scenery.spins[i, item] = spins
+        self._worlds.touchable[i, item] = not seen_only
         scenery.scenes.rotation[i, item] = np.eye(3)
         scenery.scenes.scale[i, item] = scale
         scenery.scenes.colours[i, item] = colours

@@ -5,12 +5,18 @@ from zipf.envs.labyrinth.levels import (
     explore_object_locations,
     explore_object_rewards,
     rooms_collect,
+    rooms_exploit,
+    rooms_select,
+    rooms_watermaze,
     skymaze,
 )
 from zipf.envs.labyrinth.world import Episode
 
 LEVELS: dict[str, type[Episode]] = {
     "rooms_collect_good_objects_train": rooms_collect.CollectGoodObjects,
+    "rooms_exploit_deferred_effects_train": rooms_exploit.ExploitDeferredEffects,
+    "rooms_select_nonmatching_object": rooms_select.SelectNonmatchingObject,
+    "rooms_watermaze": rooms_watermaze.Watermaze,
     "skymaze_irreversible_path_hard": skymaze.IrreversiblePathHard,
     "skymaze_irreversible_path_varied": skymaze.IrreversiblePathVaried,
     "explore_object_locations_small": explore_object_locations.ObjectLocationsSmall,
