@@ -19,7 +19,7 @@ X, Y, Z, VX, VY, VZ, YAW, PITCH = range(8)
 
 GRID = 21
 """Most rows and columns of a text map."""
-ITEMS, BOXES, PLANES, ZONES, TIMERS = 100, 64, 16, 4, 4
+ITEMS, BOXES, PLANES, ZONES, TIMERS = 100, 64, 16, 10, 4
 """Capacities of each world."""
 
 

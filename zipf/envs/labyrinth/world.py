@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.grids import Cell
-from zipf.envs.labyrinth.mover import BELOW
+from zipf.envs.labyrinth.mover import BELOW, WIDE
 from zipf.envs.labyrinth.scenery import METRES, SIDES, Scenery, faces, mesh_index
 from zipf.envs.labyrinth.state import (
     CELL,
@@ -28,7 +28,7 @@ from zipf.envs.labyrinth.state import (
     Y,
     Z,
 )
-from zipf.envs.render3d import FACES_DOWN, TWO_SIDED
+from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH, TWO_SIDED
 
 Point = tuple[float, float, float]
 
@@ -66,30 +66,34 @@ class World:
     def add_text_map(
         self,
         solid: NDArray[np.bool_],
-        floors: NDArray[np.int64],
-        walls: NDArray[np.int64],
+        floors: NDArray[np.int64] | str,
+        walls: NDArray[np.int64] | None,
     ) -> None:
         """Builds walls and floors of a text map, roofless.
 
         Args:
             solid: bool [rows, columns], rows to the north, with a solid border.
             floors, walls: int64 [rows, columns], the textures of a cell's floor and of the walls
-                around it; used where a cell is not solid.
+                around it; used where a cell is not solid. A name is the floor of all cells, and
+                without textures walls are invisible.
         """
         i, worlds, scenery = self._number, self._worlds, self._scenery
         rows, columns = solid.shape
         worlds.cells[i] = rows, columns
         worlds.solid[i] = True
         worlds.solid[i, :rows, :columns] = solid
-        ends, cells, numbers = faces(solid)
-        textures = walls[cells[:, 0], cells[:, 1]]
-        # Numbers of faces count the columns of the scene's grid.
-        cell, side = np.divmod(numbers, 4)
-        numbers = (cell // columns * GRID + cell % columns) * 4 + side
-        scenery.add_walls(i, ends, (0.0, CELL), textures, numbers)
         scenes = scenery.scenes
-        scenes.solid[i] = worlds.solid[i]
-        scenes.grid[i] = 0, 0, CELL * METRES
+        if walls is not None:
+            ends, cells, numbers = faces(solid)
+            textures = walls[cells[:, 0], cells[:, 1]]
+            # Numbers of faces count the columns of the scene's grid.
+            cell, side = np.divmod(numbers, 4)
+            numbers = (cell // columns * GRID + cell % columns) * 4 + side
+            scenery.add_walls(i, ends, (0.0, CELL), textures, numbers)
+            scenes.solid[i] = worlds.solid[i]
+            scenes.grid[i] = 0, 0, CELL * METRES
+        if isinstance(floors, str):
+            floors = np.full(solid.shape, looks.index(floors))
         rectangle = (0, 0, columns * CELL * METRES, rows * CELL * METRES)
         scenes.add_flat(i, rectangle, 0, 0, tiles=np.where(solid, -1, floors))
 
@@ -264,6 +268,12 @@ class World:
         self._worlds.zones[i, zone] = *low, *high
         return zone
 
+    def add_cell_zone(self, cell: Cell) -> int:
+        """Adds a zone that tells when the player's point enters a cell, and returns its number."""
+        x, y = middle(cell)
+        half = CELL / 2 - WIDE
+        return self.add_zone((x - half, y - half, 0.0), (x + half, y + half, CELL))
+
     def add_pictures(
         self, solid: NDArray[np.bool_], rng: np.random.Generator, most: int = looks.PICTURES
     ) -> None:
@@ -315,12 +325,20 @@ class World:
         scenery.scenes.colours[i, item] = colours
         return item
 
-    def add_door(self, cell: Cell, *, eastwards: bool) -> int:
+    def add_door(
+        self,
+        cell: Cell,
+        *,
+        eastwards: bool,
+        texture: str = "panel",
+        tint: looks.Colour = looks.WHITE,
+    ) -> int:
         """Adds an open door in the middle of a cell, and returns its number.
 
         Args:
             cell: of the text map.
             eastwards: whether it is walked through to the east or west, else to the north or south.
+            texture, tint: of the door.
         """
         i, scenery = self._number, self._scenery
         door = int(self._worlds.box_count[i])
@@ -329,7 +347,8 @@ class World:
         half = np.array([0.0, CELL / 2]) if eastwards else np.array([CELL / 2, 0.0])
         wall = scenery.add_walls(
             i, np.array([[*((x, y) - half), *((x, y) + half)]]), (0.0, CELL),
-            np.array([looks.index("panel")]), np.array([-1]), flags=TWO_SIDED,
+            np.array([looks.index(texture)]), np.array([-1]), flags=TWO_SIDED | SEE_THROUGH,
+            tint=tint,
         )  # fmt: skip
         self._doors[door] = wall, np.array([x, y]), half
         self.set_door(door, is_open=True)
@@ -405,6 +424,21 @@ class World:
     def set_colours(self, item: int, colours: tuple[looks.Colour, looks.Colour]) -> None:
         """Changes the colours of an item."""
         self._scenery.scenes.colours[self._number, item] = colours
+
+    def show_square(
+        self, place: tuple[float, float, float, float], colour: looks.Colour | None
+    ) -> None:
+        """Draws a rectangle over the view, or removes it.
+
+        Args:
+            place: left, top, right and bottom, as shares of the image's width and height.
+            colour: of the rectangle; None: there is none.
+        """
+        i, scenes = self._number, self._scenery.scenes
+        scenes.overlay_count[i] = colour is not None
+        scenes.overlays[i, 0] = place
+        if colour is not None:
+            scenes.overlay_colours[i, 0] = *colour, 255
 
     def set_mesh(self, item: int, mesh: str) -> None:
         """Changes the shape of an item."""
