@@ -102,7 +102,7 @@ class Ways:
         """The nearest of these cells."""
         return min(cells, key=lambda cell: self.steps(world, cell))
 
-    def walk_to(self, world: World, cell: Cell) -> int:
+    def walk_to(self, world: World, cell: Cell, *, slowly: bool = False) -> int:
         """The action that walks to one of the cells."""
         x, y, *_ = world.player
         west, south = self.origin
@@ -110,7 +110,8 @@ class Ways:
             self.solid, self.distances[cell], (x - west) / self.size, (y - south) / self.size,
             cell[1] + 0.5, cell[0] + 0.5, self.margin / self.size,
         )  # fmt: skip
-        return walk_to(world, west + ahead[0] * self.size, south + ahead[1] * self.size)
+        point = west + ahead[0] * self.size, south + ahead[1] * self.size
+        return walk_to(world, *point, slowly=slowly)
 
 
 @compiled(error_model="numpy")

@@ -133,9 +133,9 @@ class KeysDoorsPuzzle(Episode):
         else:
             goal = self.places[self.keys[number] if kind == "key" else self.lolly]
         if self.world.cell == goal:
-            return walk_to(self.world, *middle(goal))
+            return walk_to(self.world, *middle(goal), slowly=True)
         blocked[goal] = False
-        return Ways(blocked, [goal]).walk_to(self.world, goal)
+        return Ways(blocked, [goal]).walk_to(self.world, goal, slowly=True)
 
     def _is_done(self, kind: str, number: int) -> bool:
         if kind == "key":
