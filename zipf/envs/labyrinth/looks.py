@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.render3d.textures import SIZE, hexagons, planks
+from zipf.envs.render3d.textures import SIZE, carpet, hexagons, planks
 
 Colour = tuple[int, int, int]
 WHITE: Colour = (255, 255, 255)
@@ -158,6 +158,7 @@ def _picture(number: int) -> NDArray[np.uint8]:
 @cache
 def _named() -> dict[str, NDArray[np.uint8]]:
     textures = {"plain": _plain((255, 255, 255)), "panel": _panel((170, 120, 70))}
+    textures["sand"] = carpet((214, 178, 120), 3)
     textures["riser"] = _riser((52, 117, 174))
     textures["bars"] = _bars((255, 255, 255))
     textures["corridor_floor"] = hexagons(CORRIDOR_FLOOR, 7)

@@ -9,6 +9,7 @@ import math
 
 from zipf.compiled import compiled
 from zipf.envs.labyrinth.state import CELL, PITCH, VX, VY, VZ, YAW, X, Y, Z
+from zipf.envs.labyrinth.terrain import height_at
 
 FRAME = 0.016
 """Seconds of physics."""
@@ -23,6 +24,8 @@ BELOW, ABOVE = 24.0, 32.0
 EYE = 26.0
 """Of the eye above the player's point."""
 STEP_UP = 18.0
+STEEPEST = math.sqrt(1.0 / 0.7**2 - 1.0)
+"""Slope that can be climbed: where the unit normal is 0.7 high."""
 RISE = 12.0
 """Of a platform that holds the player, units per frame."""
 _MOST_PITCH = math.radians(89.0)
@@ -66,6 +69,7 @@ def move(worlds, i, turn, rise, strafe, forward):
             body[VY] += gain * wish_y
     if not standing:
         body[VZ] -= GRAVITY * FRAME
+    before_x, before_y = body[X], body[Y]
     for axis in range(2):
         step = body[VX + axis] * FRAME
         if step != 0.0:
@@ -75,6 +79,9 @@ def move(worlds, i, turn, rise, strafe, forward):
                 body[VX + axis] = 0.0
             body[X + axis] = reached
     _stay_in_room(worlds, i)
+    if worlds.quad[i] > 0.0:
+        _stay_off_pillars(worlds, i)
+        _stay_off_slopes(worlds, i, before_x, before_y)
     if worlds.held[i]:
         body[X], body[Y] = worlds.hold[i, 0], worlds.hold[i, 1]
         body[Z] = min(body[Z] + RISE, worlds.hold[i, 2] + BELOW)
@@ -82,7 +89,9 @@ def move(worlds, i, turn, rise, strafe, forward):
         return
     ground = _ground(worlds, i, body[X], body[Y], soles)
     soles = soles + body[VZ] * FRAME
-    if soles <= ground or standing and ground > soles - _SKIN:
+    # On a terrain, a player who stands follows the ground downhill.
+    follows = standing and worlds.quad[i] > 0.0 and soles - ground < STEP_UP
+    if soles <= ground or follows:
         soles = ground
         body[VZ] = 0.0
     body[Z] = soles + BELOW
@@ -105,8 +114,54 @@ def _stay_in_room(worlds, i):
 
 
 @compiled(error_model="numpy")
+def _stay_off_pillars(worlds, i):
+    """Moves the player out of pillars, round which he slides."""
+    body = worlds.bodies[i]
+    for k in range(worlds.pillar_count[i]):
+        x, y = body[X] - worlds.pillars[i, k, 0], body[Y] - worlds.pillars[i, k, 1]
+        apart = math.hypot(x, y)
+        least = worlds.pillars[i, k, 2] + WIDE
+        if 0.0 < apart < least:
+            x, y = x / apart, y / apart
+            body[X] += (least - apart) * x
+            body[Y] += (least - apart) * y
+            into = body[VX] * x + body[VY] * y
+            if into < 0.0:
+                body[VX] -= into * x
+                body[VY] -= into * y
+
+
+@compiled(error_model="numpy")
+def _stay_off_slopes(worlds, i, before_x, before_y):
+    """Keeps the player from climbing what is too steep, along which he slides."""
+    body = worlds.bodies[i]
+    size = worlds.quad[i]
+    now = height_at(worlds.heights[i], size, before_x, before_y)
+    step_x, step_y = body[X] - before_x, body[Y] - before_y
+    there = height_at(worlds.heights[i], size, body[X], body[Y])
+    if there - now <= STEEPEST * math.hypot(step_x, step_y):
+        return
+    # Uphill, from the heights around.
+    east = height_at(worlds.heights[i], size, body[X] + 1.0, body[Y]) - there
+    north = height_at(worlds.heights[i], size, body[X], body[Y] + 1.0) - there
+    slope = math.hypot(east, north)
+    if slope <= STEEPEST:
+        return
+    east, north = east / slope, north / slope
+    into = step_x * east + step_y * north
+    body[X] -= into * east
+    body[Y] -= into * north
+    fast = body[VX] * east + body[VY] * north
+    if fast > 0.0:
+        body[VX] -= fast * east
+        body[VY] -= fast * north
+
+
+@compiled(error_model="numpy")
 def _ground(worlds, i, x, y, soles):
     """The height of the highest floor below the player's box that its soles can stand on."""
+    if worlds.quad[i] > 0.0:
+        return height_at(worlds.heights[i], worlds.quad[i], x, y)
     rows, columns = worlds.cells[i]
     if rows == 0:
         return 0.0

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from zipf.compiled import compiled
 from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.mover import EYE
-from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, YAW, Worlds, X, Y, Z
+from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Worlds, X, Y, Z
 from zipf.envs.render3d import Renderer, Scenes, load_meshes
 
 METRES = 0.01
@@ -49,7 +49,7 @@ class Scenery:
         self.worlds = worlds
         self.scenes = Scenes(
             n, walls=WALLS, flats=FLATS, instances=ITEMS, tile_cells=GRID * GRID,
-            grid=(GRID, GRID), overlays=OVERLAYS,
+            grid=(GRID, GRID), overlays=OVERLAYS, terrain=(QUADS, QUADS),
         )  # fmt: skip
         self.shape = np.full((n, ITEMS), -1, np.int32)
         self.spins = np.zeros((n, ITEMS), np.bool_)
@@ -61,7 +61,7 @@ class Scenery:
         """Empties a world's scene for a new episode."""
         scenes = self.scenes
         scenes.wall_count[world] = scenes.flat_count[world] = scenes.overlay_count[world] = 0
-        scenes.grid[world] = 0
+        scenes.grid[world] = scenes.terrain[world] = 0
         scenes.sky[world] = (190, 215, 235), (95, 150, 215)
         self.shape[world] = -1
         self.spins[world] = False

@@ -19,7 +19,8 @@ X, Y, Z, VX, VY, VZ, YAW, PITCH = range(8)
 
 GRID = 21
 """Most rows and columns of a text map."""
-ITEMS, BOXES, PLANES, ZONES, TIMERS = 100, 64, 16, 10, 4
+ITEMS, BOXES, PLANES, PILLARS, ZONES, TIMERS = 184, 64, 16, 100, 10, 4
+QUADS = 63
 """Capacities of each world."""
 
 
@@ -53,6 +54,14 @@ class Worlds(NamedTuple):
     the origin."""
     plane_count: NDArray[np.int64]
     """[N]"""
+    pillars: NDArray[np.float64]
+    """[N, PILLARS, 3]: x, y and radius of solid upright pillars."""
+    pillar_count: NDArray[np.int64]
+    """[N]"""
+    quad: NDArray[np.float64]
+    """[N]: side of a terrain's quads; 0: there is no terrain."""
+    heights: NDArray[np.float64]
+    """[N, QUADS + 1, QUADS + 1]: of a terrain, rows to the north."""
     held: NDArray[np.bool_]
     """[N]: whether the player stands on a platform that holds him."""
     hold: NDArray[np.float64]
@@ -90,6 +99,10 @@ def make_worlds(num_worlds: int) -> Worlds:
         box_count=np.zeros(n, np.int64),
         planes=np.zeros((n, PLANES, 3)),
         plane_count=np.zeros(n, np.int64),
+        pillars=np.zeros((n, PILLARS, 3)),
+        pillar_count=np.zeros(n, np.int64),
+        quad=np.zeros(n),
+        heights=np.zeros((n, QUADS + 1, QUADS + 1)),
         held=np.zeros(n, np.bool_),
         hold=np.zeros((n, 3)),
         places=np.zeros((n, ITEMS, 3)),
@@ -107,7 +120,7 @@ def clear(worlds: Worlds, world: int) -> None:
     for name, value in (
         ("clock", 0), ("limit", 1), ("ending", -1), ("finishing", False), ("bodies", 0.0),
         ("pushed", 0), ("cells", 0), ("solid", False), ("floor", 0.0), ("box_count", 0),
-        ("plane_count", 0), ("held", False),
+        ("plane_count", 0), ("held", False), ("pillar_count", 0), ("quad", 0.0), ("touchable", False),
         ("present", False), ("returning", -1), ("zones", 0.0), ("inside", False), ("timers", -1),
     ):  # fmt: skip
         getattr(worlds, name)[world] = value

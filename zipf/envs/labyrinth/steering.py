@@ -85,6 +85,10 @@ class Ways:
         self.margin = margin
         self.distances = {cell: distances(solid, *cell) for cell in cells}
 
+    def add(self, cell: Cell) -> None:
+        """Finds the ways to a further cell."""
+        self.distances[cell] = distances(self.solid, *cell)
+
     def cell_of(self, x: float, y: float) -> Cell:
         """The cell of a point, or the nearest one of a point outside."""
         rows, columns = self.solid.shape

@@ -19,6 +19,7 @@ from zipf.envs.labyrinth.state import (
     GRID,
     ITEMS,
     PITCH,
+    QUADS,
     VX,
     VY,
     VZ,
@@ -28,6 +29,7 @@ from zipf.envs.labyrinth.state import (
     Y,
     Z,
 )
+from zipf.envs.labyrinth.terrain import Terrain
 from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH, TWO_SIDED
 
 Point = tuple[float, float, float]
@@ -260,6 +262,39 @@ class World:
             flags=FACES_DOWN if ceiling else 0, repeat=repeat * METRES, tint=tint,
         )  # fmt: skip
 
+    def add_terrain(
+        self,
+        terrain: Terrain,
+        texture: str,
+        *,
+        tint: looks.Colour,
+        sky: tuple[looks.Colour, looks.Colour],
+    ) -> None:
+        """Builds a terrain, with invisible walls at its edges.
+
+        Args:
+            terrain: its heights.
+            texture, tint: of the ground.
+            sky: colours at the horizon and overhead.
+        """
+        i, worlds, scenes = self._number, self._worlds, self._scenery.scenes
+        worlds.quad[i] = terrain.size
+        worlds.heights[i] = terrain.heights
+        side = terrain.size * QUADS
+        worlds.plane_count[i] = 4
+        worlds.planes[i, :4] = (1, 0, side), (0, 1, side), (-1, 0, 0), (0, -1, 0)
+        scenes.set_terrain(
+            i, (0.0, 0.0), terrain.size * METRES, terrain.heights * METRES, looks.index(texture),
+            repeat=2.0, tint=tint,
+        )  # fmt: skip
+        scenes.sky[i] = sky
+
+    def add_pillar(self, x: float, y: float, radius: float) -> None:
+        """Adds a solid upright pillar of a terrain, which is not drawn."""
+        i = self._number
+        self._worlds.pillars[i, self._worlds.pillar_count[i]] = x, y, radius
+        self._worlds.pillar_count[i] += 1
+
     def add_zone(self, low: Point, high: Point) -> int:
         """Adds a box that tells when the player enters, and returns its number."""
         i = self._number
@@ -370,15 +405,23 @@ class World:
             box[:3] = *(at - half - thick), 0.0
             box[3:] = *(at + half + thick), CELL
 
-    def put(self, item: int, x: float, y: float, floor: float = 0.0) -> None:
-        """Places an item on a floor of this height, to be touched."""
+    def put(self, item: int, x: float, y: float, floor: float = 0.0, yaw: float = 0.0) -> None:
+        """Places an item on a floor of this height, turned by `yaw`."""
         self._worlds.places[self._number, item] = x, y, floor + BELOW
+        if yaw:
+            cos, sin = math.cos(yaw), math.sin(yaw)
+            self._scenery.scenes.rotation[self._number, item, :2, :2] = (cos, -sin), (sin, cos)
         self._worlds.present[self._number, item] = True
 
     def put_in_cell(self, item: int, cell: Cell) -> None:
         """Places an item at the middle of a cell of the text map."""
         x, y = middle(cell)
         self.put(item, x, y, float(self._worlds.floor[self._number, cell[0], cell[1]]))
+
+    def let_return(self, item: int, seconds: float) -> None:
+        """Lets an item that was taken be there again after some seconds."""
+        frames = round(seconds * FRAMES_PER_SECOND)
+        self._worlds.returning[self._number, item] = self._worlds.clock[self._number] + frames
 
     def take(self, item: int) -> None:
         """Removes an item."""
