@@ -78,7 +78,7 @@ def crate() -> list[Solid]:
 
 
 def cactus() -> list[Solid]:
-    trunk = lathe([(20, 0), (25, 60), (25, 200), (20, 270), (8, 298), (0, 300)], sides=8)
+    trunk = lathe([(0, 0), (20, 0), (25, 60), (25, 200), (20, 270), (8, 298), (0, 300)], sides=8)
     across = trunk.vertices[trunk.triangles].mean(axis=1)
     ribs = np.floor(np.degrees(np.arctan2(across[:, 1], across[:, 0])) / 45 - 0.5).astype(int) % 2
     left = np.array([(0, -15, 110), (0, -36, 112), (0, -40, 130), (0, -40, 190), (0, -38, 215)])
