@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,7 @@ from zipf.compiled import compiled
 from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Worlds, X, Y, Z
-from zipf.envs.render3d import Renderer, Scenes, load_meshes
+from zipf.envs.render3d import MeshAtlas, Renderer, Scenes, load_meshes
 
 METRES = 0.01
 """Of the renderer, in a unit."""
@@ -30,9 +32,9 @@ seen, and its ends x0, y0, x1, y1 from the solid cell's south-west corner."""
 _FLOATS = 24.0  # of a player's point above the floor that an item stands on
 
 
-def mesh_index(name: str) -> int:
-    names = load_meshes().names
-    return names.index(name) if name in names else sum(map(ord, name)) % 50
+def atlas() -> MeshAtlas:
+    """The meshes of the labyrinth."""
+    return load_meshes(Path(__file__).with_name("meshes.npz"))
 
 
 class Scenery:
@@ -54,7 +56,7 @@ class Scenery:
         self.shape = np.full((n, ITEMS), -1, np.int32)
         self.spins = np.zeros((n, ITEMS), np.bool_)
         self.renderer = Renderer(
-            load_meshes(), looks.stack(), width=width, height=height, fov=FIELD_OF_VIEW
+            atlas(), looks.stack(), width=width, height=height, fov=FIELD_OF_VIEW
         )
 
     def clear(self, world: int) -> None:

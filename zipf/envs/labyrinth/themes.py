@@ -32,7 +32,7 @@ def build_maze(world: World, maze: Maze, rng: np.random.Generator, *, alike: boo
 
 def add_goal(world: World, scale: float = 1.0) -> int:
     """A goal object that is nowhere yet."""
-    return world.add_item("pyramid", colours=((250, 200, 40), (200, 40, 40)), scale=scale)
+    return world.add_item("goal", colours=((250, 200, 40), (200, 40, 40)), scale=scale)
 
 
 def add_apple(world: World) -> int:

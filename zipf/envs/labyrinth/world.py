@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.grids import Cell
 from zipf.envs.labyrinth.mover import BELOW, WIDE
-from zipf.envs.labyrinth.scenery import METRES, SIDES, Scenery, faces, mesh_index
+from zipf.envs.labyrinth.scenery import METRES, SIDES, Scenery, atlas, faces
 from zipf.envs.labyrinth.state import (
     CELL,
     FRAMES_PER_SECOND,
@@ -352,7 +352,7 @@ class World:
             raise ValueError(f"a world has room for {ITEMS} items")
         self._items += 1
         i, scenery = self._number, self._scenery
-        scenery.shape[i, item] = mesh_index(mesh)
+        scenery.shape[i, item] = atlas().index(mesh)
         scenery.spins[i, item] = spins
         self._worlds.touchable[i, item] = not seen_only
         scenery.scenes.rotation[i, item] = np.eye(3)
@@ -485,7 +485,7 @@ class World:
 
     def set_mesh(self, item: int, mesh: str) -> None:
         """Changes the shape of an item."""
-        self._scenery.shape[self._number, item] = mesh_index(mesh)
+        self._scenery.shape[self._number, item] = atlas().index(mesh)
 
     def reward(self, amount: float) -> None:
         """Adds to the reward of this step."""
