@@ -127,6 +127,7 @@ def _ahead(solid, steps, x, y, goal_x, goal_y, margin):
     row = min(max(int(math.floor(y)), 0), rows - 1)
     column = min(max(int(math.floor(x)), 0), columns - 1)
     best_x, best_y = column + 0.5, row + 0.5
+    first = True
     while steps[row, column] > 0:
         for k in range(4):
             up, right = (k == 1) - (k == 3), (k == 0) - (k == 2)
@@ -135,8 +136,9 @@ def _ahead(solid, steps, x, y, goal_x, goal_y, margin):
             if inside and steps[r, c] >= 0 and steps[r, c] < steps[row, column]:
                 row, column = r, c
                 break
-        if not _is_clear(solid, x, y, column + 0.5, row + 0.5, margin):
+        if not first and not _is_clear(solid, x, y, column + 0.5, row + 0.5, margin):
             break
+        first = False
         best_x, best_y = column + 0.5, row + 0.5
     return best_x, best_y
 

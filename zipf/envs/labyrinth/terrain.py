@@ -143,10 +143,12 @@ def _heights(rng: np.random.Generator, size: float) -> NDArray[np.float64]:
 
 
 def _normal_z(heights: NDArray[np.float64], size: float) -> NDArray[np.float64]:
-    """The height of the unit normal of each quad's mean slope."""
-    east = (heights[:-1, 1:] - heights[:-1, :-1] + heights[1:, 1:] - heights[1:, :-1]) / 2 / size
-    north = (heights[1:, :-1] - heights[:-1, :-1] + heights[1:, 1:] - heights[:-1, 1:]) / 2 / size
-    return 1 / np.sqrt(1 + east**2 + north**2)
+    """The height of the unit normal of the steeper one of each quad's two triangles."""
+    south_west, south_east = heights[:-1, :-1], heights[:-1, 1:]
+    north_west, north_east = heights[1:, :-1], heights[1:, 1:]
+    lower = (south_east - south_west) ** 2 + (north_east - south_east) ** 2
+    upper = (north_east - north_west) ** 2 + (north_west - south_west) ** 2
+    return size / np.sqrt(size**2 + np.maximum(lower, upper))
 
 
 def _places(

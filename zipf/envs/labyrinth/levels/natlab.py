@@ -8,7 +8,7 @@ from abc import abstractmethod
 import numpy as np
 
 from zipf.envs.labyrinth.looks import Colour
-from zipf.envs.labyrinth.steering import WAIT, Ways, walk_to
+from zipf.envs.labyrinth.steering import BACKWARD, NAMES, WAIT, Ways, walk_to
 from zipf.envs.labyrinth.terrain import Terrain, make_terrain
 from zipf.envs.labyrinth.world import Episode, World
 
@@ -16,6 +16,7 @@ POOL = 100
 """How many terrains the varying levels draw from."""
 SMALL, LARGE = 2048.0, 3600.0
 """Sides of a terrain, units; that of the fixed one is inferred from a camera of the original."""
+_STUCK = 12  # steps without moving after which the expert steps back
 _CAP: tuple[Colour, Colour] = ((246, 238, 226), (214, 190, 160))
 _PLANTS: dict[str, tuple[Colour, Colour]] = {
     "cactus": ((70, 130, 70), (110, 170, 90)),
@@ -65,6 +66,8 @@ class Natlab(Episode):
             for place in self.terrain.mushrooms
         }
         self.waits = self.draw_waits(rng)
+        self.trail: list[tuple[float, float]] = []  # where the expert was
+        self.escape: list[int] = []  # what it does to leave a place where it is stuck
 
     @abstractmethod
     def choose(self, rng: np.random.Generator) -> tuple[Terrain, str]:
@@ -91,6 +94,13 @@ class Natlab(Episode):
     def expert(self) -> int:
         """Walks to the mushroom to which the way is shortest."""
         x, y, *_ = self.world.player
+        self.trail = [*self.trail[-_STUCK:], (x, y)]
+        if self.escape:
+            return self.escape.pop()
+        if len(self.trail) > _STUCK and math.dist(self.trail[0], (x, y)) < 5:
+            way = NAMES["strafe left" if len(self.mushrooms) % 2 else "strafe right"]
+            self.escape = [way] * 4 + [BACKWARD] * 6
+            self.trail = []
         there = [place for item, place in self.mushrooms.items() if self.world.is_there(item)]
         if not there:
             return WAIT
