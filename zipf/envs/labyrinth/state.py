@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 CELL = 100.0
 """Side of a cell and height of a wall of a text map."""
-FRAMES_PER_SECOND = 60
 
 X, Y, Z, VX, VY, VZ, YAW, PITCH = range(8)
 """Columns of `bodies`: the point 24 above the soles, its velocity per second, where it looks."""

@@ -1,6 +1,5 @@
 """Zipf's Labyrinth, many worlds at once."""
 
-import difflib
 from collections.abc import Hashable, Mapping, Sequence
 from typing import Any, Self
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from zipf.envs import pcg64
 from zipf.envs.labyrinth import engine
 from zipf.envs.labyrinth.actions import TABLES, commands
-from zipf.envs.labyrinth.levels import LEVELS
+from zipf.envs.labyrinth.levels import LEVELS, by_name
 from zipf.envs.labyrinth.scenery import Scenery
 from zipf.envs.labyrinth.state import clear, make_worlds
 from zipf.envs.labyrinth.words import VOCABULARY
@@ -44,6 +43,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         render_mode: str | None = None,
     ) -> None:
         self.level = by_name(level)
+        self._rules = self.level.load()
         if num_actions not in TABLES:
             raise ValueError(f"num_actions must be one of {list(TABLES)}, got {num_actions!r}")
         self.action_repeat = action_repeat
@@ -63,7 +63,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
             render_mode=render_mode,
         )
         n = num_envs
-        longest = max(level.frames() for level in LEVELS.values())
+        longest = max(level.frames for level in LEVELS.values())
         # How the episode began, and the actions since.
         self._seeds = np.zeros(n, np.float64)
         self._actions = np.zeros((n, -(-longest // action_repeat)), np.uint8)
@@ -89,9 +89,9 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
             self._scenery.clear(i)
             self._part[i] = 0
             self._maps[i] = 0
-            self.worlds.limit[i] = self.level.frames()
+            self.worlds.limit[i] = self.level.frames
             world = World(self.worlds, self._scenery, i, self._rewards)
-            self.episodes[i] = self.level(world, self._generator(i))
+            self.episodes[i] = self._rules(world, self._generator(i))
             self._begin_map(i)
 
     def _generator(self, world: int) -> np.random.Generator:
@@ -152,9 +152,9 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         return shape, int(self.single_action_space.n), self.action_repeat
 
     def _use_engine(self, other: Self) -> None:
-        level = self.level
+        level, rules = self.level, self._rules
         self.__dict__.update(other.__dict__)
-        self.level = level
+        self.level, self._rules = level, rules
 
     def _get_worlds(self) -> dict[str, NDArray[Any]]:
         return {"seeds": self._seeds, "actions": self._actions}
@@ -170,11 +170,3 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         for t in range(int(lengths.max(where=begun, initial=0))):
             self._play(begun & (lengths > t), self._actions[:, t].astype(np.int64))
 
-
-def by_name(name: str) -> type[Episode]:
-    """The rules of a level. Raises ValueError for an unknown name."""
-    if name not in LEVELS:
-        nearest = difflib.get_close_matches(name, LEVELS, n=1)
-        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-        raise ValueError(f"unknown labyrinth level {name!r}{hint}: expected one of {list(LEVELS)}")
-    return LEVELS[name]

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.grids import Cell
+from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.mover import BELOW, WIDE
 from zipf.envs.labyrinth.scenery import METRES, SIDES, Scenery, atlas, faces
 from zipf.envs.labyrinth.state import (
     CELL,
-    FRAMES_PER_SECOND,
     GRID,
     ITEMS,
     PITCH,
@@ -539,23 +538,13 @@ class Episode(ABC):
     The constructor builds what stays for the episode, then `begin_map` what a map begins with. A
     map ends with `World.finish_map`; the clock goes on.
 
-    Attributes:
-        seconds: of an episode.
-
     Args:
         world: empty.
         rng: for this episode's layout.
     """
 
-    seconds: ClassVar[int]
-
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         self.world = world
-
-    @classmethod
-    def frames(cls) -> int:
-        """Frames of an episode."""
-        return cls.seconds * FRAMES_PER_SECOND
 
     @abstractmethod
     def begin_map(self, rng: np.random.Generator) -> None:

@@ -54,13 +54,11 @@ class GoalLocations(Episode):
 
 class GoalLocationsSmall(GoalLocations):
     __doc__ = GoalLocations.__doc__
-    seconds = 90
     maze_options = SMALL
 
 
 class GoalLocationsLarge(GoalLocations):
     __doc__ = GoalLocations.__doc__
-    seconds = 120
     maze_options = LARGE
 
 
@@ -97,11 +95,9 @@ class ObstructedGoals(GoalLocations):
 
 class ObstructedGoalsSmall(ObstructedGoals):
     __doc__ = ObstructedGoals.__doc__
-    seconds = 90
     maze_options = MazeOptions(11, 11, rooms=4, smallest=3, largest=5, doors=True)
 
 
 class ObstructedGoalsLarge(ObstructedGoals):
     __doc__ = ObstructedGoals.__doc__
-    seconds = 120
     maze_options = MazeOptions(17, 17, rooms=9, smallest=3, largest=3, doors=True)

@@ -58,11 +58,9 @@ class ObjectLocations(Episode):
 
 class ObjectLocationsSmall(ObjectLocations):
     __doc__ = ObjectLocations.__doc__
-    seconds = 90
     maze_options = SMALL
 
 
 class ObjectLocationsLarge(ObjectLocations):
     __doc__ = ObjectLocations.__doc__
-    seconds = 120
     maze_options = LARGE

@@ -82,11 +82,9 @@ class ObjectRewards(Episode):
 
 class ObjectRewardsFew(ObjectRewards):
     __doc__ = ObjectRewards.__doc__
-    seconds = 90
     kinds = 4
 
 
 class ObjectRewardsMany(ObjectRewards):
     __doc__ = ObjectRewards.__doc__
-    seconds = 120
     kinds = 8

@@ -42,7 +42,6 @@ class Natlab(Episode):
     of the original that could be read.
     """
 
-    seconds = 120
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)

@@ -35,7 +35,6 @@ class CollectGoodObjects(Episode):
     Rewards: +1 for a good object, -1 for a bad one.
     """
 
-    seconds = 60
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)

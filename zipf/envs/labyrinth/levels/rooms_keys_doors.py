@@ -25,7 +25,6 @@ class KeysDoorsPuzzle(Episode):
     Approximated: see `keys_doors`.
     """
 
-    seconds = 60
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)

@@ -38,7 +38,6 @@ class SelectNonmatchingObject(Episode):
     Rewards: +1 for the pad, +10 for the other object, -10 for the one shown.
     """
 
-    seconds = 12
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)

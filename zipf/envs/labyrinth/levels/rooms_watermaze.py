@@ -30,7 +30,6 @@ class Watermaze(Episode):
     held at once.
     """
 
-    seconds = 120
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)

@@ -112,7 +112,6 @@ class IrreversiblePath(Episode):
     Rewards: +100 for the goal, which ends the episode.
     """
 
-    seconds = 60
 
     @staticmethod
     def difficulty(rng: np.random.Generator) -> float:
