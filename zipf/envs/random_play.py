@@ -7,9 +7,11 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zipf.envs.family import make_vec
 from zipf.envs.splits import Level, SplitLevel
+from zipf.envs.vector import ZipfVectorEnv
 
 
 @dataclass(frozen=True)
@@ -49,20 +51,42 @@ def measure_chance(
     Raises:
         ValueError: no episodes, an unknown level, or options out of range.
     """
+    env = make_vec(level, max(1, min(num_envs, episodes)), **options)
+    generator = np.random.default_rng([seed, 1])  # worlds are seeded seed, seed + 1, ...
+    num_actions = int(env.single_action_space.n)
+    returns = play_returns(
+        env, lambda: generator.integers(num_actions, size=env.num_envs), episodes, seed=seed
+    )
+    env.close()
+    return Chance(float(returns.mean()), episodes)
+
+
+def play_returns(
+    env: ZipfVectorEnv, act: Callable[[], NDArray[np.int64]], episodes: int, *, seed: int
+) -> NDArray[np.float64]:
+    """Plays episodes of a batch and returns their returns, float64 [episodes].
+
+    The first `episodes` episodes to start are counted, however long they are.
+
+    Args:
+        env: the batch, which resets worlds in the step that ends their episodes.
+        act: gives the actions of all worlds, [N].
+        episodes: how many, at least 1.
+        seed: of the worlds.
+
+    Raises:
+        ValueError: no episodes.
+    """
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
-    env = make_vec(level, min(num_envs, episodes), **options)
-    num_envs, num_actions = env.num_envs, int(env.single_action_space.n)
-    generator = np.random.default_rng([seed, 1])  # worlds are seeded seed, seed + 1, ...
     returns = np.zeros(episodes)
     # The episode that each world plays, numbered as they start; from `episodes` on, not counted.
-    playing = np.arange(num_envs)
-    started, unfinished = num_envs, episodes
+    playing = np.arange(env.num_envs)
+    started, unfinished = env.num_envs, episodes
     out = env.allocate()
     env.reset(seed=seed, out=out)
     while unfinished:
-        actions = generator.integers(num_actions, size=num_envs)
-        _, _, terminated, truncated, info = env.step(actions, out=out)
+        _, _, terminated, truncated, info = env.step(act(), out=out)
         ended = terminated | truncated
         if not ended.any():
             continue
@@ -72,8 +96,7 @@ def measure_chance(
         new = int(ended.sum())
         playing[ended] = np.arange(started, started + new)
         started += new
-    env.close()
-    return Chance(float(returns.mean()), episodes)
+    return returns
 
 
 def measured(package: str) -> Callable[..., Chance | None]:

@@ -19,9 +19,7 @@ class Expert:
 
     def __init__(self, env: LabyrinthVectorEnv) -> None:
         if env.single_action_space.n != 15:
-            raise ValueError(
-                f"the expert needs num_actions=15, got {env.single_action_space.n}"
-            )
+            raise ValueError(f"the expert needs num_actions=15, got {env.single_action_space.n}")
         self.env = env
 
     def __call__(self) -> NDArray[np.int64]:

@@ -12,7 +12,7 @@ STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 
 @compiled()
 def distances(solid, row, column):
-    """Numbers of steps from a cell to every other, int32 [rows, columns]; -1 where there is no way."""
+    """Numbers of steps from a cell to all others, int32 [rows, columns]; -1 where no way leads."""
     rows, columns = solid.shape
     found = np.full((rows, columns), -1, np.int32)
     queue = np.empty((rows * columns, 2), np.int32)

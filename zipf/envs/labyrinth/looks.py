@@ -187,3 +187,12 @@ def stack() -> NDArray[np.uint8]:
     stacked = np.stack(list(_named().values()))
     stacked.flags.writeable = False
     return stacked
+
+
+@cache
+def mean_colours() -> NDArray[np.float64]:
+    """Of the textures without their holes, float64 [K, 3]."""
+    textures = stack().astype(np.float64)
+    shown = textures[..., 3:] >= 128
+    mean: NDArray[np.float64] = (textures[..., :3] * shown).sum((1, 2)) / shown.sum((1, 2))
+    return mean

@@ -92,9 +92,7 @@ def random_maze(rng: np.random.Generator, options: MazeOptions) -> Maze:
     return Maze(~open_, room, spawns, objects, doors)
 
 
-def _place_rooms(
-    rng: np.random.Generator, options: MazeOptions
-) -> list[tuple[int, int, int, int]]:
+def _place_rooms(rng: np.random.Generator, options: MazeOptions) -> list[tuple[int, int, int, int]]:
     """South-west corner, height and width of each room, in a random order.
 
     Sizes are drawn on a lattice of every other cell, so that walls stay between rooms.

@@ -213,4 +213,4 @@ def _reach(worlds, i, axis, wanted):
 @compiled(error_model="numpy")
 def _cell(coordinate):
     """The row or column of a coordinate."""
-    return int(math.floor(coordinate / CELL))
+    return math.floor(coordinate / CELL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ METRES = 0.01
 """Of the renderer, in a unit."""
 FIELD_OF_VIEW = 90.0
 """Horizontal, degrees (DeepMind Lab)."""
+LARGE = 288, 384
+"""Height and width of the views for people to watch."""
 WALLS, FLATS, OVERLAYS = 720, 176, 4
 """Capacities of each world."""
 BOB, TURN = 4.0, 2.05
@@ -37,6 +40,15 @@ def atlas() -> MeshAtlas:
     return load_meshes(Path(__file__).with_name("meshes.npz"))
 
 
+def _renderer(height: int, width: int) -> Renderer:
+    return Renderer(atlas(), looks.stack(), width=width, height=height, fov=FIELD_OF_VIEW)
+
+
+@cache
+def _large_renderer() -> Renderer:
+    return _renderer(*LARGE)
+
+
 class Scenery:
     """The scenes of N worlds.
 
@@ -55,9 +67,7 @@ class Scenery:
         )  # fmt: skip
         self.shape = np.full((n, ITEMS), -1, np.int32)
         self.spins = np.zeros((n, ITEMS), np.bool_)
-        self.renderer = Renderer(
-            atlas(), looks.stack(), width=width, height=height, fov=FIELD_OF_VIEW
-        )
+        self.renderer = _renderer(height, width)
 
     def clear(self, world: int) -> None:
         """Empties a world's scene for a new episode."""
@@ -70,12 +80,24 @@ class Scenery:
 
     def draw(self, out: NDArray[np.uint8], mask: NDArray[np.bool_]) -> None:
         """Writes the views of the worlds of `mask` to their rows of `out`."""
+        self._update(mask)
+        self.renderer.render(self.scenes, out, mask)
+
+    def large_views(self) -> NDArray[np.uint8]:
+        """The views of all worlds for people to watch, uint8 [N, 288, 384, 3]."""
+        n = len(self.shape)
+        views = np.zeros((n, *LARGE, 3), np.uint8)
+        self._update(np.ones(n, np.bool_))
+        _large_renderer().render(self.scenes, views)
+        return views
+
+    def _update(self, mask: NDArray[np.bool_]) -> None:
+        """Copies the poses of players and items to the scenes of the worlds of `mask`."""
         scenes, worlds = self.scenes, self.worlds
         _pose(
             mask, worlds.bodies, worlds.clock, worlds.places, worlds.present, self.shape,
             self.spins, scenes.camera, scenes.mesh, scenes.position, scenes.rotation,
         )  # fmt: skip
-        self.renderer.render(scenes, out, mask)
 
     def add_walls(
         self, world: int, ends: NDArray[np.floating], heights: tuple[float, float],

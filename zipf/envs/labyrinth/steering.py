@@ -124,8 +124,8 @@ def _ahead(solid, steps, x, y, goal_x, goal_y, margin):
     if _is_clear(solid, x, y, goal_x, goal_y, margin):
         return goal_x, goal_y
     rows, columns = solid.shape
-    row = min(max(int(math.floor(y)), 0), rows - 1)
-    column = min(max(int(math.floor(x)), 0), columns - 1)
+    row = min(max(math.floor(y), 0), rows - 1)
+    column = min(max(math.floor(x), 0), columns - 1)
     best_x, best_y = column + 0.5, row + 0.5
     first = True
     while steps[row, column] > 0:
@@ -153,7 +153,7 @@ def _is_clear(solid, x, y, to_x, to_y, margin):
         wide = margin * min(0.75 + 2.0 * along, 1.0)  # the player may stand at a wall
         for dy in (-wide, wide):
             for dx in (-wide, wide):
-                row, column = int(math.floor(at_y + dy)), int(math.floor(at_x + dx))
+                row, column = math.floor(at_y + dy), math.floor(at_x + dx)
                 inside = 0 <= row < solid.shape[0] and 0 <= column < solid.shape[1]
                 if not inside or solid[row, column]:
                     return False

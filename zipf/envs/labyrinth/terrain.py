@@ -136,9 +136,10 @@ def _heights(rng: np.random.Generator, size: float) -> NDArray[np.float64]:
     heights *= rng.uniform(35, 140) / heights.std()
     while (_normal_z(heights, size) > WALKABLE).mean() < 0.8:
         padded = np.pad(heights, 1, mode="edge")
-        heights = sum(
-            padded[y : y + QUADS + 1, x : x + QUADS + 1] for y in range(3) for x in range(3)
-        ) / 9.0
+        heights = (
+            sum(padded[y : y + QUADS + 1, x : x + QUADS + 1] for y in range(3) for x in range(3))
+            / 9.0
+        )
     return heights - heights.min()
 
 
@@ -159,7 +160,7 @@ def _places(
     taken: list[tuple[float, float]],
 ) -> list[tuple[float, float]]:
     """Points on the largest connected part of the free quads: 32 units from each other and, as
-    far as there is room, 60 from plants and rocks."""
+    far as there is room, 60 from plants and rocks; the first of them, the starts, 60 from all."""
     cells = np.argwhere(free)
     steps = distances(~free, *cells[len(cells) // 2])
     for _ in range(20):  # most cells belong to one part: another start finds it if this one did not
@@ -172,9 +173,10 @@ def _places(
         row, column = cells[int(rng.integers(len(cells)))]
         x, y = (column + rng.uniform(0.2, 0.8)) * size, (row + rng.uniform(0.2, 0.8)) * size
         clear = 60 if attempt < 50 * count else 20
-        if all(np.hypot(x - a, y - b) > 32 for a, b in found) and all(
-            np.hypot(x - a, y - b) > clear for a, b in taken
-        ):
+        # Starts are found first; who stands there touches no mushroom.
+        if all(
+            np.hypot(x - a, y - b) > (60 if k < _STARTS else 32) for k, (a, b) in enumerate(found)
+        ) and all(np.hypot(x - a, y - b) > clear for a, b in taken):
             found.append((float(x), float(y)))
             if len(found) == count:
                 break

@@ -8,6 +8,7 @@ from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.mazes import Maze
 from zipf.envs.labyrinth.world import World
 
+
 def build_maze(world: World, maze: Maze, rng: np.random.Generator, *, alike: bool = True) -> None:
     """Builds a maze with pictures on its walls.
 

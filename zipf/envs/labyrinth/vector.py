@@ -9,11 +9,13 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs import pcg64
+from zipf.envs.arguments import read_count, read_image_size
 from zipf.envs.labyrinth import engine
 from zipf.envs.labyrinth.actions import TABLES, commands
-from zipf.envs.labyrinth.levels import LEVELS, by_name
+from zipf.envs.labyrinth.levels import LEVELS, Level, by_name
 from zipf.envs.labyrinth.scenery import Scenery
 from zipf.envs.labyrinth.state import clear, make_worlds
+from zipf.envs.labyrinth.topdown import draw_map
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.labyrinth.world import Episode, World
 from zipf.envs.vector import Observation, ZipfVectorEnv
@@ -44,10 +46,11 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
     ) -> None:
         self.level = by_name(level)
         self._rules = self.level.load()
-        if num_actions not in TABLES:
-            raise ValueError(f"num_actions must be one of {list(TABLES)}, got {num_actions!r}")
-        self.action_repeat = action_repeat
-        height, width = image_size
+        height, width = read_image_size(image_size)
+        if not isinstance(num_actions, int) or num_actions not in TABLES:
+            known = " or ".join(map(str, TABLES))
+            raise ValueError(f"num_actions must be {known}, got {num_actions!r}")
+        self.action_repeat = read_count("action_repeat", action_repeat)
         super().__init__(
             num_envs,
             single_observation_space=spaces.Dict(
@@ -63,10 +66,10 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
             render_mode=render_mode,
         )
         n = num_envs
-        longest = max(level.frames for level in LEVELS.values())
+        longest = max(map(self._steps, LEVELS.values()))
         # How the episode began, and the actions since.
         self._seeds = np.zeros(n, np.float64)
-        self._actions = np.zeros((n, -(-longest // action_repeat)), np.uint8)
+        self._actions = np.zeros((n, longest), np.uint8)
         # The state that follows from them.
         self.worlds = make_worlds(n)
         self.episodes: list[Episode | None] = [None] * n
@@ -76,6 +79,19 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self._rewards = np.zeros(n)
         self._left, self._part = np.zeros((2, n), np.int64)
         self._event, self._index = np.zeros((2, n), np.int64)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One frame of each world, uint8 [288, 672, 3], with `render_mode="rgb_array"`: the view
+        of the player, and beside it the map from above."""
+        if self.render_mode is None:
+            return None
+        views = self._scenery.large_views()
+        maps = [draw_map(self.worlds, self._scenery, i) for i in range(self.num_envs)]
+        return tuple(np.hstack(pair) for pair in zip(views, maps, strict=True))
+
+    def _steps(self, level: Level) -> int:
+        """The most steps of an episode of a level."""
+        return -(-level.frames // self.action_repeat)
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         for i in np.flatnonzero(mask).tolist():
@@ -160,6 +176,18 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         return {"seeds": self._seeds, "actions": self._actions}
 
     def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+        most = self._steps(self.level)
+        if (
+            not ((state["seeds"] >= 0) & (state["seeds"] < 1)).all()
+            or (state["actions"] >= self.single_action_space.n).any()
+            or (state["lengths"] < 0).any()
+            or (state["lengths"] > most).any()
+            or (state["running"] & (state["lengths"] == most)).any()
+            or (state["running"] & ~state["seeded"]).any()
+        ):
+            raise ValueError(
+                "the state is of another level, or damaged: seeds, actions or lengths out of range"
+            )
         self._seeds[:] = state["seeds"]
         self._actions[:] = state["actions"]
         self._replay(state["seeded"], state["lengths"])
@@ -170,3 +198,9 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         for t in range(int(lengths.max(where=begun, initial=0))):
             self._play(begun & (lengths > t), self._actions[:, t].astype(np.int64))
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**super().__getstate__(), "episodes": [None] * self.num_envs}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._replay(self._seeded, self._lengths)

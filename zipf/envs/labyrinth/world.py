@@ -557,11 +557,11 @@ class Episode(ABC):
         It reads the state of the world, to show that the level can be solved.
         """
 
-    def picked_up(self, item: int) -> None:
+    def picked_up(self, item: int) -> None:  # noqa: B027
         """The player has touched an item, which is gone now."""
 
-    def entered(self, zone: int) -> None:
+    def entered(self, zone: int) -> None:  # noqa: B027
         """The player has entered a zone."""
 
-    def went_off(self, timer: int) -> None:
+    def went_off(self, timer: int) -> None:  # noqa: B027
         """A timer has gone off."""

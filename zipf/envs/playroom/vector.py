@@ -1,6 +1,5 @@
 """Zipf's Playroom, many worlds at once."""
 
-import operator
 from collections.abc import Hashable, Mapping, Sequence
 from typing import Any, Self
 
@@ -9,6 +8,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from zipf.envs.arguments import read_count, read_image_size
 from zipf.envs.playroom import hand, judgement, layout, levels
 from zipf.envs.playroom.actions import ACTIONS
 from zipf.envs.playroom.room import Room, furniture_of
@@ -43,23 +43,14 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         render_mode: str | None = None,
     ) -> None:
         self.level = levels.by_name(level)
-        sizes = _whole_numbers(image_size)
-        if sizes is None or len(sizes) != 2 or min(sizes) < 1:
-            raise ValueError(
-                "image_size must be (height, width), whole numbers of at least 1, "
-                f"got {image_size!r}"
-            )
+        height, width = read_image_size(image_size)
         if object_order not in tuple(levels.ORDERS):
             raise ValueError(
                 f"object_order must be {' or '.join(map(repr, levels.ORDERS))}, "
                 f"got {object_order!r}"
             )
-        steps = _whole_numbers([max_steps])
-        if steps is None or steps[0] < 1:
-            raise ValueError(f"max_steps must be a whole number of at least 1, got {max_steps!r}")
         self.object_names = levels.ORDERS[object_order]
-        self.max_steps = max_steps
-        height, width = sizes
+        self.max_steps = read_count("max_steps", max_steps)
         super().__init__(
             num_envs,
             single_observation_space=spaces.Dict(
@@ -241,11 +232,3 @@ class PlayroomVectorEnv(ZipfVectorEnv):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._replay(self._seeded, self._lengths)
-
-
-def _whole_numbers(values: Any) -> list[int] | None:
-    """The values as integers, or None if they are not whole numbers."""
-    try:
-        return [operator.index(value) for value in values]
-    except TypeError:
-        return None

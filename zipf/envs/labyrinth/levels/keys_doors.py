@@ -108,7 +108,9 @@ class _Planner:
     def add_trap(self, competitor: int, colour: str, later: list[str]) -> bool:
         """A room with the same door as the competitor's, and a key that is needed later."""
         older = [
-            room for room in range(competitor) if room not in self.traps and self.free_position(room)
+            room
+            for room in range(competitor)
+            if room not in self.traps and self.free_position(room)
         ]
         if not older or not later:
             return False

@@ -42,7 +42,6 @@ class Natlab(Episode):
     of the original that could be read.
     """
 
-
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
         self.terrain, time = self.choose(rng)
@@ -80,9 +79,7 @@ class Natlab(Episode):
         for item, (x, y) in self.mushrooms.items():
             self.world.put(item, x, y, self.terrain.height(x, y))
         x, y = self.terrain.starts[int(rng.integers(len(self.terrain.starts)))]
-        self.world.place_player(
-            x, y, float(rng.uniform(0, 2 * np.pi)), self.terrain.height(x, y)
-        )
+        self.world.place_player(x, y, float(rng.uniform(0, 2 * np.pi)), self.terrain.height(x, y))
 
     def picked_up(self, item: int) -> None:
         self.world.reward(1)

@@ -35,7 +35,6 @@ class CollectGoodObjects(Episode):
     Rewards: +1 for a good object, -1 for a bad one.
     """
 
-
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
         bad, good, look = _CONFIGURATIONS[int(rng.integers(len(_CONFIGURATIONS)))]

@@ -25,7 +25,6 @@ class KeysDoorsPuzzle(Episode):
     Approximated: see `keys_doors`.
     """
 
-
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
         self.plan = plan = random_plan(rng)
@@ -68,9 +67,7 @@ class KeysDoorsPuzzle(Episode):
             world.add_item("key_large", colours=(COLOURS[colour], COLOURS[colour]))
             for _, colour in plan.keys
         ]
-        self.lolly = world.add_item(
-            "ice_lolly_large", colours=((255, 140, 0), (240, 200, 120))
-        )
+        self.lolly = world.add_item("ice_lolly_large", colours=((255, 140, 0), (240, 200, 120)))
         solved = solve(plan)
         assert solved is not None
         self.best, self.steps = solved

@@ -9,11 +9,11 @@ from zipf.envs.labyrinth.steering import walk_to
 from zipf.envs.labyrinth.world import Episode, World
 
 HEIGHT = 128.0
-FORMS = (
+_FORMS = (
     "barbell coil cone crossbar cube cylinder double_prism glow_ball potcone prism_jack sphere "
     "toroid"
-).split()
-OBJECTS = tuple(f"{form}_{look}" for form in FORMS for look in range(3))
+)
+OBJECTS = tuple(f"{form}_{look}" for form in _FORMS.split() for look in range(3))
 _COLOURS: tuple[tuple[Colour, Colour], ...] = (
     ((230, 60, 50), (250, 230, 90)),
     ((60, 190, 90), (240, 240, 240)),
@@ -37,7 +37,6 @@ class SelectNonmatchingObject(Episode):
     new map, in the first room.
     Rewards: +1 for the pad, +10 for the other object, -10 for the one shown.
     """
-
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)

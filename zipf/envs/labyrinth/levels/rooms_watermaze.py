@@ -30,7 +30,6 @@ class Watermaze(Episode):
     held at once.
     """
 
-
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
         world.add_ring(APOTHEM, SIDES, HEIGHT, "wall_5", tint=(110, 150, 235))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,7 @@ def _doubled(path: list[Cell]) -> list[Cell]:
     """The cells of a path of lattice nodes, with the cells between them."""
     cells = [(2 * row + 1, 2 * column + 1) for row, column in path]
     between = [
-        ((a[0] + b[0]) // 2, (a[1] + b[1]) // 2) for a, b in zip(cells, cells[1:], strict=False)
+        ((a[0] + b[0]) // 2, (a[1] + b[1]) // 2) for a, b in pairwise(cells)
     ]
     return [cell for pair in zip(cells, between, strict=False) for cell in pair] + cells[-1:]
 
@@ -111,7 +112,6 @@ class IrreversiblePath(Episode):
     Rules: downwards any step can be taken, upwards none.
     Rewards: +100 for the goal, which ends the episode.
     """
-
 
     @staticmethod
     def difficulty(rng: np.random.Generator) -> float:
