@@ -78,10 +78,10 @@ def move(worlds, i, turn, rise, strafe, forward):
             if reached != wanted:
                 body[VX + axis] = 0.0
             body[X + axis] = reached
-    _stay_in_room(worlds, i)
     if worlds.quad[i] > 0.0:
         _stay_off_pillars(worlds, i)
         _stay_off_slopes(worlds, i, before_x, before_y)
+    _stay_in_room(worlds, i)
     if worlds.held[i]:
         body[X], body[Y] = worlds.hold[i, 0], worlds.hold[i, 1]
         body[Z] = min(body[Z] + RISE, worlds.hold[i, 2] + BELOW)

@@ -20,8 +20,9 @@ FIELD_OF_VIEW = 90.0
 """Horizontal, degrees (DeepMind Lab)."""
 LARGE = 288, 384
 """Height and width of the views for people to watch."""
-WALLS, FLATS, OVERLAYS = 720, 176, 4
-"""Capacities of each world."""
+WALLS, FLATS, OVERLAYS = 768, 288, 4
+"""Capacities of each world. The most are those of a skymaze of 10 x 10 nodes that all connect: 280
+platforms, 760 sides."""
 BOB, TURN = 4.0, 2.05
 """How far an item that is not static rises and sinks, units, and seconds of a turn."""
 SIDES = (

@@ -120,6 +120,7 @@ def clear(worlds: Worlds, world: int) -> None:
         ("clock", 0), ("limit", 1), ("ending", -1), ("finishing", False), ("bodies", 0.0),
         ("pushed", 0), ("cells", 0), ("solid", False), ("floor", 0.0), ("box_count", 0),
         ("plane_count", 0), ("held", False), ("pillar_count", 0), ("quad", 0.0),
-        ("touchable", False), ("present", False), ("returning", -1), ("zones", 0.0), ("inside", False), ("timers", -1),
+        ("touchable", False), ("present", False), ("returning", -1), ("zones", 0.0),
+        ("inside", False), ("timers", -1),
     ):  # fmt: skip
         getattr(worlds, name)[world] = value

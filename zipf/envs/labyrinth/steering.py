@@ -167,7 +167,7 @@ class Field(Ways):
         low, high: corners of the floor that the player's point may be on.
         goal: x and y.
         obstacles: points to keep away from.
-        away: how far.
+        away: how far, along x or y; what is touched is a box.
         walls: further rectangles to keep out of, x0, y0, x1, y1.
     """
 
@@ -188,13 +188,19 @@ class Field(Ways):
         x, y = x + low[0], y + low[1]
         solid = np.zeros((rows, columns), np.bool_)
         for point in obstacles:
-            solid |= np.hypot(x - point[0], y - point[1]) < away
+            solid |= (abs(x - point[0]) < away) & (abs(y - point[1]) < away)
         for x0, y0, x1, y1 in walls:
             solid |= (x > x0) & (x < x1) & (y > y0) & (y < y1)
         self.goal = int((goal[1] - low[1]) // size), int((goal[0] - low[0]) // size)
         solid[self.goal] = False
         super().__init__(solid, [self.goal], origin=low, size=size, margin=1.0)
 
+    def is_cut_off(self, world: World) -> bool:
+        """Whether obstacles leave the player, who keeps away from them, no way."""
+        x, y, *_ = world.player
+        own = self.cell_of(x, y)
+        return not self.solid[own] and bool(self.distances[self.goal][own] < 0)
+
     def walk(self, world: World) -> int:
         """The action that walks to the goal."""
-        return self.walk_to(world, self.goal)
+        return self.walk_to(world, self.goal, slowly=True)

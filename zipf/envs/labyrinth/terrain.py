@@ -124,7 +124,7 @@ def _heights(rng: np.random.Generator, size: float) -> NDArray[np.float64]:
     corners = np.arange(QUADS + 1) / QUADS
     heights = np.zeros((QUADS + 1, QUADS + 1))
     for octave in range(4):
-        cells = 3 * 2**octave
+        cells = 2 * 2**octave
         values = rng.uniform(-1, 1, (cells + 2, cells + 2))
         at = corners * cells
         low = np.floor(at).astype(int)
@@ -132,8 +132,8 @@ def _heights(rng: np.random.Generator, size: float) -> NDArray[np.float64]:
         part = part * part * (3 - 2 * part)
         along = values[low] * (1 - part)[:, None] + values[low + 1] * part[:, None]
         octave_heights = along[:, low] * (1 - part) + along[:, low + 1] * part
-        heights += octave_heights * 0.5**octave
-    heights *= rng.uniform(35, 140) / heights.std()
+        heights += octave_heights * 0.45**octave
+    heights *= rng.uniform(33, 130) / heights.std()
     while (_normal_z(heights, size) > WALKABLE).mean() < 0.8:
         padded = np.pad(heights, 1, mode="edge")
         heights = (

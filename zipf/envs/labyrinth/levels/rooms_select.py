@@ -20,7 +20,7 @@ _COLOURS: tuple[tuple[Colour, Colour], ...] = (
     ((250, 150, 40), (70, 40, 120)),
 )
 """Of the three looks of a form."""
-_BLUE: Colour = (86, 126, 206)
+_BLUE: Colour = (150, 185, 255)
 _SAMPLES = ((40.0, 64.0), (40.0, -192.0))
 _CHOICES = ((600.0, 64.0), (600.0, -192.0))
 _PAD = (64.0, -64.0)
@@ -45,14 +45,14 @@ class SelectNonmatchingObject(Episode):
             ((256.0, -128.0), (384.0, 0.0)),
             ((384.0, -248.0), (640.0, 128.0)),
         ):
-            world.add_floor(low, high, "floor_13")
-        world.add_room((-256.0, -256.0), (128.0, 128.0), HEIGHT, "wall_5", tint=_BLUE)
-        world.add_room((384.0, -248.0), (640.0, 128.0), HEIGHT, "wall_5", tint=_BLUE,
+            world.add_floor(low, high, "floor_11")
+        world.add_room((-256.0, -256.0), (128.0, 128.0), HEIGHT, "wall_7", tint=_BLUE)
+        world.add_room((384.0, -248.0), (640.0, 128.0), HEIGHT, "wall_7", tint=_BLUE,
                        open_sides="west")  # fmt: skip
-        world.add_room((256.0, -128.0), (384.0, 0.0), HEIGHT, "wall_5", tint=_BLUE,
+        world.add_room((256.0, -128.0), (384.0, 0.0), HEIGHT, "wall_7", tint=_BLUE,
                        open_sides="east")  # fmt: skip
         for south, north in ((-288.0, -128.0), (0.0, 168.0)):
-            world.add_block((344.0, south, 0), (384.0, north, HEIGHT), "wall_5", tint=_BLUE)
+            world.add_block((344.0, south, 0), (384.0, north, HEIGHT), "wall_7", tint=_BLUE)
         for south, north in ((24.0, 104.0), (-232.0, -152.0)):
             world.add_block((0.0, south, 0), (80.0, north, 80.0), None)
         for place in (*_SAMPLES, *_CHOICES):
@@ -61,7 +61,7 @@ class SelectNonmatchingObject(Episode):
             )
             world.put(stand, *place)
         pad = world.add_item(
-            "teleport_pad", colours=((70, 220, 230), (30, 90, 130)), spins=False, seen_only=True
+            "teleport_pad", colours=((250, 210, 40), (200, 60, 30)), spins=False, seen_only=True
         )
         world.put(pad, *_PAD)
         self.pad = world.add_zone((40.0, -88.0, 8.0), (88.0, -40.0, 48.0))

@@ -32,7 +32,7 @@ class Watermaze(Episode):
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
-        world.add_ring(APOTHEM, SIDES, HEIGHT, "wall_5", tint=(110, 150, 235))
+        world.add_ring(APOTHEM, SIDES, HEIGHT, "wall_7", tint=(150, 185, 255))
         side = APOTHEM + 40
         world.add_floor((-side, -side), (side, side), "floor_4", tint=(120, 170, 255), repeat=200)
         for k in range(STARTS):

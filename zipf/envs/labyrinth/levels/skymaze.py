@@ -67,9 +67,7 @@ def random_heights(
 def _doubled(path: list[Cell]) -> list[Cell]:
     """The cells of a path of lattice nodes, with the cells between them."""
     cells = [(2 * row + 1, 2 * column + 1) for row, column in path]
-    between = [
-        ((a[0] + b[0]) // 2, (a[1] + b[1]) // 2) for a, b in pairwise(cells)
-    ]
+    between = [((a[0] + b[0]) // 2, (a[1] + b[1]) // 2) for a, b in pairwise(cells)]
     return [cell for pair in zip(cells, between, strict=False) for cell in pair] + cells[-1:]
 
 
