@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 import zipf.envs
+from zipf.envs.labyrinth.levels import LEVELS
 
 LEVEL = "gridworld/zipf_2"
 ORIGINAL_FRAMES_PER_SECOND = 4195
@@ -36,6 +37,7 @@ PLAYROOM = {
     "playroom/supervised/find_shape_zipf3": None,
 }
 """Levels to measure, with the steps per second that are the goal."""
+LABYRINTH_MEAN, LABYRINTH_EACH = 15000, 6000  # steps per second, the goals
 UNITY_STEPS_PER_SECOND = 900 / 4  # the paper: about 900 frames/s with a GPU, four an action
 GOALS = {"batch of 256, out=": 450, "batch of 1024, out=": 250, "gym.make": 20}
 
@@ -153,21 +155,46 @@ def rows() -> Iterator[Row]:
     yield single()
 
 
-class PlayroomParts:
-    """A batch of playrooms, and where the time of its steps goes."""
+class Parts:
+    """A batch of worlds, and where the time of its steps goes.
 
-    def __init__(self, level: str, num_envs: int) -> None:
+    Args:
+        level: of the worlds.
+        num_envs: how many.
+        methods: of the batch, and the part of the time that is spent in them.
+        rest: the part that is spent elsewhere.
+    """
+
+    def __init__(self, level: str, num_envs: int, methods: dict[str, str], rest: str) -> None:
         self.env = zipf.envs.make_vec(level, num_envs)
-        self.spent = dict.fromkeys(("physics", "logic", "beginning", "rendering"), 0.0)
+        self.spent = dict.fromkeys((*methods.values(), rest), 0.0)
+        self._rest = rest
         self._out = self.env.allocate()
-        self._actions = np.random.default_rng(0).integers(46, size=(256, num_envs))
+        count = int(self.env.single_action_space.n)
+        self._actions = np.random.default_rng(0).integers(count, size=(256, num_envs))
         self._calls = 0
         self._steps = 0
         self.env.reset(seed=0, out=self._out)
         self.run(50)
-        self._time("_simulate", "physics")
-        self._time("_start", "beginning")
-        self._time("_observe", "rendering")
+        for method, part in methods.items():
+            self._time(method, part)
+        self.forget()
+
+    def stagger(self, steps: int) -> None:
+        """Begins the worlds' episodes one after another over so many steps.
+
+        A measurement is shorter than an episode: this way its share of resets is the right one.
+        """
+        everywhere = np.arange(self.env.num_envs)
+        for world in everywhere.tolist():
+            self.env.reset(options={"reset_mask": everywhere == world}, out=self._out)
+            self.run(steps // self.env.num_envs)
+        self.forget()
+
+    def forget(self) -> None:
+        """Counts anew."""
+        self._steps = 0
+        self.spent = dict.fromkeys(self.spent, 0.0)
 
     def run(self, calls: int) -> None:
         start, counted = time.process_time(), sum(self.spent.values())
@@ -176,7 +203,7 @@ class PlayroomParts:
             self._calls += 1
         self._steps += calls * self.env.num_envs
         elsewhere = sum(self.spent.values()) - counted
-        self.spent["logic"] += time.process_time() - start - elsewhere
+        self.spent[self._rest] += time.process_time() - start - elsewhere
 
     def microseconds(self) -> dict[str, float]:
         """Of a world's step, by what they are spent on."""
@@ -195,7 +222,8 @@ class PlayroomParts:
 
 
 def print_playroom(console: Console, repetitions: int, seconds: float) -> None:
-    batches = {level: PlayroomParts(level, 64) for level in PLAYROOM}
+    methods = {"_simulate": "physics", "_start": "beginning", "_observe": "rendering"}
+    batches = {level: Parts(level, 64, methods, "logic") for level in PLAYROOM}
     measured = [Row(level, 64, parts.run) for level, parts in batches.items()]
     for _ in range(repetitions):
         for row in measured:
@@ -229,6 +257,42 @@ def print_playroom(console: Console, repetitions: int, seconds: float) -> None:
     )
 
 
+def print_labyrinth(console: Console, repetitions: int, seconds: float) -> None:
+    """Every level; resets are spread over the steps as in long runs."""
+    methods = {"_tell": "rules", "_start": "beginning", "_observe": "rendering"}
+    table = Table(
+        title="the labyrinth, one core, batch of 64, out=, random actions, resets included",
+        title_justify="left",
+    )
+    table.add_column("", no_wrap=True)
+    for column in ("steps/s", "lowest .. highest", "goal"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for part in ("physics", *methods.values()):
+        table.add_column(f"{part}, us", justify="right")
+    speeds = []
+    for name, level in LEVELS.items():
+        parts = Parts(f"labyrinth/{name}", 64, methods, "physics")
+        parts.stagger(level.seconds * 15)
+        row = Row(name, 64, parts.run)
+        for _ in range(repetitions):
+            row.measure(seconds)
+        spent = parts.microseconds()
+        speeds.append(row.median)
+        table.add_row(
+            name,
+            f"{row.median:,.0f}",
+            f"{min(row.speeds):,.0f} .. {max(row.speeds):,.0f}",
+            f">= {LABYRINTH_EACH:,}",
+            *(f"{spent[part]:.1f}" for part in ("physics", *methods.values())),
+        )
+    table.add_row(
+        "mean of the levels", f"{statistics.mean(speeds):,.0f}", "", f">= {LABYRINTH_MEAN:,}"
+    )
+    together = statistics.harmonic_mean(speeds)
+    table.add_row("the same steps on all levels", f"{together:,.0f}", "", f">= {LABYRINTH_MEAN:,}")
+    console.print(table)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repetitions", type=int, default=7)
@@ -239,6 +303,7 @@ def main() -> None:
         os.sched_setaffinity(0, {arguments.core})
 
     console = Console(width=120)
+    print_labyrinth(console, arguments.repetitions, arguments.seconds)
     print_playroom(console, arguments.repetitions, arguments.seconds)
     measured = [(row, memcpy(row.frames, row.bytes_per_frame)) for row in rows()]
     released = original()

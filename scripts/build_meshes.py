@@ -1,4 +1,5 @@
-"""Build every mesh of the playroom and write zipf/envs/render3d/meshes.npz.
+"""Build every mesh of the playroom and of the labyrinth, and write the two atlases:
+zipf/envs/render3d/meshes.npz and zipf/envs/labyrinth/meshes.npz.
 
     python scripts/build_meshes.py
 
@@ -8,10 +9,10 @@ The same code gives the same bytes. Prints a table of what was built.
 from pathlib import Path
 
 import numpy as np
-from meshes import furniture, toys_first, toys_second
+from meshes import furniture, labyrinth, toys_first, toys_second
 from meshes.shapes import Mesh
 
-TARGET = Path(__file__).parent.parent / "zipf" / "envs" / "render3d" / "meshes.npz"
+ENVS = Path(__file__).parent.parent / "zipf" / "envs"
 
 
 def build() -> dict[str, Mesh]:
@@ -41,14 +42,23 @@ def pack(meshes: dict[str, Mesh]) -> dict[str, np.ndarray]:
     }
 
 
+ATLASES = {
+    ENVS / "render3d" / "meshes.npz": build,
+    ENVS / "labyrinth" / "meshes.npz": labyrinth.build,
+}
+"""The files, and what builds the meshes in them."""
+
+
 def main() -> None:
-    meshes = build()
-    np.savez(TARGET, **pack(meshes))  # type: ignore[arg-type]
-    print(f"{'name':<12}{'triangles':>10}   extent x, y, z (m)")
-    for name, mesh in meshes.items():
-        x, y, z = mesh.extent
-        print(f"{name:<12}{len(mesh.triangles):>10}   {x:.3f} {y:.3f} {z:.3f}")
-    print(f"wrote {TARGET.name}: {len(meshes)} meshes, {TARGET.stat().st_size / 1024:.0f} KiB")
+    for target, make in ATLASES.items():
+        meshes = make()
+        np.savez(target, **pack(meshes))  # type: ignore[arg-type]
+        print(f"{'name':<16}{'triangles':>10}   extent x, y, z (m)")
+        for name, mesh in meshes.items():
+            x, y, z = mesh.extent
+            print(f"{name:<16}{len(mesh.triangles):>10}   {x:.3f} {y:.3f} {z:.3f}")
+        size = target.stat().st_size / 1024
+        print(f"wrote {target.relative_to(ENVS)}: {len(meshes)} meshes, {size:.0f} KiB")
 
 
 if __name__ == "__main__":

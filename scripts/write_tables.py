@@ -12,11 +12,14 @@ page is out of date.
 """
 
 import ast
+import inspect
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from zipf import envs
+from zipf.envs.labyrinth import references
+from zipf.envs.labyrinth.levels import LEVELS
 from zipf.experiments import catalogue, composing
 
 ROOT = Path(__file__).parent.parent
@@ -74,6 +77,29 @@ def levels(family: str) -> list[str]:
         scores = ("" if one is None else f"{one.score:.3f}" for one in known)
         rows.append((code(name), ", ".join(uses.get(name, [])), *scores))
     return markdown(("Level", "Used by split", "Chance", "Blind"), rows)
+
+
+def labyrinth() -> list[str]:
+    """The labyrinth's levels: length and, from the docstrings of their rules, goal and rewards."""
+    rows = []
+    for name, level in LEVELS.items():
+        text = inspect.getdoc(level.load()) or ""
+        goal = re.search(r"Goal: (.*?)\n\n", text, re.DOTALL)
+        rewards = re.search(r"\nRewards: (.*?)(?:\n\w[\w ,]*:|$)", text, re.DOTALL)
+        assert goal is not None, name
+        told = " ".join(rewards[1].split()) if rewards else "+1 for a mushroom."
+        rows.append((code(name), " ".join(goal[1].split()), told, f"{level.seconds} s"))
+    return markdown(("Level", "Goal", "Rewards", "Length"), rows)
+
+
+def labyrinth_references() -> list[str]:
+    """What random actions, experts and people score in the labyrinth."""
+    rows = []
+    for name, level in LEVELS.items():
+        own = references.measured()[name]
+        both = (f"{one.mean:.1f} ± {one.error:.1f}" for one in (own.random, own.expert))
+        rows.append((code(name), f"{level.random:g}", f"{level.human:g}", *both))
+    return markdown(("Level", "Random, published", "Human, published", "Random", "Expert"), rows)
 
 
 def constructor_options(family: str) -> list[str]:
@@ -153,6 +179,8 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "families": families,
     "levels": levels,
     "constructor_options": constructor_options,
+    "labyrinth": labyrinth,
+    "labyrinth_references": labyrinth_references,
     "splits": splits,
     "experiments": experiments,
     "conditions": conditions,

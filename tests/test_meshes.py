@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from surfaces import assert_closed_and_outward, assert_no_shared_plane, inside, mesh_of
 
 from zipf.envs.playroom.constants import EYE, FURNITURE_SIZE
 from zipf.envs.playroom.levels import OBJECTS, SUPPORTS
@@ -20,40 +21,7 @@ ATLAS = load_meshes()
 
 
 def mesh(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, triangles (indices into just these vertices) and parts of one mesh."""
-    i = ATLAS.index(name)
-    vertices = slice(ATLAS.first_vertex[i], ATLAS.first_vertex[i + 1])
-    triangles = slice(ATLAS.first_triangle[i], ATLAS.first_triangle[i + 1])
-    return (
-        ATLAS.vertices[vertices].astype(np.float64),
-        ATLAS.triangles[triangles] - ATLAS.first_vertex[i],
-        ATLAS.parts[triangles],
-    )
-
-
-def solids(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """For each triangle the number of the connected surface that it belongs to."""
-    label = np.arange(len(vertices))
-    while True:
-        lowest = label[triangles].min(axis=1)
-        spread = label.copy()
-        np.minimum.at(spread, triangles.ravel(), lowest.repeat(3))
-        if np.array_equal(spread, label):
-            return label[triangles[:, 0]]
-        label = spread
-
-
-def inside(points: np.ndarray, corners: np.ndarray, margin: float = 0.0) -> np.ndarray:
-    """Which points [P, 2] lie in which triangles [T, 3, 2]: bool [T, P]."""
-    a, b, c = corners.transpose(1, 0, 2)[:, :, None]
-
-    def side(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return (v[..., 0] - u[..., 0]) * (points[:, 1] - u[..., 1]) - (v[..., 1] - u[..., 1]) * (
-            points[:, 0] - u[..., 0]
-        )
-
-    sides = np.stack([side(a, b), side(b, c), side(c, a)])
-    return (sides > margin).all(axis=0) | (sides < -margin).all(axis=0)
+    return mesh_of(ATLAS, name)
 
 
 def test_the_atlas_has_every_object_by_rank_and_the_furniture():
@@ -114,39 +82,13 @@ def test_a_toy_is_large_enough_to_see_and_small_enough_for_the_tray(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_mesh_is_made_of_closed_surfaces_that_face_outwards(name):
-    vertices, triangles, _ = mesh(name)
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    there = {tuple(edge) for edge in edges.tolist()}
-    assert len(there) == len(edges)
-    assert there == {(b, a) for a, b in there}
-
-    corners = vertices[triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert np.linalg.norm(normals, axis=1).min() > 1e-8
-    surface = solids(vertices, triangles)
-    for label in np.unique(surface):
-        own = corners[surface == label] - corners[surface == label].mean(axis=(0, 1))
-        volume = np.einsum("ti,ti->", own[:, 0], np.cross(own[:, 1], own[:, 2])) / 6
-        assert volume > 1e-8
+    assert_closed_and_outward(*mesh(name)[:2])
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_two_colours_lie_in_one_plane(name):
     """The depth buffer could not decide between them."""
-    vertices, triangles, parts = mesh(name)
-    corners = vertices[triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    offset = np.einsum("ti,ti->t", normals, corners[:, 0])
-    # [i, j]: the largest distance of triangle j from the plane of triangle i.
-    far = np.abs(np.einsum("ik,jck->ijc", normals, corners) - offset[:, None, None]).max(axis=2)
-    together = (far < 3e-5) & (normals @ normals.T > 0.999) & (parts[:, None] != parts)
-    together &= normals[:, 2:] > -0.99  # the underside is never visible
-    weights = np.array([(a, b, 6 - a - b) for a in range(1, 5) for b in range(1, 6 - a)]) / 6
-    for i, j in zip(*np.nonzero(together), strict=True):
-        axes = np.delete(np.arange(3), np.abs(normals[i]).argmax())
-        shared = inside((weights @ corners[j])[:, axes], corners[i][None, :, axes], 1e-8)
-        assert not shared.any(), (corners[i], corners[j])
+    assert_no_shared_plane(*mesh(name))
 
 
 def heights(name: str, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:

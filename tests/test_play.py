@@ -33,7 +33,10 @@ from zipf.experiments.playing.recording import Recording
 from zipf.experiments.running import runner
 
 PATIENCE = 120.0  # seconds, on a machine busy with other things
-FAMILIES = {name: family.splits[0].rare[0].name for name, family in envs.families().items()}
+FAMILIES = {
+    name: family.splits[0].rare[0].name if family.splits else f"{name}/{family.levels[0]}"
+    for name, family in envs.families().items()
+}
 NAMED = {"up", "down", "left", "right", "home", "end", "pageup", "pagedown"} | {
     *("space", "tab", "backspace")
 }

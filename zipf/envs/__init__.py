@@ -76,7 +76,7 @@ __all__ = [
     "zipfian",
 ]
 
-for _package in ("gridworld", "playroom"):
+for _package in ("gridworld", "playroom", "labyrinth"):
     register(import_module(f"zipf.envs.{_package}").FAMILY)
 
 

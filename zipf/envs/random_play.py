@@ -65,9 +65,7 @@ def measure(
 ) -> Chance:
     """Plays a level with the actions of a scripted player.
 
-    The first `episodes` episodes to start are counted, however long they are: of many worlds played
-    at a time those with short episodes finish more of them, and counting the first to end would
-    count short ones too often. The same arguments give the same figure on every machine.
+    The same arguments give the same figure on every machine.
 
     Args:
         player: `player(env)` plays a batch: called, it gives actions [N].
@@ -83,11 +81,30 @@ def measure(
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     env = make_vec(level, min(num_envs, episodes), **options)
-    num_envs, act = env.num_envs, player(env)
+    returns = play_returns(env, player(env), episodes, seed=seed)
+    env.close()
+    return Chance(float(returns.mean()), episodes)
+
+
+def play_returns(
+    env: ZipfVectorEnv, act: Player, episodes: int, *, seed: int
+) -> NDArray[np.float64]:
+    """Plays episodes of a batch and gives their returns, float64 [episodes].
+
+    The first `episodes` episodes to start are counted, however long they are: of many worlds played
+    at a time those with short episodes finish more of them, and counting the first to end would
+    count short ones too often.
+
+    Args:
+        env: the batch, which resets worlds in the step that ends their episodes.
+        act: gives the actions of all worlds, [N].
+        episodes: how many, at least 1.
+        seed: of the worlds.
+    """
     returns = np.zeros(episodes)
     # The episode that each world plays, numbered as they start; from `episodes` on, not counted.
-    playing = np.arange(num_envs)
-    started, unfinished = num_envs, episodes
+    playing = np.arange(env.num_envs)
+    started, unfinished = env.num_envs, episodes
     out = env.allocate()
     env.reset(seed=seed, out=out)
     while unfinished:
@@ -101,8 +118,7 @@ def measure(
         new = int(ended.sum())
         playing[ended] = np.arange(started, started + new)
         started += new
-    env.close()
-    return Chance(float(returns.mean()), episodes)
+    return returns
 
 
 def measured(package: str) -> Callable[..., Chance | None]:

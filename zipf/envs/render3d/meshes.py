@@ -1,4 +1,4 @@
-"""The meshes of toys and furniture, which `python scripts/build_meshes.py` builds."""
+"""Atlases of meshes, which `python scripts/build_meshes.py` builds."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -39,10 +39,21 @@ class MeshAtlas:
             raise KeyError(f"no mesh {name!r}; there are {', '.join(self.names)}") from None
 
 
+def load_meshes(path: Path | None = None) -> MeshAtlas:
+    """An atlas: a file that the script wrote, loaded once. Arrays are read-only.
+
+    Args:
+        path: of the file; None for the 50 toys by rank, then the bed and the tray.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+    """
+    return _load(path or Path(__file__).with_name("meshes.npz"))
+
+
 @cache
-def load_meshes() -> MeshAtlas:
-    """The package's meshes: 50 toys by rank, then the bed and the tray. Arrays are read-only."""
-    with np.load(Path(__file__).with_name("meshes.npz"), allow_pickle=False) as file:
+def _load(path: Path) -> MeshAtlas:
+    with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     names = tuple(str(name) for name in arrays.pop("names"))
     for array in arrays.values():

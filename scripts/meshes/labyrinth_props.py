@@ -1,0 +1,309 @@
+"""What else stands in Zipf's Labyrinth: rewards, stands, natural things, and what laser tag needs.
+
+Lengths are centimetres.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from .labyrinth_first import ice_lolly, key
+from .shapes import (
+    ACCENT,
+    DARK,
+    MAIN,
+    Solid,
+    arc,
+    block,
+    box,
+    circle,
+    cone,
+    ellipsoid,
+    lathe,
+    rod,
+    slab,
+    torus,
+    tube,
+)
+from .toys_first import both_sides
+
+
+def apple() -> list[Solid]:
+    flesh = [(0, 3), (4, 0), (10, 4), (12.5, 10), (12, 16), (8, 21.5), (4, 22.5), (0, 19)]
+    leaf = [(0.0, 0.0), (6.0, -4.5), (12.0, 0.0), (6.0, 4.5)]
+    leaves = [slab(leaf, 2.2, ACCENT).turn("y", -20).turn("z", angle) for angle in (70, 250)]
+    return [
+        lathe(flesh, [*[MAIN] * 6, ACCENT]),
+        rod((0, 0, 18), (-1, 0, 30), 1.8, ACCENT, sides=5, end_radius=2.2),
+        *(solid.move(z=23) for solid in leaves),
+    ]
+
+
+def goal() -> list[Solid]:
+    """A trophy: a cup with two handles, and a star on it."""
+    cup = [(0, 0), (9.5, 0), (9, 3), (2.8, 5), (2.8, 8), (8, 11), (10.5, 19), (0, 19)]
+    star = circle(8, 10, start=90)
+    star[1::2] *= 0.45
+    outline = [(float(y), float(z)) for y, z, _ in star]
+    handle = np.array([(0, 8, 18), (0, 13, 19), (0, 14.4, 14), (0, 6, 10)])
+    return [
+        lathe(cup, [*[ACCENT] * 4, *[MAIN] * 3], sides=10),
+        *both_sides(tube(handle, 1.8, ACCENT, sides=4)),
+        *(slab(outline, 3, ACCENT, plane=p, at=(0, 0, 25)) for p in ("yz", "xz")),
+    ]
+
+
+def mushroom() -> list[Solid]:
+    cap = [(0, 12), (9, 10.5), (9.8, 13), (8.4, 18), (5.5, 22.5), (0, 25)]
+    return [
+        lathe([(5, 0), (3.6, 2.5), (3.2, 8), (4, 13)], ACCENT, sides=7),
+        lathe(cap, [ACCENT, *[MAIN] * 4], sides=10),
+    ]
+
+
+def teleport_pad() -> list[Solid]:
+    rim = [(0, 0), (24, 0), (24, 4), (21, 8), (17, 8), (15, 4), (8, 4), (7, 6.5), (0, 6.5)]
+    return [lathe(rim, [*[MAIN] * 4, ACCENT, ACCENT, MAIN, MAIN], sides=12)]
+
+
+def item_stand() -> list[Solid]:
+    plate = [(0, 0), (25, 0), (25, 4), (20, 4), (17, 8), (0, 8)]
+    return [lathe(plate, [ACCENT, ACCENT, ACCENT, MAIN, MAIN], sides=12)]
+
+
+def crate() -> list[Solid]:
+    beams = [box(32, 5, 5, ACCENT, at=(0, y, z)) for y in (-13.5, 13.5) for z in (-13.5, 13.5)]
+    turned = [beam.turn(axis, 90) for axis in ("y", "z") for beam in beams]
+    return [box(30, 30, 30), *beams, *turned]
+
+
+def cactus() -> list[Solid]:
+    trunk = lathe([(0, 0), (20, 0), (25, 60), (25, 200), (20, 270), (8, 298), (0, 300)], sides=8)
+    across = trunk.vertices[trunk.triangles].mean(axis=1)
+    ribs = np.floor(np.degrees(np.arctan2(across[:, 1], across[:, 0])) / 45 - 0.5).astype(int) % 2
+    left = np.array([(0, -15, 110), (0, -36, 112), (0, -40, 130), (0, -40, 190), (0, -38, 215)])
+    right = np.array([(0, 15, 70), (0, 34, 72), (0, 39, 90), (0, 39, 150), (0, 37, 172)])
+    parts = [MAIN, MAIN, ACCENT, MAIN]
+    return [
+        replace(trunk, parts=np.where(ribs == 1, ACCENT, MAIN)),
+        *(tube(arm, [9, 10, 11.5, 11, 4], parts, sides=6) for arm in (left, right)),
+    ]
+
+
+def _lump(seed: float, squash: float) -> Solid:
+    """A boulder on flat ground; `seed` shifts its bumps."""
+    ball = ellipsoid((1, 1, 1), sides=9, rings=5)
+    x, y, z = ball.vertices.T
+    bumps = np.sin(3.1 * x + seed) + np.sin(2.7 * y - 2 * seed) + np.sin(3.7 * z + 3 * seed)
+    vertices = ball.vertices * (1 + 0.13 * bumps)[:, None]
+    vertices[:, 2] = np.maximum(vertices[:, 2], -0.55) * squash
+    return replace(ball, vertices=vertices)
+
+
+def _rock(kind: int) -> list[Solid]:
+    rock = _lump(1.0 + 2.0 * kind, (0.9, 0.7, 1.0)[kind])
+    x, y, z = rock.vertices[rock.triangles].mean(axis=1).T
+    accent = (z > 0.34, np.sin(7 * z + 1.3 * x) > 0.2, np.sin(4 * x + 1) * np.sin(4 * y) > 0.1)[
+        kind
+    ]
+    return [replace(rock, parts=np.where(accent, ACCENT, MAIN))]
+
+
+def rock_0() -> list[Solid]:
+    return _rock(0)
+
+
+def rock_1() -> list[Solid]:
+    return _rock(1)
+
+
+def rock_2() -> list[Solid]:
+    return _rock(2)
+
+
+def bush_0() -> list[Solid]:
+    """Seven tufts."""
+    tufts = [(28.0, angle, 22.0, 22.0) for angle in range(0, 360, 60)] + [(0.0, 0, 34.0, 28.0)]
+    return [
+        ellipsoid((radius, radius, radius), part, sides=6, rings=2)
+        .turn("x", 20)
+        .move(out, 0, height)
+        .turn("z", angle)
+        for (out, angle, height, radius), part in zip(
+            tufts, [MAIN, ACCENT] * 3 + [MAIN], strict=True
+        )
+    ]
+
+
+def bush_1() -> list[Solid]:
+    """Spiky leaves in two circles."""
+    leaf = block((3, 9), (1, 1), 56, MAIN)
+    circles = [(8, 62, 0.0, MAIN), (8, 38, 22.5, ACCENT), (3, 12, 0.0, MAIN)]
+    return [
+        replace(leaf, parts=np.full_like(leaf.parts, part))
+        .turn("y", tilt)
+        .move(2)
+        .turn("z", phase + 360 / count * i)
+        for count, tilt, phase, part in circles
+        for i in range(count)
+    ]
+
+
+def dead_tree() -> list[Solid]:
+    trunk = np.array([(0, 0, 0), (1, 1, 14), (3, -2, 60), (-2, 2, 110), (2, 0, 150), (8, 6, 198)])
+    branches = [
+        ((2, -1, 70), (6, -30, 100), (4, -38, 130)),
+        ((0, 1, 95), (-26, 12, 120), (-38, 10, 155)),
+        ((-2, 2, 112), (14, 30, 140), (10, 38, 168)),
+        ((1, 1, 135), (30, -8, 158), (40, -6, 182)),
+    ]
+    return [
+        tube(trunk.astype(float), [15, 9, 7.5, 6, 4.4, 1.6], MAIN, sides=6),
+        *(tube(np.array(path, dtype=float), [5.4, 4, 1.6], ACCENT, sides=5) for path in branches),
+        *(
+            rod((0, 0, 9), (22 * c, 22 * s, 0), 6, ACCENT, sides=4, end_radius=3)
+            for c, s in ((1, 0.2), (-0.6, 0.8), (-0.4, -0.9))
+        ),
+    ]
+
+
+def desert_arch() -> list[Solid]:
+    path = arc(1.0, -8, 188, 11, plane="yz") * (0, 78, 118)
+    radii = [30, 26, 24, 22, 20, 18, 19, 23, 26, 28, 34]
+    return [tube(path, radii, [MAIN, ACCENT] * 5, sides=7).stretch(x=1.2)]
+
+
+def platform() -> list[Solid]:
+    return [box(126, 126, 84, ACCENT, at=(0, 0, 42)), box(128, 128, 10, MAIN, at=(0, 0, 89))]
+
+
+def body() -> list[Solid]:
+    """A player of laser tag, with its gadget in front."""
+    return [
+        block((12, 15), (14, 20), 16, MAIN, at=(-2, 0, 23)),
+        box(15, 17, 4, ACCENT, at=(-2, 0, 26)),
+        box(5, 5, 3, DARK, at=(-2, 0, 40)),
+        ellipsoid((7, 6.5, 7.4), ACCENT, at=(-1, 0, 48.6), sides=7, rings=3),
+        box(4, 10, 4, DARK, at=(4.4, 0, 49)),
+        box(20, 5, 5, DARK, at=(7, -7, 29)),
+        box(5, 12, 14, ACCENT, at=(-11, 0, 31)),
+        *both_sides(
+            ellipsoid((5, 5, 5), ACCENT, at=(-2, 11, 37), sides=6, rings=1),
+            rod((-2, 12, 36), (1, 12, 27), 3, MAIN, sides=4),
+            block((7, 6.4), (8, 7), 18, DARK, at=(-2, 5, 6)),
+            box(13, 8, 7, MAIN, at=(1, 5.2, 3.5)),
+        ),
+        rod((0, -12, 27), (8, -7.5, 28), 3, MAIN, sides=4),
+        rod((0, 12, 27), (11, -5, 28.5), 2.8, MAIN, sides=4),
+    ]
+
+
+def orb() -> list[Solid]:
+    ring = torus(8.6, 1.9, ACCENT, around=9, sides=3)
+    return [
+        ellipsoid((8.2, 8.2, 8.2), sides=8, rings=3),
+        ring,
+        ring.turn("x", 90),
+    ]
+
+
+def beam_gadget() -> list[Solid]:
+    """Two prongs about an emitter."""
+    return [
+        box(14, 14, 10, MAIN, at=(-7, 0, 13)),
+        block((6, 5), (7, 6), 9, DARK, at=(-9, 0, 0)),
+        box(6, 26, 6, ACCENT, at=(-4, 0, 14)),
+        cone(5, 12, MAIN, sides=6).turn("y", 90).move(0, 0, 13),
+        box(10, 3, 4, ACCENT, at=(-8, 0, 19)),
+        *both_sides(rod((-7, 12, 14), (16, 12, 14), 3.2, ACCENT, sides=6, end_radius=2)),
+    ]
+
+
+def disc_gadget() -> list[Solid]:
+    """A large disc on a grip."""
+    disc = [(0, 10), (8, 10), (15, 12.5), (15, 14.5), (9, 17), (8, 17), (6, 20), (0, 20)]
+    parts = [ACCENT, ACCENT, ACCENT, ACCENT, MAIN, MAIN, MAIN]
+    return [
+        lathe(disc, parts, sides=12),
+        block((9, 9), (6, 6), 11, MAIN),
+    ]
+
+
+def orb_gadget() -> list[Solid]:
+    """A ball in a wide funnel, with side wings."""
+    funnel = [(0, -15), (5, -15), (6, -4), (10, 8), (8, 8), (4, -2), (0, -2)]
+    return [
+        lathe(funnel, [*[MAIN] * 4, DARK, DARK], sides=8).turn("y", 90).move(0, 0, 11),
+        ellipsoid((7, 7, 7), ACCENT, at=(8, 0, 11), sides=7, rings=3),
+        box(8, 30, 3, ACCENT, at=(-8, 0, 11)),
+        block((6, 5), (6, 5), 8, DARK, at=(-8, 0, 0)),
+    ]
+
+
+def health_pack() -> list[Solid]:
+    """A box with a cross on every side."""
+    return [
+        box(28, 28, 18, MAIN, at=(0, 0, 9.6)),
+        box(30, 8, 13, ACCENT, at=(0, 0, 9.6)),
+        box(29, 21, 5.4, ACCENT, at=(0, 0, 9.6)),
+        box(8, 30, 13, ACCENT, at=(0, 0, 9.6)),
+        box(21, 29, 5.4, ACCENT, at=(0, 0, 9.6)),
+        box(22, 8, 20, ACCENT, at=(0, 0, 10)),
+        box(8, 22, 19.4, ACCENT, at=(0, 0, 10)),
+    ]
+
+
+def armour_pack() -> list[Solid]:
+    """A vest with shoulder plates."""
+    vest = [(-9.0, 0.0), (9.0, 0.0), (11.0, 12.0), (7.0, 18.0), (4.0, 13.0), (-4.0, 13.0)]
+    outline = [*vest, (-7.0, 18.0), (-11.0, 12.0)]
+    stripe = [(-7.0, 2.0), (0.0, 6.0), (7.0, 2.0), (7.0, 6.0), (0.0, 10.0), (-7.0, 6.0)]
+    return [
+        slab(outline, 22, MAIN, plane="yz"),
+        slab(stripe, 24, ACCENT, plane="yz"),
+        *both_sides(
+            block((26, 8), (18, 6), 7, ACCENT, at=(0, 11, 13)),
+            box(14, 4, 5, ACCENT, at=(0, 9.6, 4)),
+        ),
+    ]
+
+
+def puff() -> list[Solid]:
+    """A burst: spikes in the six directions of the axes and the eight between."""
+    solids = [ellipsoid((9, 9, 9), ACCENT, sides=6, rings=2)]
+    for axis, turns in (("y", (0, 90, 180, 270)), ("x", (90, 270))):
+        solids += [cone(6, 20, MAIN, sides=4).turn(axis, turn) for turn in turns]
+    for tilt in (54.7, 125.3):
+        for angle in (45, 135, 225, 315):
+            solids.append(cone(5.4, 20, ACCENT, sides=4).turn("y", tilt).turn("z", angle))
+    return solids
+
+
+OBJECTS = {
+    "apple": (apple, (25, 25, 30)),
+    "goal": (goal, (25, 25, 33)),
+    "key_large": (key, (10, 47, 82)),
+    "ice_lolly_large": (ice_lolly, (23, 43, 92)),
+    "mushroom": (mushroom, (19, 18, 25)),
+    "teleport_pad": (teleport_pad, (48, 48, 8)),
+    "item_stand": (item_stand, (50, 45, 8)),
+    "box": (crate, (32, 32, 32)),
+    "cactus": (cactus, (50, 100, 300)),
+    "rock_0": (rock_0, (100, 90, 70)),
+    "rock_1": (rock_1, (100, 90, 70)),
+    "rock_2": (rock_2, (100, 90, 70)),
+    "bush_0": (bush_0, (100, 100, 60)),
+    "bush_1": (bush_1, (100, 100, 60)),
+    "dead_tree": (dead_tree, (80, 80, 200)),
+    "desert_arch": (desert_arch, (60, 200, 150)),
+    "platform": (platform, (128, 128, 94)),
+    "body": (body, (30, 30, 56)),
+    "orb": (orb, (20, 20, 20)),
+    "beam_gadget": (beam_gadget, (30, 30, 20)),
+    "disc_gadget": (disc_gadget, (30, 30, 20)),
+    "orb_gadget": (orb_gadget, (30, 30, 20)),
+    "health_pack": (health_pack, (30, 30, 20)),
+    "armour_pack": (armour_pack, (30, 30, 20)),
+    "puff": (puff, (40, 40, 40)),
+}
+"""The makers by name, with the size along x, y and z in hundredths of a metre."""

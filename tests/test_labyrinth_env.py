@@ -1,0 +1,256 @@
+"""The labyrinth as an environment: batches, states, mixtures, arguments and pictures of it."""
+
+import pickle
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+from labyrinth_levels import batch
+
+from zipf.envs import Mixture, make, make_vec
+from zipf.envs.check import check_vector_env
+from zipf.envs.labyrinth import topdown
+from zipf.envs.labyrinth.levels import LEVELS
+from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
+
+ALL = pytest.mark.parametrize("level", LEVELS)
+SMALL = {"image_size": (9, 12)}
+MAKERS = {level: partial(make_vec, f"labyrinth/{level}") for level in LEVELS}
+
+
+def mixture(num_envs: int, **options: Any) -> Mixture:
+    """All levels, drawn at resets, with short time limits."""
+    env = Mixture(MAKERS, num_envs, draw="resets", exponent=0.0, **{**SMALL, **options})
+    return env
+
+
+@pytest.mark.parametrize(
+    "level",
+    ["rooms_select_nonmatching_object", "rooms_keys_doors_puzzle", "natlab_fixed_large_map"],
+)
+def test_levels_keep_the_contract(level: str) -> None:
+    name = f"labyrinth/{level}"
+    check_vector_env(
+        partial(make_vec, name, **SMALL), partial(make, name, **SMALL), num_envs=3, steps=200
+    )
+
+
+@ALL
+def test_a_batch_is_its_worlds(level: str) -> None:
+    """And masks are respected, and the same seeds and actions give the same."""
+    name = f"labyrinth/{level}"
+    env, singles = make_vec(name, 3, **SMALL), [make(name, **SMALL) for _ in range(3)]
+    first, _ = env.reset(seed=5)
+    for i, single in enumerate(singles):
+        observation, _ = single.reset(seed=5 + i)
+        assert (observation["image"] == first["image"][i]).all()
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        actions = rng.integers(15, size=3)
+        observed, reward, terminated, truncated, _ = env.step(actions)
+        for i, single in enumerate(singles):
+            one, r, over, out_of_time, _ = single.step(actions[i])
+            assert (r, over, out_of_time) == (reward[i], terminated[i], truncated[i])
+            assert (one["image"] == observed["image"][i]).all()
+    again = make_vec(name, 3, **SMALL)
+    again.reset(seed=5)
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        repeated = again.step(rng.integers(15, size=3))
+    assert (repeated[0]["image"] == observed["image"]).all()
+
+
+@ALL
+def test_episodes_are_saved_restored_and_pickled(level: str) -> None:
+    env = batch(level, 4, **SMALL)
+    env.reset(seed=2)
+    rng = np.random.default_rng(0)
+    for _ in range(120):
+        env.step(rng.choice([0, 0, 10, 11, 12, 13, 7], size=4))
+    other = batch(level, 4, **SMALL)
+    other.reset(seed=9)
+    other.set_state(env.get_state())
+    pickled = pickle.loads(pickle.dumps(env))
+    observed = env.observations()
+    for one in (other, pickled):
+        np.testing.assert_equal(one.observations(), observed)
+        np.testing.assert_equal(one.worlds.bodies, env.worlds.bodies)
+    for _ in range(40):
+        actions = rng.integers(15, size=4)
+        expected = env.step(actions)
+        for one in (other, pickled):
+            np.testing.assert_equal(one.step(actions)[:4], expected[:4])
+
+
+def test_worlds_that_are_not_reset_go_on() -> None:
+    env = batch("explore_goal_locations_small", 4, **SMALL, autoreset_mode="Disabled")
+    env.reset(seed=0)
+    env.step(np.zeros(4, np.int64))
+    before = env.worlds.bodies.copy()
+    clock = env.worlds.clock.copy()
+    mask = np.array([False, True, False, True])
+    env.reset(options={"reset_mask": mask})
+    assert (env.worlds.bodies[~mask] == before[~mask]).all()
+    assert (env.worlds.clock[~mask] == clock[~mask]).all()
+    assert (env.worlds.clock[mask] == 0).all()
+    assert (env.worlds.bodies[mask] != before[mask]).any(1).all()
+
+
+def test_ten_thousand_random_steps_of_all_levels() -> None:
+    env = mixture(36)
+    env.reset(seed=0)
+    engine = env.batches[0]
+    assert isinstance(engine, LabyrinthVectorEnv)
+    # Late in their episodes, so that many end and other levels begin.
+    rng = np.random.default_rng(0)
+    levels, total = set(env.levels_of_worlds.tolist()), 0.0
+    for t in range(280):
+        if t % 20 == 0:
+            engine.worlds.clock[:] = np.maximum(engine.worlds.clock, engine.worlds.limit - 130)
+        observation, reward, *_ = env.step(rng.integers(15, size=36))
+        assert np.isfinite(reward).all()
+        assert np.isfinite(engine.worlds.bodies).all()
+        assert observation["image"].shape == (36, 9, 12, 3)
+        levels |= set(env.levels_of_worlds.tolist())
+        total += float(reward.sum())
+    assert levels == set(range(18))
+    assert total > 0
+
+
+def test_a_mixture_of_all_levels_steps_as_one() -> None:
+    env = mixture(8)
+    assert set(env._engine_of.tolist()) == {0}
+    assert all(one.worlds is env.batches[0].worlds for one in env.batches)
+    assert [one.level.name for one in env.batches] == list(LEVELS)
+    env.reset(seed=0)
+    # Each world is as in a batch of its own level: the level is drawn before the episode.
+    for i, level in enumerate(env.levels_of_worlds.tolist()):
+        assert env.batches[0].episodes[i].__class__ is LEVELS[list(LEVELS)[level]].load()
+
+
+def test_a_mixture_is_saved_and_pickled() -> None:
+    env, other = mixture(6), mixture(6)
+    env.reset(seed=0)
+    other.reset(seed=1)
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        env.step(rng.integers(15, size=6))
+    other.set_state(env.get_state())
+    pickled = pickle.loads(pickle.dumps(env))
+    for _ in range(20):
+        actions = rng.integers(15, size=6)
+        expected = env.step(actions)
+        for one in (other, pickled):
+            np.testing.assert_equal(one.step(actions)[:4], expected[:4])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"level": "rooms_water_maze"}, "did you mean 'rooms_watermaze'"),
+        ({"image_size": (72,)}, r"image_size must be \(height, width\).* got \(72,\)"),
+        ({"image_size": (0, 96)}, "image_size must be"),
+        ({"image_size": (7.5, 96)}, "image_size must be"),
+        ({"num_actions": 7}, "num_actions must be 15 or 9, got 7"),
+        ({"num_actions": 15.0}, "num_actions must be 15 or 9, got 15.0"),
+        ({"action_repeat": 0}, "action_repeat must be a whole number of at least 1, got 0"),
+        ({"action_repeat": 2.5}, "action_repeat must be a whole number"),
+        ({"render_mode": "human"}, "render_mode must be one of"),
+    ],
+)
+def test_wrong_arguments(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        LabyrinthVectorEnv(1, **options)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("seeds", 1.0),
+        ("seeds", -0.1),
+        ("seeds", np.nan),
+        ("actions", 15),
+        ("lengths", -1),
+        ("lengths", 1351),
+        ("lengths", 1350),
+    ],
+)
+def test_damaged_states_are_refused(key: str, value: float) -> None:
+    env = batch("explore_goal_locations_small", 2)
+    env.reset(seed=0)
+    env.step(np.zeros(2, np.int64))
+    before = env.get_state()
+    bodies = env.worlds.bodies.copy()
+    damaged = {name: array.copy() for name, array in before.items()}
+    damaged[key].reshape(-1)[0] = value
+    with pytest.raises(ValueError, match="seeds, actions or lengths out of range"):
+        env.set_state(damaged)
+    np.testing.assert_equal(env.get_state(), before)
+    assert (env.worlds.bodies == bodies).all()
+
+
+def test_it_is_registered_with_gymnasium() -> None:
+    env = gym.make("zipf/Labyrinth-v0", level="rooms_watermaze")
+    image = env.observation_space["image"]
+    assert image.shape == (72, 96, 3)
+    assert image.dtype == np.uint8
+    assert env.observation_space["instruction"].shape == (16,)
+    assert env.action_space == gym.spaces.Discrete(15)
+    env.reset(seed=0)
+    *_, info = env.step(0)
+    assert info == {}
+    many = gym.make_vec("zipf/Labyrinth-v0", num_envs=2, level="rooms_watermaze", num_actions=9)
+    assert isinstance(many, LabyrinthVectorEnv)
+    assert many.single_action_space.n == 9
+    assert many.autoreset_mode is AutoresetMode.SAME_STEP
+
+
+def test_the_end_of_an_episode_is_reported() -> None:
+    env = make("labyrinth/rooms_select_nonmatching_object", **SMALL)
+    env.reset(seed=0)
+    info: dict[str, Any] = {}
+    for _ in range(180):
+        assert "return" not in info
+        *_, terminated, truncated, info = env.step(14)
+    assert (terminated, truncated) == (False, True)
+    assert info["length"] == 180
+    assert info["return"] == 0
+    assert "success" not in info
+
+
+# Pictures.
+
+
+@ALL
+def test_frames_show_the_view_and_the_map(level: str) -> None:
+    env = batch(level, 2, render_mode="rgb_array")
+    env.reset(seed=0)
+    frames = env.render()
+    assert frames is not None
+    assert len(frames) == 2
+    for frame in frames:
+        assert frame.shape == (288, 672, 3)
+        assert frame.dtype == np.uint8
+        map_ = frame[:, 384:].reshape(-1, 3)
+        assert len(np.unique(map_, axis=0)) > 20
+    assert (frames[0] != frames[1]).any()
+    assert batch(level, 1).render() is None
+
+
+def test_the_map_shows_where_the_player_is() -> None:
+    env = batch("explore_goal_locations_small", 1, render_mode="rgb_array")
+    env.reset(seed=0)
+    page = topdown._Page(topdown._bounds(env.worlds, env._scenery, 0))
+    for _ in range(3):
+        x, y = env.worlds.bodies[0, :2].tolist()
+        left, top = page.at(x, y)
+        column, row = round(left / 2), round(top / 2)
+        frames = env.render()
+        assert frames is not None
+        near = frames[0][row - 1 : row + 2, 384 + column - 1 : 384 + column + 2]
+        assert (near > 200).all(-1).any()  # the white of the arrow
+        for _ in range(15):
+            env.step(np.array([0]))

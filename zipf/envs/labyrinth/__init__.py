@@ -1,0 +1,38 @@
+"""Zipf's Labyrinth: tasks of DeepMind Lab, seen in the first person."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from zipf.envs.family import Family
+from zipf.envs.labyrinth.levels import LEVELS
+from zipf.options import Options
+
+Size = Annotated[int, Field(ge=1)]
+Pair = Annotated[list[Size], Field(min_length=2, max_length=2)]
+
+
+class LabyrinthOptions(Options):
+    """Constructor options. Other values than these make other worlds than the paper's."""
+
+    image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
+    num_actions: Literal[15, 9] = (
+        15  # ours: with 9 (Espeholt et al. 2018) no agent looks up or down
+    )
+    action_repeat: Size = 4  # paper
+
+
+FAMILY = Family(
+    name="labyrinth",
+    summary="18 of the 30 tasks of DMLab-30, in the first person",
+    id="zipf/Labyrinth-v0",
+    levels=tuple(LEVELS),
+    check="zipf.envs.labyrinth.levels:by_name",
+    options=LabyrinthOptions,
+    make="zipf.envs.labyrinth.single:LabyrinthEnv",
+    make_vec="zipf.envs.labyrinth.vector:LabyrinthVectorEnv",
+    chance="zipf.envs.labyrinth.references:chance",
+    appearance=frozenset({"image_size"}),
+    keys="zipf.envs.labyrinth.keys:KEYS",
+    expert="zipf.envs.labyrinth.expert:Expert",
+)

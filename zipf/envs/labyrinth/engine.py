@@ -1,0 +1,122 @@
+"""Runs the frames of a step in all worlds, compiled, and stops where a level's rules are needed.
+
+A frame is: turn and move, touch items, enter zones, timers, the clock. Whatever happens is told to
+the episode of that world, in Python; then its frames go on where they stopped. Worlds do not
+wait for each other: most steps have no event at all.
+"""
+
+from zipf.compiled import compiled
+from zipf.envs.labyrinth.mover import ABOVE, BELOW, WIDE, move
+from zipf.envs.labyrinth.state import X, Y, Z
+
+NOTHING, MAP, ITEM, ZONE, TIMER = range(5)
+"""Kinds of events: a new map begins, an item was touched, a zone entered, a timer went off."""
+
+TOUCH_X, TOUCH_Y, TOUCH_Z = 40.0, 36.0, 36.0
+"""An item is touched within these distances of the player's point. The original's reach along x is
+from -50 to 44; approximated by a symmetric one."""
+
+_MOVING, _TOUCHING = 0, 1
+
+
+@compiled(error_model="numpy")
+def run(mask, commands, left, part, worlds, over, timed_out, event, index):
+    """Runs the worlds of `mask` until their frames are used up or something happens.
+
+    Args:
+        mask: bool [N].
+        commands: float64 [N, 5], see `actions.commands`.
+        left: int64 [N], frames of the step that are left; written.
+        part: int64 [N], the part of a frame at which a world stopped; written.
+        worlds: `Worlds`, written.
+        over, timed_out: bool [N], set where the level or the clock ends the episode.
+        event, index: int64 [N], what happened and to which item, zone or timer; written.
+
+    Returns whether anything happened.
+    """
+    happened = False
+    for i in range(mask.size):
+        event[i] = NOTHING
+        if not mask[i]:
+            continue
+        while not over[i] and not timed_out[i]:
+            if part[i] == _MOVING:
+                if left[i] == 0:
+                    break
+                if worlds.finishing[i]:
+                    worlds.finishing[i] = False
+                    event[i] = MAP
+                    break
+                left[i] -= 1
+                worlds.clock[i] += 1
+                turn, rise, strafe, forward = commands[i, :4]
+                move(worlds, i, turn, rise, strafe, forward)
+                part[i] = _TOUCHING
+            index[i] = _touched(worlds, i)
+            if index[i] >= 0:
+                worlds.present[i, index[i]] = False
+                event[i] = ITEM
+                break
+            index[i] = _entered(worlds, i)
+            if index[i] >= 0:
+                event[i] = ZONE
+                break
+            index[i] = _expired(worlds, i)
+            if index[i] >= 0:
+                worlds.timers[i, index[i]] = -1
+                event[i] = TIMER
+                break
+            part[i] = _MOVING
+            if worlds.ending[i] > 0:
+                worlds.ending[i] -= 1
+                over[i] = worlds.ending[i] == 0
+            timed_out[i] = not over[i] and worlds.clock[i] >= worlds.limit[i]
+        happened |= event[i] != NOTHING
+    return happened
+
+
+@compiled(error_model="numpy")
+def _touched(worlds, i):
+    """The first item that the player touches, or -1. Items whose time has come return first."""
+    body = worlds.bodies[i]
+    for k in range(worlds.present.shape[1]):
+        if worlds.returning[i, k] >= 0 and worlds.clock[i] >= worlds.returning[i, k]:
+            worlds.returning[i, k] = -1
+            worlds.present[i, k] = True
+        if worlds.present[i, k] and worlds.touchable[i, k]:
+            place = worlds.places[i, k]
+            if (
+                abs(body[X] - place[0]) <= TOUCH_X
+                and abs(body[Y] - place[1]) <= TOUCH_Y
+                and abs(body[Z] - place[2]) <= TOUCH_Z
+            ):
+                return k
+    return -1
+
+
+@compiled(error_model="numpy")
+def _entered(worlds, i):
+    """The first zone that the player has entered since the last call, or -1."""
+    body = worlds.bodies[i]
+    for k in range(worlds.zones.shape[1]):
+        zone = worlds.zones[i, k]
+        inside = (
+            zone[0] - WIDE <= body[X] <= zone[3] + WIDE
+            and zone[1] - WIDE <= body[Y] <= zone[4] + WIDE
+            and zone[2] - ABOVE <= body[Z] <= zone[5] + BELOW
+            and zone[0] < zone[3]
+        )
+        before = worlds.inside[i, k]
+        worlds.inside[i, k] = inside
+        if inside and not before:
+            return k
+    return -1
+
+
+@compiled(error_model="numpy")
+def _expired(worlds, i):
+    """The first timer that has gone off, or -1."""
+    for k in range(worlds.timers.shape[1]):
+        if worlds.timers[i, k] >= 0 and worlds.clock[i] >= worlds.timers[i, k]:
+            return k
+    return -1

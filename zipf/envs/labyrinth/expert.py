@@ -1,0 +1,31 @@
+"""The scripted experts of all levels, for a batch of worlds."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.envs.labyrinth.steering import WAIT
+from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
+
+
+class Expert:
+    """Plays a batch with the fifteen actions by reading the state of its worlds.
+
+    Args:
+        env: the batch; a world's episode says what to do, `Episode.expert`.
+
+    Raises:
+        ValueError: the batch has another number of actions than fifteen.
+    """
+
+    def __init__(self, env: LabyrinthVectorEnv) -> None:
+        if env.single_action_space.n != 15:
+            raise ValueError(f"the expert needs num_actions=15, got {env.single_action_space.n}")
+        self.env = env
+
+    def __call__(self) -> NDArray[np.int64]:
+        """Actions, int64 [N]; 0 in worlds without an episode."""
+        actions = np.zeros(self.env.num_envs, np.int64)
+        for i, episode in enumerate(self.env.episodes):
+            if episode is not None:
+                actions[i] = WAIT if self.env.worlds.finishing[i] else episode.expert()
+        return actions

@@ -1,0 +1,127 @@
+"""The levels of the labyrinth: one file for each kind, and here what is said of all of them."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from zipf.envs.labyrinth.world import Episode
+
+FRAMES_PER_SECOND = 60
+
+
+@dataclass(frozen=True)
+class Level:
+    """A level: its rules, its length and the published scores.
+
+    Attributes:
+        name: in DeepMind Lab.
+        rules: "module:class", an `Episode`.
+        seconds: of an episode.
+        random, human: mean returns of random actions and of people in the original engine, as
+            three public code bases have them (scalable_agent, seed_rl, sample-factory). Those of
+            levels that end in `_train` were taken on their `_test` variants.
+    """
+
+    name: str
+    rules: str
+    seconds: int
+    random: float
+    human: float
+
+    @property
+    def frames(self) -> int:
+        """Frames of an episode."""
+        return self.seconds * FRAMES_PER_SECOND
+
+    def load(self) -> type[Episode]:
+        """The class of the rules."""
+        module, name = self.rules.split(":")
+        loaded: type[Episode] = getattr(importlib.import_module(f"{__name__}.{module}"), name)
+        return loaded
+
+
+LEVELS: dict[str, Level] = {
+    level.name: level
+    for level in (
+        Level(
+            "rooms_collect_good_objects_train", "rooms_collect:CollectGoodObjects", 60, 0.073, 10
+        ),
+        Level(
+            "rooms_exploit_deferred_effects_train",
+            "rooms_exploit:ExploitDeferredEffects",
+            60,
+            8.501,
+            85.65,
+        ),
+        Level(
+            "rooms_select_nonmatching_object",
+            "rooms_select:SelectNonmatchingObject",
+            12,
+            0.312,
+            65.9,
+        ),
+        Level("rooms_watermaze", "rooms_watermaze:Watermaze", 120, 4.065, 54),
+        Level("rooms_keys_doors_puzzle", "rooms_keys_doors:KeysDoorsPuzzle", 60, 4.135, 53.8),
+        Level("natlab_fixed_large_map", "natlab:FixedLargeMap", 120, 2.173, 36.9),
+        Level("natlab_varying_map_regrowth", "natlab:VaryingMapRegrowth", 120, 2.989, 24.45),
+        Level("natlab_varying_map_randomized", "natlab:VaryingMapRandomized", 120, 7.346, 42.35),
+        Level("skymaze_irreversible_path_hard", "skymaze:IrreversiblePathHard", 60, 0.1, 100),
+        Level("skymaze_irreversible_path_varied", "skymaze:IrreversiblePathVaried", 60, 14.4, 100),
+        Level(
+            "explore_object_locations_small",
+            "explore_object_locations:ObjectLocationsSmall",
+            90,
+            3.575,
+            74.45,
+        ),
+        Level(
+            "explore_object_locations_large",
+            "explore_object_locations:ObjectLocationsLarge",
+            120,
+            4.673,
+            65.65,
+        ),
+        Level(
+            "explore_obstructed_goals_small", "explore_goals:ObstructedGoalsSmall", 90, 6.76, 206
+        ),
+        Level(
+            "explore_obstructed_goals_large", "explore_goals:ObstructedGoalsLarge", 120, 2.61, 119.5
+        ),
+        Level("explore_goal_locations_small", "explore_goals:GoalLocationsSmall", 90, 7.66, 267.5),
+        Level("explore_goal_locations_large", "explore_goals:GoalLocationsLarge", 120, 3.14, 194.5),
+        Level(
+            "explore_object_rewards_few", "explore_object_rewards:ObjectRewardsFew", 90, 2.073, 77.7
+        ),
+        Level(
+            "explore_object_rewards_many",
+            "explore_object_rewards:ObjectRewardsMany",
+            120,
+            2.438,
+            106.7,
+        ),
+    )
+}
+"""By name, in the order of the paper: the most frequent first."""
+
+_LONGER = "_v2"
+"""What the paper adds to the names of the skymazes."""
+
+
+def by_name(name: str) -> Level:
+    """The level of this name, with or without `labyrinth/` before it.
+
+    Raises:
+        ValueError: there is no such level.
+    """
+    plain = name.removeprefix("labyrinth/")
+    if plain.startswith("skymaze_"):
+        plain = plain.removesuffix(_LONGER)
+    if plain not in LEVELS:
+        nearest = difflib.get_close_matches(plain, LEVELS, n=1)
+        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
+        raise ValueError(f"unknown level {name!r}{hint}: expected one of {', '.join(LEVELS)}")
+    return LEVELS[plain]

@@ -1,0 +1,90 @@
+"""The explore levels with good and bad objects: find out which kinds are good."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import ClassVar
+
+import numpy as np
+
+from zipf.envs.labyrinth import themes
+from zipf.envs.labyrinth.mazes import MazeOptions, random_maze
+from zipf.envs.labyrinth.steering import Ways
+from zipf.envs.labyrinth.words import SHAPES
+from zipf.envs.labyrinth.world import Episode, World
+
+_CONSOLE = tuple(
+    (r, g, b) if (r, g, b) != (170, 170, 0) else (170, 85, 0)
+    for low, high in ((0, 170), (85, 255))
+    for r in (low, high)
+    for g in (low, high)
+    for b in (low, high)
+)
+"""The sixteen colours of text consoles."""
+_PAIRS = tuple(combinations(_CONSOLE, 2))
+
+
+class ObjectRewards(Episode):
+    """Goal: take the good objects and leave the bad ones.
+
+    Layout: one room of 11 x 11 cells with pictures on its walls.
+    Rules: an episode has four (many: eight) kinds of objects, each a shape in two colours; half of
+    the kinds are good. A map has one object of each kind in random ones of eight (many: sixteen)
+    cells. When all good ones are taken, a new map begins: the player stands in a random spawn cell,
+    looking anywhere.
+    Rewards: +2 for a good object, -1 for a bad one.
+    Approximated: the original's objects also have one of eight patterns.
+    """
+
+    kinds: ClassVar[int]
+
+    def __init__(self, world: World, rng: np.random.Generator) -> None:
+        super().__init__(world, rng)
+        options = MazeOptions(13, 13, rooms=1, smallest=11, largest=11, objects=2 * self.kinds)
+        self.maze = random_maze(rng, options)
+        themes.build_maze(world, self.maze, rng)
+        (self.spawns,), (self.places,) = self.maze.spawns, self.maze.objects
+        drawn = rng.choice(len(SHAPES) * len(_PAIRS) * 2, self.kinds, replace=False).tolist()
+        self.objects = []
+        for number in drawn:
+            shape, number = number % len(SHAPES), number // len(SHAPES)
+            pair = _PAIRS[number // 2]
+            colours = pair if number % 2 else pair[::-1]
+            self.objects.append(world.add_item(SHAPES[shape], colours=colours))
+        self.good = self.objects[: self.kinds // 2]
+
+    def begin_map(self, rng: np.random.Generator) -> None:
+        spawn = self.spawns[int(rng.integers(len(self.spawns)))]
+        self.world.place_player_in_cell(spawn, float(rng.uniform(0, 2 * np.pi)))
+        chosen = [self.places[k] for k in rng.permutation(len(self.places)).tolist()]
+        self.cells = dict(zip(self.objects, chosen, strict=False))
+        for item, cell in self.cells.items():
+            self.world.put_in_cell(item, cell)
+
+    def picked_up(self, item: int) -> None:
+        self.world.reward(2 if item in self.good else -1)
+        if not self._left():
+            self.world.finish_map()
+
+    def _left(self) -> list[int]:
+        return [item for item in self.good if self.world.is_there(item)]
+
+    def expert(self) -> int:
+        """Walks to the nearest good object around the cells of the bad ones."""
+        blocked = self.maze.solid.copy()
+        for item, cell in self.cells.items():
+            if item not in self.good and self.world.is_there(item):
+                blocked[cell] = True
+        good = [self.cells[item] for item in self._left()]
+        ways = Ways(blocked, good)
+        return ways.walk_to(self.world, ways.nearest(self.world, good))
+
+
+class ObjectRewardsFew(ObjectRewards):
+    __doc__ = ObjectRewards.__doc__
+    kinds = 4
+
+
+class ObjectRewardsMany(ObjectRewards):
+    __doc__ = ObjectRewards.__doc__
+    kinds = 8

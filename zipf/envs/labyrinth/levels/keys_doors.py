@@ -1,0 +1,256 @@
+"""Plans of rooms, keys and doors in which the order of things matters.
+
+After DeepMind Lab's generator, from its description. Approximated: at the last step a door goes
+on the newest room if no step before has left room for a trap.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+Position = tuple[int, int]
+
+COLOURS = {
+    "red": (255, 0, 0),
+    "green": (0, 255, 0),
+    "blue": (0, 0, 255),
+    "white": (255, 255, 255),
+    "black": (0, 0, 0),
+}
+SIDE = 3
+"""Rows and columns of the lattice that rooms lie on."""
+_EMPTY_ROOM = {1: 0.8, 2: 0.5, 3: 0.0}
+_OBJECTS = 2  # of a room, at most
+
+
+class _NoPlace(Exception):
+    """The plan cannot be completed: begin anew."""
+
+
+@dataclass
+class Plan:
+    """Rooms, what is in them, and how they are connected.
+
+    Attributes:
+        rooms: the lattice position of each room, the start first.
+        keys: room and colour of each key.
+        goal: the room with the goal.
+        links: pairs of rooms, and the colour of the door between them or None.
+    """
+
+    rooms: list[Position]
+    keys: list[tuple[int, str]] = field(default_factory=list)
+    goal: int = 0
+    links: dict[tuple[int, int], str | None] = field(default_factory=dict)
+
+
+class _Planner:
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng = rng
+        row, column = rng.integers(SIDE, size=2).tolist()
+        self.plan = Plan([(row, column)])
+        self.colours = [list(COLOURS)[k] for k in rng.permutation(len(COLOURS)).tolist()]
+        self.traps: set[int] = set()  # rooms that the way to the goal does not lead through
+
+    def free_position(self, room: int) -> Position | None:
+        """The free place beside a room that is nearest to the start."""
+        row, column = self.plan.rooms[room]
+        beside = [(row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)]
+        free = [
+            place
+            for place in beside
+            if 0 <= place[0] < SIDE and 0 <= place[1] < SIDE and place not in self.plan.rooms
+        ]
+        return self.nearest(free, free)
+
+    def nearest(self, values: list, places: list[Position]):  # type: ignore[no-untyped-def]
+        """The value whose place is nearest to the start; ties are drawn."""
+        if not values:
+            return None
+        row, column = self.plan.rooms[0]
+        far = np.array([(3 * (r - row)) ** 2 + (4 * (c - column)) ** 2 for r, c in places])
+        return values[int(self.rng.choice(np.flatnonzero(far == far.min())))]
+
+    def room_with_space(self, excluded: set[int]) -> int:
+        rooms = [r for r in range(len(self.plan.rooms)) if r not in excluded]
+        places = {room: place for room in rooms if (place := self.free_position(room))}
+        found = self.nearest(list(places), list(places.values()))
+        if found is None:
+            raise _NoPlace
+        return int(found)
+
+    def add_room(self, beside: int, door: str | None) -> int:
+        place = self.free_position(beside)
+        if place is None:
+            raise _NoPlace
+        self.plan.rooms.append(place)
+        room = len(self.plan.rooms) - 1
+        self.plan.links[beside, room] = door
+        return room
+
+    def objects(self, room: int) -> int:
+        return sum(where == room for where, _ in self.plan.keys) + (room == self.plan.goal > 0)
+
+    def add_key(self, colour: str, rooms: list[int]) -> None:
+        rooms = [room for room in rooms if self.objects(room) < _OBJECTS]
+        if not rooms:
+            raise _NoPlace
+        self.plan.keys.append((int(self.rng.choice(rooms)), colour))
+
+    def add_herring(self, core: list[str]) -> None:
+        """An empty room behind a door that takes a key of the way to the goal."""
+        room = self.room_with_space(set())
+        self.traps.add(self.add_room(room, core[int(self.rng.integers(len(core)))]))
+
+    def add_trap(self, competitor: int, colour: str, later: list[str]) -> bool:
+        """A room with the same door as the competitor's, and a key that is needed later."""
+        older = [
+            room
+            for room in range(competitor)
+            if room not in self.traps and self.free_position(room)
+        ]
+        if not older or not later:
+            return False
+        trap = self.add_room(int(self.rng.choice(older)), colour)
+        self.plan.keys.append((trap, later[int(self.rng.integers(len(later)))]))
+        self.traps.add(trap)
+        return True
+
+    def build(self) -> Plan:
+        rng, plan = self.rng, self.plan
+        length = int(rng.integers(1, 4))
+        easy, useless, openable = rng.integers(0, 2, 3).tolist()
+        core, free = self.colours[:length], self.colours[length:]
+        last, empty, herring, trap = 0, False, False, False
+        entered: dict[int, int] = {}  # core rooms, and the step whose colour their door has
+        competitors: list[int] = []
+        for step, colour in enumerate(core):
+            if rng.random() < _EMPTY_ROOM[length] and not empty and self.free_position(last):
+                last, empty = self.add_room(last, None), True
+            now = rng.random() < 0.5 and not herring
+            before = rng.random() < 0.5
+            if now and before:
+                self.add_herring(core)
+                herring = True
+            others = [room for room in range(len(plan.rooms)) if room not in self.traps]
+            if rng.random() < 0.5 and self.free_position(last):
+                beside = last
+                self.add_key(colour, others)
+            else:
+                self.add_key(colour, [last])
+                too_late = step == length - 1 and length > 1 and not trap and not competitors
+                if too_late and self.free_position(last):
+                    beside = last
+                else:
+                    beside = self.room_with_space(self.traps)
+            room = self.add_room(beside, colour)
+            if beside == last and last in entered:
+                competitors.append(last)
+                if not trap and rng.random() < 0.5:
+                    at = entered[last]
+                    trap = self.add_trap(last, core[at], core[at + 1 :])
+            entered[room] = step
+            last = room
+            if now and not before:
+                self.add_herring(core)
+                herring = True
+        plan.goal = last
+        for competitor in competitors:
+            if not trap:
+                at = entered[competitor]
+                trap = self.add_trap(competitor, core[at], core[at + 1 :])
+        try:
+            for _ in range(easy):
+                door = free[int(rng.integers(len(free)))]
+                self.traps.add(self.add_room(self.room_with_space(set()), door))
+            if not herring:
+                self.add_herring(core)
+        except _NoPlace:
+            pass  # the lattice is full
+        self.add_doors(free, core, openable)
+        doors = set(plan.links.values())
+        unused = [colour for colour in free if colour not in doors]
+        space = [r for r in range(len(plan.rooms)) if self.objects(r) < _OBJECTS]
+        if useless and unused and space:
+            colour = unused[int(rng.integers(len(unused)))]
+            plan.keys.append((space[int(rng.integers(len(space)))], colour))
+        return plan
+
+    def add_doors(self, free: list[str], core: list[str], openable: int) -> None:
+        """Doors between rooms that lie side by side and are not connected yet."""
+        plan = self.plan
+        pairs = [
+            (a, b)
+            for a in range(len(plan.rooms))
+            for b in range(a + 1, len(plan.rooms))
+            if sum(abs(x - y) for x, y in zip(plan.rooms[a], plan.rooms[b], strict=True)) == 1
+            and (a, b) not in plan.links
+            and (b, a) not in plan.links
+        ]
+        drawn = [pairs[k] for k in self.rng.permutation(len(pairs)).tolist()]
+        choices = [free, free, *[core] * openable]
+        for pair, colours in zip(drawn, choices, strict=False):
+            plan.links[pair] = colours[int(self.rng.integers(len(colours)))]
+
+
+def random_plan(rng: np.random.Generator) -> Plan:
+    """Draws a plan that can be solved."""
+    while True:
+        try:
+            plan = _Planner(rng).build()
+        except _NoPlace:
+            continue
+        if solve(plan):
+            return plan
+
+
+Step = tuple[str, int]
+"""What to do next: take the "key" of that number, go through the "door" of that link, or take the
+"goal"."""
+GOAL_REWARD = 50
+
+
+def solve(plan: Plan) -> tuple[int, list[Step]] | None:
+    """The highest return of a plan and how to get it; None where the goal cannot be reached.
+
+    Every key and every opened door is worth 1. Among ways to the same return, one with few steps.
+    """
+    links = list(plan.links.items())
+    start = (0, 0, "", 0)  # room, keys taken, colour carried, doors opened
+    came: dict[tuple, tuple[tuple, Step] | None] = {start: None}
+    queue = deque([start])
+    best: tuple[int, tuple] | None = None
+    while queue:
+        state = queue.popleft()
+        room, taken, carried, opened = state
+        if room == plan.goal:
+            value = GOAL_REWARD + bin(taken).count("1") + bin(opened).count("1")
+            if best is None or value > best[0]:
+                best = value, state
+        following: list[tuple[tuple, Step]] = []
+        for k, (where, colour) in enumerate(plan.keys):
+            if where == room and not taken >> k & 1:
+                following.append(((room, taken | 1 << k, colour, opened), ("key", k)))
+        for k, ((a, b), door) in enumerate(links):
+            if room not in (a, b):
+                continue
+            other = b if room == a else a
+            if door is None or opened >> k & 1:
+                following.append(((other, taken, carried, opened), ("door", k)))
+            elif door == carried:
+                following.append(((other, taken, "", opened | 1 << k), ("door", k)))
+        for state_after, step in following:
+            if state_after not in came:
+                came[state_after] = state, step
+                queue.append(state_after)
+    if best is None:
+        return None
+    value, state = best
+    steps: list[Step] = [("goal", 0)]
+    while (arrived := came[state]) is not None:
+        state, step = arrived
+        steps.append(step)
+    return value, steps[::-1]

@@ -1,0 +1,73 @@
+"""Morris's water maze: find the hidden platform, then come back to it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth.steering import walk_to
+from zipf.envs.labyrinth.world import Episode, World
+
+APOTHEM, SIDES, HEIGHT = 760.0, 16, 192.0
+STARTS, START_RADIUS = 8, 710.0
+PLATFORM, RADIUS, RISE = 128.0, 580.0, 94.0
+"""Side of the platform, how far from the middle it may be, how high it rises."""
+FIRST_TICK, TICK, TICKS = 0.2, 0.4, 6
+"""Seconds to the first point and from one to the next; with the last tick a new map begins."""
+
+
+class Watermaze(Episode):
+    """Goal: reach the hidden platform as often as possible; it stays where it is.
+
+    Layout: a large round room with blue water. Eight different pictures hang on the wall.
+    Rules: the platform is invisible until the player steps on it. Then it rises and holds him, for
+    about two seconds and five points; after that a new map begins, at one of eight places along
+    the wall, looking anywhere.
+    Rewards: +1, five times for each visit of the platform.
+    Approximated: points come every 0.4 s (the original's timer is irregular), and the player is
+    held at once.
+    """
+
+    def __init__(self, world: World, rng: np.random.Generator) -> None:
+        super().__init__(world, rng)
+        world.add_ring(APOTHEM, SIDES, HEIGHT, "wall_7", tint=(150, 185, 255))
+        side = APOTHEM + 40
+        world.add_floor((-side, -side), (side, side), "floor_4", tint=(120, 170, 255), repeat=200)
+        for k in range(STARTS):
+            angle = 2 * math.pi * k / STARTS
+            picture = looks.index("picture_0") + k * 11 % looks.PICTURES
+            world.add_picture(APOTHEM - 3, angle, 96.0, 130.0, picture)
+        self.platform = world.add_item(
+            "platform", colours=((225, 220, 190), (150, 140, 110)), spins=False, seen_only=True
+        )
+        angle, radius = rng.uniform(0, 2 * np.pi), RADIUS * math.sqrt(rng.random())
+        self.place = radius * math.cos(angle), radius * math.sin(angle)
+        x, y = self.place
+        half = PLATFORM / 2 - 15.0  # a zone is entered by the edge of the player's box
+        self.zone = world.add_zone((x - half, y - half, 0.0), (x + half, y + half, 60.0))
+
+    def begin_map(self, rng: np.random.Generator) -> None:
+        self.world.take(self.platform)
+        angle = 2 * math.pi * int(rng.integers(STARTS)) / STARTS
+        start = START_RADIUS * math.cos(angle), START_RADIUS * math.sin(angle)
+        self.world.place_player(*start, float(rng.uniform(0, 2 * np.pi)))
+        self.points = 0
+
+    def entered(self, zone: int) -> None:
+        x, y = self.place
+        self.world.hold_player(x, y, RISE)
+        self.world.put(self.platform, x, y)
+        self.world.set_timer(0, FIRST_TICK)
+
+    def went_off(self, timer: int) -> None:
+        self.points += 1
+        if self.points == TICKS:
+            self.world.finish_map()
+            return
+        self.world.reward(1)
+        self.world.set_timer(0, TICK)
+
+    def expert(self) -> int:
+        return walk_to(self.world, *self.place)

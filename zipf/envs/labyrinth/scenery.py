@@ -1,0 +1,189 @@
+"""What the worlds of a batch look like: walls, floors, items, and the views of the players."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.compiled import compiled
+from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth.mover import EYE
+from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Worlds, X, Y, Z
+from zipf.envs.render3d import MeshAtlas, Renderer, Scenes, load_meshes
+
+METRES = 0.01
+"""Of the renderer, in a unit."""
+FIELD_OF_VIEW = 90.0
+"""Horizontal, degrees (DeepMind Lab)."""
+LARGE = 288, 384
+"""Height and width of the views for people to watch."""
+WALLS, FLATS, OVERLAYS = 768, 288, 4
+"""Capacities of each world. The most are those of a skymaze of 10 x 10 nodes that all connect: 280
+platforms, 760 sides."""
+BOB, TURN = 4.0, 2.05
+"""How far an item that is not static rises and sinks, units, and seconds of a turn."""
+SIDES = (
+    (0, 1, (1, 1, 1, 0)),
+    (1, 0, (0, 1, 1, 1)),
+    (0, -1, (0, 0, 0, 1)),
+    (-1, 0, (1, 0, 0, 0)),
+)
+"""East, north, west and south side of a solid cell: rows and columns to the cell from which it is
+seen, and its ends x0, y0, x1, y1 from the solid cell's south-west corner."""
+_FLOATS = 24.0  # of a player's point above the floor that an item stands on
+
+
+def atlas() -> MeshAtlas:
+    """The meshes of the labyrinth."""
+    return load_meshes(Path(__file__).with_name("meshes.npz"))
+
+
+def _renderer(height: int, width: int) -> Renderer:
+    return Renderer(atlas(), looks.stack(), width=width, height=height, fov=FIELD_OF_VIEW)
+
+
+@cache
+def _large_renderer() -> Renderer:
+    return _renderer(*LARGE)
+
+
+class Scenery:
+    """The scenes of N worlds.
+
+    Attributes:
+        scenes: in metres.
+        shape: int32 [N, ITEMS], the mesh of an item; -1: it is not shown even if it is there.
+        spins: bool [N, ITEMS], whether an item bobs and turns.
+    """
+
+    def __init__(self, worlds: Worlds, width: int, height: int) -> None:
+        n = len(worlds.clock)
+        self.worlds = worlds
+        self.scenes = Scenes(
+            n, walls=WALLS, flats=FLATS, instances=ITEMS, tile_cells=GRID * GRID,
+            grid=(GRID, GRID), overlays=OVERLAYS, terrain=(QUADS, QUADS),
+        )  # fmt: skip
+        self.shape = np.full((n, ITEMS), -1, np.int32)
+        self.spins = np.zeros((n, ITEMS), np.bool_)
+        self.renderer = _renderer(height, width)
+
+    def clear(self, world: int) -> None:
+        """Empties a world's scene for a new episode."""
+        scenes = self.scenes
+        scenes.wall_count[world] = scenes.flat_count[world] = scenes.overlay_count[world] = 0
+        scenes.grid[world] = scenes.terrain[world] = 0
+        scenes.sky[world] = (190, 215, 235), (95, 150, 215)
+        self.shape[world] = -1
+        self.spins[world] = False
+
+    def draw(self, out: NDArray[np.uint8], mask: NDArray[np.bool_]) -> None:
+        """Writes the views of the worlds of `mask` to their rows of `out`."""
+        self._update(mask)
+        self.renderer.render(self.scenes, out, mask)
+
+    def large_views(self) -> NDArray[np.uint8]:
+        """The views of all worlds for people to watch, uint8 [N, 288, 384, 3]."""
+        n = len(self.shape)
+        views = np.zeros((n, *LARGE, 3), np.uint8)
+        self._update(np.ones(n, np.bool_))
+        _large_renderer().render(self.scenes, views)
+        return views
+
+    def _update(self, mask: NDArray[np.bool_]) -> None:
+        """Copies the poses of players and items to the scenes of the worlds of `mask`."""
+        scenes, worlds = self.scenes, self.worlds
+        _pose(
+            mask, worlds.bodies, worlds.clock, worlds.places, worlds.present, self.shape,
+            self.spins, scenes.camera, scenes.mesh, scenes.position, scenes.rotation,
+        )  # fmt: skip
+
+    def add_walls(
+        self, world: int, ends: NDArray[np.floating], heights: tuple[float, float],
+        textures: NDArray[np.integer], faces: NDArray[np.integer], flags: int = 0,
+        repeat: tuple[float, float] = (0.0, 0.0), tint: looks.Colour = looks.WHITE,
+    ) -> int:  # fmt: skip
+        """Adds walls with a texture each and returns the first one's number.
+
+        Args:
+            world: the world.
+            ends: [walls, 4], x0, y0, x1, y1 in units; see `Scenes`.
+            heights: bottom and top, units.
+            textures, faces: [walls].
+            flags: of all of them.
+            repeat: units per repeat of the texture; 0: once over the wall.
+            tint: of all of them.
+        """
+        scenes = self.scenes
+        first = int(scenes.wall_count[world])
+        last = first + len(ends)
+        if last > WALLS:
+            raise ValueError(f"{last} walls in a world with room for {WALLS}")
+        rows = np.s_[world, first:last]
+        scenes.walls[rows][:, :4] = ends * METRES
+        scenes.walls[rows][:, 4:] = np.array(heights) * METRES
+        scenes.wall_looks[rows] = np.stack([textures, np.full_like(textures, flags)], 1)
+        scenes.wall_repeat[rows] = np.array(repeat) * METRES
+        scenes.wall_tint[rows] = tint
+        scenes.wall_face[rows] = faces
+        scenes.wall_count[world] = last
+        return first
+
+
+def faces(solid: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
+    """The walls of a text map: a face wherever a free cell has a solid neighbour.
+
+    Args:
+        solid: bool [rows, columns], with a solid border.
+
+    Returns:
+        ends: float64 [walls, 4], units.
+        cells: int64 [walls, 2], row and column of the free cell.
+        numbers: int64 [walls], the face of the solid cell, see `Scenes.wall_face`.
+    """
+    columns = solid.shape[1]
+    all_ends, all_cells, all_numbers = [], [], []
+    for side, (up, right, corners) in enumerate(SIDES):
+        free = ~np.roll(solid, (-up, -right), (0, 1))
+        row, column = np.nonzero(solid & free)
+        inside = (
+            (row + up >= 0)
+            & (row + up < len(solid))
+            & (column + right >= 0)
+            & (column + right < columns)
+        )
+        row, column = row[inside], column[inside]
+        x0, y0, x1, y1 = corners
+        all_ends.append(np.stack([column + x0, row + y0, column + x1, row + y1], 1) * CELL)
+        all_cells.append(np.stack([row + up, column + right], 1))
+        all_numbers.append((row * columns + column) * 4 + side)
+    return tuple(map(np.concatenate, (all_ends, all_cells, all_numbers)))
+
+
+@compiled(error_model="numpy")
+def _pose(mask, bodies, clock, places, present, shape, spins, camera, mesh, position, rotation):
+    """Copies the poses of players and items to the scenes of the worlds of `mask`."""
+    for i in range(mask.size):
+        if not mask[i]:
+            continue
+        camera[i, 0] = bodies[i, X] * METRES
+        camera[i, 1] = bodies[i, Y] * METRES
+        camera[i, 2] = (bodies[i, Z] + EYE) * METRES
+        camera[i, 3] = bodies[i, YAW]
+        camera[i, 4] = bodies[i, PITCH]
+        turn = 2 * np.pi * clock[i] / (60 * TURN)
+        cos, sin = np.cos(turn), np.sin(turn)
+        for k in range(shape.shape[1]):
+            if not present[i, k] or shape[i, k] < 0:
+                mesh[i, k] = -1
+                continue
+            mesh[i, k] = shape[i, k]
+            lift = BOB * (1 + sin) if spins[i, k] else 0.0
+            for axis in range(3):
+                position[i, k, axis] = places[i, k, axis] * METRES
+            position[i, k, 2] += (lift - _FLOATS) * METRES
+            if spins[i, k]:
+                rotation[i, k, 0, 0] = rotation[i, k, 1, 1] = cos
+                rotation[i, k, 0, 1], rotation[i, k, 1, 0] = -sin, sin

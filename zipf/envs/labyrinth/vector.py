@@ -1,0 +1,206 @@
+"""Zipf's Labyrinth, many worlds at once."""
+
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Any, Self
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from zipf.envs import pcg64
+from zipf.envs.arguments import pair, whole
+from zipf.envs.labyrinth import engine
+from zipf.envs.labyrinth.actions import TABLES, commands
+from zipf.envs.labyrinth.levels import LEVELS, Level, by_name
+from zipf.envs.labyrinth.scenery import Scenery
+from zipf.envs.labyrinth.state import clear, make_worlds
+from zipf.envs.labyrinth.topdown import draw_map
+from zipf.envs.labyrinth.words import VOCABULARY
+from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.vector import Observation, ZipfVectorEnv
+
+
+class LabyrinthVectorEnv(ZipfVectorEnv):
+    """`N` worlds of a level of Zipf's Labyrinth; see `LabyrinthEnv`.
+
+    An episode takes one number of its world's random stream, which seeds generators of its own:
+    one for the layout and one for each map. A saved state is that number and the actions since:
+    `set_state` replays them.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012
+    reports_success = False
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        level: str = "explore_goal_locations_small",
+        *,
+        image_size: Sequence[int] = (72, 96),
+        num_actions: int = 15,
+        action_repeat: int = 4,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        copy: bool = True,
+        render_mode: str | None = None,
+    ) -> None:
+        self.level = by_name(level)
+        self._rules = self.level.load()
+        height, width = pair("image_size", image_size)
+        if not isinstance(num_actions, int) or num_actions not in TABLES:
+            known = " or ".join(map(str, TABLES))
+            raise ValueError(f"num_actions must be {known}, got {num_actions!r}")
+        self.action_repeat = whole("action_repeat", action_repeat, 1)
+        super().__init__(
+            num_envs,
+            single_observation_space=spaces.Dict(
+                {
+                    "image": spaces.Box(0, 255, (height, width, 3), dtype=np.uint8),
+                    "instruction": VOCABULARY.space(),
+                }
+            ),
+            single_action_space=spaces.Discrete(num_actions),
+            situation={},
+            autoreset_mode=autoreset_mode,
+            copy=copy,
+            render_mode=render_mode,
+        )
+        n = num_envs
+        longest = max(map(self._steps, LEVELS.values()))
+        # How the episode began, and the actions since.
+        self._seeds = np.zeros(n, np.float64)
+        self._actions = np.zeros((n, longest), np.uint8)
+        # The state that follows from them.
+        self.worlds = make_worlds(n)
+        self.episodes: list[Episode | None] = [None] * n
+        self._maps = np.zeros(n, np.int64)
+        self._scenery = Scenery(self.worlds, width, height)
+        self._commands = commands(num_actions)
+        self._rewards = np.zeros(n)
+        self._left, self._part = np.zeros((2, n), np.int64)
+        self._event, self._index = np.zeros((2, n), np.int64)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One frame of each world, uint8 [288, 672, 3], with `render_mode="rgb_array"`: the view
+        of the player, and beside it the map from above."""
+        if self.render_mode is None:
+            return None
+        views = self._scenery.large_views()
+        maps = [draw_map(self.worlds, self._scenery, i) for i in range(self.num_envs)]
+        return tuple(np.hstack(pair) for pair in zip(views, maps, strict=True))
+
+    def _steps(self, level: Level) -> int:
+        """The most steps of an episode of a level."""
+        return -(-level.frames // self.action_repeat)
+
+    def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
+        for i in np.flatnonzero(mask).tolist():
+            self._seeds[i] = pcg64.next_double(self._streams[i])
+        self._start(mask)
+
+    def _start(self, mask: NDArray[np.bool_]) -> None:
+        """Begins the episodes of the worlds of `mask` from their seeds."""
+        for i in np.flatnonzero(mask).tolist():
+            clear(self.worlds, i)
+            self._scenery.clear(i)
+            self._part[i] = 0
+            self._maps[i] = 0
+            self.worlds.limit[i] = self.level.frames
+            world = World(self.worlds, self._scenery, i, self._rewards)
+            self.episodes[i] = self._rules(world, self._generator(i))
+            self._begin_map(i)
+
+    def _generator(self, world: int) -> np.random.Generator:
+        """For the layout of an episode, then for each of its maps."""
+        self._maps[world] += 1
+        seed = int(self._seeds[world] * 2**53)
+        return np.random.default_rng([seed, int(self._maps[world])])
+
+    def _begin_map(self, world: int) -> None:
+        episode = self.episodes[world]
+        assert episode is not None
+        episode.begin_map(self._generator(world))
+
+    def _advance(
+        self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        rows = np.flatnonzero(mask)
+        self._actions[rows, self._lengths[rows] - 1] = actions[rows]
+        return self._play(mask, actions)
+
+    def _play(
+        self, mask: NDArray[np.bool_], actions: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        over, timed_out = np.zeros((2, self.num_envs), np.bool_)
+        taken = self._commands[actions]
+        self._rewards[:] = 0.0
+        self._left[:] = self.action_repeat
+        while engine.run(
+            mask, taken, self._left, self._part, self.worlds, over, timed_out, self._event,
+            self._index,
+        ):  # fmt: skip
+            for i in np.flatnonzero(self._event).tolist():
+                self._tell(i, int(self._event[i]), int(self._index[i]))
+        return self._rewards.copy(), over, timed_out, over
+
+    def _tell(self, world: int, event: int, index: int) -> None:
+        """Tells a world's episode what has happened."""
+        episode = self.episodes[world]
+        assert episode is not None
+        if event == engine.MAP:
+            self._begin_map(world)
+        elif event == engine.ITEM:
+            episode.picked_up(index)
+        elif event == engine.ZONE:
+            episode.entered(index)
+        else:
+            episode.went_off(index)
+
+    def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
+        self._scenery.draw(out["image"], mask)
+        out["instruction"][mask] = 0
+
+    def _situations(self) -> dict[str, NDArray[np.int64]]:
+        return {}
+
+    def _engine(self) -> Hashable:
+        shape = self.single_observation_space["image"].shape
+        return shape, int(self.single_action_space.n), self.action_repeat
+
+    def _use_engine(self, other: Self) -> None:
+        level, rules = self.level, self._rules
+        self.__dict__.update(other.__dict__)
+        self.level, self._rules = level, rules
+
+    def _get_worlds(self) -> dict[str, NDArray[Any]]:
+        return {"seeds": self._seeds, "actions": self._actions}
+
+    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+        most = self._steps(self.level)
+        if (
+            not ((state["seeds"] >= 0) & (state["seeds"] < 1)).all()
+            or (state["actions"] >= self.single_action_space.n).any()
+            or (state["lengths"] < 0).any()
+            or (state["lengths"] > most).any()
+            or (state["running"] & (state["lengths"] == most)).any()
+            or (state["running"] & ~state["seeded"]).any()
+        ):
+            raise ValueError(
+                "the state is of another level, or damaged: seeds, actions or lengths out of range"
+            )
+        self._seeds[:] = state["seeds"]
+        self._actions[:] = state["actions"]
+        self._replay(state["seeded"], state["lengths"])
+
+    def _replay(self, begun: NDArray[np.bool_], lengths: NDArray[np.int64]) -> None:
+        """Replays the episodes of the worlds of `begun`."""
+        self._start(begun)
+        for t in range(int(lengths.max(where=begun, initial=0))):
+            self._play(begun & (lengths > t), self._actions[:, t].astype(np.int64))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**super().__getstate__(), "episodes": [None] * self.num_envs}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._replay(self._seeded, self._lengths)

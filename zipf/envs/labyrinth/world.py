@@ -1,0 +1,567 @@
+"""One world, as the rules of a level see it, and the base class of these rules."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth.grids import Cell
+from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND
+from zipf.envs.labyrinth.mover import BELOW, WIDE
+from zipf.envs.labyrinth.scenery import METRES, SIDES, Scenery, atlas, faces
+from zipf.envs.labyrinth.state import (
+    CELL,
+    GRID,
+    ITEMS,
+    PITCH,
+    QUADS,
+    VX,
+    VY,
+    VZ,
+    YAW,
+    Worlds,
+    X,
+    Y,
+    Z,
+)
+from zipf.envs.labyrinth.terrain import Terrain
+from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH, TWO_SIDED
+
+Point = tuple[float, float, float]
+
+END_DELAY = 12
+"""Frames from the event that closes an episode to its end (0.2 s)."""
+PUSH, PUSHED_FRAMES = 400.0, 10
+"""Speed after a teleport, and frames without friction."""
+DEEP = 40.0
+"""Height of a platform's sides, units."""
+DOOR, LIP = 2.0, 8.0
+"""Thickness of a door, and what is seen of an open one, units."""
+
+
+class World:
+    """One world: what a level builds in it, and what its rules do.
+
+    Args:
+        worlds, scenery: of the batch, written.
+        number: the world's.
+        rewards: float64 [N], of the running step.
+    """
+
+    def __init__(
+        self, worlds: Worlds, scenery: Scenery, number: int, rewards: NDArray[np.float64]
+    ) -> None:
+        self._worlds = worlds
+        self._scenery = scenery
+        self._number = number
+        self._rewards = rewards
+        self._items = self._zones = 0
+        self._doors: dict[int, tuple[int, NDArray[np.float64], NDArray[np.float64]]] = {}
+
+    # Building.
+
+    def add_text_map(
+        self,
+        solid: NDArray[np.bool_],
+        floors: NDArray[np.int64] | str,
+        walls: NDArray[np.int64] | None,
+    ) -> None:
+        """Builds walls and floors of a text map, roofless.
+
+        Args:
+            solid: bool [rows, columns], rows to the north, with a solid border.
+            floors, walls: int64 [rows, columns], the textures of a cell's floor and of the walls
+                around it; used where a cell is not solid. A name is the floor of all cells, and
+                without textures walls are invisible.
+        """
+        i, worlds, scenery = self._number, self._worlds, self._scenery
+        rows, columns = solid.shape
+        worlds.cells[i] = rows, columns
+        worlds.solid[i] = True
+        worlds.solid[i, :rows, :columns] = solid
+        scenes = scenery.scenes
+        if walls is not None:
+            ends, cells, numbers = faces(solid)
+            textures = walls[cells[:, 0], cells[:, 1]]
+            # Numbers of faces count the columns of the scene's grid.
+            cell, side = np.divmod(numbers, 4)
+            numbers = (cell // columns * GRID + cell % columns) * 4 + side
+            scenery.add_walls(i, ends, (0.0, CELL), textures, numbers)
+            scenes.solid[i] = worlds.solid[i]
+            scenes.grid[i] = 0, 0, CELL * METRES
+        if isinstance(floors, str):
+            floors = np.full(solid.shape, looks.index(floors))
+        rectangle = (0, 0, columns * CELL * METRES, rows * CELL * METRES)
+        scenes.add_flat(i, rectangle, 0, 0, tiles=np.where(solid, -1, floors))
+
+    def add_platforms(
+        self,
+        heights: NDArray[np.floating],
+        there: NDArray[np.bool_],
+        textures: dict[int, int],
+        unit: float,
+    ) -> None:
+        """Builds platforms of one cell each in the sky; between them are invisible walls.
+
+        Args:
+            heights: [rows, columns], of the platforms' tops, units.
+            there: bool [rows, columns], where platforms are.
+            textures: of the tops, by height in multiples of `unit`.
+            unit: of height, units.
+        """
+        i, worlds, scenery = self._number, self._worlds, self._scenery
+        rows, columns = there.shape
+        worlds.cells[i] = rows, columns
+        worlds.solid[i, :rows, :columns] = ~there
+        worlds.floor[i, :rows, :columns] = heights
+        scenes = scenery.scenes
+        scenes.tiles[i] = -1
+        for row, column in np.argwhere(there).tolist():
+            height = float(heights[row, column])
+            x, y = column * CELL, row * CELL
+            square = np.array([x, y, x + CELL, y + CELL]) * METRES
+            scenes.add_flat(
+                i, square, height * METRES, textures[round(height / unit)], flags=TWO_SIDED
+            )
+            sides = []
+            for up, right, (x0, y0, x1, y1) in SIDES:
+                beside = row + up, column + right
+                if not there[beside] or heights[beside] < height:
+                    sides.append((x + x0 * CELL, y + y0 * CELL, x + x1 * CELL, y + y1 * CELL))
+            riser = np.full(len(sides), looks.index("riser"))
+            none = np.full(len(sides), -1)
+            if sides:
+                scenery.add_walls(i, np.array(sides), (height - DEEP, height), riser, none)
+
+    def add_block(
+        self,
+        low: Point,
+        high: Point,
+        texture: str | None,
+        *,
+        tint: looks.Colour = looks.WHITE,
+        repeat: float = CELL,
+    ) -> int:
+        """Adds an upright solid block and returns its number as a box.
+
+        Args:
+            low, high: its lowest and highest corner.
+            texture: of its sides; None: it is invisible.
+            tint: of its sides.
+            repeat: units per repeat of the texture.
+        """
+        i = self._number
+        box = int(self._worlds.box_count[i])
+        self._worlds.box_count[i] += 1
+        self._worlds.boxes[i, box] = *low, *high
+        if texture is not None:
+            x, y = (low[0], high[0]), (low[1], high[1])
+            ends = np.array([(x[x0], y[y0], x[x1], y[y1]) for _, _, (x0, y0, x1, y1) in SIDES])
+            textures = np.full(4, looks.index(texture))
+            self._scenery.add_walls(
+                i, ends, (low[2], high[2]), textures, np.full(4, -1),
+                repeat=(repeat, repeat), tint=tint,
+            )  # fmt: skip
+        return box
+
+    def add_room(
+        self,
+        low: tuple[float, float],
+        high: tuple[float, float],
+        height: float,
+        texture: str,
+        *,
+        tint: looks.Colour = looks.WHITE,
+        repeat: float = CELL,
+        open_sides: str = "",
+    ) -> None:
+        """Adds the walls of a rectangular room.
+
+        Args:
+            low, high: its corners.
+            height: of the walls.
+            texture, tint, repeat: of the walls.
+            open_sides: of "east", "north", "west" and "south", those without a wall.
+        """
+        (x0, y0), (x1, y1) = low, high
+        thick = 40.0
+        for side, ends in (
+            ("east", ((x1, y0 - thick), (x1 + thick, y1 + thick))),
+            ("north", ((x0 - thick, y1), (x1 + thick, y1 + thick))),
+            ("west", ((x0 - thick, y0 - thick), (x0, y1 + thick))),
+            ("south", ((x0 - thick, y0 - thick), (x1 + thick, y0))),
+        ):
+            if side not in open_sides:
+                start, stop = ends
+                self.add_block((*start, 0.0), (*stop, height), texture, tint=tint, repeat=repeat)
+
+    def add_ring(
+        self, apothem: float, sides: int, height: float, texture: str, *, tint: looks.Colour
+    ) -> None:
+        """Adds the walls of a regular room around the origin.
+
+        Args:
+            apothem: distance of the walls' middles from the origin.
+            sides: how many walls; the first is in the east.
+            height, texture, tint: of the walls.
+        """
+        i = self._number
+        angles = 2 * math.pi * np.arange(sides) / sides
+        self._worlds.plane_count[i] = sides
+        self._worlds.planes[i, :sides] = np.stack(
+            [np.cos(angles), np.sin(angles), np.full(sides, apothem)], 1
+        )
+        corners = angles - math.pi / sides
+        far = apothem / math.cos(math.pi / sides)
+        points = np.stack([far * np.cos(corners), far * np.sin(corners)], 1)
+        ends = np.concatenate([points, np.roll(points, -1, 0)], 1)
+        self._scenery.add_walls(
+            i, ends, (0.0, height), np.full(sides, looks.index(texture)), np.full(sides, -1),
+            repeat=(CELL, CELL), tint=tint,
+        )  # fmt: skip
+
+    def add_picture(
+        self, distance: float, angle: float, height: float, size: float, texture: int
+    ) -> None:
+        """Hangs a picture that faces the origin.
+
+        Args:
+            distance, angle: of its middle from the origin, units and radians.
+            height: of its middle above the floor.
+            size: of its sides.
+            texture: its number.
+        """
+        middle = distance * np.array([math.cos(angle), math.sin(angle)])
+        along = size / 2 * np.array([-math.sin(angle), math.cos(angle)])
+        ends = np.array([[*(middle - along), *(middle + along)]])
+        heights = (height - size / 2, height + size / 2)
+        self._scenery.add_walls(
+            self._number, ends, heights, np.array([texture]), np.array([-1]), flags=TWO_SIDED
+        )
+
+    def add_floor(
+        self,
+        low: tuple[float, float],
+        high: tuple[float, float],
+        texture: str,
+        *,
+        height: float = 0.0,
+        tint: looks.Colour = looks.WHITE,
+        repeat: float = CELL,
+        ceiling: bool = False,
+    ) -> int:
+        """Adds a visible floor, or ceiling, and returns its number."""
+        rectangle = np.array([*low, *high]) * METRES
+        return self._scenery.scenes.add_flat(
+            self._number, rectangle, height * METRES, looks.index(texture),
+            flags=FACES_DOWN if ceiling else 0, repeat=repeat * METRES, tint=tint,
+        )  # fmt: skip
+
+    def add_terrain(
+        self,
+        terrain: Terrain,
+        texture: str,
+        *,
+        tint: looks.Colour,
+        sky: tuple[looks.Colour, looks.Colour],
+    ) -> None:
+        """Builds a terrain, with invisible walls at its edges.
+
+        Args:
+            terrain: its heights.
+            texture, tint: of the ground.
+            sky: colours at the horizon and overhead.
+        """
+        i, worlds, scenes = self._number, self._worlds, self._scenery.scenes
+        worlds.quad[i] = terrain.size
+        worlds.heights[i] = terrain.heights
+        side = terrain.size * QUADS
+        worlds.plane_count[i] = 4
+        worlds.planes[i, :4] = (1, 0, side), (0, 1, side), (-1, 0, 0), (0, -1, 0)
+        scenes.set_terrain(
+            i, (0.0, 0.0), terrain.size * METRES, terrain.heights * METRES, looks.index(texture),
+            repeat=2.0, tint=tint,
+        )  # fmt: skip
+        scenes.sky[i] = sky
+
+    def add_pillar(self, x: float, y: float, radius: float) -> None:
+        """Adds a solid upright pillar of a terrain, which is not drawn."""
+        i = self._number
+        self._worlds.pillars[i, self._worlds.pillar_count[i]] = x, y, radius
+        self._worlds.pillar_count[i] += 1
+
+    def add_zone(self, low: Point, high: Point) -> int:
+        """Adds a box that tells when the player enters, and returns its number."""
+        i = self._number
+        zone = self._zones
+        self._zones += 1
+        self._worlds.zones[i, zone] = *low, *high
+        return zone
+
+    def add_cell_zone(self, cell: Cell) -> int:
+        """Adds a zone that tells when the player's point enters a cell, and returns its number."""
+        x, y = middle(cell)
+        half = CELL / 2 - WIDE
+        return self.add_zone((x - half, y - half, 0.0), (x + half, y + half, CELL))
+
+    def add_pictures(
+        self, solid: NDArray[np.bool_], rng: np.random.Generator, most: int = looks.PICTURES
+    ) -> None:
+        """Hangs pictures on some of a text map's walls: on every tenth, each another picture."""
+        ends, _, numbers = faces(solid)
+        count = math.floor(min(0.5 + 0.1 * len(ends), most))
+        chosen = rng.permutation(len(ends))[:count]
+        pictures = rng.permutation(looks.PICTURES)[:count] + looks.index("picture_0")
+        ends, (cell, side) = ends[chosen], np.divmod(numbers[chosen], 4)
+        columns = solid.shape[1]
+        # In the middle of the wall, three quarters as wide, a little in front of it.
+        along = ends[:, 2:] - ends[:, :2]
+        outward = np.stack([-along[:, 1], along[:, 0]], 1) / CELL
+        starts = ends[:, :2] + along * 0.125 + 2 * outward
+        stops = ends[:, :2] + along * 0.875 + 2 * outward
+        numbers = (cell // columns * GRID + cell % columns) * 4 + side
+        self._scenery.add_walls(
+            self._number, np.concatenate([starts, stops], 1), (12.5, 87.5), pictures, numbers
+        )
+
+    def add_item(
+        self,
+        mesh: str,
+        *,
+        colours: tuple[looks.Colour, looks.Colour],
+        scale: float = 1.0,
+        spins: bool = True,
+        seen_only: bool = False,
+    ) -> int:
+        """Adds an item that is nowhere yet, and returns its number.
+
+        Args:
+            mesh: its shape.
+            colours: main and accent colour.
+            scale: of the mesh.
+            spins: whether it bobs and turns.
+            seen_only: whether nothing happens when it is touched.
+        """
+        item = self._items
+        if item >= ITEMS:
+            raise ValueError(f"a world has room for {ITEMS} items")
+        self._items += 1
+        i, scenery = self._number, self._scenery
+        scenery.shape[i, item] = atlas().index(mesh)
+        scenery.spins[i, item] = spins
+        self._worlds.touchable[i, item] = not seen_only
+        scenery.scenes.rotation[i, item] = np.eye(3)
+        scenery.scenes.scale[i, item] = scale
+        scenery.scenes.colours[i, item] = colours
+        return item
+
+    def add_door(
+        self,
+        cell: Cell,
+        *,
+        eastwards: bool,
+        texture: str = "panel",
+        tint: looks.Colour = looks.WHITE,
+    ) -> int:
+        """Adds an open door in the middle of a cell, and returns its number.
+
+        Args:
+            cell: of the text map.
+            eastwards: whether it is walked through to the east or west, else to the north or south.
+            texture, tint: of the door.
+        """
+        i, scenery = self._number, self._scenery
+        door = int(self._worlds.box_count[i])
+        self._worlds.box_count[i] += 1
+        x, y = middle(cell)
+        half = np.array([0.0, CELL / 2]) if eastwards else np.array([CELL / 2, 0.0])
+        wall = scenery.add_walls(
+            i, np.array([[*((x, y) - half), *((x, y) + half)]]), (0.0, CELL),
+            np.array([looks.index(texture)]), np.array([-1]), flags=TWO_SIDED | SEE_THROUGH,
+            tint=tint,
+        )  # fmt: skip
+        self._doors[door] = wall, np.array([x, y]), half
+        self.set_door(door, is_open=True)
+        return door
+
+    # What rules do.
+
+    def set_door(self, door: int, *, is_open: bool) -> None:
+        """Opens or closes a door. An open one has slid into the wall but for a lip."""
+        i = self._number
+        wall, at, half = self._doors[door]
+        first = at + half * (1 - 2 * LIP / CELL) if is_open else at - half
+        self._scenery.scenes.walls[i, wall, :4] = np.array([*first, *(at + half)]) * METRES
+        box = self._worlds.boxes[i, door]
+        thick = np.array([DOOR / 2, DOOR / 2])
+        if is_open:
+            box[:] = 0.0
+        else:
+            box[:3] = *(at - half - thick), 0.0
+            box[3:] = *(at + half + thick), CELL
+
+    def put(self, item: int, x: float, y: float, floor: float = 0.0, yaw: float = 0.0) -> None:
+        """Places an item on a floor of this height, turned by `yaw`."""
+        self._worlds.places[self._number, item] = x, y, floor + BELOW
+        if yaw:
+            cos, sin = math.cos(yaw), math.sin(yaw)
+            self._scenery.scenes.rotation[self._number, item, :2, :2] = (cos, -sin), (sin, cos)
+        self._worlds.present[self._number, item] = True
+
+    def put_in_cell(self, item: int, cell: Cell) -> None:
+        """Places an item at the middle of a cell of the text map."""
+        x, y = middle(cell)
+        self.put(item, x, y, float(self._worlds.floor[self._number, cell[0], cell[1]]))
+
+    def let_return(self, item: int, seconds: float) -> None:
+        """Lets an item that was taken be there again after some seconds."""
+        frames = round(seconds * FRAMES_PER_SECOND)
+        self._worlds.returning[self._number, item] = self._worlds.clock[self._number] + frames
+
+    def take(self, item: int) -> None:
+        """Removes an item."""
+        self._worlds.present[self._number, item] = False
+
+    def is_there(self, item: int) -> bool:
+        """Whether an item is there to be touched."""
+        return bool(self._worlds.present[self._number, item])
+
+    def place_player(self, x: float, y: float, yaw: float, floor: float = 0.0) -> None:
+        """Puts the player at rest on a floor of this height, looking straight ahead."""
+        body = self._worlds.bodies[self._number]
+        body[:] = 0.0
+        self._worlds.held[self._number] = False
+        body[X], body[Y], body[Z], body[YAW] = x, y, floor + BELOW, yaw % (2 * math.pi)
+
+    def place_player_in_cell(self, cell: Cell, yaw: float) -> None:
+        """Puts the player at rest in the middle of a cell of the text map."""
+        floor = float(self._worlds.floor[self._number, cell[0], cell[1]])
+        self.place_player(*middle(cell), yaw, floor)
+
+    def teleport(self, x: float, y: float, yaw: float) -> None:
+        """Moves the player, who leaves with a push along the new heading."""
+        self.place_player(x, y, yaw)
+        body = self._worlds.bodies[self._number]
+        body[VX], body[VY] = PUSH * math.cos(yaw), PUSH * math.sin(yaw)
+        self._worlds.pushed[self._number] = PUSHED_FRAMES
+
+    def hold_player(self, x: float, y: float, height: float) -> None:
+        """Holds the player at a place, on a platform that rises to a height."""
+        self._worlds.held[self._number] = True
+        self._worlds.hold[self._number] = x, y, height
+
+    def set_timer(self, timer: int, seconds: float) -> None:
+        """Lets one of the `TIMERS` timers go off after some seconds of the episode's clock."""
+        frames = round(seconds * FRAMES_PER_SECOND)
+        self._worlds.timers[self._number, timer] = self._worlds.clock[self._number] + frames
+
+    def tint_floor(self, floor: int, tint: looks.Colour) -> None:
+        """Changes the colour of a floor."""
+        self._scenery.scenes.flat_tint[self._number, floor] = tint
+
+    def set_colours(self, item: int, colours: tuple[looks.Colour, looks.Colour]) -> None:
+        """Changes the colours of an item."""
+        self._scenery.scenes.colours[self._number, item] = colours
+
+    def show_square(
+        self, place: tuple[float, float, float, float], colour: looks.Colour | None
+    ) -> None:
+        """Draws a rectangle over the view, or removes it.
+
+        Args:
+            place: left, top, right and bottom, as shares of the image's width and height.
+            colour: of the rectangle; None: there is none.
+        """
+        i, scenes = self._number, self._scenery.scenes
+        scenes.overlay_count[i] = colour is not None
+        scenes.overlays[i, 0] = place
+        if colour is not None:
+            scenes.overlay_colours[i, 0] = *colour, 255
+
+    def set_mesh(self, item: int, mesh: str) -> None:
+        """Changes the shape of an item."""
+        self._scenery.shape[self._number, item] = atlas().index(mesh)
+
+    def reward(self, amount: float) -> None:
+        """Adds to the reward of this step."""
+        self._rewards[self._number] += amount
+
+    def finish_map(self) -> None:
+        """Lets the next frame begin with a new map."""
+        self._worlds.finishing[self._number] = True
+
+    def end_episode(self) -> None:
+        """Ends the episode 0.2 s from now."""
+        if self._worlds.ending[self._number] < 0:
+            self._worlds.ending[self._number] = END_DELAY
+
+    # What oracles read.
+
+    @property
+    def player(self) -> tuple[float, float, float, float]:
+        """x, y, yaw and pitch of the player."""
+        body = self._worlds.bodies[self._number]
+        return float(body[X]), float(body[Y]), float(body[YAW]), float(body[PITCH])
+
+    @property
+    def cell(self) -> Cell:
+        """The cell of the text map that the player's point is in."""
+        x, y, *_ = self.player
+        return int(y // CELL), int(x // CELL)
+
+    @property
+    def velocity(self) -> tuple[float, float, float]:
+        """Of the player forwards, to the left and upwards, units per second."""
+        body = self._worlds.bodies[self._number]
+        cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
+        forward = body[VX] * cos + body[VY] * sin
+        return float(forward), float(body[VY] * cos - body[VX] * sin), float(body[VZ])
+
+    @property
+    def frames_left(self) -> int:
+        """Frames until the time limit."""
+        return int(self._worlds.limit[self._number] - self._worlds.clock[self._number])
+
+
+def middle(cell: Cell) -> tuple[float, float]:
+    """x and y of the middle of a cell of a text map, units."""
+    return CELL * (cell[1] + 0.5), CELL * (cell[0] + 0.5)
+
+
+class Episode(ABC):
+    """The rules of a level, for one episode of one world.
+
+    The constructor builds what stays for the episode, then `begin_map` what a map begins with. A
+    map ends with `World.finish_map`; the clock goes on.
+
+    Args:
+        world: empty.
+        rng: for this episode's layout.
+    """
+
+    def __init__(self, world: World, rng: np.random.Generator) -> None:
+        self.world = world
+
+    @abstractmethod
+    def begin_map(self, rng: np.random.Generator) -> None:
+        """Places the player and everything that a map begins with."""
+
+    @abstractmethod
+    def expert(self) -> int:
+        """What the level's scripted expert does now: one of the fifteen actions.
+
+        It reads the state of the world, to show that the level can be solved.
+        """
+
+    def picked_up(self, item: int) -> None:  # noqa: B027
+        """The player has touched an item, which is gone now."""
+
+    def entered(self, zone: int) -> None:  # noqa: B027
+        """The player has entered a zone."""
+
+    def went_off(self, timer: int) -> None:  # noqa: B027
+        """A timer has gone off."""
