@@ -38,6 +38,11 @@ def test_the_expert_solves_every_level(level: str) -> None:
     assert np.median(lengths) < 60
 
 
+def test_the_expert_pushes_aside_what_shuts_it_in() -> None:
+    """Between bed, wall and a toy, with the target in the hand."""
+    assert solved("put/put_on_bed_tray_all", [500165])[0].all()
+
+
 @pytest.mark.parametrize(
     "options", [{"object_order": "alternate"}, {"reach": 1.5}, {"reach": 3.0}, {"looks": "varied"}]
 )

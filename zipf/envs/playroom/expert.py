@@ -147,11 +147,13 @@ class Expert:
     def _go(self, i: int, goals: NDArray[np.bool_]) -> int:
         """Walks the shortest way to one of the cells of `goals`, bool [rows, columns]."""
         agent = self.worlds.agents[i]
-        heading = _way(goals, self.worlds, i)
+        heading = _way(goals, self.worlds, i, False)
+        if math.isnan(heading):
+            heading = _way(goals, self.worlds, i, True)
         room = self.env.rooms[i]
         assert room is not None
         vx, vy = room.agent.velocity
-        if math.isnan(heading):  # there is no way: move, so that objects are pushed aside
+        if math.isnan(heading):  # there is no way: move, so that something changes
             return actions.BACKWARD if self.env.lengths[i] // 8 % 2 else actions.TURN_LEFT
         # The change of velocity that is wanted, in the agent's own directions.
         dx = _SPEED * math.cos(heading) - _DECAY * vx
@@ -257,13 +259,18 @@ def _around(item, distance):
 
 
 @compiled()
-def _is_blocked(x, y, world):
-    """Whether the agent would touch something at (x, y), or approach the wrong object."""
+def _is_blocked(x, y, world, pushing):
+    """Whether the agent would touch something at (x, y), or approach the wrong object.
+
+    With `pushing` it may touch objects that it can push aside.
+    """
     margin = AGENT_RADIUS + 0.03
     if max(abs(x), abs(y)) > ROOM / 2 - margin:
         return True
     objects, ranks = world.objects, world.ranks
     for j in range(ranks.size):
+        if pushing and not world.finding:
+            break
         if j == world.hand or (world.finding and j == 0) or objects[j, Z] > 0.1:
             continue
         clear = 0.85 * footprint(world.extents[ranks[j]]) + margin
@@ -277,15 +284,18 @@ def _is_blocked(x, y, world):
 
 
 @compiled()
-def _way(goals, worlds, i):
-    """The heading of the shortest way to a cell of `goals`, radians; NaN if there is no way."""
+def _way(goals, worlds, i, pushing):
+    """The heading of the shortest way to a cell of `goals`, radians; NaN if there is no way.
+
+    With `pushing` the way may lead through objects, which are pushed aside.
+    """
     agent, world = worlds.agents[i], one_world(worlds, i)
     blocked = np.zeros((_CELLS, _CELLS), np.bool_)
     distance = np.full((_CELLS, _CELLS), np.inf)
     for row in range(_CELLS):
         for column in range(_CELLS):
             x, y = _centre(row, column)
-            blocked[row, column] = _is_blocked(x, y, world)
+            blocked[row, column] = _is_blocked(x, y, world, pushing)
             if goals[row, column] and not blocked[row, column]:
                 distance[row, column] = 0.0
     changed = True
