@@ -26,7 +26,7 @@ DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", *DOCS)
 TEXT = {page: (ROOT / page).read_text(encoding="utf-8") for page in PAGES}
 FOLDERS = ("configs/", "docs/", "examples/", "scripts/", "tests/", "zipf/")
-NOT_PATHS = {"zipf/Gridworld-v0", "zipf/Playroom-v0"}
+NOT_PATHS = {family.id for family in family.families().values()}
 PLACEHOLDER = re.compile(r"<|\.\.\.|[A-Z]{4}")  # as in run=<folder>, which is no command to try
 FLAGS = {"-m", "--multirun", "--help"}
 write_tables = runpy.run_path(str(ROOT / "scripts" / "write_tables.py"))

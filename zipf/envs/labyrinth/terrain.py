@@ -136,10 +136,8 @@ def _heights(rng: np.random.Generator, size: float) -> NDArray[np.float64]:
     heights *= rng.uniform(33, 130) / heights.std()
     while (_normal_z(heights, size) > WALKABLE).mean() < 0.8:
         padded = np.pad(heights, 1, mode="edge")
-        heights = (
-            sum(padded[y : y + QUADS + 1, x : x + QUADS + 1] for y in range(3) for x in range(3))
-            / 9.0
-        )
+        windows = [padded[y : y + QUADS + 1, x : x + QUADS + 1] for y in range(3) for x in range(3)]
+        heights = np.add.reduce(windows) / 9.0
     return heights - heights.min()
 
 

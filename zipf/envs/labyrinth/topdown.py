@@ -184,8 +184,8 @@ def _draw_floors(page: _Page, worlds: Worlds, scenery: Scenery, world: int) -> N
     if count > 4:  # a round room's floor is cut off at its walls
         x, y = page.grid()
         planes = worlds.planes[world, :count]
-        beyond = ((planes[:, 0, None, None] * x + planes[:, 1, None, None] * y)
-                  > planes[:, 2, None, None]).any(0)  # fmt: skip
+        along_x, along_y, offset = planes.T[:, :, None, None]
+        beyond = np.any(along_x * x + along_y * y > offset, axis=0)
         page.paint(np.broadcast_to(np.array(_NOTHING, float), (*x.shape, 3)), beyond)
 
 

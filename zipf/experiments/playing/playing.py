@@ -32,7 +32,6 @@ from zipf.options import Options
 
 _PAUSE = 1.0  # seconds on the last frame of an episode
 _LOW = 288  # pixels; pictures of a smaller height are enlarged
-_OUTCOME = ("success", "return", "length")
 
 
 class PlayOptions(Options):
@@ -376,8 +375,12 @@ class _Episode:
         self.steps += 1
         self.total += float(reward[0])
         if terminated[0] or truncated[0]:
-            success, total, length = (self.info[name][0].item() for name in _OUTCOME)
-            ending = "success" if success else "out of time" if truncated[0] else "failure"
+            total, length = (self.info[name][0].item() for name in ("return", "length"))
+            ending = "out of time" if truncated[0] else "over"
+            if self.env.reports_success and self.info["success"][0]:
+                ending = "success"
+            elif self.env.reports_success and not truncated[0]:
+                ending = "failure"
             self.outcome = f"{ending}, return {total:g}, {_steps(length)}"
         self.shows.step(self.env, self.observation, self._text())
 

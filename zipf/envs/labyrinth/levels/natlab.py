@@ -48,14 +48,14 @@ class Natlab(Episode):
         ground, sky = DAYLIGHT[time]
         world.add_terrain(self.terrain, "sand", tint=ground, sky=sky)
         for prop in self.terrain.props:
-            colours = _PLANTS[prop.mesh.split("_")[0]]
-            shaded = tuple(
-                tuple(int(c * t / 255) for c, t in zip(colour, ground, strict=True))
-                for colour in colours
-            )
+            main, accent = _PLANTS[prop.mesh.split("_")[0]]
             item = world.add_item(
-                prop.mesh, colours=shaded, scale=prop.scale, spins=False, seen_only=True
-            )  # type: ignore[arg-type]
+                prop.mesh,
+                colours=(_shaded(main, ground), _shaded(accent, ground)),
+                scale=prop.scale,
+                spins=False,
+                seen_only=True,
+            )
             world.put(item, prop.x, prop.y, self.terrain.height(prop.x, prop.y), yaw=prop.yaw)
             if prop.radius:
                 world.add_pillar(prop.x, prop.y, prop.radius)
@@ -158,3 +158,8 @@ class VaryingMapRandomized(Natlab):
 def _time_of_day(number: int) -> str:
     """Of a map: 40 % night, 35 % day, 25 % dawn, as in the maps that could be read."""
     return "night" if number % 20 < 8 else "day" if number % 20 < 15 else "dawn"
+
+
+def _shaded(colour: Colour, light: Colour) -> Colour:
+    red, green, blue = (int(c * t / 255) for c, t in zip(colour, light, strict=True))
+    return red, green, blue

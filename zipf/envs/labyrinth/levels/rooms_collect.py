@@ -51,7 +51,8 @@ class CollectGoodObjects(Episode):
         self.places = dict(zip(self.good + self.bad, chosen, strict=False))
         for item, (x, y) in self.places.items():
             self.world.put(item, x, y)
-        self.world.place_player(*chosen[20], float(rng.uniform(0, 2 * np.pi)))
+        x, y = chosen[20]
+        self.world.place_player(x, y, float(rng.uniform(0, 2 * np.pi)))
 
     def picked_up(self, item: int) -> None:
         self.world.reward(1 if item in self.good else -1)
