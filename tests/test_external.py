@@ -14,7 +14,7 @@ from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import results
 from zipf.experiments.running import external, run_folder, runner
 
-DEMO = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 9}
+DEMO = {"num_maps": 20, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 9}
 PLAY = {"episodes": 12, "num_envs": 6}
 
 
@@ -46,7 +46,7 @@ def test_a_record_is_a_run_that_the_report_reads(tmp_path):
     assert description.row.title == "Theirs"
     assert (description.row.colour, description.row.order) == ("#123456", 3)
     assert description.external.name == "Theirs"
-    assert description.situation == {"map": 5, "target": 5}
+    assert description.situation == {"map": 20, "target": 5}
     assert [level.level for level in description.levels] == [
         *("gridworld/zipf_2", "gridworld/uniform", "gridworld/rare")
     ]
@@ -238,7 +238,7 @@ def test_a_runs_agent_is_scored_by_its_folder(ours):
     expected = evaluate_agent(config, agent, seed=3, **PLAY)
     assert scores == evaluate.score(str(ours), seed=3, **PLAY, **DEMO)
     assert list(scores.values()) == [result.score for result in expected]
-    with pytest.raises(ValueError, match="num_maps=5 of the policy, 20 of gridworld/zipf_2"):
+    with pytest.raises(ValueError, match="num_objects=5 of the policy, 20 of gridworld/zipf_2"):
         evaluate.score(ours)
     with pytest.raises(UserError, match="is no run's folder"):
         evaluate.score(ours.parent)

@@ -156,12 +156,12 @@ def test_a_mixture_is_saved_and_pickled() -> None:
     ("options", "message"),
     [
         ({"level": "rooms_water_maze"}, "did you mean 'rooms_watermaze'"),
-        ({"image_size": (72,)}, r"image_size must be \(height, width\).* got \(72,\)"),
+        ({"image_size": (72,)}, r"image_size must be \(rows, columns\), got \(72,\)"),
         ({"image_size": (0, 96)}, "image_size must be"),
         ({"image_size": (7.5, 96)}, "image_size must be"),
         ({"num_actions": 7}, "num_actions must be 15 or 9, got 7"),
         ({"num_actions": 15.0}, "num_actions must be 15 or 9, got 15.0"),
-        ({"action_repeat": 0}, "action_repeat must be a whole number of at least 1, got 0"),
+        ({"action_repeat": 0}, "action_repeat must be at least 1, got 0"),
         ({"action_repeat": 2.5}, "action_repeat must be a whole number"),
         ({"render_mode": "human"}, "render_mode must be one of"),
     ],
@@ -191,7 +191,7 @@ def test_damaged_states_are_refused(key: str, value: float) -> None:
     bodies = env.worlds.bodies.copy()
     damaged = {name: array.copy() for name, array in before.items()}
     damaged[key].reshape(-1)[0] = value
-    with pytest.raises(ValueError, match="seeds, actions or lengths out of range"):
+    with pytest.raises(ValueError, match="damaged"):
         env.set_state(damaged)
     np.testing.assert_equal(env.get_state(), before)
     assert (env.worlds.bodies == bodies).all()

@@ -16,9 +16,7 @@ class LabyrinthOptions(Options):
     """Constructor options. Other values than these make other worlds than the paper's."""
 
     image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
-    num_actions: Literal[15, 9] = (
-        15  # ours: with 9 (Espeholt et al. 2018) no agent looks up or down
-    )
+    num_actions: Literal[15, 9] = 15  # ours: with the 9 of IMPALA no agent looks up or down
     action_repeat: Size = 4  # paper
 
 
