@@ -3,7 +3,8 @@
     python scripts/labyrinth_sheet.py                 # docs/labyrinth.png, for the README
     python scripts/labyrinth_sheet.py --all out.png   # all levels: two views each, and the map
 
-Views are those that agents get, magnified, while the scripted expert plays.
+Views are those that agents get, magnified, while the scripted expert plays: of each episode's first
+steps the one with the most colours.
 """
 
 import argparse
@@ -24,47 +25,49 @@ WIDTH, HEIGHT = 192, 144
 GAP, CAPTION = 8, 22
 
 
+TITLES = {
+    "rooms_collect_good_objects_train": "take the good objects",
+    "rooms_keys_doors_puzzle": "open doors with keys",
+    "rooms_watermaze": "find the hidden platform",
+    "natlab_varying_map_randomized": "gather mushrooms",
+    "skymaze_irreversible_path_hard": "find the way down",
+    "explore_object_locations_small": "collect all apples",
+    "explore_obstructed_goals_small": "reach the goal through doors",
+    "explore_object_rewards_many": "find out what is good",
+}
+"""Levels in the picture of the README, with what they are about."""
+WORLDS, STEPS = 6, 100
+"""Of each level, from which views are chosen."""
+
+
 @dataclass(frozen=True)
 class Shot:
-    """A moment of an episode.
+    """A moment of an episode: the agent's view, uint8 [72, 96, 3], and the map, [288, 288, 3]."""
 
-    Attributes:
-        level: the level.
-        seed: of the world.
-        steps: of the expert before the view is taken.
-        title: what the level is about, for the picture of the README.
-    """
-
-    level: str
-    seed: int
-    steps: int
-    title: str = ""
+    view: NDArray[np.uint8]
+    map: NDArray[np.uint8]
+    colours: int
 
 
-SHOTS = (
-    Shot("rooms_collect_good_objects_train", 3, 40, "take the good objects"),
-    Shot("rooms_keys_doors_puzzle", 3, 0, "open doors with keys"),
-    Shot("rooms_watermaze", 3, 35, "find the hidden platform"),
-    Shot("natlab_varying_map_randomized", 3, 10, "gather mushrooms"),
-    Shot("skymaze_irreversible_path_hard", 4, 4, "find the way down"),
-    Shot("explore_object_locations_small", 3, 20, "collect all apples"),
-    Shot("explore_obstructed_goals_small", 5, 10, "reach the goal through doors"),
-    Shot("explore_object_rewards_many", 3, 15, "find out what is good"),
-)
-
-
-def look(shot: Shot) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """The agent's view at a moment, uint8 [72, 96, 3], and the map, [288, 288, 3]."""
-    name = f"labyrinth/{shot.level}"
-    env = zipf.envs.make_vec(name, 1, render_mode="rgb_array")
-    observation, _ = env.reset(seed=shot.seed)
+def shots(level: str, seed: int = 3) -> list[Shot]:
+    """Of every world the view with the most colours, sorted by their number."""
+    name = f"labyrinth/{level}"
+    env = zipf.envs.make_vec(name, WORLDS, render_mode="rgb_array")
+    observation, _ = env.reset(seed=seed)
     expert = zipf.envs.expert(name, env)
     assert expert is not None
-    for _ in range(shot.steps):
-        observation, *_ = env.step(expert())
-    frames = env.render()
-    assert frames is not None
-    return observation["image"][0], frames[0][:, 384:]
+    found: dict[int, Shot] = {}
+    for _ in range(STEPS // 5):
+        views = observation["image"]
+        frames = env.render()
+        assert frames is not None
+        for world, (view, frame) in enumerate(zip(views, frames, strict=True)):
+            colours = len(np.unique(view.reshape(-1, 3) >> 4, axis=0))
+            if world not in found or colours > found[world].colours:
+                found[world] = Shot(view.copy(), frame[:, 384:].copy(), colours)
+        for _ in range(5):
+            observation, *_ = env.step(expert())
+    return sorted(found.values(), key=lambda shot: -shot.colours)
 
 
 def enlarged(image: NDArray[np.uint8]) -> Image.Image:
@@ -73,17 +76,17 @@ def enlarged(image: NDArray[np.uint8]) -> Image.Image:
 
 def strip() -> Image.Image:
     """Eight levels and, over their height, a map."""
-    across = len(SHOTS) // 2
+    across = len(TITLES) // 2
     side = 2 * (HEIGHT + CAPTION) + GAP - CAPTION
     page = Image.new("RGB", (across * (WIDTH + GAP) + side, 2 * (HEIGHT + CAPTION) + GAP), "white")
     pen, font = ImageDraw.Draw(page), ImageFont.load_default(size=13)
-    for k, shot in enumerate(SHOTS):
+    for k, (level, title) in enumerate(TITLES.items()):
         x, y = k % across * (WIDTH + GAP), k // across * (HEIGHT + CAPTION + GAP)
-        page.paste(enlarged(look(shot)[0]), (x, y))
-        pen.text((x + WIDTH // 2, y + HEIGHT + 11), shot.title, INK, font, anchor="mm")
-    _, map_ = look(Shot("explore_object_locations_large", 3, 30))
+        page.paste(enlarged(shots(level)[0].view), (x, y))
+        pen.text((x + WIDTH // 2, y + HEIGHT + 11), title, INK, font, anchor="mm")
+    map_ = Image.fromarray(shots("explore_object_locations_large")[0].map)
     x = across * (WIDTH + GAP)
-    page.paste(Image.fromarray(map_).resize((side, side), Image.Resampling.LANCZOS), (x, 0))
+    page.paste(map_.resize((side, side), Image.Resampling.LANCZOS), (x, 0))
     title = "one of the mazes from above"
     pen.text((x + side // 2, side + 11), title, INK, font, anchor="mm")
     return page
@@ -99,11 +102,11 @@ def sheet() -> Image.Image:
     for k, (level, found) in enumerate(LEVELS.items()):
         x, y = k % columns * (width + GAP), k // columns * (HEIGHT + CAPTION)
         pen.text((x + 2, y + 3), f"{level}, {found.seconds} s", INK, font)
-        for shot in (Shot(level, 1, 0), Shot(level, 2, 25)):
-            view, map_ = look(shot)
-            page.paste(enlarged(view), (x, y + CAPTION))
+        first, second = shots(level, seed=k)[:2]
+        for shot in (first, second):
+            page.paste(enlarged(shot.view), (x, y + CAPTION))
             x += WIDTH + 1
-        small = Image.fromarray(map_).resize((HEIGHT, HEIGHT), Image.Resampling.LANCZOS)
+        small = Image.fromarray(first.map).resize((HEIGHT, HEIGHT), Image.Resampling.LANCZOS)
         page.paste(small, (x, y + CAPTION))
     return page
 
