@@ -1,6 +1,7 @@
 """Every level of the labyrinth can be solved: its scripted expert reaches a stated floor."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -111,14 +112,18 @@ def test_the_references_come_from_one_command(
     monkeypatch.syspath_prepend(str(scripts))
     import measure_labyrinth
 
-    path = tmp_path / "references.json"
+    path, page = tmp_path / "references.json", tmp_path / "page.md"
+    files = ["--out", str(path), "--page", str(page)]
     level = "rooms_select_nonmatching_object"
     for _ in range(2):  # renewed, and the same again
-        measure_labyrinth.main([level, "--episodes", "2", "--out", str(path)])
+        measure_labyrinth.main([level, "--episodes", "2", *files])
         written = json.loads(path.read_text())
         assert list(written) == [level]
         assert written[level]["expert"]["mean"] == 67
+    assert re.search(
+        rf"\n\| {level} \| 0.312 \| 65.9 \| .* \| 67.00 ± 0.00 \| 2 \| 0 \|", page.read_text()
+    )
     assert f"{level}: random" in capsys.readouterr().out
     for wrong in (["--episodes", "1"], ["rooms_water"]):
         with pytest.raises(SystemExit):
-            measure_labyrinth.main([*wrong, "--out", str(path)])
+            measure_labyrinth.main([*wrong, *files])

@@ -352,6 +352,19 @@ def test_disagreement_about_chance_is_noted(tmp_path: Path) -> None:
     assert "disagree about chance" in table.notes[0]
 
 
+def test_the_record_ends_with_the_pages_beside_the_runs(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.6))
+    (tmp_path / "references.md").write_text("## References\n\n± 0.1\n", "utf-8")
+    (tmp_path / "gridworld" / "further_down.md").write_text("Not this.")
+    for _ in range(2):  # the second time there is a report and a record beside the page
+        record = tmp_path / "RESULTS.md"
+        report.report([tmp_path], tmp_path, record=record)
+        text = record.read_text("utf-8")
+        assert text.endswith("\n## References\n\n± 0.1\n")
+        assert text.count("## ") == 2
+        assert "Not this." not in text
+
+
 # --- agents from outside ---------------------------------------------------------------------
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,7 +46,8 @@ def report(
         folders: run folders, or folders with runs at any depth.
         output: where `report.md`, `.tex`, `.csv` and the plots go; `<first folder>/report` if None.
         window: `START:END` in updates, `last` or `last:N`; each experiment's own if None.
-        record: also write all tables, and what each run was, to this Markdown file.
+        record: also write all tables, and what each run was, to this Markdown file; and after them
+            the Markdown files in `folders` themselves, not further down.
         format: of the plots.
         console: where to print; standard output if None.
 
@@ -83,7 +84,10 @@ def report(
             target / "report.csv": tables.csv_report(found),
         }
         if record is not None:
-            texts[Path(record)] = markdown.record(found, _command(folders, output, window, record))
+            command = _command(folders, output, window, record)
+            written = {path.resolve() for path in (*texts, Path(record))}
+            pages = _pages(folders, written)
+            texts[Path(record)] = markdown.record(found, command, pages)
         for path, text in texts.items():
             path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -93,6 +97,12 @@ def report(
     for path in files:
         console.print(f"Wrote {path.as_posix()}", highlight=False, markup=False, soft_wrap=True)
     return Report(tuple(found), files)
+
+
+def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str]:
+    """The Markdown files in these folders that the report does not write itself."""
+    found = (path for folder in folders for path in sorted(Path(folder).glob("*.md")))
+    return [path.read_text("utf-8") for path in found if path.resolve() not in written]
 
 
 def _remove_earlier_plots(folder: Path) -> None:

@@ -24,19 +24,35 @@ class Reference:
 
 @dataclass(frozen=True)
 class References:
-    """The measured returns of uniformly random actions and of the scripted expert on a level."""
+    """The measured returns of uniformly random actions and of the scripted expert on a level.
+
+    Attributes:
+        seed: of the measurement.
+        commit: of the checkout that measured.
+    """
 
     random: Reference
     expert: Reference
+    seed: int
+    commit: str
 
 
 @cache
 def measured() -> dict[str, References]:
     """The references of all levels by name."""
-    text = Path(__file__).with_name("references.json").read_text("utf-8")
+    return read(Path(__file__).with_name("references.json"))
+
+
+def read(path: Path) -> dict[str, References]:
+    """What `measure_labyrinth.py` has written: references by the level's name."""
     return {
-        level: References(Reference(**found["random"]), Reference(**found["expert"]))
-        for level, found in json.loads(text).items()
+        level: References(
+            Reference(**found["random"]),
+            Reference(**found["expert"]),
+            found["seed"],
+            found["commit"],
+        )
+        for level, found in json.loads(path.read_text("utf-8")).items()
     }
 
 

@@ -102,7 +102,7 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
     split = envs.split(config.environment.split)
     how: dict[str, Any] = {
         "command": shlex.join(["python", "-m", "zipf.train", *sys.argv[1:]]),
-        "commit": _commit(),
+        "commit": commit(),
         "version": zipf.__version__,
         "torch": torch.__version__,
         "python": platform.python_version(),
@@ -340,7 +340,7 @@ def _check_same(folder: Path, description: dict[str, Any], config: Config, **kno
         )
 
 
-def _commit() -> str | None:
+def commit() -> str | None:
     """The commit of the checkout that runs, marked where it was changed; None for a wheel."""
     here = Path(zipf.__file__).parent
     git = ["git", "-C", str(here)]
