@@ -17,6 +17,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from zipf.experiments.reporting import checksums
+
 RESULTS = Path(__file__).parent.parent / "results"
 
 
@@ -41,6 +43,7 @@ def keep(run: Path) -> Path:
     (target / "run.json").write_text(json.dumps(description, indent=2) + "\n")
     inside = situations[situations["update"].between(start, end)]
     inside.to_csv(target / "situations.csv", index=False)
+    checksums.write(target, int(pd.read_csv(target / "evaluations.csv")["update"].max()))
     return target
 
 

@@ -13,7 +13,7 @@ import yaml
 
 from zipf import envs, report
 from zipf.experiments import command_line, composing
-from zipf.experiments.reporting import results, tables, windows
+from zipf.experiments.reporting import checksums, results, tables, windows
 
 CHANCE = {"train": 0.0324, "uniform": 0.0477, "rare": 0.0859}
 EVALUATIONS = "update,frames,seconds,level_kind,level,episodes,score,success,return,length"
@@ -118,7 +118,13 @@ def write_run(
         worlds = {"split": described["split"], **described["environment"]}
         options = {**own, "environment": worlds, "schedule": {}}
         (folder / "config.yaml").write_text(settings + yaml.safe_dump(options))
+    seal(folder)
     return folder
+
+
+def seal(folder: Path) -> None:
+    """Renew the checksums of a run's folder that was changed."""
+    checksums.write(folder, 10**9)
 
 
 def write_external(root: Path, scores: Scores, *, name: str = "PPO", **changes: Any) -> Path:
@@ -152,6 +158,7 @@ def change_description(folder: Path, **changes: Any) -> None:
     """Change fields of a run's `run.json`."""
     described = json.loads((folder / "run.json").read_text()) | changes
     (folder / "run.json").write_text(json.dumps(described))
+    seal(folder)
 
 
 def only_table(folder: Path, window: str | None = None) -> tables.ScoreTable:

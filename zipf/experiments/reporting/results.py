@@ -16,6 +16,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting import checksums
 from zipf.experiments.reporting.csv_files import Kind, read_bytes, read_header, read_table
 from zipf.experiments.reporting.paper import LEVEL_KINDS
 from zipf.experiments.reporting.wording import EXTERNAL_MARK
@@ -275,6 +276,9 @@ def load_run(folder: Path) -> Run:
         for column in progress:
             if len(frame):
                 progress[column] = max(progress[column], float(frame[column].max()))
+    settings = _read_settings(folder / "config.yaml", description)
+    if note := checksums.check(folder):
+        notes.append(note)
     return Run(
         folder=folder,
         description=description,
@@ -284,7 +288,7 @@ def load_run(folder: Path) -> Run:
         updates=int(progress["update"]),
         frames=int(progress["frames"]),
         seconds=progress["seconds"],
-        settings=_read_settings(folder / "config.yaml", description),
+        settings=settings,
         notes=tuple(notes),
     )
 

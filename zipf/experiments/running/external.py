@@ -18,6 +18,7 @@ import numpy as np
 import zipf
 from zipf import envs
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting import checksums
 from zipf.experiments.reporting.csv_files import read_fields, read_lines
 from zipf.experiments.running.evaluator import derive_seed
 from zipf.experiments.running.scoring import Evaluation, geometry, score
@@ -139,6 +140,7 @@ def record(
         _replace(folder / "run.json", json.dumps(description, indent=2) + "\n")
         for file, rows in tables.items():
             _replace(folder / file, _with_rows(folder / file, update, rows))
+        checksums.write(folder, _last_update(folder / "evaluations.csv"))
     except OSError as error:
         raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
     return evaluation
@@ -215,6 +217,11 @@ def _with_rows(path: Path, update: int, rows: Sequence[Mapping[str, Any]]) -> st
     text.writelines(f"{one}\n" for one in lines[1:] if one.split(",")[0] != str(update))
     writer.writerows(rows)
     return text.getvalue()
+
+
+def _last_update(path: Path) -> int:
+    _, *rows = read_fields(path, read_lines(path)[0])
+    return max(int(row[0]) for row in rows)
 
 
 def _replace(path: Path, text: str) -> None:

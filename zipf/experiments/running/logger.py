@@ -14,10 +14,10 @@ from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.record_writer import RecordWriter
 
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting import checksums
+from zipf.experiments.reporting.checksums import TABLES
 from zipf.experiments.running.evaluator import Result, scores, situations
 from zipf.experiments.running.result_table import ResultTable
-
-TABLES = ("metrics.csv", "evaluations.csv", "situations.csv")
 
 
 class Logger:
@@ -79,6 +79,12 @@ class Logger:
         """What a checkpoint has to know of the tables, which are on the disk when this returns."""
         with _writing(self.folder):
             return {name: table.state_dict() for name, table in self._tables.items()}
+
+    def write_checksums(self, update: int) -> None:
+        """Writes the sums of the run's files; those of the tables cover all rows so far."""
+        with _writing(self.folder / checksums.NAME):
+            tables = {name: table.state_dict()["all"] for name, table in self._tables.items()}
+            checksums.write(self.folder, update, tables)
 
     def metrics(self, update: int, metrics: Mapping[str, float]) -> None:
         """One row, a column for each metric; metrics may come and go."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting.checksums import hash_rows, row_bytes
 from zipf.experiments.reporting.csv_files import read_fields, read_lines
 
 
@@ -19,8 +19,7 @@ class ResultTable:
     """A CSV file whose rows begin with their `update`, in order.
 
     A checkpoint has hashes of the rows so far (`state_dict`), so that a run never goes on beside a
-    file that was changed, cut or emptied. An empty cell counts as none: rows then stay the same
-    when a column is added to the file.
+    file that was changed, cut or emptied.
 
     The evaluation at the last of `updates`, if it is not one of every so many, is a *closing* row.
     A run that goes on beyond drops it, and equals one that had that many updates from the start.
@@ -54,12 +53,12 @@ class ResultTable:
         table._kept = None
         columns, rows, lines, torn = _read(path)
         kept = sum(int(row[0]) <= update for row in rows)
-        hashed = _hashed(columns, rows[:kept])
+        hashed = hash_rows(columns, rows[:kept])
         if saved["all"] != saved["regular"] and not keep_closing:
             before = sum(int(row[0]) < update for row in rows)
             # The closing rows are gone already if the run was killed before its next checkpoint.
             if hashed.hexdigest() == saved["all"] or kept == before:
-                kept, hashed = before, _hashed(columns, rows[:before])
+                kept, hashed = before, hash_rows(columns, rows[:before])
                 saved = {"all": saved["regular"]}
         if hashed.hexdigest() != saved["all"]:
             raise _damaged(path, update)
@@ -79,7 +78,7 @@ class ResultTable:
     def check(path: Path, update: int, saved: Mapping[str, str]) -> None:
         """Raises `UserError` if the file holds other rows than at the checkpoint, or more."""
         columns, rows, _, torn = _read(path)
-        if torn or _hashed(columns, rows).hexdigest() != saved["all"]:
+        if torn or hash_rows(columns, rows).hexdigest() != saved["all"]:
             raise _damaged(path, update)
 
     def append(self, rows: Sequence[Mapping[str, Any]], *, closing: bool = False) -> None:
@@ -99,9 +98,9 @@ class ResultTable:
             file.write(text.getvalue())
         self.columns = columns
         for row in csv.reader(text.getvalue()[start:].splitlines()):
-            self._all.update(_canonical(columns, row))
+            self._all.update(row_bytes(columns, row))
             if not closing:
-                self._regular.update(_canonical(columns, row))
+                self._regular.update(row_bytes(columns, row))
 
     def state_dict(self) -> dict[str, str]:
         """Hashes of the rows so far, which are on the disk when this returns."""
@@ -145,19 +144,6 @@ def _read(path: Path) -> tuple[list[str], list[list[str]], list[str], bool]:
                 f"{path}, line {number}: should begin with an update, not {row[0][:40]!r}"
             )
     return columns, rows, lines, torn
-
-
-def _canonical(columns: Sequence[str], row: Sequence[str]) -> bytes:
-    cells = {name: cell for name, cell in zip(columns, row, strict=True) if cell}
-    return json.dumps(cells).encode() + b"\n"
-
-
-def _hashed(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Any:
-    """A sha256 object that was given these rows."""
-    hashed = hashlib.sha256()
-    for row in rows:
-        hashed.update(_canonical(columns, row))
-    return hashed
 
 
 def _replace(path: Path, text: str) -> None:

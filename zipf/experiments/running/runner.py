@@ -160,6 +160,7 @@ class Run:
         )
         resumed_at = None if self.is_new else self.update
         run_folder.write_description(self.config, self.collector.env.situation, resumed_at)
+        self.logger.write_checksums(-1 if self.is_new else self.update)
         self._logged = self.clock.training, self.update
         state = "a new run" if self.is_new else f"resumes at update {self.update}"
         self.display.say(f"{self.name}: {state}, on {self.device}, in {self.folder}")
@@ -270,6 +271,7 @@ class Run:
             "torch_rng": torch.get_rng_state(),
         }
         checkpoint.save(self.folder / "checkpoint.pt", state)
+        self.logger.write_checksums(self.update)
 
     def _load(self, saved: dict[str, Any]) -> None:
         with run_folder.fits(self.folder / "checkpoint.pt"):
