@@ -21,10 +21,7 @@ from zipf.adapters.torchrl import torchrl_env
 from zipf.envs import make_vec
 from zipf.evaluate import record
 
-WORLDS = {
-    **{"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5},
-    "observation": "tiles",
-}
+WORLDS = {"num_rooms": [2, 2], "num_objects": 5, "observation": "tiles"}
 FRAMES = int(sys.argv[1]) if len(sys.argv) > 1 else 245_760
 SEEN = ["tiles", "cue"]
 ROW = {"experiment": "small_gridworld", "episodes": 500, **WORLDS}
