@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from zipf.envs.family import Family
+from zipf.envs.labyrinth.benchmark import MIXTURES, SPLITS
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.options import Options
 
@@ -24,12 +25,13 @@ FAMILY = Family(
     name="labyrinth",
     summary="18 of the 30 tasks of DMLab-30, in the first person",
     id="zipf/Labyrinth-v0",
-    levels=tuple(LEVELS),
-    check="zipf.envs.labyrinth.levels:by_name",
+    levels=(*LEVELS, *MIXTURES),
+    check="zipf.envs.labyrinth.benchmark:check",
     options=LabyrinthOptions,
+    splits=SPLITS,
     make="zipf.envs.labyrinth.single:LabyrinthEnv",
-    make_vec="zipf.envs.labyrinth.vector:LabyrinthVectorEnv",
-    chance="zipf.envs.labyrinth.references:chance",
+    make_vec="zipf.envs.labyrinth.benchmark:make_vec",
+    chance="zipf.envs.labyrinth.benchmark:chance",
     appearance=frozenset({"image_size"}),
     keys="zipf.envs.labyrinth.keys:KEYS",
     expert="zipf.envs.labyrinth.expert:Expert",

@@ -5,22 +5,26 @@ from numpy.typing import NDArray
 
 from zipf.envs.labyrinth.steering import WAIT
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
+from zipf.envs.mixture import Mixture
 
 
 class Expert:
     """Plays a batch with the fifteen actions by reading the state of its worlds.
 
     Args:
-        env: the batch; a world's episode says what to do, `Episode.expert`.
+        env: the batch, also one that draws a task at every reset; a world's episode says what to
+            do, `Episode.expert`.
 
     Raises:
         ValueError: the batch has another number of actions than fifteen.
     """
 
-    def __init__(self, env: LabyrinthVectorEnv) -> None:
+    def __init__(self, env: LabyrinthVectorEnv | Mixture) -> None:
         if env.single_action_space.n != 15:
             raise ValueError(f"the expert needs num_actions=15, got {env.single_action_space.n}")
-        self.env = env
+        batch = env.batches[0] if isinstance(env, Mixture) else env  # they share their worlds
+        assert isinstance(batch, LabyrinthVectorEnv)
+        self.env = batch
 
     def __call__(self) -> NDArray[np.int64]:
         """Actions, int64 [N]; 0 in worlds without an episode."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from zipf.envs.labyrinth.benchmark import make_vec
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
 from zipf.envs.single import SingleWorld
 
@@ -62,13 +63,17 @@ class LabyrinthEnv(SingleWorld):
 
     ## Info
 
-    Levels have no situations of their own, and no success or failure: the step that ends an episode
-    adds `return` (float) and `length` (int).
+    Tasks have no situations of their own, and no success or failure: the step that ends an episode
+    adds `return` (float) and `length` (int). Levels that draw tasks add the rank of the task
+    (`level`, 0 = most frequent) and its name (`level_name`).
 
     ## Levels
 
     The names of `zipf.envs.labyrinth.levels.LEVELS`, with or without `labyrinth/` before them; the
-    skymazes also with the `_v2` that the paper adds.
+    skymazes also with the `_v2` that the paper adds. These are single tasks. The benchmark's levels
+    draw a task at every reset, and no observation names it: `forward_zipf` by Zipf's law in the
+    order of `LEVELS`, `reversed_zipf` in the reversed order, `uniform` evenly, `forward_rare` and
+    `reversed_rare` evenly among the rarest fifth, and `zipf<exponent>` by another exponent.
 
     ## Arguments
 
@@ -100,7 +105,7 @@ class LabyrinthEnv(SingleWorld):
         render_mode: str | None = None,
     ) -> None:
         super().__init__(
-            LabyrinthVectorEnv,
+            make_vec,
             level=level,
             image_size=image_size,
             num_actions=num_actions,

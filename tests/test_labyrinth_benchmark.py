@@ -1,0 +1,95 @@
+"""The benchmark's levels draw a task at every reset, by the law that their name says."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from zipf import envs
+from zipf.envs import make, make_vec
+from zipf.envs.labyrinth import benchmark, references
+from zipf.envs.labyrinth.levels import LEVELS
+from zipf.envs.mixture import Mixture
+
+TASKS = [f"labyrinth/{name}" for name in LEVELS]
+SMALL = {"image_size": (3, 4)}
+
+
+def test_laws() -> None:
+    n = len(TASKS)
+    weights = 1 / np.arange(1, n + 1)
+    order, p = benchmark.law("forward_zipf") or ("", np.empty(0))
+    assert order == "forward"
+    np.testing.assert_allclose(p, weights / weights.sum())
+    assert benchmark.law("reversed_zipf")[0] == "reversed"  # type: ignore[index]
+    np.testing.assert_allclose(benchmark.law("zipf2")[1], weights**2 / (weights**2).sum())  # type: ignore[index]
+    for name, order in (("forward_rare", "forward"), ("reversed_rare", "reversed")):
+        found = benchmark.law(name)
+        assert found is not None
+        assert found[0] == order
+        assert found[1].nonzero()[0].tolist() == list(range(n - n // 5, n))
+    assert benchmark.law("rooms_watermaze") is None
+
+
+def test_tasks_are_drawn_by_the_law_and_told_in_info_alone() -> None:
+    env = make_vec("labyrinth/reversed_zipf", 600, **SMALL)
+    assert isinstance(env, Mixture)
+    observation, info = env.reset(seed=3)
+    assert set(observation) == {"image", "instruction"}
+    assert env.situation == {"level": len(TASKS)}
+    assert env.level_names == tuple(TASKS[::-1])
+    counts = np.bincount(info["level"], minlength=len(TASKS))
+    assert stats.chisquare(counts, env.probabilities * 600).pvalue > 1e-3
+    assert info["level_name"].tolist() == [env.level_names[rank] for rank in info["level"]]
+
+
+def test_one_world() -> None:
+    env = make("labyrinth/forward_rare", **SMALL)
+    seen = set()
+    for seed in range(20):
+        _, info = env.reset(seed=seed)
+        seen.add(info["level_name"])
+    assert seen <= set(TASKS[-(len(TASKS) // 5) :])
+    assert len(seen) > 1
+
+
+def test_splits() -> None:
+    for name, tasks in (("labyrinth_forward", TASKS), ("labyrinth_reversed", TASKS[::-1])):
+        split = envs.split(name)
+        assert split.draw == "resets"
+        assert split.spread == "tasks"
+        assert [one.name for one in split.train] == tasks
+        assert [one.name for one in split.rare] == tasks[-(len(tasks) // 5) :]
+        weights = np.array([one.weight for one in split.train])
+        np.testing.assert_allclose(weights[0] / weights, np.arange(1, len(tasks) + 1))
+        assert len({one.weight for one in split.uniform}) == 1
+        for one in split.all_levels:
+            level = LEVELS[one.name.removeprefix("labyrinth/")]
+            assert one.score([level.human]) == pytest.approx(1)
+            assert one.score([level.random]) == pytest.approx(0)
+
+
+def test_chance_is_the_tasks_mean() -> None:
+    random = [references.measured()[name].random.mean for name in LEVELS]
+    for name, order in (("labyrinth/forward_zipf", 1), ("labyrinth/reversed_zipf", -1)):
+        p = envs.distributions.zipfian(len(LEVELS), 1)
+        found = envs.chance(name)
+        assert found is not None
+        assert found.score == pytest.approx(p @ random[::order])
+    assert envs.chance("labyrinth/uniform", num_actions=9) is None
+
+
+def test_experts_play_all_tasks() -> None:
+    env = make_vec("labyrinth/uniform", 60, **SMALL)
+    env.reset(seed=0)
+    player = envs.expert("labyrinth/uniform", env)
+    assert player is not None
+    total = np.zeros(60)
+    for _ in range(100):
+        total += env.step(player())[1]
+    assert (total > 0).mean() > 0.5
+
+
+@pytest.mark.parametrize("name", ["forward_zip", "zipf", "zipfx", "zipf-1", "rooms_water_maze"])
+def test_unknown_levels(name: str) -> None:
+    with pytest.raises(ValueError, match=r"unknown level|exponent"):
+        make_vec(f"labyrinth/{name}", 1)

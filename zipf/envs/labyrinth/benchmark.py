@@ -1,0 +1,147 @@
+"""The benchmark: levels in which a task is drawn at every reset, and the splits made of them."""
+
+from __future__ import annotations
+
+import difflib
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.envs import distributions
+from zipf.envs.labyrinth.levels import LEVELS, by_name
+from zipf.envs.splits import Normalisation, Split, SplitLevel
+
+if TYPE_CHECKING:
+    from zipf.envs.random_play import Chance
+    from zipf.envs.vector import ZipfVectorEnv
+
+MIXTURES: dict[str, tuple[str, str]] = {
+    "forward_zipf": ("forward", "zipf_1"),
+    "reversed_zipf": ("reversed", "zipf_1"),
+    "uniform": ("forward", "uniform"),
+    "forward_rare": ("forward", "rare"),
+    "reversed_rare": ("reversed", "rare"),
+}
+"""Levels that draw a task at every reset: the order of the tasks, most frequent first, and the
+distribution over it. `zipf<exponent>` is a further one for every exponent, in forward order."""
+
+
+def law(name: str) -> tuple[str, NDArray[np.float64]] | None:
+    """The order of a level that draws tasks, and the probability of every rank; None for a task.
+
+    Raises:
+        ValueError: there is no such level.
+    """
+    if name in MIXTURES:
+        order, distribution = MIXTURES[name]
+    elif name.startswith("zipf"):
+        order, distribution = "forward", f"zipf_{name.removeprefix('zipf')}"
+        try:
+            float(name.removeprefix("zipf"))
+        except ValueError:
+            raise _unknown(name) from None
+    else:
+        check(name)
+        return None
+    return order, distributions.by_name(distribution)(len(LEVELS))
+
+
+def check(name: str) -> None:
+    """Raises ValueError if this is not a level, a task or one that draws them."""
+    if name in MIXTURES:
+        return
+    if name.startswith("zipf"):
+        law(name)
+        return
+    try:
+        by_name(name)
+    except ValueError:
+        raise _unknown(name) from None
+
+
+def _unknown(name: str) -> ValueError:
+    known = [*MIXTURES, "zipf<exponent>", *LEVELS]
+    nearest = difflib.get_close_matches(name, known, n=1)
+    hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
+    return ValueError(f"unknown level {name!r}{hint}: expected one of {', '.join(known)}")
+
+
+def make_vec(
+    num_envs: int, level: str = "explore_goal_locations_small", **kwargs: Any
+) -> ZipfVectorEnv:
+    """`num_envs` worlds of a level: of one task, or of tasks drawn at every reset.
+
+    Args:
+        num_envs: number of worlds N.
+        level: with or without `labyrinth/` before it.
+        kwargs: options of `LabyrinthVectorEnv`, which all tasks have.
+
+    Raises:
+        ValueError: for an unknown level, or options out of range.
+    """
+    from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
+    from zipf.envs.mixture import Mixture
+
+    level = level.removeprefix("labyrinth/")
+    drawn = law(level)
+    if drawn is None:
+        return LabyrinthVectorEnv(num_envs, level, **kwargs)
+    order, probabilities = drawn
+    tasks = {f"labyrinth/{name}": partial(LabyrinthVectorEnv, level=name) for name in LEVELS}
+    return Mixture(
+        tasks, num_envs, draw="resets", probabilities=probabilities, order=order, **kwargs
+    )
+
+
+def chance(level: str, **options: Any) -> Chance | None:
+    """The mean return of uniformly random actions, or None for options that were not measured."""
+    from zipf.envs.labyrinth import references
+    from zipf.envs.random_play import Chance
+
+    drawn = law(level)
+    if drawn is None:
+        return references.chance(level, **options)
+    order, probabilities = drawn
+    names = list(LEVELS)[:: -1 if order == "reversed" else 1]
+    of_tasks = [references.chance(name, **options) for name in names]
+    known = [one for one in of_tasks if one is not None]
+    if len(known) < len(names):
+        return None
+    mean = sum(float(p) * one.score for p, one in zip(probabilities, known, strict=True))
+    return Chance(mean, sum(one.episodes or 0 for one in known))
+
+
+def _split(name: str, order: str) -> Split:
+    names = list(LEVELS)[:: -1 if order == "reversed" else 1]
+
+    def weighted(distribution: str) -> tuple[SplitLevel, ...]:
+        probabilities = distributions.by_name(distribution)(len(names))
+        return tuple(
+            SplitLevel(
+                f"labyrinth/{task}",
+                float(p),
+                normalisation=Normalisation(LEVELS[task].random, LEVELS[task].human),
+            )
+            for task, p in zip(names, probabilities, strict=True)
+            if p > 0
+        )
+
+    return Split(
+        name,
+        weighted("zipf_1"),
+        weighted("uniform"),
+        weighted("rare"),
+        draw="resets",
+        spread="tasks",
+        paper=name,
+    )
+
+
+SPLITS = (
+    _split("labyrinth_forward", "forward"),
+    _split("labyrinth_reversed", "reversed"),
+)
+"""Human-normalised scores of the tasks, averaged by their weights: Zipf's law in training, evenly
+over all tasks, and evenly over the rarest fifth."""
