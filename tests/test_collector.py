@@ -1,5 +1,6 @@
 """Unrolls: what they hold is what happened, in worlds played one by one."""
 
+import math
 from copy import deepcopy
 
 import gymnasium as gym
@@ -13,7 +14,7 @@ from zipf.agents.exploration import CountBonus, CountOptions
 from zipf.agents.network import Inputs
 from zipf.envs.mixture import Mixture
 from zipf.experiments import command_line
-from zipf.experiments.running.collector import Collector
+from zipf.experiments.running.collector import Collector, soft_asymmetric
 from zipf.experiments.running.factory import build_agent
 
 WORLDS, STEPS = 6, 9
@@ -148,6 +149,33 @@ def test_a_time_limit_can_be_the_end_of_the_task():
         assert not other["truncation_value"].any()
         assert torch.equal(other["is_first"], one["is_first"])
         assert torch.equal(other["action"], one["action"])
+
+
+def test_soft_asymmetric_clipping():
+    """As printed by Espeholt et al.'s code, and its limits."""
+    rewards = np.array([-100.0, -5, -1, 0, 1, 5, 100])
+    expected = [0.3 * 5 * math.tanh(r / 5) if r < 0 else 5 * math.tanh(r / 5) for r in rewards]
+    np.testing.assert_allclose(soft_asymmetric(rewards), expected)
+    np.testing.assert_allclose(soft_asymmetric(rewards)[[0, -1]], [-1.5, 5])
+
+
+def test_clipping_changes_what_is_learned_from_alone():
+    """Played from the same seeds: the same steps, and the agent is told the true rewards."""
+    agent, apart = build()
+    alike = Collector(
+        apart.env.__class__(WORLDS, **SMALL), agent, unroll_length=STEPS, seed=3,
+        reward_clipping="soft_asymmetric",
+    )  # fmt: skip
+    rewarded = False
+    for _ in range(10):
+        one, other = apart.collect().steps, alike.collect().steps
+        clipped = soft_asymmetric(one["reward"].numpy().astype(float))
+        np.testing.assert_allclose(other["reward"].numpy(), clipped, rtol=1e-6)
+        for name in ("previous_reward", "truncation_value", "action", "is_first"):
+            assert torch.equal(other[name], one[name])
+        rewarded |= bool(one["reward"].any())
+    assert rewarded
+    assert apart.episode_metrics() == alike.episode_metrics()
 
 
 def test_the_learner_recomputes_what_the_actor_did():

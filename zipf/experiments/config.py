@@ -34,13 +34,15 @@ class CollectorOptions(Options):
 
     `lag` is how many unrolls collection runs ahead of learning; None: as many as the agent
     corrects for. Without `bootstrap_at_time_limit` the agent learns as if a time limit were the end
-    of the task: no value is expected beyond it.
+    of the task: no value is expected beyond it. `reward_clipping` changes the rewards that are
+    learned from, not the scores.
     """
 
     num_envs: PositiveInt
     unroll_length: PositiveInt
     lag: Annotated[int, Field(ge=0, le=1)] | None
     bootstrap_at_time_limit: bool
+    reward_clipping: Literal["none", "soft_asymmetric"]
 
 
 class EvaluationOptions(Options):

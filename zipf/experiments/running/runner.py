@@ -124,6 +124,7 @@ class Run:
             exploration=build_exploration(config.exploration),
             lag=config.lag,
             bootstrap_at_time_limit=collector.bootstrap_at_time_limit,
+            reward_clipping=collector.reward_clipping,
         )
         self.overlap = Overlap(self.collector, self.agent) if config.lag else None
         self.frames_per_update = collector.num_envs * collector.unroll_length
