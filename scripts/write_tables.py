@@ -116,9 +116,16 @@ def constructor_options(family: str) -> list[str]:
 def splits() -> list[str]:
     rows = []
     for split in envs.all_splits().values():
-        kinds = [", ".join(code(one.name) for one in split.levels(kind)) for kind in envs.KINDS]
+        kinds = [level_names([one.name for one in split.levels(kind)]) for kind in envs.KINDS]
         rows.append((code(split.name), *kinds))
     return markdown(("Split", *(kind.capitalize() for kind in envs.KINDS)), rows)
+
+
+def level_names(names: list[str]) -> str:
+    """The levels of a kind; of many of them the first and the last."""
+    if len(names) <= 3:
+        return ", ".join(map(code, names))
+    return f"{len(names)} levels, from {code(names[0])} to {code(names[-1])}"
 
 
 def experiments() -> list[str]:

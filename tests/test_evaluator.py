@@ -233,6 +233,43 @@ class Quiet(GridworldVectorEnv):
     reports_success = False
 
 
+def test_one_mixture_serves_all_levels(monkeypatch):
+    """As worlds of their own for every level would; a level of several kinds is played once."""
+    names = ["gridworld/zipf_2", "gridworld/uniform", "gridworld/rare"]
+    train = [envs.SplitLevel(name, weight) for name, weight in zip(names, (3, 2, 1), strict=True)]
+    split = envs.Split("drawn", train, names[:2], names[2], draw="resets")
+    made = []
+
+    def make_scored(*args, **options):
+        made.append(args)
+        return original(*args, **options)
+
+    original = envs.make_scored
+    monkeypatch.setattr(envs, "make_scored", make_scored)
+    results = evaluator.evaluate(Plays(scripted), split, episodes=7, num_envs=3, seed=4, **SMALL)
+    assert len(made) == 1
+    by_level = {}
+    for place, (level, result) in enumerate(zip(train, results, strict=False)):
+        env = original(split, level, 3, **SMALL)
+        seed = evaluator.derive_seed(4, "evaluation", place * 3)
+        by_level[level.name] = evaluator.play(Plays(scripted), env, episodes=7, seed=seed)
+        pd.testing.assert_frame_equal(result.episodes, by_level[level.name])
+        assert set(result.episodes["level"]) == {place}
+    assert [(one.kind, one.level) for one in results[3:]] == [
+        ("uniform", names[0]), ("uniform", names[1]), ("rare", names[2]),
+    ]  # fmt: skip
+    for result in results[3:]:
+        pd.testing.assert_frame_equal(result.episodes, by_level[result.level])
+
+
+def test_levels_with_options_of_their_own_have_worlds_of_their_own():
+    short = envs.SplitLevel("gridworld/uniform", options={"max_steps": 1})
+    split = envs.Split("drawn", "gridworld/uniform", short, "gridworld/rare", draw="resets")
+    results = evaluator.evaluate(Plays(scripted), split, episodes=7, num_envs=3, **SMALL)
+    lengths = [one.episodes["length"].max() for one in results]
+    assert lengths[1] == 1 < lengths[0]
+
+
 def test_worlds_may_report_no_success():
     split = envs.Split("quiet", lambda n, **o: Quiet(n, **o), "gridworld/uniform", "gridworld/rare")
     results = evaluator.evaluate(Plays(scripted), split, episodes=20, **SMALL)

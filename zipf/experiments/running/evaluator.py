@@ -17,6 +17,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from zipf import envs
+from zipf.envs.mixture import Mixture
 from zipf.envs.vector import ZipfVectorEnv
 
 OUTCOMES = ("success", "return", "length")
@@ -158,7 +159,8 @@ def evaluate(
 
     Worlds are seeded from `seed` and the level's place in the split; no other random generator is
     touched. Where the split draws a level at every reset, levels are played one at a time all the
-    same, and situations begin with the level's rank, as in training.
+    same, and situations begin with the level's rank, as in training. A level that stands in several
+    kinds is played once, and its episodes count in each of them.
 
     Args:
         episodes: on each level; None: as many as the split says.
@@ -172,15 +174,54 @@ def evaluate(
     if episodes is not None and episodes < 1:
         raise ValueError(f"episodes={episodes}: should be at least 1")
     results = []
-    for index, kind in enumerate(envs.KINDS):
-        count = episodes or split.episodes[kind]
-        for place, level in enumerate(split.levels(kind)):
-            env = envs.make_scored(split, level, min(num_envs, count), **level_options)
-            worlds = derive_seed(seed, "evaluation", index + place * len(envs.KINDS))
-            played = play(policy, env, episodes=count, seed=worlds)
-            env.close()
-            results.append(Result(kind, level, played))
+    played: dict[tuple[str, str, int], pd.DataFrame] = {}
+    with _Worlds(split, level_options) as worlds:
+        for index, kind in enumerate(envs.KINDS):
+            count = episodes or split.episodes[kind]
+            for place, level in enumerate(split.levels(kind)):
+                key = level.name, repr(dict(level.options)), count
+                if key not in played:
+                    played[key] = play(
+                        policy,
+                        worlds.of(level, min(num_envs, count)),
+                        episodes=count,
+                        seed=derive_seed(seed, "evaluation", index + place * len(envs.KINDS)),
+                    )
+                results.append(Result(kind, level, played[key]))
     return results
+
+
+class _Worlds:
+    """Worlds of one level of a split after another. Where the split draws levels at resets, and a
+    level has the same options in all kinds, the same worlds serve them all."""
+
+    def __init__(self, split: envs.Split, level_options: dict[str, Any]):
+        self._split = split
+        self._options = level_options
+        self._env: ZipfVectorEnv | None = None
+        options: dict[str, str] = {}
+        self._one_for_all = split.draw == "resets" and all(
+            options.setdefault(level.name, repr(dict(level.options))) == repr(dict(level.options))
+            for level in split.all_levels
+        )
+
+    def __enter__(self) -> _Worlds:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._env is not None:
+            self._env.close()
+
+    def of(self, level: envs.SplitLevel, num_envs: int) -> ZipfVectorEnv:
+        """Worlds of a level, to be reset; those of the level before are gone."""
+        env = self._env
+        if self._one_for_all and isinstance(env, Mixture) and env.num_envs == num_envs:
+            env.probabilities = [float(name == level.name) for name in env.level_names]
+            return env
+        if env is not None:
+            env.close()
+        self._env = envs.make_scored(self._split, level, num_envs, **self._options)
+        return self._env
 
 
 def scores(results: Sequence[Result]) -> dict[str, float]:
