@@ -1,0 +1,171 @@
+"""Procedural pictures of things, in the place of photographs that may not be passed on.
+
+There are 2400, each the same for ever: 24 things, composed of simple shapes, in 10 colours, with 5
+patterns, on white or in a scene. Turn, size, mirroring and the second colour follow from the
+picture's number.
+"""
+
+import colorsys
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.compiled import compiled
+
+_ELLIPSE, _BOX, _TRIANGLE, _DOME, _RING = range(5)
+"""Kinds of shapes; the apex of a triangle is above, a dome is the upper half of an ellipse."""
+_MAIN, _ACCENT, _DARK, _LIGHT = range(4)
+"""What a shape is painted with; a thing's main shapes have the picture's pattern."""
+
+# Of each thing its shapes, the later before the earlier: kind and paint, x and y of the middle,
+# half width and half height (-100 .. 100, y grows downwards), and a turn in degrees.
+_THINGS = """
+house: bM 0 35 55 45 0, tA 0 -45 78 38 0, bD 0 55 15 25 0, bL -32 20 12 12 0, bL 32 20 12 12 0
+car: bM 0 20 90 25 0, dA 0 -4 55 45 0, bL -18 -12 16 11 0, bL 18 -12 16 11 0, eD -50 48 23 23 0, eD 50 48 23 23 0
+tree: bD 0 60 11 38 0, eM 0 -28 62 52 0, eA -25 -10 13 13 0, eA 25 -35 13 13 0, eA 5 -60 13 13 0
+fish: eM -12 0 65 40 0, tA 66 0 38 30 -90, tA -5 -38 22 18 0, eL -48 -10 13 13 0, eD -50 -10 6 6 0
+flower: bD 0 50 6 48 0, eM 0 -70 24 30 0, eM 0 10 24 30 0, eM -40 -30 30 24 0, eM 40 -30 30 24 0, eA 0 -30 23 23 0
+cat: tM -48 -52 26 36 -18, tM 48 -52 26 36 18, eM 0 10 72 66 0, eL -28 -5 15 17 0, eL 28 -5 15 17 0, eD -28 -5 7 13 0, eD 28 -5 7 13 0, tA 0 28 13 10 180
+mushroom: bL 0 45 24 45 0, dM 0 5 82 75 0, eA -35 -22 14 12 0, eA 12 -40 14 12 0, eA 42 -14 13 11 0
+umbrella: bD 4 30 5 62 0, eD -10 88 18 9 0, dM 0 5 90 80 0, tA 0 -8 24 68 0
+boat: bD 0 -15 5 65 0, tM 40 -22 38 52 0, tA -34 -12 26 40 0, eD 0 50 85 20 0, bD 0 42 82 12 0
+rocket: tA -38 58 24 36 0, tA 38 58 24 36 0, bM 0 15 28 55 0, tD 0 -65 28 30 0, eL 0 -5 16 16 0, tA 0 86 15 14 180
+clock: eD 0 0 84 84 0, eM 0 0 72 72 0, eL 0 0 50 50 0, bD 0 -20 6 25 0, bD 17 0 20 6 0, eA 0 0 10 10 0
+butterfly: eM -46 -32 44 40 25, eM 46 -32 44 40 -25, eA -36 42 32 32 -20, eA 36 42 32 32 20, eD 0 0 10 70 0
+cup: rA 55 5 38 38 0, bM -8 10 54 62 0, eD -8 -52 54 15 0, bL -8 30 54 9 0
+lamp: bD 0 40 6 50 0, eD 0 88 48 12 0, tM 0 -38 78 52 0, eL 0 14 22 9 0
+snowman: eL 0 50 52 46 0, eL 0 -22 34 34 0, bM 0 8 44 11 0, bM 0 -82 28 22 0, bD 0 -58 46 6 0, tA 14 -18 22 8 90, eD -12 -30 6 6 0
+ice: tA 0 52 36 50 180, eM 0 -12 44 36 0, eL 0 -50 32 28 0, eD 0 -82 13 13 0
+balloon: eM 0 -28 66 64 0, bA 0 -28 12 64 0, bD -18 50 2 22 -12, bD 18 50 2 22 12, bA 0 82 25 17 0
+key: rM 0 -48 48 48 0, bM 0 38 12 58 0, bA 24 78 22 10 0, bA 20 48 18 10 0
+hammer: bM 0 30 13 68 0, bA 0 -48 74 26 0, bD 62 -48 14 34 0
+guitar: bD 0 -58 9 42 0, bA 0 -90 18 12 0, eM 0 12 42 36 0, eM 0 56 60 44 0, eD 0 34 17 17 0, bL 0 72 24 6 0
+robot: bM 0 45 48 42 0, bA -66 36 12 38 0, bA 66 36 12 38 0, bM 0 -42 56 36 0, eL -24 -45 16 16 0, eL 24 -45 16 16 0, bD 0 -20 30 6 0, bD 0 -88 4 12 0
+crown: bM 0 38 80 38 0, tM -58 -20 26 46 0, tM 58 -20 26 46 0, tM 0 -26 28 54 0, eA -40 42 13 13 0, eA 40 42 13 13 0, eL 0 42 15 15 0
+bird: eM -5 5 58 46 0, tA 74 -18 32 20 -65, eA 8 16 36 20 -30, eM -48 -42 32 30 0, tD -88 -38 13 17 -90, eL -52 -48 9 9 0, bD -14 66 4 24 0, bD 10 66 4 24 0
+star: tM 0 -22 74 66 0, tM 0 26 74 66 180, eA 0 0 38 38 0, eL 0 0 20 20 0
+"""  # noqa: E501
+
+_HUES: tuple[tuple[float, float, float], ...] = (
+    (0.0, 0.85, 0.85), (0.07, 0.95, 1.0), (0.15, 0.95, 0.98), (0.27, 0.8, 0.75),
+    (0.42, 0.9, 0.5), (0.5, 0.75, 0.85), (0.6, 0.9, 0.9), (0.74, 0.7, 0.7), (0.88, 0.65, 0.98),
+    (0.07, 0.3, 0.35),
+)  # fmt: skip
+"""Hue, saturation and value of the main colours."""
+_PATTERNS = 5
+"""Plain, striped, chequered, spotted, and two halves."""
+THINGS = tuple(line.partition(":")[0] for line in _THINGS.strip().splitlines())
+COUNT = len(THINGS) * len(_HUES) * _PATTERNS * 2
+"""How many pictures there are."""
+
+
+def _shapes() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The shapes of all things, float64 [shapes, 7], and where each thing's begin."""
+    rows, starts = [], [0]
+    for line in _THINGS.strip().splitlines():
+        for text in line.partition(":")[2].split(","):
+            kinds, x, y, wide, high, turn = text.split()
+            kind, paint = "ebtdr".index(kinds[0]), "MADL".index(kinds[1])
+            place = (float(x) / 100, float(y) / 100, float(wide) / 100, float(high) / 100)
+            rows.append((kind, paint, *place, np.radians(float(turn))))
+        starts.append(len(rows))
+    return np.array(rows), np.array(starts)
+
+
+_SHAPES, _STARTS = _shapes()
+
+
+def draw(number: int, size: int) -> NDArray[np.uint8]:
+    """A picture, uint8 [size, size, 3].
+
+    Args:
+        number: from 0 to `COUNT` - 1.
+        size: height and width, pixels.
+    """
+    thing, look = number % len(THINGS), number // len(THINGS)
+    hue, look = look % len(_HUES), look // len(_HUES)
+    pattern, scene = look % _PATTERNS, look // _PATTERNS
+    rng = np.random.default_rng(number)
+    main = _HUES[hue]
+    second = (main[0] + rng.choice([0.33, 0.5, 0.67])) % 1.0, 0.75, rng.choice([0.45, 0.9])
+    accent = (main[0] + rng.choice([0.4, 0.55])) % 1.0, 0.8, 0.8
+    dark = (main[0], 0.4, 0.22)
+    light = (accent[0], 0.08, 0.97)
+    sky = (rng.random(), rng.uniform(0.15, 0.35), rng.uniform(0.75, 0.95))
+    ground = ((sky[0] + 0.4) % 1.0, rng.uniform(0.3, 0.55), rng.uniform(0.5, 0.75))
+    colours = (main, accent, dark, light, second, sky, ground)
+    palette = np.array([colorsys.hsv_to_rgb(*colour) for colour in colours]) * 255
+    picture = np.empty((size, size, 3), np.uint8)
+    turn, scale = rng.uniform(-0.25, 0.25), rng.uniform(1.05, 1.25)
+    mirror = 1.0 if rng.random() < 0.5 else -1.0
+    slope = rng.uniform(0, np.pi)
+    shapes = _SHAPES[_STARTS[thing] : _STARTS[thing + 1]]
+    _paint(picture, shapes, palette, pattern, scene, turn, scale, mirror, slope)
+    return picture
+
+
+@compiled(error_model="numpy")
+def _paint(picture, shapes, palette, pattern, scene, turn, scale, mirror, slope):
+    """Paints a picture, from what `draw` derives from its number."""
+    size = len(picture)
+    cos, sin = np.cos(turn), np.sin(turn)
+    across, along = np.cos(slope), np.sin(slope)
+    for row in range(size):
+        for column in range(size):
+            x, y = (2 * column + 1) / size - 1, (2 * row + 1) / size - 1
+            colour = -1
+            shade = 1.0
+            # On the thing, which is a little smaller than the picture.
+            u = mirror * (x * cos + y * sin) * scale
+            v = (y * cos - x * sin) * scale
+            for k in range(len(shapes) - 1, -1, -1):
+                kind, paint, at_x, at_y, wide, high, bent = shapes[k]
+                if not _inside(kind, u - at_x, v - at_y, wide, high, bent):
+                    continue
+                colour = int(paint)
+                if colour == _MAIN:
+                    s, t = u * across + v * along, v * across - u * along
+                    if _is_second(pattern, s, t):
+                        colour = 4
+                    shade = 1.05 - 0.25 * (u + v) * 0.5
+                break
+            if colour < 0:
+                if scene == 0:
+                    picture[row, column] = 255
+                    continue
+                colour = 5 if y < 0.45 else 6
+                shade = 1.0 - 0.15 * y if colour == 5 else 0.9 + 0.2 * y
+            for c in range(3):
+                picture[row, column, c] = min(max(palette[colour, c] * shade, 0.0), 255.0)
+
+
+@compiled(error_model="numpy")
+def _inside(kind, x, y, wide, high, bent):
+    """Whether a point, seen from a shape's middle, is in it."""
+    if bent != 0.0:
+        cos, sin = np.cos(bent), np.sin(bent)
+        x, y = x * cos + y * sin, y * cos - x * sin
+    x, y = x / wide, y / high
+    if kind == _BOX:
+        return abs(x) <= 1.0 and abs(y) <= 1.0
+    if kind == _TRIANGLE:
+        return abs(y) <= 1.0 and 2.0 * abs(x) <= 1.0 + y
+    far = x * x + y * y
+    if kind == _DOME:
+        return far <= 1.0 and y <= 0.0
+    if kind == _RING:
+        return 0.35 <= far <= 1.0
+    return far <= 1.0
+
+
+@compiled(error_model="numpy")
+def _is_second(pattern, s, t):
+    """Whether a point of the pattern has the second colour."""
+    if pattern == 1:
+        return s % 0.36 < 0.18
+    if pattern == 2:
+        return (s % 0.5 < 0.25) != (t % 0.5 < 0.25)
+    if pattern == 3:
+        x, y = s % 0.36 - 0.18, t % 0.36 - 0.18
+        return x * x + y * y < 0.012
+    return pattern == 4 and s > 0.0
