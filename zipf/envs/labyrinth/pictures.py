@@ -6,6 +6,7 @@ picture's number.
 """
 
 import colorsys
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,11 @@ from zipf.compiled import compiled
 
 _ELLIPSE, _BOX, _TRIANGLE, _DOME, _RING = range(5)
 """Kinds of shapes; the apex of a triangle is above, a dome is the upper half of an ellipse."""
-_MAIN, _ACCENT, _DARK, _LIGHT = range(4)
-"""What a shape is painted with; a thing's main shapes have the picture's pattern."""
+_MAIN, _ACCENT, _DARK, _LIGHT, _SECOND, _SKY, _GROUND = range(7)
+"""Colours of a picture; of the first four a shape has one. Main shapes are patterned with the
+second colour."""
+_SMALLER = 1.12
+"""Than the picture is the thing in it."""
 
 # Of each thing its shapes, the later before the earlier: kind and paint, x and y of the middle,
 # half width and half height (-100 .. 100, y grows downwards), and a turn in degrees.
@@ -60,14 +64,22 @@ COUNT = len(THINGS) * len(_HUES) * _PATTERNS * 2
 
 
 def _shapes() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The shapes of all things, float64 [shapes, 7], and where each thing's begin."""
+    """The shapes of all things, and where each thing's begin, int64 [things + 1].
+
+    A row, of float64 [shapes, 8], has kind and paint, x and y of the middle, and the matrix that
+    turns what lies around the middle upright, within -1 .. 1.
+    """
     rows, starts = [], [0]
     for line in _THINGS.strip().splitlines():
         for text in line.partition(":")[2].split(","):
-            kinds, x, y, wide, high, turn = text.split()
+            kinds, *numbers = text.split()
+            x, y, wide, high, degrees = map(float, numbers)
+            cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+            matrix = (
+                100 * cos / wide, 100 * sin / wide, -100 * sin / high, 100 * cos / high
+            )  # fmt: skip
             kind, paint = "ebtdr".index(kinds[0]), "MADL".index(kinds[1])
-            place = (float(x) / 100, float(y) / 100, float(wide) / 100, float(high) / 100)
-            rows.append((kind, paint, *place, np.radians(float(turn))))
+            rows.append((kind, paint, x / 100, y / 100, *matrix))
         starts.append(len(rows))
     return np.array(rows), np.array(starts)
 
@@ -85,71 +97,71 @@ def draw(number: int, size: int) -> NDArray[np.uint8]:
     thing, look = number % len(THINGS), number // len(THINGS)
     hue, look = look % len(_HUES), look // len(_HUES)
     pattern, scene = look % _PATTERNS, look // _PATTERNS
-    rng = np.random.default_rng(number)
+    draws = np.random.default_rng(number).random(11).tolist()
     main = _HUES[hue]
-    second = (main[0] + rng.choice([0.33, 0.5, 0.67])) % 1.0, 0.75, rng.choice([0.45, 0.9])
-    accent = (main[0] + rng.choice([0.4, 0.55])) % 1.0, 0.8, 0.8
-    dark = (main[0], 0.4, 0.22)
-    light = (accent[0], 0.08, 0.97)
-    sky = (rng.random(), rng.uniform(0.15, 0.35), rng.uniform(0.75, 0.95))
-    ground = ((sky[0] + 0.4) % 1.0, rng.uniform(0.3, 0.55), rng.uniform(0.5, 0.75))
-    colours = (main, accent, dark, light, second, sky, ground)
-    palette = np.array([colorsys.hsv_to_rgb(*colour) for colour in colours]) * 255
+    colours = (
+        main,
+        (main[0] + (0.4 if draws[0] < 0.5 else 0.55), 0.8, 0.8),  # accent
+        (main[0], 0.4, 0.22),  # dark
+        (main[0] + 0.5, 0.08, 0.97),  # light
+        (main[0] + (1 + int(3 * draws[1])) / 4, 0.75, 0.45 if draws[2] < 0.5 else 0.9),  # second
+        (draws[3], 0.15 + 0.2 * draws[4], 0.75 + 0.2 * draws[5]),  # sky
+        (draws[3] + 0.4, 0.3 + 0.25 * draws[6], 0.5 + 0.25 * draws[7]),  # ground
+    )
+    palette = np.array([colorsys.hsv_to_rgb(h % 1.0, s, v) for h, s, v in colours]) * 255
     picture = np.empty((size, size, 3), np.uint8)
-    turn, scale = rng.uniform(-0.25, 0.25), rng.uniform(1.05, 1.25)
-    mirror = 1.0 if rng.random() < 0.5 else -1.0
-    slope = rng.uniform(0, np.pi)
     shapes = _SHAPES[_STARTS[thing] : _STARTS[thing + 1]]
-    _paint(picture, shapes, palette, pattern, scene, turn, scale, mirror, slope)
+    turn, slope = 0.5 * draws[8] - 0.25, np.pi * draws[9]
+    mirrored = draws[10] < 0.5
+    _paint(picture, shapes, palette, pattern, bool(scene), turn, slope, mirrored)
     return picture
 
 
-@compiled(error_model="numpy")
-def _paint(picture, shapes, palette, pattern, scene, turn, scale, mirror, slope):
+@compiled(error_model="numpy", fastmath=True)
+def _paint(picture, shapes, palette, pattern, scene, turn, slope, mirrored):
     """Paints a picture, from what `draw` derives from its number."""
     size = len(picture)
-    cos, sin = np.cos(turn), np.sin(turn)
-    across, along = np.cos(slope), np.sin(slope)
+    cos, sin = math.cos(turn) * _SMALLER, math.sin(turn) * _SMALLER
+    across, along = math.cos(slope), math.sin(slope)
     for row in range(size):
+        y = (2 * row + 1) / size - 1
         for column in range(size):
-            x, y = (2 * column + 1) / size - 1, (2 * row + 1) / size - 1
+            x = (2 * column + 1) / size - 1
+            u, v = x * cos + y * sin, y * cos - x * sin
+            if mirrored:
+                u = -u
             colour = -1
             shade = 1.0
-            # On the thing, which is a little smaller than the picture.
-            u = mirror * (x * cos + y * sin) * scale
-            v = (y * cos - x * sin) * scale
             for k in range(len(shapes) - 1, -1, -1):
-                kind, paint, at_x, at_y, wide, high, bent = shapes[k]
-                if not _inside(kind, u - at_x, v - at_y, wide, high, bent):
-                    continue
-                colour = int(paint)
-                if colour == _MAIN:
-                    s, t = u * across + v * along, v * across - u * along
-                    if _is_second(pattern, s, t):
-                        colour = 4
-                    shade = 1.05 - 0.25 * (u + v) * 0.5
-                break
-            if colour < 0:
-                if scene == 0:
+                at_x, at_y = u - shapes[k, 2], v - shapes[k, 3]
+                at_x, at_y = (
+                    shapes[k, 4] * at_x + shapes[k, 5] * at_y,
+                    shapes[k, 6] * at_x + shapes[k, 7] * at_y,
+                )
+                if abs(at_x) <= 1.0 and abs(at_y) <= 1.0 and _inside(shapes[k, 0], at_x, at_y):
+                    colour = int(shapes[k, 1])
+                    break
+            if colour == _MAIN:
+                shade = 1.05 - 0.12 * (u + v)
+                if _is_second(pattern, u * across + v * along, v * across - u * along):
+                    colour = _SECOND
+            elif colour < 0:
+                if not scene:
                     picture[row, column] = 255
                     continue
-                colour = 5 if y < 0.45 else 6
-                shade = 1.0 - 0.15 * y if colour == 5 else 0.9 + 0.2 * y
+                colour = _SKY if y < 0.45 else _GROUND
+                shade = 1.0 - 0.15 * y if colour == _SKY else 0.9 + 0.2 * y
             for c in range(3):
-                picture[row, column, c] = min(max(palette[colour, c] * shade, 0.0), 255.0)
+                picture[row, column, c] = int(min(palette[colour, c] * shade, 255.0))
 
 
 @compiled(error_model="numpy")
-def _inside(kind, x, y, wide, high, bent):
-    """Whether a point, seen from a shape's middle, is in it."""
-    if bent != 0.0:
-        cos, sin = np.cos(bent), np.sin(bent)
-        x, y = x * cos + y * sin, y * cos - x * sin
-    x, y = x / wide, y / high
+def _inside(kind, x, y):
+    """Whether a point of the square -1 .. 1 belongs to the shape that fills it."""
     if kind == _BOX:
-        return abs(x) <= 1.0 and abs(y) <= 1.0
+        return True
     if kind == _TRIANGLE:
-        return abs(y) <= 1.0 and 2.0 * abs(x) <= 1.0 + y
+        return 2.0 * abs(x) <= 1.0 + y
     far = x * x + y * y
     if kind == _DOME:
         return far <= 1.0 and y <= 0.0
@@ -161,11 +173,20 @@ def _inside(kind, x, y, wide, high, bent):
 @compiled(error_model="numpy")
 def _is_second(pattern, s, t):
     """Whether a point of the pattern has the second colour."""
+    if pattern == 0:
+        return False
     if pattern == 1:
-        return s % 0.36 < 0.18
+        return _along(s, 0.36) < 0.5
     if pattern == 2:
-        return (s % 0.5 < 0.25) != (t % 0.5 < 0.25)
+        return (_along(s, 0.5) < 0.5) != (_along(t, 0.5) < 0.5)
     if pattern == 3:
-        x, y = s % 0.36 - 0.18, t % 0.36 - 0.18
-        return x * x + y * y < 0.012
-    return pattern == 4 and s > 0.0
+        x, y = _along(s, 0.36) - 0.5, _along(t, 0.36) - 0.5
+        return x * x + y * y < 0.1
+    return s > 0.0
+
+
+@compiled(error_model="numpy")
+def _along(s, period):
+    """How far a point is in its period, 0 .. 1."""
+    s /= period
+    return s - math.floor(s)

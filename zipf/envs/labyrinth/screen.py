@@ -30,7 +30,7 @@ class Screen:
     def __init__(self, worlds: Worlds, scenery: Scenery, number: int) -> None:
         self._worlds = worlds
         self._number = number
-        self._image = scenery.scenes.screen[number]
+        self._image = scenery.scenes.screen[number, :, :, :3]
         self._widgets = 0
         self.clear()
 
@@ -55,11 +55,10 @@ class Screen:
         left, top, right, bottom = (round(SCREEN_PIXELS * share) for share in place)
         self._image[top:bottom, left:right] = colour
 
-    def paste(self, image: NDArray[np.uint8], left: float, top: float) -> None:
-        """Paints an image, uint8 [height, width, 3], with its top left corner at a place."""
-        x, y = round(SCREEN_PIXELS * left), round(SCREEN_PIXELS * top)
+    def paste(self, image: NDArray[np.uint8], left: int, top: int) -> None:
+        """Paints an image, uint8 [height, width, 3], with its top left corner at a pixel."""
         height, width, _ = image.shape
-        self._image[y : y + height, x : x + width] = image
+        self._image[top : top + height, left : left + width] = image
 
     # What oracles read.
 

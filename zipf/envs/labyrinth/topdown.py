@@ -239,7 +239,7 @@ def _draw_screen(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uin
     edge = (SIZE * _FINE - side) // 2
     rim = side // 16
     pen.rectangle((edge - rim, edge - rim, edge + side + rim, edge + side + rim), _SOLID)
-    shown = Image.fromarray(scenery.scenes.screen[world]).resize((side, side))
+    shown = Image.fromarray(scenery.scenes.screen[world, :, :, :3]).resize((side, side))
     image.paste(shown, (edge, edge))
     x, y = (edge + side * min(max(at, -0.11), 1.11) for at in gaze(worlds, world))
     for far, colour, width in ((16, (0, 0, 0), 8), (14, (255, 255, 255), 4)):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from zipf.compiled import compiled
-from zipf.envs.render3d.blocks import address, wall_block
+from zipf.envs.render3d.blocks import address, screen_block, wall_block
 from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.optics import (
     FADE2,
@@ -160,33 +160,23 @@ def _bound(low, high, a, step, b):
 def _draw_screen(
     screen, z, dz_row, dz, u, du_row, du, v, dv_row, dv, per_u, per_v, low, high, colour, depth
 ):  # fmt: skip
-    """Draws a picture of any size on a wall's spans; u and v are over t, as in `draw_wall`.
-
-    A pixel is the mean of the texels at the middles of its quarters, so that a picture of twice the
-    size at which it is seen loses nothing. Texels are taken to be affine within a pixel.
-    """
-    rows, columns = screen.shape[0], screen.shape[1]
-    u, du_row, du = per_u * u, per_u * du_row, per_u * du
-    v, dv_row, dv = per_v * v, per_v * dv_row, per_v * dv
+    """Draws a picture of any size on a wall's spans; u and v are over t, as in `draw_wall`."""
+    rows, columns = np.int32(screen.shape[0]), np.int32(screen.shape[1])
+    texels, line, depths = address(screen), address(colour), address(depth)
+    line_bytes = 4 * colour.shape[1]
+    u_row, u_column = np.float32(per_u * du_row), np.float32(per_u * du)
+    v_row, v_column = np.float32(per_v * dv_row), np.float32(per_v * dv)
+    z_row, z_column = np.float32(dz_row), np.float32(dz)
     for y in range(len(low)):
         if low[y] > high[y]:
             continue
-        for x in range(math.ceil(low[y]), math.floor(high[y]) + 1):
-            inverse = z + dz_row * y + dz * x
-            if inverse <= depth[y, x]:
-                continue
-            t = 1.0 / inverse
-            column, row = (u + du_row * y + du * x) * t, (v + dv_row * y + dv * x) * t
-            t *= 0.25
-            right_u, right_v = (du - column * dz) * t, (dv - row * dz) * t
-            down_u, down_v = (du_row - column * dz_row) * t, (dv_row - row * dz_row) * t
-            red = green = blue = 2
-            for quarter in range(4):
-                side, down = (quarter & 1) * 2 - 1, (quarter & 2) - 1
-                i = min(max(int(row + side * right_v + down * down_v), 0), rows - 1)
-                j = min(max(int(column + side * right_u + down * down_u), 0), columns - 1)
-                red += screen[i, j, 0]
-                green += screen[i, j, 1]
-                blue += screen[i, j, 2]
-            depth[y, x] = inverse
-            colour[y, x] = red >> 2 | (green >> 2) << 8 | (blue >> 2) << 16
+        first, last = math.ceil(low[y]), math.floor(high[y])
+        z_first = np.float32(z + dz_row * y)
+        u_first = np.float32(per_u * (u + du_row * y))
+        v_first = np.float32(per_v * (v + dv_row * y))
+        for x in range(first, last + 1, LANES):
+            at = y * line_bytes + 4 * x
+            screen_block(
+                line + at, depths + at, texels, x, last, z_first, z_column, z_row, u_first,
+                u_column, u_row, v_first, v_column, v_row, rows, columns,
+            )  # fmt: skip

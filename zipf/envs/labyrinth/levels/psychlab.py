@@ -84,7 +84,7 @@ class Psychlab(Episode):
     def begin_trial(self) -> None:
         """Shows a trial on the empty screen."""
 
-    def answered(self, correct: bool) -> None:  # noqa: B027
+    def answered(self, correct: bool) -> None:
         """A trial has ended."""
 
     def ask(self, buttons: tuple[Place, ...], right: int) -> None:

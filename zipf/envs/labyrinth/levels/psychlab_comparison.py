@@ -7,14 +7,15 @@ import numpy as np
 from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.levels.psychlab import CENTRE, LEFT, RIGHT, Psychlab, Staircase
 from zipf.envs.labyrinth.looks import WHITE, Colour
-from zipf.envs.labyrinth.scenery import SCREEN_PIXELS
 from zipf.envs.labyrinth.screen import Place
 from zipf.envs.labyrinth.world import World
 
-AREA, UNITS, STEP = 0.75, 64, 8
-"""Side of the array in the middle of the screen, its units a side, and those of a cell."""
+UNITS, STEP = 64, 8
+"""Units a side of the array in the middle of the screen, and those of a cell."""
 POSITIONS = range(4, 60, STEP)
 """Of cells, in units from the array's left or top."""
+START, UNIT = 16, 1.5
+"""The array's left and top, and a unit, in pixels of the screen; it covers 0.75 of it."""
 _BUTTON_AREA = (12, 20, 36, 44)
 CELLS = tuple(
     (x, y) for y in POSITIONS for x in POSITIONS if not (x in _BUTTON_AREA and y in _BUTTON_AREA)
@@ -38,11 +39,11 @@ DOMAINS = ("letters", "letter colours", "letter orientations", "squares", "all")
 Figure = tuple[int, int]
 """Form and colour."""
 
-_FIGURE = 20  # pixels of the screen, of the 24 of a cell
+_FIGURE = 10  # pixels of the screen, of the 12 of a cell
 
 
 def _forms() -> np.ndarray:
-    """Masks of the forms, bool [5, 20, 20]: an E is a square with two notches."""
+    """Masks of the forms, bool [5, 10, 10]: an E is a square with two notches."""
     forms = np.ones((1 + ORIENTATIONS, _FIGURE, _FIGURE), np.bool_)
     notch, deep = _FIGURE // 5, _FIGURE * 3 // 5
     right = forms[2]
@@ -57,7 +58,7 @@ _IMAGES = np.where(
     np.array(COLOURS, np.uint8)[None, :, None, None, :],
     np.uint8(255),
 )
-"""uint8 [forms, colours, 20, 20, 3], on white."""
+"""uint8 [forms, colours, 10, 10, 3], on white."""
 
 
 class SequentialComparison(Psychlab):
@@ -139,9 +140,8 @@ class SequentialComparison(Psychlab):
         self.staircase.count(correct)
 
     def _show(self, figures: dict[tuple[int, int], Figure]) -> None:
-        gap = (AREA * STEP / UNITS - _FIGURE / SCREEN_PIXELS) / 2
         for cell, (form, colour) in figures.items():
-            left, top = ((1 - AREA) / 2 + AREA * at / UNITS + gap for at in cell)
+            left, top = (START + round(UNIT * at) + 1 for at in cell)
             self.screen.paste(_IMAGES[form, colour], left, top)
 
     def _any_figure(self) -> Figure:

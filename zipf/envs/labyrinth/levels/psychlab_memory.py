@@ -1,4 +1,4 @@
-"""The psychlab levels with pictures: which response belongs to a picture, and was it seen before?"""
+"""The psychlab levels with pictures: which response belongs to one, and has it been seen before?"""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ import numpy as np
 from zipf.envs.labyrinth import pictures
 from zipf.envs.labyrinth.levels.psychlab import CORRECT, LEFT, RIGHT, WRONG, Psychlab
 from zipf.envs.labyrinth.looks import Colour
-from zipf.envs.labyrinth.scenery import SCREEN_PIXELS
 from zipf.envs.labyrinth.screen import Place
 from zipf.envs.labyrinth.world import World
 
-SIZE = 0.75
-"""Side of a picture in the middle of the screen."""
+SIZE, START = 96, 16
+"""Side of a picture, 0.75 of the screen's, and its left and top, in pixels of the screen."""
 BUTTONS: tuple[Place, ...] = ((0.45, 0.0, 0.55, 0.1), (0.45, 0.9, 0.55, 1.0), LEFT, RIGHT)
 """Of the mapping: north, south, and what the original calls east and west."""
 _TOLD_CORRECT: Colour = (100, 200, 100)
@@ -32,9 +31,7 @@ class _Pictures(Psychlab):
 
     def show(self, number: int) -> None:
         """Shows one of the episode's pictures."""
-        # Seen from afar, half the pixels of the screen are enough.
-        drawn = pictures.draw(int(self.pictures[number]), round(SIZE * SCREEN_PIXELS / 2))
-        self.screen.paste(drawn.repeat(2, 0).repeat(2, 1), (1 - SIZE) / 2, (1 - SIZE) / 2)
+        self.screen.paste(pictures.draw(int(self.pictures[number]), SIZE), START, START)
 
 
 class ArbitraryVisuomotorMapping(_Pictures):

@@ -5,18 +5,16 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zipf.envs.labyrinth.levels.psychlab import Psychlab, Staircase
 from zipf.envs.labyrinth.looks import Colour
-from zipf.envs.labyrinth.scenery import SCREEN_PIXELS
 from zipf.envs.labyrinth.screen import Place
 from zipf.envs.labyrinth.world import World
 
-AREA, CELLS, PIXEL, GLYPH = 0.8, 7, 7, 3
-"""Side of the area in the middle that is searched; its cells a side; pixels of the screen in a dot
-of a glyph; dots of a glyph a side."""
-CELL = PIXEL * (GLYPH + 1)
-_MARGIN = (int(AREA * SCREEN_PIXELS) - CELLS * CELL) // 2
+START, CELLS, CELL = 15, 7, 14
+"""Left and top of the cells in pixels of the screen, cells a side, and pixels of a cell. The
+original's area of 0.8 of the screen, less its margin."""
 SHAPES: dict[str, str] = {
     "T": "111 010 010",
     "inverted T": "010 010 111",
@@ -39,15 +37,23 @@ MODES = ("shape", "colour", "conjunction")
 BUTTONS: tuple[Place, ...] = ((0.35, 0.9, 0.45, 1.0), (0.55, 0.9, 0.65, 1.0))
 ABSENT, PRESENT = 0, 1
 
+_GAP = 2  # from a cell's left and top to its figure, pixels
 _BITMAPS = np.array(
     [[[dot == "1" for dot in row] for row in rows.split()] for rows in SHAPES.values()]
 )
-_IMAGES = np.where(
-    _BITMAPS.repeat(PIXEL, 1).repeat(PIXEL, 2)[:, None, :, :, None],
-    np.array(COLOURS, np.uint8)[None, :, None, None, :],
-    np.uint8(255),
-)
-"""uint8 [shapes, colours, 21, 21, 3], on white."""
+
+
+def _images() -> NDArray[np.uint8]:
+    """All figures on white, uint8 [shapes, colours, 11, 11, 3]. A dot is 3.5 pixels wide."""
+    masks = np.zeros((len(SHAPES), 22, 22))
+    masks[:, :21, :21] = _BITMAPS.repeat(7, 1).repeat(7, 2)
+    share = masks.reshape(-1, 11, 2, 11, 2).mean((2, 4))[:, None, :, :, None]
+    colours = np.array(COLOURS)[None, :, None, None, :]
+    images: NDArray[np.uint8] = np.round(255 + share * (colours - 255)).astype(np.uint8)
+    return images
+
+
+_IMAGES = _images()
 
 
 class VisualSearch(Psychlab):
@@ -83,10 +89,9 @@ class VisualSearch(Psychlab):
         if present:
             self.figures[0] = 0, 0
         cells = self.rng.choice(CELLS * CELLS, count, replace=False)
-        start = (1 - AREA) / 2 + (_MARGIN + PIXEL / 2) / SCREEN_PIXELS
         for (shape, colour), cell in zip(self.figures, cells.tolist(), strict=True):
             row, column = divmod(cell, CELLS)
-            left, top = (start + along * CELL / SCREEN_PIXELS for along in (column, row))
+            left, top = (START + along * CELL + _GAP for along in (column, row))
             self.screen.paste(_IMAGES[shape, colour], left, top)
         self.ask(BUTTONS, PRESENT if present else ABSENT)
 
