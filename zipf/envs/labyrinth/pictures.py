@@ -88,7 +88,7 @@ _SHAPES, _STARTS = _shapes()
 
 
 def draw(number: int, size: int) -> NDArray[np.uint8]:
-    """A picture, uint8 [size, size, 3].
+    """A picture, RGBA uint8 [size, size, 4].
 
     Args:
         number: from 0 to `COUNT` - 1.
@@ -109,7 +109,7 @@ def draw(number: int, size: int) -> NDArray[np.uint8]:
         (draws[3] + 0.4, 0.3 + 0.25 * draws[6], 0.5 + 0.25 * draws[7]),  # ground
     )
     palette = np.array([colorsys.hsv_to_rgb(h % 1.0, s, v) for h, s, v in colours]) * 255
-    picture = np.empty((size, size, 3), np.uint8)
+    picture = np.full((size, size, 4), 255, np.uint8)
     shapes = _SHAPES[_STARTS[thing] : _STARTS[thing + 1]]
     turn, slope = 0.5 * draws[8] - 0.25, np.pi * draws[9]
     mirrored = draws[10] < 0.5
@@ -147,7 +147,6 @@ def _paint(picture, shapes, palette, pattern, scene, turn, slope, mirrored):
                     colour = _SECOND
             elif colour < 0:
                 if not scene:
-                    picture[row, column] = 255
                     continue
                 colour = _SKY if y < 0.45 else _GROUND
                 shade = 1.0 - 0.15 * y if colour == _SKY else 0.9 + 0.2 * y

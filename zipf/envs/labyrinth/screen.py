@@ -30,7 +30,7 @@ class Screen:
     def __init__(self, worlds: Worlds, scenery: Scenery, number: int) -> None:
         self._worlds = worlds
         self._number = number
-        self._image = scenery.scenes.screen[number, :, :, :3]
+        self._image = scenery.scenes.screen[number]
         self._widgets = 0
         self.clear()
 
@@ -53,10 +53,10 @@ class Screen:
     def fill(self, place: Place, colour: Colour = WHITE) -> None:
         """Paints a rectangle."""
         left, top, right, bottom = (round(SCREEN_PIXELS * share) for share in place)
-        self._image[top:bottom, left:right] = colour
+        self._image[top:bottom, left:right] = *colour, 255
 
     def paste(self, image: NDArray[np.uint8], left: int, top: int) -> None:
-        """Paints an image, uint8 [height, width, 3], with its top left corner at a pixel."""
+        """Paints an image, RGBA uint8 [height, width, 4], with its top left corner at a pixel."""
         height, width, _ = image.shape
         self._image[top : top + height, left : left + width] = image
 

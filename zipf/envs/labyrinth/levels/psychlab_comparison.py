@@ -55,10 +55,10 @@ def _forms() -> np.ndarray:
 
 _IMAGES = np.where(
     _forms()[:, None, :, :, None],
-    np.array(COLOURS, np.uint8)[None, :, None, None, :],
+    np.array([(*colour, 255) for colour in COLOURS], np.uint8)[None, :, None, None, :],
     np.uint8(255),
 )
-"""uint8 [forms, colours, 10, 10, 3], on white."""
+"""RGBA uint8 [forms, colours, 10, 10, 4], on white."""
 
 
 class SequentialComparison(Psychlab):

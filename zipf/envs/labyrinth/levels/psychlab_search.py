@@ -44,11 +44,11 @@ _BITMAPS = np.array(
 
 
 def _images() -> NDArray[np.uint8]:
-    """All figures on white, uint8 [shapes, colours, 11, 11, 3]. A dot is 3.5 pixels wide."""
+    """All figures on white, RGBA uint8 [shapes, colours, 11, 11, 4]. A dot is 3.5 pixels wide."""
     masks = np.zeros((len(SHAPES), 22, 22))
     masks[:, :21, :21] = _BITMAPS.repeat(7, 1).repeat(7, 2)
     share = masks.reshape(-1, 11, 2, 11, 2).mean((2, 4))[:, None, :, :, None]
-    colours = np.array(COLOURS)[None, :, None, None, :]
+    colours = np.array([(*colour, 255) for colour in COLOURS])[None, :, None, None, :]
     images: NDArray[np.uint8] = np.round(255 + share * (colours - 255)).astype(np.uint8)
     return images
 
