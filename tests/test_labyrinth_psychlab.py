@@ -644,7 +644,7 @@ def test_psychlab_keeps_the_contract() -> None:
     """With long steps, for episodes of ten or so."""
     name, options = f"labyrinth/{SEARCH}", {"image_size": (9, 12), "action_repeat": 900}
     check_vector_env(
-        partial(make_vec, name, **options), partial(make, name, **options), num_envs=3, steps=50
+        partial(make_vec, name, **options), partial(make, name, **options), num_envs=2, steps=30
     )
 
 

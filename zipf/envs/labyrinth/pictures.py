@@ -7,6 +7,8 @@ picture's number.
 
 import colorsys
 import math
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +23,9 @@ second colour."""
 _SMALLER = 1.12
 """Than the picture is the thing in it."""
 
-# Of each thing its shapes, the later before the earlier: kind and paint, x and y of the middle,
-# half width and half height (-100 .. 100, y grows downwards), and a turn in degrees.
+# Of each thing its shapes, of which later ones cover earlier ones: kind (ellipse, box, triangle,
+# dome or ring) and paint (main, accent, dark or light), x and y of the middle, half width and half
+# height (-100 .. 100, y grows downwards), and a turn in degrees.
 _THINGS = """
 house: bM 0 35 55 45 0, tA 0 -45 78 38 0, bD 0 55 15 25 0, bL -32 20 12 12 0, bL 32 20 12 12 0
 car: bM 0 20 90 25 0, dA 0 -4 55 45 0, bL -18 -12 16 11 0, bL 18 -12 16 11 0, eD -50 48 23 23 0, eD 50 48 23 23 0
@@ -66,20 +69,17 @@ COUNT = len(THINGS) * len(_HUES) * _PATTERNS * 2
 def _shapes() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """The shapes of all things, and where each thing's begin, int64 [things + 1].
 
-    A row, of float64 [shapes, 8], has kind and paint, x and y of the middle, and the matrix that
-    turns what lies around the middle upright, within -1 .. 1.
+    A row, of float64 [shapes, 8], has kind and paint, and the x and y of the middle and of the
+    half axes, across and downwards.
     """
     rows, starts = [], [0]
     for line in _THINGS.strip().splitlines():
         for text in line.partition(":")[2].split(","):
             kinds, *numbers = text.split()
-            x, y, wide, high, degrees = map(float, numbers)
-            cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-            matrix = (
-                100 * cos / wide, 100 * sin / wide, -100 * sin / high, 100 * cos / high
-            )  # fmt: skip
+            x, y, wide, high, degrees = (float(number) / 100 for number in numbers)
+            cos, sin = math.cos(math.radians(100 * degrees)), math.sin(math.radians(100 * degrees))
             kind, paint = "ebtdr".index(kinds[0]), "MADL".index(kinds[1])
-            rows.append((kind, paint, x / 100, y / 100, *matrix))
+            rows.append((kind, paint, x, y, wide * cos, wide * sin, -high * sin, high * cos))
         starts.append(len(rows))
     return np.array(rows), np.array(starts)
 
@@ -87,13 +87,23 @@ def _shapes() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 _SHAPES, _STARTS = _shapes()
 
 
-def draw(number: int, size: int) -> NDArray[np.uint8]:
-    """A picture, RGBA uint8 [size, size, 4].
+class _Plan(NamedTuple):
+    """What a picture looks like, whatever its size."""
 
-    Args:
-        number: from 0 to `COUNT` - 1.
-        size: height and width, pixels.
-    """
+    shapes: NDArray[np.float64]
+    palette: NDArray[np.float64]
+    pattern: int
+    scene: bool
+    turn: float
+    """Of the thing, radians."""
+    slope: float
+    """Of the pattern, radians."""
+    mirrored: bool
+
+
+@cache
+def _plan(number: int) -> _Plan:
+    """Follows from a picture's number; there are few enough to keep all."""
     thing, look = number % len(THINGS), number // len(THINGS)
     hue, look = look % len(_HUES), look // len(_HUES)
     pattern, scene = look % _PATTERNS, look // _PATTERNS
@@ -104,48 +114,47 @@ def draw(number: int, size: int) -> NDArray[np.uint8]:
         (main[0] + (0.4 if draws[0] < 0.5 else 0.55), 0.8, 0.8),  # accent
         (main[0], 0.4, 0.22),  # dark
         (main[0] + 0.5, 0.08, 0.97),  # light
-        (
-            main[0] + (1 + int(3 * draws[1])) / 4,
-            0.75,
-            0.45 if draws[2] < 0.5 < main[2] else 0.9,
-        ),  # second
+        (main[0] + (1 + int(3 * draws[1])) / 4, 0.75, 0.45 if draws[2] < 0.5 < main[2] else 0.9),
         (draws[3], 0.15 + 0.2 * draws[4], 0.75 + 0.2 * draws[5]),  # sky
         (draws[3] + 0.4, 0.3 + 0.25 * draws[6], 0.5 + 0.25 * draws[7]),  # ground
     )
     palette = np.array([colorsys.hsv_to_rgb(h % 1.0, s, v) for h, s, v in colours]) * 255
-    picture = np.full((size, size, 4), 255, np.uint8)
     shapes = _SHAPES[_STARTS[thing] : _STARTS[thing + 1]]
-    turn, slope = 0.5 * draws[8] - 0.25, np.pi * draws[9]
-    mirrored = draws[10] < 0.5
-    _paint(picture, shapes, palette, pattern, bool(scene), turn, slope, mirrored)
+    turn, slope = 0.5 * draws[8] - 0.25, math.pi * draws[9]
+    return _Plan(shapes, palette, pattern, bool(scene), turn, slope, draws[10] < 0.5)
+
+
+def draw(number: int, size: int) -> NDArray[np.uint8]:
+    """A picture, RGBA uint8 [size, size, 4].
+
+    Args:
+        number: from 0 to `COUNT` - 1.
+        size: height and width, pixels.
+    """
+    picture = np.full((size, size, 4), 255, np.uint8)
+    _paint(picture, *_plan(number))
     return picture
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(error_model="numpy")
 def _paint(picture, shapes, palette, pattern, scene, turn, slope, mirrored):
-    """Paints a picture, from what `draw` derives from its number."""
+    """Paints a picture on white, from what its plan has."""
     size = len(picture)
-    cos, sin = math.cos(turn) * _SMALLER, math.sin(turn) * _SMALLER
+    cos, sin = math.cos(turn), math.sin(turn)
     across, along = math.cos(slope), math.sin(slope)
+    paints = np.full((size, size), -1, np.int8)
+    for k in range(len(shapes)):
+        _cover(paints, shapes[k], cos / _SMALLER, sin / _SMALLER, mirrored)
     for row in range(size):
         y = (2 * row + 1) / size - 1
         for column in range(size):
-            x = (2 * column + 1) / size - 1
-            u, v = x * cos + y * sin, y * cos - x * sin
-            if mirrored:
-                u = -u
-            colour = -1
+            colour = paints[row, column]
             shade = 1.0
-            for k in range(len(shapes) - 1, -1, -1):
-                at_x, at_y = u - shapes[k, 2], v - shapes[k, 3]
-                at_x, at_y = (
-                    shapes[k, 4] * at_x + shapes[k, 5] * at_y,
-                    shapes[k, 6] * at_x + shapes[k, 7] * at_y,
-                )
-                if abs(at_x) <= 1.0 and abs(at_y) <= 1.0 and _inside(shapes[k, 0], at_x, at_y):
-                    colour = int(shapes[k, 1])
-                    break
             if colour == _MAIN:
+                x = (2 * column + 1) / size - 1
+                u, v = (x * cos + y * sin) * _SMALLER, (y * cos - x * sin) * _SMALLER
+                if mirrored:
+                    u = -u
                 shade = 1.05 - 0.12 * (u + v)
                 if _is_second(pattern, u * across + v * along, v * across - u * along):
                     colour = _SECOND
@@ -156,6 +165,32 @@ def _paint(picture, shapes, palette, pattern, scene, turn, slope, mirrored):
                 shade = 1.0 - 0.15 * y if colour == _SKY else 0.9 + 0.2 * y
             for c in range(3):
                 picture[row, column, c] = int(min(palette[colour, c] * shade, 255.0))
+
+
+@compiled(error_model="numpy")
+def _cover(paints, shape, cos, sin, mirrored):
+    """Writes a shape's paint to the pixels of a picture that it covers, int8 [size, size]."""
+    size = len(paints)
+    kind, paint = shape[0], np.int8(shape[1])
+    sign = -1.0 if mirrored else 1.0
+    # Middle and half axes in the picture, whose coordinates are -1 .. 1 too.
+    x, y = sign * shape[2] * cos - shape[3] * sin, sign * shape[2] * sin + shape[3] * cos
+    ax, ay = sign * shape[4] * cos - shape[5] * sin, sign * shape[4] * sin + shape[5] * cos
+    bx, by = sign * shape[6] * cos - shape[7] * sin, sign * shape[6] * sin + shape[7] * cos
+    scale = 1.0 / (ax * by - ay * bx)
+    wide, high = abs(ax) + abs(bx), abs(ay) + abs(by)
+    half = size / 2
+    first_row = max(int((y - high + 1) * half), 0)
+    last_row = min(int((y + high + 1) * half), size - 1)
+    first = max(int((x - wide + 1) * half), 0)
+    last = min(int((x + wide + 1) * half), size - 1)
+    for row in range(first_row, last_row + 1):
+        down = (row + 0.5) / half - 1 - y
+        for column in range(first, last + 1):
+            right = (column + 0.5) / half - 1 - x
+            s, t = (right * by - down * bx) * scale, (down * ax - right * ay) * scale
+            if abs(s) <= 1.0 and abs(t) <= 1.0 and _inside(kind, s, t):
+                paints[row, column] = paint
 
 
 @compiled(error_model="numpy")

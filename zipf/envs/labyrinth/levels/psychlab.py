@@ -39,7 +39,10 @@ class Psychlab(Episode):
     looking up and looking down have an effect. A trial begins as soon as the gaze meets the middle
     of a red plus on the white screen. A button changes colour while it is looked at; when the gaze
     leaves it, the answer is given and rewarded. Then the screen is empty for a frame, and the next
-    trial's plus appears.
+    trial's plus appears. One frame of looking is enough for everything.
+
+    Approximated: the screen has 128 x 128 pixels, the original's 512 or 256, of which a view of
+    96 x 72 shows about 60; its frame, the pedestal and the sky are ours.
 
     Attributes:
         trials: of an episode, at most; it ends after the last one.

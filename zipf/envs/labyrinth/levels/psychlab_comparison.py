@@ -64,8 +64,8 @@ _IMAGES = np.where(
 class SequentialComparison(Psychlab):
     """Goal: tell whether an array of figures is the same as the one seen before.
 
-    Layout: a screen; see `Psychlab`. In the test, the button in the middle of its left edge stands
-    for a different array, that of the right edge for the same.
+    Layout: a screen; see `psychlab.Psychlab`. In the test, the button in the middle of its left
+    edge stands for a different array, that of the right edge for the same.
     Rules: a trial shows some figures and, at one of four places around the middle, a small
     turquoise frame, which fills when it is looked at. When the gaze leaves it, the screen is empty
     for 8, 16, 32, 64, 128 or 256 frames. Then the figures are there again: the same with

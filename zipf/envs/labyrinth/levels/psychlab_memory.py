@@ -37,7 +37,7 @@ class _Pictures(Psychlab):
 class ArbitraryVisuomotorMapping(_Pictures):
     """Goal: learn which of four responses belongs to each picture.
 
-    Layout: a screen; see `Psychlab`. Buttons are in the middle of its four edges.
+    Layout: a screen; see `psychlab.Psychlab`. Buttons are in the middle of its four edges.
     Rules: a trial shows a picture and four black buttons. When one is looked at, the right one is
     green and the others are red. A pair of picture and response that is shown for the first time
     in the episode gives the answer away: its buttons are green and red, but dull, from the start.
@@ -88,8 +88,8 @@ class ArbitraryVisuomotorMapping(_Pictures):
 class ContinuousRecognition(_Pictures):
     """Goal: tell whether a picture has been shown before in the episode.
 
-    Layout: a screen; see `Psychlab`. In the middle of its left edge is the button for new pictures,
-    in that of the right edge the one for old ones.
+    Layout: a screen; see `psychlab.Psychlab`. In the middle of its left edge is the button for new
+    pictures, in that of the right edge the one for old ones.
     Rules: the first picture is new. From then on one is new with probability 1/2, or else any of
     those that were shown before. The button that is looked at turns green if it is right, else red.
     Rewards: +1 for leaving the right button.

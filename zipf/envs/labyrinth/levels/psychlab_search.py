@@ -59,8 +59,8 @@ _IMAGES = _images()
 class VisualSearch(Psychlab):
     """Goal: tell whether a pink T is among the figures.
 
-    Layout: a screen; see `Psychlab`. Near the middle of its lower edge are, to the left, the button
-    for an absent T and, to the right, the one for a present T.
+    Layout: a screen; see `psychlab.Psychlab`. Near the middle of its lower edge are, to the left,
+    the button for an absent T and, to the right, the one for a present T.
     Rules: figures stand in different ones of 7 x 7 cells. There is a pink T with probability 1/2;
     the others, or all, are distractors, which in a trial differ from it either in shape (any other
     shape, pink), or in colour (a T of any other colour), or in either or both. A staircase sets how
@@ -69,6 +69,7 @@ class VisualSearch(Psychlab):
     Rewards: +1 for leaving the right button.
     Length: 80 trials, or the time limit. The buttons need looking down: with nine actions nothing
     can be answered.
+    Approximated: the edges of figures are smoothed, since a dot is 3.5 pixels of the screen wide.
 
     Attributes:
         staircase: its level is that of `LADDER`, from 1.
