@@ -184,11 +184,13 @@ def test_a_trial_from_the_mark_to_the_next(level: str) -> None:
     for _ in range(3):  # nothing is paid while it is looked at
         assert look(env, episode, button) == 0
         assert colour(env, button) == (100, 255, 100)
-    assert look(env, episode, CENTRE) == 1
+    assert look(env, episode, (0.7, 0.6, 0.75, 0.65)) == 1
     assert empty(env)
     assert episode.done == 1
-    assert wait(env) == 0  # the next frame: the mark, which is being looked at
     assert not episode.fixating
+    assert wait(env) == 0  # the next frame
+    assert episode.fixating
+    assert colour(env, (0.5, 0.45, 0.5, 0.47)) == (255, 0, 0)
 
 
 @ALL
