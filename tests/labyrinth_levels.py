@@ -17,6 +17,7 @@ REWARDS: dict[str, set[float]] = {
     "rooms_keys_doors_puzzle": {1, 50},
     **{name: {1} for name in LEVELS if name.startswith("natlab")},
     **{name: {100} for name in LEVELS if name.startswith("skymaze")},
+    **{name: {1} for name in LEVELS if name.startswith("psychlab")},
     **{name: {1} for name in LEVELS if name.startswith("explore_object_locations")},
     **{name: {10} for name in LEVELS if "goal" in name and name.startswith("explore")},
     **{name: {2, -1} for name in LEVELS if name.startswith("explore_object_rewards")},

@@ -193,7 +193,35 @@ def test_a_screen_shows_its_worlds_image():
     for world in range(2):
         scenes.add_wall(world, (1, -1, 1, 1), (-1, 1), SCREEN)
     images = view(scenes, width=48, height=48)
-    assert (images == scenes.screen.repeat(12, 1).repeat(8, 2)).all()
+    assert (images == scenes.screen[..., :3].repeat(12, 1).repeat(8, 2)).all()
+
+
+def test_screens_of_twice_the_size_are_averaged():
+    """A pixel is the mean of two of the four texels that it covers."""
+    scenes = Scenes(1, walls=1, screen=(96, 96))
+    rng = np.random.default_rng(0)
+    scenes.screen[:] = rng.integers(0, 256, scenes.screen.shape)
+    scenes.add_wall(0, (1, -1, 1, 1), (-1, 1), SCREEN)
+    image = view(scenes, width=48, height=48)[0]
+    texels = scenes.screen[0, ..., :3].astype(float)
+    assert abs(image - (texels[::2, ::2] + texels[1::2, 1::2]) / 2).max() <= 0.5
+
+
+def test_a_screen_seen_from_aside_is_where_a_wall_would_be():
+    """Its picture too: a texture as large, without the light on it, differs in few pixels."""
+    picture = np.zeros((1, 64, 64, 4), np.uint8)
+    picture[..., 3] = 255
+    picture[0, 20:50, 8:40] = 200
+    scenes = Scenes(1, walls=1, screen=(64, 64))
+    scenes.screen[0] = picture[0]
+    scenes.sky[:] = 0
+    scenes.camera[0] = 0.1, 0.2, 0.05, 0.4, -0.2
+    scenes.add_wall(0, (1, -1, 1, 1), (-1, 1), 0)
+    wall = view(scenes, picture, width=96, height=72)[0, ..., 0] > 40
+    scenes.wall_looks[0, 0, 0] = SCREEN
+    screen = view(scenes, picture, width=96, height=72)[0, ..., 0] > 100
+    assert wall.sum() > 500
+    assert (wall != screen).sum() < 0.05 * wall.sum()
 
 
 def test_overlays_lie_over_the_view():

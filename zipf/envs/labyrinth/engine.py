@@ -1,16 +1,19 @@
 """Runs the frames of a step in all worlds, compiled, and stops where a level's rules are needed.
 
-A frame is: turn and move, touch items, enter zones, timers, the clock. Whatever happens is told to
-the episode of that world, in Python; then its frames go on where they stopped. Worlds do not
-wait for each other: most steps have no event at all.
+A frame is: turn and move, touch items, enter zones, timers, the gaze, the clock. Whatever happens
+is told to the episode of that world, in Python; then its frames go on where they stopped. Worlds do
+not wait for each other: most steps have no event at all.
 """
 
 from zipf.compiled import compiled
+from zipf.envs.labyrinth.gaze import gaze, widget_at
 from zipf.envs.labyrinth.mover import ABOVE, BELOW, WIDE, move
 from zipf.envs.labyrinth.state import X, Y, Z
 
 NOTHING, MAP, ITEM, ZONE, TIMER = range(5)
 """Kinds of events: a new map begins, an item was touched, a zone entered, a timer went off."""
+LOOKED, LOOKED_AWAY = 5, 6
+"""Events of a screen: the gaze has entered a widget, or has left it."""
 
 TOUCH_X, TOUCH_Y, TOUCH_Z = 40.0, 36.0, 36.0
 """An item is touched within these distances of the player's point. The original's reach along x is
@@ -30,7 +33,7 @@ def run(mask, commands, left, part, worlds, over, timed_out, event, index):
         part: int64 [N], the part of a frame at which a world stopped; written.
         worlds: `Worlds`, written.
         over, timed_out: bool [N], set where the level or the clock ends the episode.
-        event, index: int64 [N], what happened and to which item, zone or timer; written.
+        event, index: int64 [N], what happened and to which item, zone, timer or widget; written.
 
     Returns whether anything happened.
     """
@@ -66,6 +69,10 @@ def run(mask, commands, left, part, worlds, over, timed_out, event, index):
                 worlds.timers[i, index[i]] = -1
                 event[i] = TIMER
                 break
+            if worlds.screen[i, 3] > 0.0:
+                event[i], index[i] = _looked(worlds, i)
+                if event[i] != NOTHING:
+                    break
             part[i] = _MOVING
             if worlds.ending[i] > 0:
                 worlds.ending[i] -= 1
@@ -120,3 +127,17 @@ def _expired(worlds, i):
         if worlds.timers[i, k] >= 0 and worlds.clock[i] >= worlds.timers[i, k]:
             return k
     return -1
+
+
+@compiled(error_model="numpy")
+def _looked(worlds, i):
+    """What the gaze has done since the last call, and to which widget: it leaves one first."""
+    x, y = gaze(worlds, i)
+    now, before = widget_at(worlds, i, x, y), worlds.watched[i]
+    if now == before:
+        return NOTHING, -1
+    if before >= 0:
+        worlds.watched[i] = -1
+        return LOOKED_AWAY, before
+    worlds.watched[i] = now
+    return LOOKED, now

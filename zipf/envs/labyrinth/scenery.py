@@ -23,6 +23,8 @@ LARGE = 288, 384
 WALLS, FLATS, OVERLAYS = 768, 288, 4
 """Capacities of each world. The most are those of a skymaze of 10 x 10 nodes that all connect: 280
 platforms, 760 sides."""
+SCREEN_PIXELS = 128
+"""Height and width of a world's screen: twice what is seen of it in a view of 96 x 72."""
 BOB, TURN = 4.0, 2.05
 """How far an item that is not static rises and sinks, units, and seconds of a turn."""
 SIDES = (
@@ -65,6 +67,7 @@ class Scenery:
         self.scenes = Scenes(
             n, walls=WALLS, flats=FLATS, instances=ITEMS, tile_cells=GRID * GRID,
             grid=(GRID, GRID), overlays=OVERLAYS, terrain=(QUADS, QUADS),
+            screen=(SCREEN_PIXELS, SCREEN_PIXELS),
         )  # fmt: skip
         self.shape = np.full((n, ITEMS), -1, np.int32)
         self.spins = np.zeros((n, ITEMS), np.bool_)

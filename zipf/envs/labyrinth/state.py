@@ -20,6 +20,7 @@ GRID = 21
 """Most rows and columns of a text map."""
 ITEMS, BOXES, PLANES, PILLARS, ZONES, TIMERS = 184, 64, 16, 100, 10, 4
 QUADS = 63
+WIDGETS = 4
 """Capacities of each world."""
 
 
@@ -79,6 +80,14 @@ class Worlds(NamedTuple):
     """[N, ZONES]: whether the player is inside."""
     timers: NDArray[np.int64]
     """[N, TIMERS]: the frame at which a timer goes off; -1: it is off."""
+    screen: NDArray[np.float64]
+    """[N, 4]: x, y and z of the middle of a square screen that faces south, and its side; a side of
+    0: there is none."""
+    widgets: NDArray[np.float64]
+    """[N, WIDGETS, 4]: left, top, right and bottom of parts of the screen that tell when they are
+    looked at, as shares of its side from the top left corner; empty ones are nowhere."""
+    watched: NDArray[np.int64]
+    """[N]: the widget that the player looks at; -1: none."""
 
 
 def make_worlds(num_worlds: int) -> Worlds:
@@ -111,6 +120,9 @@ def make_worlds(num_worlds: int) -> Worlds:
         zones=np.zeros((n, ZONES, 6)),
         inside=np.zeros((n, ZONES), np.bool_),
         timers=np.full((n, TIMERS), -1, np.int64),
+        screen=np.zeros((n, 4)),
+        widgets=np.zeros((n, WIDGETS, 4)),
+        watched=np.full(n, -1, np.int64),
     )
 
 
@@ -121,6 +133,6 @@ def clear(worlds: Worlds, world: int) -> None:
         ("pushed", 0), ("cells", 0), ("solid", False), ("floor", 0.0), ("box_count", 0),
         ("plane_count", 0), ("held", False), ("pillar_count", 0), ("quad", 0.0),
         ("touchable", False), ("present", False), ("returning", -1), ("zones", 0.0),
-        ("inside", False), ("timers", -1),
+        ("inside", False), ("timers", -1), ("screen", 0.0), ("widgets", 0.0), ("watched", -1),
     ):  # fmt: skip
         getattr(worlds, name)[world] = value

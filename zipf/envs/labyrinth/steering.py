@@ -9,6 +9,7 @@ from zipf.compiled import compiled
 from zipf.envs.labyrinth.actions import DEGREES_PER_PIXEL, EXTENDED
 from zipf.envs.labyrinth.grids import Cell, distances
 from zipf.envs.labyrinth.mover import WIDE
+from zipf.envs.labyrinth.screen import Place, Screen
 from zipf.envs.labyrinth.state import CELL
 from zipf.envs.labyrinth.world import World
 
@@ -52,6 +53,23 @@ def face(world: World, x: float, y: float) -> int | None:
         return None
     size = "" if abs(off) > (SMALL + LARGE) / 2 else "slightly "
     return NAMES[f"look {size}{'left' if off > 0 else 'right'}"]
+
+
+def look_at(world: World, screen: Screen, place: Place) -> int:
+    """The action that turns the gaze to a part of the screen; to wait if it is there."""
+    left, top, right, bottom = place
+    _, _, yaw, pitch = world.player
+    to_yaw, to_pitch = screen.direction((left + right) / 2, (top + bottom) / 2)
+    off, rise = bearing(yaw, to_yaw), math.degrees(to_pitch - pitch)
+    if abs(off) > (SMALL + LARGE) / 2:
+        return NAMES["look left" if off > 0 else "look right"]
+    x, y = screen.gaze
+    beside, above = not left <= x < right, not top <= y < bottom
+    if beside and (abs(off) >= abs(rise) or not above):
+        return NAMES["look slightly left" if off > 0 else "look slightly right"]
+    if above:
+        return NAMES["look up" if rise > 0 else "look down"]
+    return WAIT
 
 
 def bearing(yaw: float, direction: float) -> float:

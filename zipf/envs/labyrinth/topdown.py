@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth.gaze import gaze
 from zipf.envs.labyrinth.scenery import METRES, Scenery, atlas
 from zipf.envs.labyrinth.state import CELL, QUADS, YAW, Worlds, X, Y
 from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH
@@ -29,8 +30,11 @@ def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
     """The map of a world, uint8 [SIZE, SIZE, 3], the north above.
 
     Platforms and hills are lighter the higher they are. Thin white outlines are zones in which
-    something happens, whether they can be seen or not. Items are in their two colours.
+    something happens, whether they can be seen or not. Items are in their two colours. In the place
+    of a map, worlds with a screen have the screen, with a ring where the player looks.
     """
+    if worlds.screen[world, 3] > 0:
+        return _draw_screen(worlds, scenery, world)
     page = _Page(_bounds(worlds, scenery, world))
     if worlds.quad[world] > 0:
         _draw_terrain(page, worlds, scenery, world)
@@ -222,3 +226,22 @@ def _mixed(texture: int, tint: NDArray[np.uint8]) -> NDArray[np.float64]:
 def _colour(values: NDArray[np.floating] | NDArray[np.uint8]) -> Colour:
     red, green, blue = (min(max(round(float(value)), 0), 255) for value in values)
     return red, green, blue
+
+
+def _draw_screen(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
+    """The screen and what surrounds it; of a gaze that is outside the nearest point is marked."""
+    horizon, overhead = scenery.scenes.sky[world].astype(np.float64)
+    high = np.linspace(1, 0, SIZE * _FINE)[:, None, None]
+    sky = np.broadcast_to(horizon + (overhead - horizon) * high, (SIZE * _FINE, SIZE * _FINE, 3))
+    image = Image.fromarray(sky.astype(np.uint8))
+    pen = ImageDraw.Draw(image)
+    side = round(SIZE * _FINE * 0.8)
+    edge = (SIZE * _FINE - side) // 2
+    rim = side // 16
+    pen.rectangle((edge - rim, edge - rim, edge + side + rim, edge + side + rim), _SOLID)
+    shown = Image.fromarray(scenery.scenes.screen[world, :, :, :3]).resize((side, side))
+    image.paste(shown, (edge, edge))
+    x, y = (edge + side * min(max(at, -0.11), 1.11) for at in gaze(worlds, world))
+    for far, colour, width in ((16, (0, 0, 0), 8), (14, (255, 255, 255), 4)):
+        pen.ellipse((x - far, y - far, x + far, y + far), None, colour, width)
+    return np.asarray(image.resize((SIZE, SIZE), Image.Resampling.BOX))

@@ -153,8 +153,12 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
             episode.picked_up(index)
         elif event == engine.ZONE:
             episode.entered(index)
-        else:
+        elif event == engine.TIMER:
             episode.went_off(index)
+        elif event == engine.LOOKED:
+            episode.looked_at(index)
+        else:
+            episode.looked_away(index)
 
     def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
         self._scenery.draw(out["image"], mask)

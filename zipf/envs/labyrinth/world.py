@@ -13,6 +13,7 @@ from zipf.envs.labyrinth.grids import Cell
 from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.mover import BELOW, WIDE
 from zipf.envs.labyrinth.scenery import METRES, SIDES, Scenery, atlas, faces
+from zipf.envs.labyrinth.screen import Screen
 from zipf.envs.labyrinth.state import (
     CELL,
     GRID,
@@ -29,7 +30,7 @@ from zipf.envs.labyrinth.state import (
     Z,
 )
 from zipf.envs.labyrinth.terrain import Terrain
-from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH, TWO_SIDED
+from zipf.envs.render3d import FACES_DOWN, SCREEN, SEE_THROUGH, TWO_SIDED
 
 Point = tuple[float, float, float]
 
@@ -242,6 +243,18 @@ class World:
         self._scenery.add_walls(
             self._number, ends, heights, np.array([texture]), np.array([-1]), flags=TWO_SIDED
         )
+
+    def add_screen(self, distance: float, height: float, side: float) -> Screen:
+        """Adds a white square screen that faces the origin from the north.
+
+        Args:
+            distance: of its middle from the origin, units.
+            height: of its middle.
+            side: of the screen.
+        """
+        self._worlds.screen[self._number] = 0.0, distance, height, side
+        self.add_picture(distance, math.pi / 2, height, side, SCREEN)
+        return Screen(self._worlds, self._scenery, self._number)
 
     def add_floor(
         self,
@@ -565,3 +578,9 @@ class Episode(ABC):
 
     def went_off(self, timer: int) -> None:  # noqa: B027
         """A timer has gone off."""
+
+    def looked_at(self, widget: int) -> None:  # noqa: B027
+        """The player's gaze has entered a widget of the screen."""
+
+    def looked_away(self, widget: int) -> None:  # noqa: B027
+        """The player's gaze has left a widget of the screen."""

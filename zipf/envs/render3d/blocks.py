@@ -70,6 +70,51 @@ def wall_block(
     return written([ADDRESS] * 3 + [I32] * 2 + [F32] * 11 + [I32], write)
 
 
+@intrinsic
+def screen_block(
+    typingctx, colour, depth, texels, x, last, z, dz, dz_row, u, du, du_row, v, dv, dv_row, rows,
+    columns,
+):  # fmt: skip
+    """Draws the pixels x .. min(x + 15, last) of a screen, RGBA [rows, columns].
+
+    1/t is z + dz * x + dz_row * y for rows y below this one, and texel coordinates divided by t
+    likewise. A pixel is the mean of the texels in the middles of its upper left and lower right
+    quarter, so that of a picture of twice the size at which it is seen no line is left out; within
+    a pixel, coordinates are taken to be affine.
+    """
+
+    def write(builder, colour, depth, texels, x, last, z, dz, dz_row, u, du, du_row, v, dv,
+              dv_row, rows, columns):  # fmt: skip
+        code = Code(builder)
+        splat = code.splat
+        column = code.columns(x)
+        place = column.floats_()
+        inverse = splat(z) + splat(dz) * place
+        mask = (column <= splat(last)) & (inverse > code.load(depth, FLOAT))
+        with builder.if_then(mask.any()):
+            t = inverse.like(1.0) / inverse
+            quarter = t * 0.25
+            samples = []
+            for start, step, step_row, count in ((u, du, du_row, columns), (v, dv, dv_row, rows)):
+                middle = (splat(start) + splat(step) * place) * t
+                ray = splat(dz) + splat(dz_row)
+                aside = (splat(step) + splat(step_row) - middle * ray) * quarter
+                most = splat(count) - 1
+                samples.append(
+                    [at.truncated().most(0).least(most) for at in (middle - aside, middle + aside)]
+                )
+            first, second = (
+                code.look_up(texels, at_v * splat(columns) + at_u, INT)
+                for at_u, at_v in zip(*samples, strict=True)
+            )
+            evens = (first & 0xFF00FF) + (second & 0xFF00FF) + 0x010001
+            odds = ((first >> 8) & 255) + ((second >> 8) & 255) + 1
+            paint = ((evens >> 1) & 0xFF00FF) | ((odds >> 1) << 8)
+            code.keep(mask, inverse, depth, paint, colour)
+
+    return written([ADDRESS] * 3 + [I32] * 2 + [F32] * 9 + [I32] * 2, write)
+
+
 def _flat(patchwork: bool) -> Callable[..., Any]:
     def write(builder, colour, depth, texels, x, last, z, u, du, v, dv, level, red, green,
               blue, solid, tiles, c, dc, columns, r, dr, rows):  # fmt: skip

@@ -63,8 +63,8 @@ class Scenes:
       terrain (initially `optics.SUN`)
     - `lamp` float32 [N, 3]: shares of red, green and blue of that light, 0 .. 1 (initially 1)
     - `sky` uint8 [N, 2, 3]: colours at the horizon and overhead
-    - `screen` uint8 [N, h, w, 3]: the image on walls whose texture is SCREEN, stretched over the
-      wall once and not shaded
+    - `screen` uint8 [N, h, w, 4]: the image, RGBA, on walls whose texture is SCREEN, stretched over
+      the wall once and not shaded; its alpha is ignored
     - `overlays` float32 [N, K, 4]: left, top, right, bottom of rectangles drawn over the view, in
       order, as shares of the image's width and height from its top left corner
     - `overlay_colours` uint8 [N, K, 4]: RGBA
@@ -132,7 +132,7 @@ class Scenes:
         self.sun = np.full((n, 3), UNIT_SUN, np.float32)
         self.lamp = np.ones((n, 3), np.float32)
         self.sky = np.full((n, 2, 3), [(190, 215, 235), (95, 150, 215)], np.uint8)
-        self.screen = np.zeros((n, *screen, 3), np.uint8)
+        self.screen = np.zeros((n, *screen, 4), np.uint8)
         self.overlays = np.zeros((n, overlays, 4), np.float32)
         self.overlay_colours = np.zeros((n, overlays, 4), np.uint8)
         self.overlay_count = np.zeros(n, np.int32)

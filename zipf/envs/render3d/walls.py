@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from zipf.compiled import compiled
-from zipf.envs.render3d.blocks import address, wall_block
+from zipf.envs.render3d.blocks import address, screen_block, wall_block
 from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.optics import (
     FADE2,
@@ -161,15 +161,22 @@ def _draw_screen(
     screen, z, dz_row, dz, u, du_row, du, v, dv_row, dv, per_u, per_v, low, high, colour, depth
 ):  # fmt: skip
     """Draws a picture of any size on a wall's spans; u and v are over t, as in `draw_wall`."""
-    rows, columns = screen.shape[0], screen.shape[1]
+    rows, columns = np.int32(screen.shape[0]), np.int32(screen.shape[1])
+    texels, line, depths = address(screen), address(colour), address(depth)
+    line_bytes = 4 * colour.shape[1]
+    u_row, u_column = np.float32(per_u * du_row), np.float32(per_u * du)
+    v_row, v_column = np.float32(per_v * dv_row), np.float32(per_v * dv)
+    z_row, z_column = np.float32(dz_row), np.float32(dz)
     for y in range(len(low)):
         if low[y] > high[y]:
             continue
-        for x in range(math.ceil(low[y]), math.floor(high[y]) + 1):
-            inverse = z + dz_row * y + dz * x
-            if inverse > depth[y, x]:
-                column = int((u + du_row * y + du * x) / inverse * per_u)
-                row = int((v + dv_row * y + dv * x) / inverse * per_v)
-                texel = screen[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)]
-                depth[y, x] = inverse
-                colour[y, x] = texel[0] | np.int32(texel[1]) << 8 | np.int32(texel[2]) << 16
+        first, last = math.ceil(low[y]), math.floor(high[y])
+        z_first = np.float32(z + dz_row * y)
+        u_first = np.float32(per_u * (u + du_row * y))
+        v_first = np.float32(per_v * (v + dv_row * y))
+        for x in range(first, last + 1, LANES):
+            at = y * line_bytes + 4 * x
+            screen_block(
+                line + at, depths + at, texels, x, last, z_first, z_column, z_row, u_first,
+                u_column, u_row, v_first, v_column, v_row, rows, columns,
+            )  # fmt: skip

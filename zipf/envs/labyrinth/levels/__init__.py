@@ -72,6 +72,28 @@ LEVELS: dict[str, Level] = {
         Level("skymaze_irreversible_path_hard", "skymaze:IrreversiblePathHard", 60, 0.1, 100),
         Level("skymaze_irreversible_path_varied", "skymaze:IrreversiblePathVaried", 60, 14.4, 100),
         Level(
+            "psychlab_arbitrary_visuomotor_mapping",
+            "psychlab_memory:ArbitraryVisuomotorMapping",
+            300,
+            0.163,
+            58.75,
+        ),
+        Level(
+            "psychlab_continuous_recognition",
+            "psychlab_memory:ContinuousRecognition",
+            300,
+            0.224,
+            58.3,
+        ),
+        Level(
+            "psychlab_sequential_comparison",
+            "psychlab_comparison:SequentialComparison",
+            300,
+            0.129,
+            39.5,
+        ),
+        Level("psychlab_visual_search", "psychlab_search:VisualSearch", 150, 0.085, 78.5),
+        Level(
             "explore_object_locations_small",
             "explore_object_locations:ObjectLocationsSmall",
             90,
