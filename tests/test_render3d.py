@@ -24,9 +24,9 @@ from zipf.envs.render3d import (
     TWO_SIDED,
     Renderer,
     Scenes,
+    pack_textures,
     textures,
 )
-from zipf.envs.render3d.assets import pack_textures
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -369,6 +369,15 @@ def test_textures():
     assert textures.index("fence") == textures.NAMES.index("fence")
     with pytest.raises(ValueError, match="no texture 'velvet'"):
         textures.index("velvet")
+
+
+def test_renderers_may_share_packed_textures():
+    scenes = random_scenes(2, worlds=3)
+    out = np.zeros((2, 3, 20, 50, 3), np.uint8)
+    for images, given in zip(out, (STACK, pack_textures(STACK)), strict=True):
+        Renderer(ATLAS, given, width=50, height=20).render(scenes, images)
+    assert out[0].std() > 0
+    assert (out[0] == out[1]).all()
 
 
 def test_the_smallest_version_of_a_texture_is_its_mean():

@@ -12,7 +12,7 @@ from zipf.compiled import compiled
 from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Worlds, X, Y, Z
-from zipf.envs.render3d import MeshAtlas, Renderer, Scenes, load_meshes
+from zipf.envs.render3d import MeshAtlas, Renderer, Scenes, load_meshes, pack_textures
 
 METRES = 0.01
 """Of the renderer, in a unit."""
@@ -43,8 +43,13 @@ def atlas() -> MeshAtlas:
     return load_meshes(Path(__file__).with_name("meshes.npz"))
 
 
+@cache
+def _textures() -> NDArray[np.uint32]:
+    return pack_textures(looks.stack())
+
+
 def _renderer(height: int, width: int) -> Renderer:
-    return Renderer(atlas(), looks.stack(), width=width, height=height, fov=FIELD_OF_VIEW)
+    return Renderer(atlas(), _textures(), width=width, height=height, fov=FIELD_OF_VIEW)
 
 
 @cache

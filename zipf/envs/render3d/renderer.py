@@ -23,7 +23,8 @@ class Renderer:
 
     Args:
         meshes: the atlas that the scenes' instances index.
-        textures: uint8 [K, 64, 64, 4], RGBA.
+        textures: uint8 [K, 64, 64, 4], RGBA; or what `pack_textures` has made of them, which
+            several renderers may share.
         width, height: of the images, in pixels.
         fov: the horizontal field of view, in degrees.
         threads: how many worlds are drawn at the same time.
@@ -36,7 +37,7 @@ class Renderer:
     def __init__(
         self,
         meshes: MeshAtlas,
-        textures: NDArray[np.uint8],
+        textures: NDArray[np.uint8] | NDArray[np.uint32],
         *,
         width: int = 96,
         height: int = 72,
@@ -48,14 +49,18 @@ class Renderer:
                 raise ValueError(f"{name} must be 1 or more, not {value}")
         if not 1 <= fov <= 170:
             raise ValueError(f"fov must be from 1 to 170 degrees, not {fov}")
-        if textures.ndim != 4 or textures.shape[1:] != (SIZE, SIZE, 4) or len(textures) == 0:
+        texels: Any
+        if textures.dtype == np.uint32 and textures.shape[1:] == (2 * SIZE * SIZE,):
+            texels = textures
+        elif textures.ndim != 4 or textures.shape[1:] != (SIZE, SIZE, 4) or len(textures) == 0:
             raise ValueError(f"textures must be [K, {SIZE}, {SIZE}, 4], not {textures.shape}")
-        if textures.dtype != np.uint8:
+        elif textures.dtype != np.uint8:
             raise ValueError(f"textures must be uint8, not {textures.dtype}")
+        else:
+            texels = pack_textures(textures)
         self.width = width
         self.height = height
         self.threads = threads
-        texels = pack_textures(textures)
         focal = width / 2 / math.tan(math.radians(fov) / 2)
         tilts = np.arctan(((height - 1) / 2 - np.arange(height)) / focal)
         # Plain tuples with the fields of `arrays.Assets`, `Lens` and `Buffers`.
