@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.labyrinth.words import VOCABULARY
+
 CELL = 100.0
 """Side of a cell and height of a wall of a text map."""
 
@@ -79,6 +81,8 @@ class Worlds(NamedTuple):
     """[N, ZONES]: whether the player is inside."""
     timers: NDArray[np.int64]
     """[N, TIMERS]: the frame at which a timer goes off; -1: it is off."""
+    instruction: NDArray[np.int64]
+    """[N, 16]: the codes of the instruction's words, see `words.VOCABULARY`; 0: there is none."""
 
 
 def make_worlds(num_worlds: int) -> Worlds:
@@ -111,6 +115,7 @@ def make_worlds(num_worlds: int) -> Worlds:
         zones=np.zeros((n, ZONES, 6)),
         inside=np.zeros((n, ZONES), np.bool_),
         timers=np.full((n, TIMERS), -1, np.int64),
+        instruction=np.zeros((n, VOCABULARY.length), np.int64),
     )
 
 
@@ -121,6 +126,6 @@ def clear(worlds: Worlds, world: int) -> None:
         ("pushed", 0), ("cells", 0), ("solid", False), ("floor", 0.0), ("box_count", 0),
         ("plane_count", 0), ("held", False), ("pillar_count", 0), ("quad", 0.0),
         ("touchable", False), ("present", False), ("returning", -1), ("zones", 0.0),
-        ("inside", False), ("timers", -1),
+        ("inside", False), ("timers", -1), ("instruction", 0),
     ):  # fmt: skip
         getattr(worlds, name)[world] = value

@@ -127,6 +127,8 @@ class Renderer:
                 np.zeros((6, self._most_vertices + LANES), np.float32),
                 np.zeros(self._most_triangles + LANES, np.float32),
                 np.zeros(self._most_triangles + 1, np.int32),
+                np.zeros(self._most_triangles + LANES, np.int32),
+                np.zeros(self._most_triangles + LANES, np.float32),
             ),
             (np.zeros(rows * columns * 4, np.bool_), np.zeros((4, rows * columns + 2))),
             terrain_buffers(*terrain),
