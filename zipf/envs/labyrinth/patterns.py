@@ -58,7 +58,7 @@ def _chequered() -> NDArray[np.bool_]:
 def _crosses() -> NDArray[np.bool_]:
     """An upright cross in the middle."""
     x, y = abs(_X - 31.5), abs(_Y - 31.5)
-    return ((x < 7) & (y < 24)) | ((y < 7) & (x < 24))
+    return ((x < 6) & (y < 25)) | ((y < 6) & (x < 25))
 
 
 def _diagonal_stripe() -> NDArray[np.bool_]:

@@ -16,7 +16,9 @@ from zipf.envs.render3d.textures import SIZE
 from zipf.envs.render3d.triangles import draw_cut_triangle, draw_triangle
 
 _PER_METRE = SIZE / PATTERN  # texels of a pattern
-_SHIFT = 16.0 * SIZE  # texels, so that none has a negative number
+# Added to coordinates, so that no texel has a negative number, and a texture's middle is at x = 0
+# and y = 0, where meshes have theirs.
+_SHIFT = (16.5 * SIZE, 16.5 * SIZE, 16.0 * SIZE)
 
 
 @compiled(error_model="numpy", fastmath=True)
@@ -199,7 +201,7 @@ def _draw_pattern(texels, bounds, rotation, offset, palette, projection, canvas,
             aside += turned * frame[0, i]
             up += turned * frame[1, i]
             ahead += turned * frame[2, i]
-        eye[j] = _SHIFT - back
+        eye[j] = _SHIFT[j] - back
         across[j], down[j] = aside / focal, -up / focal
         ray[j] = ahead - projection.middle_x * across[j] - projection.middle_y * down[j]
     red, green, blue = palette[0, 0], palette[0, 1], palette[0, 2]

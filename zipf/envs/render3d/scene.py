@@ -57,8 +57,8 @@ class Scenes:
     - `colours` uint8 [N, M, 2, 3]: main and accent colour
     - `pattern` int32 [N, M]: negative (initially): parts of the mesh are in its main or its accent
       colour; else a texture, laid on these parts in the mesh's own coordinates along the axis that
-      a triangle faces most, which repeats after `optics.PATTERN` metres. Its red channel is the
-      share of the accent colour
+      a triangle faces most. It repeats after `optics.PATTERN` metres; its middle is at x = 0 and
+      y = 0, its first row or column at z = 0. Its red channel is the share of the accent colour
     - `shadows` float32 [N, S, 8]: x, y, z of the middle, angle, half length, half width, softness
       and darkness of horizontal rectangles with soft corners. Whatever is at the height z, within 5
       mm, and seen from above loses the share `darkness` of its light (0, initially: there is no

@@ -436,8 +436,9 @@ class _Episode:
         return ", ".join(f"{name} {self.info[name][0]}" for name in self.env.situation)
 
     def _words(self) -> list[str]:
-        """The instruction, in families that have one."""
-        return [str(self.info["instruction"][0])] if "instruction" in self.info else []
+        """The instruction, in levels that give one."""
+        text = str(self.info["instruction"][0]) if "instruction" in self.info else ""
+        return [text] if text else []
 
     def _goal(self) -> list[str]:
         """What a person is to do, in families that say it."""
