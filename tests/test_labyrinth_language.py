@@ -61,9 +61,7 @@ def meant(task: Task) -> set[int]:
     if words[0] in ("Are", "Is"):
         return {0 if answer(task) else 1}
     if "near" in words:
-        this, that = (
-            text.removesuffix(" object") for text in task.text.split(" near ")
-        )
+        this, that = (text.removesuffix(" object") for text in task.text.split(" near "))
         return {k for k in are(this) if any(where[k] == where[j] for j in are(that) - {k})}
     return are(*words)
 
@@ -94,9 +92,8 @@ def test_the_vocabulary_is_that_of_the_original() -> None:
     assert set(SHAPES) <= set(atlas().names)
     assert COLOURS == ("red", "green", "blue", "cyan", "magenta", "yellow")
     functions = words - set(SHAPES) - set(COLOURS) - {f"{colour}?" for colour in COLOURS}
-    assert functions == set(
-        "Pick the object in room Every near Are all objects Is any anything most".split()
-    )
+    text = "Pick the object in room Every near Are all objects Is any anything most"
+    assert functions == set(text.split())
 
 
 @ALL

@@ -1,7 +1,7 @@
 """Colours and patterns of the objects that instructions name, and the floors they stand on.
 
 The colours are those of DeepMind Lab's language levels. Its patterns are bitmaps that mix an
-object's two colours; ours are procedural, as coarse as is needed to tell them apart at a few pixels.
+object's two colours; ours are procedural, and coarse, to be told apart at a few pixels.
 """
 
 import colorsys

@@ -325,14 +325,15 @@ def pattern_block(
 ):  # fmt: skip
     """Paints those of the pixels x .. x + 15 that hold numbers of triangles, which are negative.
 
-    The number of triangle k is k - 2**31. At a depth of t, its coordinates in texels are px +
-    (px_ray + px_step * x) * t, and so on. `lit`, `axis` and `area` are by triangle: its light; which
-    axis is not used; and how many texels a pixel covers, divided by t**3. Where the red channel of
-    the texel is 0, the colour is red, green, blue; where it is 1, `to_red` etc. are added.
+    The number of triangle k is k - 2**31. At a depth of t, coordinates in texels are px + (px_ray +
+    px_step * x) * t, and so on. `lit`, `axis` and `area` are by triangle: its light; which axis is
+    not used; and how many texels a pixel covers, divided by t**3. Where the red channel of the
+    texel is 0, the colour is red, green, blue; where it is 255, `to_red` etc. are added.
     """
 
-    def write(builder, colour, depth, texels, x, lit, axis, area, px, px_ray, px_step, py, py_ray,
-              py_step, pz, pz_ray, pz_step, red, green, blue, to_red, to_green, to_blue):  # fmt: skip
+    def write(builder, colour, depth, texels, x, lit, axis, area, px, px_ray, px_step, py,
+              py_ray, py_step, pz, pz_ray, pz_step, red, green, blue, to_red, to_green,
+              to_blue):  # fmt: skip
         code = Code(builder)
         splat = code.splat
         number = code.load(colour, INT)
@@ -344,7 +345,11 @@ def pattern_block(
             t = place.like(1.0) / mask.choose(inverse, inverse.like(1.0))
             at_x, at_y, at_z = (
                 splat(a) + (splat(b) + splat(db) * place) * t
-                for a, b, db in ((px, px_ray, px_step), (py, py_ray, py_step), (pz, pz_ray, pz_step))
+                for a, b, db in (
+                    (px, px_ray, px_step),
+                    (py, py_ray, py_step),
+                    (pz, pz_ray, pz_step),
+                )
             )
             unused = code.look_up(axis, triangle, INT)
             u, v = (unused < 1).choose(at_y, at_x), (unused > 1).choose(at_y, at_z)
@@ -352,13 +357,12 @@ def pattern_block(
             texel = code.look_up(texels, code.texel(each, u, v), INT)
             light = code.look_up(lit, triangle, INT).as_floats()
             share = (texel & 255).floats_() * (1 / 255)
-            paint = None
+            paint = number.like(0)
             for channel, (start, step) in enumerate(
                 ((red, to_red), (green, to_green), (blue, to_blue))
             ):
                 part = (splat(start) + splat(step) * share) * light
-                bits = part.truncated() << 8 * channel
-                paint = bits if paint is None else paint | bits
+                paint = paint | part.truncated() << 8 * channel
             code.store(mask.choose(paint, number), colour)
 
     return written([ADDRESS] * 3 + [I32] + [ADDRESS] * 3 + [F32] * 15, write)

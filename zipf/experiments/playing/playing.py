@@ -361,10 +361,9 @@ class _Episode:
                     return
                 self._step(action)
         finally:
+            about = ", ".join(filter(None, [*self._words(), self._situation()]))
             told = self.outcome or f"left after {_steps(self.steps)}"
-            self.session.say(
-                f"{self.name}: {', '.join([*self._words(), self._situation()])}: {told}"
-            )
+            self.session.say(": ".join(filter(None, [self.name, about, told])))
         self._rest()
 
     def _step(self, action: int) -> None:
@@ -457,7 +456,8 @@ class _Episode:
                 help.append(f"{_shown(binding.keys)}: {binding.label}")
             help += [f"{_shown((toggle.key,))}: {toggle.label}" for toggle in keys.toggles]
         help += [f"{NEXT}: next episode", f"{LEAVE}: leave"]
-        situation = f"{self.world.level}   ranks: {self._situation()}"
+        ranks = self._situation()
+        situation = self.world.level + (f"   ranks: {ranks}" if ranks else "")
         return Text((*self._words(), *self._goal(), situation, progress, self.outcome), tuple(help))
 
 

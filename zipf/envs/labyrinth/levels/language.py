@@ -14,7 +14,7 @@ from zipf.envs.labyrinth.patterns import SOLID, rgb, shaded
 from zipf.envs.labyrinth.steering import Ways
 from zipf.envs.labyrinth.tasks import Judge, Object
 from zipf.envs.labyrinth.words import COLOURS, SHAPES
-from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.labyrinth.world import Episode
 
 MEDIUM = {"car": 0.8, "cassette": 0.95, "chair": 0.84, "cow": 0.81}
 """Scales of shapes that are not of their own size when they are medium."""

@@ -132,7 +132,7 @@ class AnswerQuantitativeQuestion(LanguageEpisode):
         truth = bool(rng.integers(2))
         context = Context(**CONTEXT, regions=_LAYOUT.regions)
         groups = draw_objects(context, rules, sizes(rng, truth), rng)
-        objects = [_YES, _NO, *sum(groups, [])]
+        objects = [_YES, _NO, *(one for group in groups for one in group)]
         places = place_in_regions(objects, _LAYOUT.slot_regions, rng)
         judge = Judge({0 if truth else 1}, 10, -10)
         return Task(

@@ -1,4 +1,4 @@
-"""The language level with many kinds of tasks: pick an object, or every one, or one near another."""
+"""The language level with many kinds of tasks: pick an object, every one, one near another."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ class ExecuteRandomTask(LanguageEpisode):
         sizes = kind.sizes or counts_up_to(8, (2, 2), rng)
         context = Context(**CONTEXT, regions=layout.regions)
         groups = draw_objects(context, kind.groups, sizes, rng)
-        objects = sum(groups, [])
+        objects = [one for group in groups for one in group]
         place = place_in_regions if kind.by_room else place_anywhere
         places = place(objects, layout.slot_regions, rng)
         goals, others = set(range(sizes[0])), len(objects) - sizes[0]

@@ -20,6 +20,7 @@ from zipf.envs.labyrinth.patterns import PATTERNS
 from zipf.envs.labyrinth.tasks import (
     ANY_REGION,
     Context,
+    Group,
     Judge,
     balanced,
     choice,
@@ -97,7 +98,7 @@ class SelectLocatedObject(LanguageEpisode):
             layout = FOUR_ROOMS if rooms == 4 else SIX_ROOMS
         words = [COLOURS[k] for k in rng.permutation(len(COLOURS)).tolist()]
         floors = dict(zip(layout.regions, words, strict=False))
-        groups = [
+        groups: list[Group] = [
             {"region": random},
             {"region": same(1), "colour": diff(1)},
             {"region": diff(1), "colour": same(1)},
@@ -106,9 +107,12 @@ class SelectLocatedObject(LanguageEpisode):
         ]
         sizes = [1, 1, 1, 1, {2: 0, 4: 4, 6: 8}[rooms]]
         context = Context(**CONTEXT, regions=layout.regions)
-        objects = sum(draw_objects(context, groups, sizes, rng), [])
+        drawn = draw_objects(context, groups, sizes, rng)
+        objects = [one for group in drawn for one in group]
         places = place_in_regions(objects, layout.slot_regions, rng)
         goal = objects[0]
-        theme = Theme({letter: f"floor_{word}" for letter, word in floors.items()}, self.theme.walls)
+        theme = Theme(
+            {letter: f"floor_{word}" for letter, word in floors.items()}, self.theme.walls
+        )
         text = f"Pick the {goal.colour} object in the {floors[goal.region]} room"
         return Task(layout, theme, objects, places, text, balanced(0, len(objects) - 1))
