@@ -33,7 +33,6 @@ def mixture(num_envs: int, **options: Any) -> Mixture:
         ("rooms_select_nonmatching_object", 60),
         ("rooms_keys_doors_puzzle", 400),
         ("natlab_fixed_large_map", 600),
-        ("language_execute_random_task", 600),
     ],
 )
 def test_levels_keep_the_contract(level: str, action_repeat: int) -> None:
