@@ -176,6 +176,7 @@ def _named() -> dict[str, NDArray[np.uint8]]:
     return textures | patterns.textures()
 
 
+@cache
 def index(name: str) -> int:
     """The number of a texture in `stack()`. Raises ValueError for an unknown name."""
     names = tuple(_named())

@@ -6,6 +6,7 @@ object's two colours; ours are procedural, and coarse, to be told apart at a few
 
 import colorsys
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,12 +37,18 @@ FLOORS: dict[str, Colour] = {
 _Y, _X = np.mgrid[0:SIZE, 0:SIZE]
 
 
+@cache
+def _pure(name: str) -> tuple[float, float, float]:
+    hue, saturation, lightness = _HSL[name]
+    return colorsys.hls_to_rgb(hue / 360, lightness / 100, saturation / 100)
+
+
 def rgb(name: str, rng: np.random.Generator) -> Colour:
     """A colour by its name, with the noise that every object's has."""
-    hue, saturation, lightness = _HSL[name]
-    pure = colorsys.hls_to_rgb(hue / 360, lightness / 100, saturation / 100)
-    noisy = 255 * np.array(pure) + NOISE * rng.normal(size=3)
-    red, green, blue = np.clip(np.round(noisy), 0, 255).astype(int).tolist()
+    red, green, blue = (
+        min(max(round(255 * channel + NOISE * noise), 0), 255)
+        for channel, noise in zip(_pure(name), rng.normal(size=3).tolist(), strict=True)
+    )
     return red, green, blue
 
 

@@ -75,10 +75,10 @@ class LanguageEpisode(Episode):
 
     def _add(self, number: int, one: Object, rng: np.random.Generator) -> int:
         """Adds an object as an item."""
-        first, second = rgb(one.colour, rng), rgb(one.colour2, rng)
+        first = rgb(one.colour, rng)
         return self.world.add_item(
             one.shape,
-            colours=(first, shaded(first) if one.pattern == SOLID else second),
+            colours=(first, shaded(first) if one.pattern == SOLID else rgb(one.colour2, rng)),
             scale=MEDIUM.get(one.shape, 1.0),
             spins=number not in self.task.still,
             seen_only=number in self.task.seen_only,
