@@ -150,8 +150,8 @@ def faces(solid: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
 
 
 @lru_cache(maxsize=64)  # a maze's are asked for twice, a fixed map's in every episode
-def _faces(rows: int, cells: bytes) -> tuple[NDArray[np.float64], ...]:
-    solid = np.frombuffer(cells, np.bool_).reshape(rows, -1)
+def _faces(rows: int, signs: bytes) -> tuple[NDArray[np.float64], ...]:
+    solid = np.frombuffer(signs, np.bool_).reshape(rows, -1)
     columns = solid.shape[1]
     all_ends, all_cells, all_numbers = [], [], []
     for side, (up, right, corners) in enumerate(SIDES):
@@ -168,7 +168,7 @@ def _faces(rows: int, cells: bytes) -> tuple[NDArray[np.float64], ...]:
         all_ends.append(np.stack([column + x0, row + y0, column + x1, row + y1], 1) * CELL)
         all_cells.append(np.stack([row + up, column + right], 1))
         all_numbers.append((row * columns + column) * 4 + side)
-    found = tuple(map(np.concatenate, (all_ends, all_cells, all_numbers)))
+    found = np.concatenate(all_ends), np.concatenate(all_cells), np.concatenate(all_numbers)
     for array in found:
         array.flags.writeable = False
     return found
