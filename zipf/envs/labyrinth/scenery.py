@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,7 +169,11 @@ def _faces(rows: int, signs: bytes) -> tuple[NDArray[np.float64], ...]:
         all_ends.append(np.stack([column + x0, row + y0, column + x1, row + y1], 1) * CELL)
         all_cells.append(np.stack([row + up, column + right], 1))
         all_numbers.append((row * columns + column) * 4 + side)
-    found = np.concatenate(all_ends), np.concatenate(all_cells), np.concatenate(all_numbers)
+    found: tuple[NDArray[Any], ...] = (
+        np.concatenate(all_ends),
+        np.concatenate(all_cells),
+        np.concatenate(all_numbers),
+    )
     for array in found:
         array.flags.writeable = False
     return found
