@@ -181,8 +181,21 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
                 for p, q in ((a, b), (b, c), (c, a)):
                     inside &= np.cross(q - p, hit - p) @ normal >= 0
                 light = sun_on(scenes, world, normal, optics.MESH_DARK, optics.MESH_SUN)
-                colour = shaded(colours[ATLAS.parts[triangle]], light, fade)
-                put(t, inside, np.broadcast_to(colour, (height, width, 3)))
+                part, pattern = ATLAS.parts[triangle], scenes.pattern[world, k]
+                colour = np.broadcast_to(colours[part], (height, width, 3))
+                if pattern >= 0 and part < 2:
+                    own = np.nan_to_num(hit - position) @ rotation
+                    faces = abs(normal @ rotation)
+                    across = [axis for axis in range(3) if axis != faces.argmax()]
+                    u, v = (
+                        64 / optics.PATTERN * own[..., axis] + (32 if axis < 2 else 0)
+                        for axis in across
+                    )
+                    away = (eye - a) @ normal
+                    area = (64 / optics.PATTERN / focal) ** 2 * faces.max() * t**3 / away
+                    share = texel(packed, pattern, u, v, area)[..., :1] / 255
+                    colour = colours[0] + share * (colours[1] - colours[0])
+                put(t, inside, shaded(colour, light, fade))
         if scenes.terrain[world, 2] > 0:
             cast_terrain(scenes, world, packed, eye, rays, focal, put)
         heights = eye[2] + depth * rays[..., 2]
@@ -249,7 +262,7 @@ def random_rotation(rng):
     return q * np.sign(np.linalg.det(q))
 
 
-def random_scenes(seed, worlds=6, **more):
+def random_scenes(seed, worlds=6, *, patterns=False, **more):
     """Rooms with walls, a patchwork floor with a hole, shelves, a fence and meshes."""
     rng = np.random.default_rng(seed)
     scenes = Scenes(worlds, walls=10, flats=4, instances=5, tile_cells=12, shadows=6, **more)
@@ -280,6 +293,7 @@ def random_scenes(seed, worlds=6, **more):
             scenes.position[world, k] = rng.uniform((0, 0, 0), (5, 4, 2))
             scenes.rotation[world, k] = random_rotation(rng)
             scenes.scale[world, k] = rng.uniform(0.5, 2)
+            scenes.pattern[world, k] = rng.integers(-3, len(STACK)) if patterns else -1
         scenes.colours[world] = rng.integers(0, 256, (5, 2, 3))
         sun = rng.normal(size=3)
         scenes.sun[world] = sun / np.linalg.norm(sun)

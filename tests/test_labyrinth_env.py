@@ -51,6 +51,7 @@ def test_a_batch_is_its_worlds(level: str) -> None:
     first, _ = env.reset(seed=5)
     for i, single in enumerate(singles):
         observation, _ = single.reset(seed=5 + i)
+        np.testing.assert_equal(observation["instruction"], first["instruction"][i])
         assert (observation["image"] == first["image"][i]).all()
     rng = np.random.default_rng(0)
     for _ in range(40):
@@ -59,6 +60,7 @@ def test_a_batch_is_its_worlds(level: str) -> None:
         for i, single in enumerate(singles):
             one, r, over, out_of_time, _ = single.step(actions[i])
             assert (r, over, out_of_time) == (reward[i], terminated[i], truncated[i])
+            np.testing.assert_equal(one["instruction"], observed["instruction"][i])
             assert (one["image"] == observed["image"][i]).all()
     again = make_vec(name, 3, **SMALL)
     again.reset(seed=5)
@@ -206,7 +208,7 @@ def test_it_is_registered_with_gymnasium() -> None:
     assert env.action_space == gym.spaces.Discrete(15)
     env.reset(seed=0)
     *_, info = env.step(0)
-    assert info == {}
+    assert info == {"instruction": ""}
     many = gym.make_vec("zipf/Labyrinth-v0", num_envs=2, level="rooms_watermaze", num_actions=9)
     assert isinstance(many, LabyrinthVectorEnv)
     assert many.single_action_space.n == 9

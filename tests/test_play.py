@@ -25,6 +25,7 @@ from zipf import envs
 from zipf.envs.gridworld import looks
 from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.keyboard import LEAVE, NEXT, Binding, Keys, Toggle
+from zipf.envs.labyrinth import words
 from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
 from zipf.experiments.playing import playing, screens
@@ -674,6 +675,35 @@ def test_a_person_plays_in_a_window(monkeypatch):
         assert f"step {i}   return 0" in lines[2]
         if action is not None:
             env.step(np.array([action]))
+
+
+@pytest.mark.parametrize(
+    ("level", "ending"),
+    [
+        ("labyrinth/language_select_described_object", r"(cake|car|cassette|hat|tv): out of time"),
+        ("labyrinth/rooms_select_nonmatching_object", "out of time"),
+    ],
+)
+def test_a_level_shows_its_instruction_if_it_has_one(level, ending, monkeypatch, tmp_path):
+    """The one at the moment: a level may give several in an episode."""
+    shown: list[tuple[str, tuple[str, ...]]] = []
+    step = playing._Shows.step
+
+    def watched(self, env, observation, text):
+        shown.append((env.worlds.instruction[0].copy(), text.lines))
+        step(self, env, observation, text)
+
+    monkeypatch.setattr(playing._Shows, "step", watched)
+    made = envs.make_vec
+    monkeypatch.setattr(envs, "make_vec", lambda *a, **k: made(*a, action_repeat=60, **k))
+    said = play(f"level={level}", "policy=random", "seed=0", f"record={tmp_path}/x.gif")
+    assert re.match(rf"episode 1: {ending}", said[1])
+    for codes, lines in shown:
+        text = words.VOCABULARY.decode(codes)
+        assert lines[: bool(text)] == ((text,) if text else ())
+        assert level in lines[bool(text)]
+        assert "ranks" not in lines[bool(text)]
+    assert len(shown) > 10
 
 
 @pytest.mark.parametrize("arguments", [[], ["--help"]])

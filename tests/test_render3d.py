@@ -41,6 +41,63 @@ def test_matches_rays(seed):
         assert (off > 1.5).mean() < 0.03
 
 
+def assert_patterns_match(scenes):
+    """Where meshes are, away from edges. All else than textures' borders agrees."""
+    images = view(scenes).astype(float)
+    inside = []
+    for world in range(scenes.num_worlds):
+        image, shown = cast(scenes, world, STACK)
+        off = abs(images[world] - image).max(-1)
+        inside.extend(off[inner(shown) & (shown > 0)])
+        assert (off > 2.5).mean() < 0.04
+    assert len(inside) > 2000
+    assert (np.array(inside) > 2.5).mean() < 0.015
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_patterns_match_rays(seed):
+    """Meshes in patterns of all textures, of which the red channel counts."""
+    scenes = random_scenes(seed, worlds=12, patterns=True)
+    scenes.wall_count[:] = scenes.flat_count[:] = 0
+    scenes.shadows[:] = 0
+    scenes.scale[:] *= 2.5
+    assert_patterns_match(scenes)
+
+
+def test_patterns_around_the_eye():
+    """Triangles with a pattern are cut at the near plane, too."""
+    rng = np.random.default_rng(0)
+    scenes = Scenes(40, instances=1)
+    scenes.mesh[:] = rng.integers(0, 2, (40, 1))
+    scenes.pattern[:] = rng.integers(0, len(STACK), (40, 1))
+    scenes.scale[:] = 4
+    for world in range(40):
+        scenes.rotation[world, 0] = random_rotation(rng)
+        scenes.position[world, 0] = rng.uniform(-1, 1, 3)
+        scenes.camera[world, 3:] = rng.uniform((-3, -1), (3, 1))
+    assert_patterns_match(scenes)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (25, 7), (33, 20)])
+def test_patterns_in_images_of_any_size(size):
+    """No number of a triangle is left in an image, wherever blocks of pixels end."""
+    scenes = random_scenes(2, patterns=True)
+    scenes.pattern[:] = 3
+    images = view(scenes, plain(*[(255, 255, 255)] * 20), width=size[0], height=size[1])
+    scenes.pattern[:] = -1
+    scenes.colours[:, :, 0] = scenes.colours[:, :, 1]
+    same = view(scenes, plain(*[(255, 255, 255)] * 20), width=size[0], height=size[1])
+    assert abs(images.astype(int) - same).max() <= 1
+
+
+def test_a_pattern_that_does_not_exist_is_refused():
+    scenes = Scenes(2, instances=1)
+    scenes.mesh[1] = 0
+    scenes.pattern[1] = len(STACK)
+    with pytest.raises(ValueError, match="world 1 shows a texture"):
+        view(scenes)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_shows_the_right_surfaces(seed):
     """With one colour for each surface, all pixels away from edges agree."""

@@ -298,15 +298,15 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         begins = mask is not self._everywhere
         if begins:
             self._begin_episodes(~mask, self._unforced)
-        before = self._running_info()
         self._lengths += mask
         reward, terminated, truncated, success = self._advance(actions, mask)
+        now = self._running_info()
         if begins:
             reward = np.where(mask, reward, 0.0)
             terminated, truncated = terminated & mask, truncated & mask
         self._returns += reward
         done = terminated | truncated
-        info: Info = before
+        info: Info = now
         if done.any():
             outcome: dict[str, NDArray[Any]] = {
                 "return": self._returns.copy(),
@@ -315,7 +315,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             if self.reports_success:
                 outcome["success"] = success
             if same_step:
-                info = {"final_info": {**before, **outcome}, "_final_info": done}
+                info = {"final_info": {**now, **outcome}, "_final_info": done}
                 if final is not None:
                     self._observe(final, done)
                     info["final_obs"] = final

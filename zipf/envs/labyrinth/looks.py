@@ -10,9 +10,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.labyrinth import patterns
+from zipf.envs.labyrinth.patterns import Colour
 from zipf.envs.render3d.textures import SIZE, carpet, hexagons, planks
 
-Colour = tuple[int, int, int]
 WHITE: Colour = (255, 255, 255)
 
 _Y, _X = np.mgrid[0:SIZE, 0:SIZE]
@@ -170,9 +171,12 @@ def _named() -> dict[str, NDArray[np.uint8]]:
             textures[f"wall_{seed}"] = _WALL_PAINTERS[style](_WALLS[style][shade], seed)
     for number in range(PICTURES):
         textures[f"picture_{number}"] = _picture(number)
-    return textures
+    for word, colour in patterns.FLOORS.items():
+        textures[f"floor_{word}"] = _slanted(colour, 2)
+    return textures | patterns.textures()
 
 
+@cache
 def index(name: str) -> int:
     """The number of a texture in `stack()`. Raises ValueError for an unknown name."""
     names = tuple(_named())

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ seen, and its ends x0, y0, x1, y1 from the solid cell's south-west corner."""
 _FLOATS = 24.0  # of a player's point above the floor that an item stands on
 
 
+@cache
 def atlas() -> MeshAtlas:
     """The meshes of the labyrinth."""
     return load_meshes(Path(__file__).with_name("meshes.npz"))
@@ -150,7 +152,15 @@ def faces(solid: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
         ends: float64 [walls, 4], units.
         cells: int64 [walls, 2], row and column of the free cell.
         numbers: int64 [walls], the face of the solid cell, see `Scenes.wall_face`.
+
+        Arrays are read-only.
     """
+    return _faces(solid.shape[0], solid.tobytes())
+
+
+@lru_cache(maxsize=64)  # a maze's are asked for twice, a fixed map's in every episode
+def _faces(rows: int, signs: bytes) -> tuple[NDArray[np.float64], ...]:
+    solid = np.frombuffer(signs, np.bool_).reshape(rows, -1)
     columns = solid.shape[1]
     all_ends, all_cells, all_numbers = [], [], []
     for side, (up, right, corners) in enumerate(SIDES):
@@ -167,7 +177,14 @@ def faces(solid: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
         all_ends.append(np.stack([column + x0, row + y0, column + x1, row + y1], 1) * CELL)
         all_cells.append(np.stack([row + up, column + right], 1))
         all_numbers.append((row * columns + column) * 4 + side)
-    return tuple(map(np.concatenate, (all_ends, all_cells, all_numbers)))
+    found: tuple[NDArray[Any], ...] = (
+        np.concatenate(all_ends),
+        np.concatenate(all_cells),
+        np.concatenate(all_numbers),
+    )
+    for array in found:
+        array.flags.writeable = False
+    return found
 
 
 @compiled(error_model="numpy")

@@ -29,7 +29,8 @@ class LabyrinthEnv(SingleWorld):
     - `image`: uint8 [72, 96, 3], 90 degrees wide, from 50 units above the floor (a cell of a maze
       has 100). In `rooms_keys_doors_puzzle` a square at the top left shows the key carried.
     - `instruction`: int64 [16], the codes of an instruction's words in
-      `zipf.envs.labyrinth.words.VOCABULARY`; all 0 in these levels, which give none.
+      `zipf.envs.labyrinth.words.VOCABULARY`, followed by zeros. Only the levels `language_*` give
+      instructions, a new one with each map; elsewhere all codes are 0.
 
     ## Action space
 
@@ -62,6 +63,8 @@ class LabyrinthEnv(SingleWorld):
     and the skymazes.
 
     ## Info
+
+    - `instruction`: the text of the instruction, "" in levels that give none.
 
     Tasks have no situations of their own, and no success or failure: the step that ends an episode
     adds `return` (float) and `length` (int). Levels that draw tasks add the rank of the task

@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.labyrinth.words import VOCABULARY
+
 CELL = 100.0
 """Side of a cell and height of a wall of a text map."""
 
@@ -88,6 +90,8 @@ class Worlds(NamedTuple):
     looked at, as shares of its side from the top left corner; empty ones are nowhere."""
     watched: NDArray[np.int64]
     """[N]: the widget that the player looks at; -1: none."""
+    instruction: NDArray[np.int64]
+    """[N, 16]: the codes of the instruction's words, see `words.VOCABULARY`; 0: there is none."""
 
 
 def make_worlds(num_worlds: int) -> Worlds:
@@ -123,6 +127,7 @@ def make_worlds(num_worlds: int) -> Worlds:
         screen=np.zeros((n, 4)),
         widgets=np.zeros((n, WIDGETS, 4)),
         watched=np.full(n, -1, np.int64),
+        instruction=np.zeros((n, VOCABULARY.length), np.int64),
     )
 
 
@@ -134,5 +139,6 @@ def clear(worlds: Worlds, world: int) -> None:
         ("plane_count", 0), ("held", False), ("pillar_count", 0), ("quad", 0.0),
         ("touchable", False), ("present", False), ("returning", -1), ("zones", 0.0),
         ("inside", False), ("timers", -1), ("screen", 0.0), ("widgets", 0.0), ("watched", -1),
+        ("instruction", 0),
     ):  # fmt: skip
         getattr(worlds, name)[world] = value

@@ -162,10 +162,14 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
 
     def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
         self._scenery.draw(out["image"], mask)
-        out["instruction"][mask] = 0
+        np.copyto(out["instruction"], self.worlds.instruction, where=mask[:, None])
 
     def _situations(self) -> dict[str, NDArray[np.int64]]:
         return {}
+
+    def _describe(self) -> dict[str, NDArray[Any]]:
+        texts = [episode.world.instruction if episode else "" for episode in self.episodes]
+        return {"instruction": np.array(texts)}
 
     def _engine(self) -> Hashable:
         shape = self.single_observation_space["image"].shape

@@ -12,6 +12,7 @@ from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.grids import Cell
 from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.mover import BELOW, WIDE
+from zipf.envs.labyrinth.patterns import SOLID
 from zipf.envs.labyrinth.scenery import METRES, SIDES, Scenery, atlas, faces
 from zipf.envs.labyrinth.screen import Screen
 from zipf.envs.labyrinth.state import (
@@ -28,8 +29,10 @@ from zipf.envs.labyrinth.state import (
     X,
     Y,
     Z,
+    clear,
 )
 from zipf.envs.labyrinth.terrain import Terrain
+from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.render3d import FACES_DOWN, SCREEN, SEE_THROUGH, TWO_SIDED
 
 Point = tuple[float, float, float]
@@ -62,8 +65,20 @@ class World:
         self._rewards = rewards
         self._items = self._zones = 0
         self._doors: dict[int, tuple[int, NDArray[np.float64], NDArray[np.float64]]] = {}
+        self.instruction = ""
 
     # Building.
+
+    def clear(self) -> None:
+        """Removes all that was built, for a map of another layout. The clock runs on."""
+        i, worlds = self._number, self._worlds
+        clock, limit = worlds.clock[i], worlds.limit[i]
+        clear(worlds, i)
+        worlds.clock[i], worlds.limit[i] = clock, limit
+        self._scenery.clear(i)
+        self._items = self._zones = 0
+        self._doors = {}
+        self.instruction = ""
 
     def add_text_map(
         self,
@@ -349,6 +364,7 @@ class World:
         scale: float = 1.0,
         spins: bool = True,
         seen_only: bool = False,
+        pattern: str = SOLID,
     ) -> int:
         """Adds an item that is nowhere yet, and returns its number.
 
@@ -358,6 +374,8 @@ class World:
             scale: of the mesh.
             spins: whether it bobs and turns.
             seen_only: whether nothing happens when it is touched.
+            pattern: one of `patterns.PATTERNS`, which mixes the two colours; solid: the mesh has
+                parts of each.
         """
         item = self._items
         if item >= ITEMS:
@@ -370,6 +388,9 @@ class World:
         scenery.scenes.rotation[i, item] = np.eye(3)
         scenery.scenes.scale[i, item] = scale
         scenery.scenes.colours[i, item] = colours
+        scenery.scenes.pattern[i, item] = (
+            -1 if pattern == SOLID else looks.index(f"pattern_{pattern}")
+        )
         return item
 
     def add_door(
@@ -502,6 +523,11 @@ class World:
     def reward(self, amount: float) -> None:
         """Adds to the reward of this step."""
         self._rewards[self._number] += amount
+
+    def say(self, text: str) -> None:
+        """Gives an instruction, in words of `words.VOCABULARY`, in the place of the last one."""
+        self._worlds.instruction[self._number] = VOCABULARY.encode(text)
+        self.instruction = text
 
     def finish_map(self) -> None:
         """Lets the next frame begin with a new map."""

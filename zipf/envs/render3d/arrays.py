@@ -41,6 +41,7 @@ class Instances(NamedTuple):
     rotation: Any
     scale: Any
     colours: Any
+    pattern: Any
 
 
 class Terrains(NamedTuple):
@@ -133,6 +134,10 @@ class MeshBuffers(NamedTuple):
     """float32 [T + LANES]: light on the triangles, 0 on those that face away."""
     front: Any
     """int32 [T + 1]: the triangles that face the eye."""
+    axis: Any
+    """int32 [T + LANES]: with a pattern, the axis that a triangle faces most: 0 x, 1 y, 2 z."""
+    area: Any
+    """float32 [T + LANES]: with a pattern, texels in a pixel divided by depth**3."""
 
 
 class GridBuffers(NamedTuple):

@@ -364,6 +364,56 @@ def terrain_block(
 
 
 @intrinsic
+def pattern_block(
+    typingctx, colour, depth, texels, x, lit, axis, area, px, px_ray, px_step, py, py_ray, py_step,
+    pz, pz_ray, pz_step, red, green, blue, to_red, to_green, to_blue,
+):  # fmt: skip
+    """Paints those of the pixels x .. x + 15 that hold numbers of triangles, which are negative.
+
+    The number of triangle k is k - 2**31. At a depth of t, coordinates in texels are px + (px_ray +
+    px_step * x) * t, and so on. `lit`, `axis` and `area` are by triangle: its light; which axis is
+    not used; and how many texels a pixel covers, divided by t**3. Where the red channel of the
+    texel is 0, the colour is red, green, blue; where it is 255, `to_red` etc. are added.
+    """
+
+    def write(builder, colour, depth, texels, x, lit, axis, area, px, px_ray, px_step, py,
+              py_ray, py_step, pz, pz_ray, pz_step, red, green, blue, to_red, to_green,
+              to_blue):  # fmt: skip
+        code = Code(builder)
+        splat = code.splat
+        number = code.load(colour, INT)
+        mask = number < 0
+        with builder.if_then(mask.any()):
+            place = code.columns(x).floats_()
+            triangle = mask.choose(number & 0x7FFFFFFF, number.like(0))
+            inverse = code.load(depth, FLOAT)
+            t = place.like(1.0) / mask.choose(inverse, inverse.like(1.0))
+            at_x, at_y, at_z = (
+                splat(a) + (splat(b) + splat(db) * place) * t
+                for a, b, db in (
+                    (px, px_ray, px_step),
+                    (py, py_ray, py_step),
+                    (pz, pz_ray, pz_step),
+                )
+            )
+            unused = code.look_up(axis, triangle, INT)
+            u, v = (unused < 1).choose(at_y, at_x), (unused > 1).choose(at_y, at_z)
+            each = code.look_up(area, triangle, INT).as_floats() * (t * t * t)
+            texel = code.look_up(texels, code.texel(each, u, v), INT)
+            light = code.look_up(lit, triangle, INT).as_floats()
+            share = (texel & 255).floats_() * (1 / 255)
+            paint = number.like(0)
+            for channel, (start, step) in enumerate(
+                ((red, to_red), (green, to_green), (blue, to_blue))
+            ):
+                part = (splat(start) + splat(step) * share) * light
+                paint = paint | part.truncated() << 8 * channel
+            code.store(mask.choose(paint, number), colour)
+
+    return written([ADDRESS] * 3 + [I32] + [ADDRESS] * 3 + [F32] * 15, write)
+
+
+@intrinsic
 def pack_block(typingctx, colour, out):
     """Writes 16 colours 0x00BBGGRR as 48 bytes."""
 

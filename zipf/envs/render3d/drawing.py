@@ -130,13 +130,15 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
             if instances.mesh[i, k] >= len(assets.meshes.balls):
                 return i
             if instances.mesh[i, k] >= 0:
+                if instances.pattern[i, k] >= len(texels):
+                    return i
                 for part in range(2):
                     for c in range(3):
                         palette[part, c] = instances.colours[i, k, part, c] * lamp[c]
                 draw_instance(
                     instances.mesh[i, k], instances.position[i, k], instances.rotation[i, k],
-                    instances.scale[i, k], assets.meshes, palette, sun, eye, projection, canvas,
-                    buffers.mesh,
+                    instances.scale[i, k], instances.pattern[i, k], texels, assets.meshes, palette,
+                    sun, eye, projection, canvas, buffers.mesh,
                 )  # fmt: skip
         for k in range(flats.count[i]):
             texture, rows = flats.looks[i, k, 0], flats.tiling[i, k, 1]

@@ -3,20 +3,34 @@
 import numpy as np
 
 from zipf.compiled import compiled
-from zipf.envs.render3d.blocks import address, light_block, vertex_block
+from zipf.envs.render3d.blocks import (
+    TRIANGLE_LANES,
+    address,
+    light_block,
+    pattern_block,
+    vertex_block,
+)
 from zipf.envs.render3d.lanes import LANES
-from zipf.envs.render3d.optics import FADE2, MESH_DARK, MESH_SUN, NEAR
+from zipf.envs.render3d.optics import FADE2, MESH_DARK, MESH_SUN, NEAR, PATTERN
+from zipf.envs.render3d.textures import SIZE
 from zipf.envs.render3d.triangles import draw_cut_triangle, draw_triangle
+
+_PER_METRE = SIZE / PATTERN  # texels of a pattern
+# Added to coordinates, so that no texel has a negative number, and a texture's middle is at x = 0
+# and y = 0, where meshes have theirs.
+_SHIFT = (16.5 * SIZE, 16.5 * SIZE, 16.0 * SIZE)
 
 
 @compiled(error_model="numpy", fastmath=True)
 def draw_instance(
-    mesh, position, rotation, scale, meshes, palette, sun, eye, projection, canvas, buffers
+    mesh, position, rotation, scale, pattern, texels, meshes, palette, sun, eye, projection, canvas,
+    buffers,
 ):  # fmt: skip
     """Draws an instance of a mesh.
 
     Args:
-        mesh, position, rotation, scale: of `Instances`.
+        mesh, position, rotation, scale, pattern: of `Instances`.
+        texels: of `Assets`.
         meshes: `Meshes`.
         palette: the colours of the mesh's parts in the light of the lamp, float32 [6, 3].
         sun: of the mesh's world.
@@ -87,28 +101,121 @@ def draw_instance(
     for k in range(last - first):
         front[count] = k
         count += lit[k] > 0.0
-    if middle[2] - radius > NEAR:
+    cut = middle[2] - radius <= NEAR
+    if pattern >= 0:
+        _measure(eye_x, eye_y, eye_z, scale, projection.focal, planes, first, front, count, buffers)
+    if not cut:
         x, y, inverse = seen[3], seen[4], seen[5]
         for n in range(count):
             k = front[n]
             a, b, c = triangles[first + k, 0], triangles[first + k, 1], triangles[first + k, 2]
             draw_triangle(
                 x[a], y[a], inverse[a], x[b], y[b], inverse[b], x[c], y[c], inverse[c],
-                _paint(palette, meshes.parts[first + k], lit[k]), no_growth, canvas,
+                _paint(palette, meshes.parts[first + k], lit[k], pattern, k), no_growth, canvas,
             )  # fmt: skip
-        return
-    corners = np.empty((3, 4), np.float32)
-    for n in range(count):
-        k = front[n]
-        draw_cut_triangle(
-            seen, triangles[first + k, 0], triangles[first + k, 1], triangles[first + k, 2],
-            projection, corners, _paint(palette, meshes.parts[first + k], lit[k]), no_growth,
-            canvas,
+    else:
+        corners = np.empty((3, 4), np.float32)
+        for n in range(count):
+            k = front[n]
+            draw_cut_triangle(
+                seen, triangles[first + k, 0], triangles[first + k, 1], triangles[first + k, 2],
+                projection, corners, _paint(palette, meshes.parts[first + k], lit[k], pattern, k),
+                no_growth, canvas,
+            )  # fmt: skip
+    if pattern >= 0:
+        bounds = (0, canvas.width - 1, 0, canvas.height - 1)
+        if not cut:
+            vertex_count = meshes.first_vertex[mesh + 1] - meshes.first_vertex[mesh]
+            bounds = _bounds(seen, vertex_count, canvas)
+        _draw_pattern(
+            address(texels) + 4 * texels.shape[1] * pattern, bounds, rotation, offset, palette,
+            projection, canvas, buffers,
         )  # fmt: skip
 
 
 @compiled(error_model="numpy", fastmath=True)
-def _paint(palette, part, light):
-    """The colour 0x00BBGGRR of a part of a mesh in a light of 0 .. 1."""
+def _paint(palette, part, light, pattern, triangle):
+    """The colour 0x00BBGGRR of a part of a mesh in a light of 0 .. 1.
+
+    With a pattern, the number of the triangle for `pattern_block`, if the part has the pattern.
+    """
+    if pattern >= 0 and part < 2:
+        return np.int32(triangle - (1 << 31))
     red, green, blue = palette[part, 0], palette[part, 1], palette[part, 2]
     return np.int32(red * light) | np.int32(green * light) << 8 | np.int32(blue * light) << 16
+
+
+@compiled(error_model="numpy", fastmath=True)
+def _measure(eye_x, eye_y, eye_z, scale, focal, planes, first, front, count, buffers):
+    """Writes `axis` and `area` of the triangles that face the eye, in mesh coordinates."""
+    for n in range(count):
+        k = front[n]
+        x, y, z = planes[0, first + k], planes[1, first + k], planes[2, first + k]
+        axis, most = 0, abs(x)
+        if abs(y) > most:
+            axis, most = 1, abs(y)
+        if abs(z) > most:
+            axis, most = 2, abs(z)
+        away = scale * (x * eye_x + y * eye_y + z * eye_z - planes[3, first + k])
+        buffers.axis[k] = axis
+        buffers.area[k] = most * (_PER_METRE / focal) ** 2 / max(away, np.float32(1e-6))
+
+
+@compiled(error_model="numpy", fastmath=True)
+def _bounds(seen, vertex_count, canvas):
+    """First and last column and row of the pixels of a mesh that is ahead."""
+    left, right, top, bottom = seen[3, 0], seen[3, 0], seen[4, 0], seen[4, 0]
+    for k in range(1, vertex_count):
+        left, right = min(left, seen[3, k]), max(right, seen[3, k])
+        top, bottom = min(top, seen[4, k]), max(bottom, seen[4, k])
+    return (
+        max(np.int64(left), 0),
+        min(np.int64(right) + 1, canvas.width - 1),
+        max(np.int64(top), 0),
+        min(np.int64(bottom) + 1, canvas.height - 1),
+    )
+
+
+@compiled(error_model="numpy", fastmath=True)
+def _draw_pattern(texels, bounds, rotation, offset, palette, projection, canvas, buffers):
+    """Paints the pixels that hold numbers of triangles.
+
+    Args:
+        texels: address of the pattern's.
+        bounds: first and last column and row of these pixels.
+        rotation, offset: of the mesh, from the eye.
+        palette: of the mesh; the pattern mixes its first two colours.
+        projection, canvas: `Projection`, `Canvas`.
+        buffers: `MeshBuffers`.
+    """
+    left, right, top, bottom = bounds
+    frame, focal = projection.frame, projection.focal
+    # In texels along the mesh's axes: the eye, and the rays of the first pixel and per pixel.
+    eye, ray = np.empty(3, np.float32), np.empty(3, np.float32)
+    across, down = np.empty(3, np.float32), np.empty(3, np.float32)
+    for j in range(3):
+        back, aside, up, ahead = 0.0, 0.0, 0.0, 0.0
+        for i in range(3):
+            turned = _PER_METRE * rotation[i, j]
+            back += turned * offset[i]
+            aside += turned * frame[0, i]
+            up += turned * frame[1, i]
+            ahead += turned * frame[2, i]
+        eye[j] = _SHIFT[j] - back
+        across[j], down[j] = aside / focal, -up / focal
+        ray[j] = ahead - projection.middle_x * across[j] - projection.middle_y * down[j]
+    red, green, blue = palette[0, 0], palette[0, 1], palette[0, 2]
+    to_red, to_green, to_blue = palette[1, 0] - red, palette[1, 1] - green, palette[1, 2] - blue
+    lit, axis, area = address(buffers.lit), address(buffers.axis), address(buffers.area)
+    for y in range(top, bottom + 1):
+        row = np.float32(y)
+        ray_x, ray_y = ray[0] + row * down[0], ray[1] + row * down[1]
+        ray_z = ray[2] + row * down[2]
+        # Triangles are filled in blocks, which may go beyond the image by some pixels.
+        for x in range(left & -LANES, right + TRIANGLE_LANES, LANES):
+            at = 4 * (y * canvas.stride + x)
+            pattern_block(
+                canvas.colour + at, canvas.depth + at, texels, x, lit, axis, area, eye[0], ray_x,
+                across[0], eye[1], ray_y, across[1], eye[2], ray_z, across[2], red, green, blue,
+                to_red, to_green, to_blue,
+            )  # fmt: skip

@@ -24,6 +24,9 @@ MESH_DARK, MESH_SUN = 0.34, 0.66
 FADE = 14.0
 """Distance at which half of the light is left, metres."""
 
+PATTERN = 0.32
+"""After how many metres a pattern on a mesh repeats."""
+
 SHADOW_DEPTH = 0.005
 """A shadow lies on everything whose height differs from its own by no more than this, metres."""
 

@@ -57,7 +57,7 @@ class Renderer:
         elif textures.dtype != np.uint8:
             raise ValueError(f"textures must be uint8, not {textures.dtype}")
         else:
-            texels = pack_textures(textures)
+            texels = pack_textures(textures.astype(np.uint8, copy=False))
         self.width = width
         self.height = height
         self.threads = threads
@@ -132,6 +132,8 @@ class Renderer:
                 np.zeros((6, self._most_vertices + LANES), np.float32),
                 np.zeros(self._most_triangles + LANES, np.float32),
                 np.zeros(self._most_triangles + 1, np.int32),
+                np.zeros(self._most_triangles + LANES, np.int32),
+                np.zeros(self._most_triangles + LANES, np.float32),
             ),
             (np.zeros(rows * columns * 4, np.bool_), np.zeros((4, rows * columns + 2))),
             terrain_buffers(*terrain),

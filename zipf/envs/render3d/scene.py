@@ -55,6 +55,10 @@ class Scenes:
     - `position` float32 [N, M, 3]; `rotation` float32 [N, M, 3, 3] (initially the identity);
       `scale` float32 [N, M] (initially 1): world = rotation @ (scale * vertex) + position
     - `colours` uint8 [N, M, 2, 3]: main and accent colour
+    - `pattern` int32 [N, M]: negative (initially): parts of the mesh are in its main or its accent
+      colour; else a texture, laid on these parts in the mesh's own coordinates along the axis that
+      a triangle faces most. It repeats after `optics.PATTERN` metres; its middle is at x = 0 and
+      y = 0, its first row or column at z = 0. Its red channel is the share of the accent colour
     - `shadows` float32 [N, S, 8]: x, y, z of the middle, angle, half length, half width, softness
       and darkness of horizontal rectangles with soft corners. Whatever is at the height z, within 5
       mm, and seen from above loses the share `darkness` of its light (0, initially: there is no
@@ -128,6 +132,7 @@ class Scenes:
         self.rotation = np.tile(np.eye(3, dtype=np.float32), (n, instances, 1, 1))
         self.scale = np.ones((n, instances), np.float32)
         self.colours = np.full((n, instances, 2, 3), 200, np.uint8)
+        self.pattern = np.full((n, instances), -1, np.int32)
         self.shadows = np.zeros((n, shadows, 8), np.float32)
         self.sun = np.full((n, 3), UNIT_SUN, np.float32)
         self.lamp = np.ones((n, 3), np.float32)
@@ -158,7 +163,7 @@ class Scenes:
              self.wall_count),
             (self.flats, self.flat_looks, self.flat_tiles, self.flat_repeat, self.flat_tint,
              self.flat_count, self.tiles),
-            (self.mesh, self.position, self.rotation, self.scale, self.colours),
+            (self.mesh, self.position, self.rotation, self.scale, self.colours, self.pattern),
             (self.heights, self.terrain, self.terrain_looks, self.terrain_tint),
             (self.overlays, self.overlay_colours, self.overlay_count),
         )  # fmt: skip

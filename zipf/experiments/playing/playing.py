@@ -361,10 +361,9 @@ class _Episode:
                     return
                 self._step(action)
         finally:
+            about = ", ".join(filter(None, [*self._words(), self._situation()]))
             told = self.outcome or f"left after {_steps(self.steps)}"
-            self.session.say(
-                f"{self.name}: {', '.join([*self._words(), self._situation()])}: {told}"
-            )
+            self.session.say(": ".join(filter(None, [self.name, about, told])))
         self._rest()
 
     def _step(self, action: int) -> None:
@@ -436,8 +435,9 @@ class _Episode:
         return ", ".join(f"{name} {self.info[name][0]}" for name in self.env.situation)
 
     def _words(self) -> list[str]:
-        """The instruction, in families that have one."""
-        return [str(self.info["instruction"][0])] if "instruction" in self.info else []
+        """The instruction, in levels that give one."""
+        text = str(self.info["instruction"][0]) if "instruction" in self.info else ""
+        return [text] if text else []
 
     def _goal(self) -> list[str]:
         """What a person is to do, in families that say it."""
@@ -456,7 +456,8 @@ class _Episode:
                 help.append(f"{_shown(binding.keys)}: {binding.label}")
             help += [f"{_shown((toggle.key,))}: {toggle.label}" for toggle in keys.toggles]
         help += [f"{NEXT}: next episode", f"{LEAVE}: leave"]
-        situation = f"{self.world.level}   ranks: {self._situation()}"
+        ranks = self._situation()
+        situation = self.world.level + (f"   ranks: {ranks}" if ranks else "")
         return Text((*self._words(), *self._goal(), situation, progress, self.outcome), tuple(help))
 
 

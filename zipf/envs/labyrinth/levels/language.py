@@ -1,0 +1,110 @@
+"""What the language levels share: a task a map, its objects, and an expert that reads the judge."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from zipf.envs.labyrinth.layouts import Layout, Theme, build_layout
+from zipf.envs.labyrinth.patterns import SOLID, rgb, shaded
+from zipf.envs.labyrinth.steering import Ways
+from zipf.envs.labyrinth.tasks import Judge, Object
+from zipf.envs.labyrinth.words import COLOURS, SHAPES
+from zipf.envs.labyrinth.world import Episode
+
+MEDIUM = {"car": 0.8, "cassette": 0.95, "chair": 0.84, "cow": 0.81}
+"""Scales of shapes that are not of their own size when they are medium."""
+CONTEXT = {"colours": COLOURS, "shapes": SHAPES}
+"""Of all levels but the described one."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task of one map.
+
+    Attributes:
+        layout: of the map.
+        theme: its look.
+        objects: all of them.
+        places: the slot of each object; None: it is nowhere.
+        text: the instruction.
+        judge: by numbers of objects.
+        seen_only: numbers of the objects that cannot be taken.
+        still: numbers of the objects that neither bob nor turn.
+    """
+
+    layout: Layout
+    theme: Theme
+    objects: Sequence[Object]
+    places: Sequence[int | None]
+    text: str
+    judge: Judge
+    seen_only: frozenset[int] = field(default=frozenset())
+    still: frozenset[int] = field(default=frozenset())
+
+
+class LanguageEpisode(Episode):
+    """Maps with a task each. Derived classes draw the tasks."""
+
+    turn: float = 2 * math.pi
+    """The player starts looking eastwards give or take half of this, radians."""
+
+    @abstractmethod
+    def draw(self, rng: np.random.Generator) -> Task:
+        """The task of a new map."""
+
+    def begin_map(self, rng: np.random.Generator) -> None:
+        world = self.world
+        self.task = task = self.draw(rng)
+        layout = task.layout
+        world.clear()
+        build_layout(world, layout, task.theme, rng)
+        self.items: dict[int, int] = {}  # the object of each item
+        for number, (one, slot) in enumerate(zip(task.objects, task.places, strict=True)):
+            if slot is not None:
+                item = self._add(number, one, rng)
+                self.items[item] = number
+                world.put_in_cell(item, layout.slots[slot])
+        start = layout.starts[int(rng.integers(len(layout.starts)))]
+        world.place_player_in_cell(start, float(rng.uniform(-self.turn / 2, self.turn / 2)))
+        world.say(task.text)
+
+    def _add(self, number: int, one: Object, rng: np.random.Generator) -> int:
+        """Adds an object as an item."""
+        first = rgb(one.colour, rng)
+        return self.world.add_item(
+            one.shape,
+            colours=(first, shaded(first) if one.pattern == SOLID else rgb(one.colour2, rng)),
+            scale=MEDIUM.get(one.shape, 1.0),
+            spins=number not in self.task.still,
+            seen_only=number in self.task.seen_only,
+            pattern=one.pattern,
+        )
+
+    def picked_up(self, item: int) -> None:
+        reward, over = self.task.judge.take(self.items[item])
+        self.world.reward(reward)
+        if over:
+            self.world.finish_map()
+
+    def expert(self) -> int:
+        """Walks to the nearest goal around the cells of other objects."""
+        task = self.task
+        blocked = task.layout.solid.copy()
+        goals = []
+        for item, number in self.items.items():
+            if not self.world.is_there(item) or number in task.seen_only:
+                continue
+            slot = task.places[number]
+            assert slot is not None
+            cell = task.layout.slots[slot]
+            if number in task.judge.goals:
+                goals.append(cell)
+            else:
+                blocked[cell] = True
+        ways = Ways(blocked, goals)
+        return ways.walk_to(self.world, ways.nearest(self.world, goals))
