@@ -12,12 +12,12 @@ class LabyrinthEnv(SingleWorld):
 
     ## Description
 
-    Mazes, rooms, hilly deserts and platforms in the sky, each with its own goal. In "Zipfian
-    environments for reinforcement learning" (Chan et al., 2022) a task is drawn at every reset from
-    a Zipfian distribution over the thirty tasks of DMLab-30; here are the eighteen of them that
-    need neither language nor opponents nor a psychologist's screen. The original engine is Quake
-    III Arena's; this one is ours and has its kinematics, layouts, rules, rewards and lengths. The
-    art is ours: textures, pictures on walls and objects are procedural.
+    Mazes, rooms, hilly deserts, platforms in the sky, tasks told in words, games of tag and
+    experiments of psychology, each with its own goal. In "Zipfian environments for reinforcement
+    learning" (Chan et al., 2022) a task is drawn at every reset from a Zipfian distribution over
+    the thirty tasks of DMLab-30. The original engine is Quake III Arena's; this one is ours and has
+    its kinematics, layouts, rules, rewards and lengths. The art is ours: textures, pictures and
+    objects are procedural.
 
     Every level is documented in full, with what is approximated, by the class of its rules:
     `zipf.envs.labyrinth.levels.LEVELS[name].load().__doc__`.
