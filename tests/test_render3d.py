@@ -52,7 +52,7 @@ def assert_patterns_match(scenes):
         inside.extend(off[inner(shown) & (shown > 0)])
         assert (off > 2.5).mean() < 0.04
     assert len(inside) > 2000
-    assert (np.array(inside) > 2.5).mean() < 0.015
+    assert (np.array(inside) > 2.5).mean() < 0.002
 
 
 @pytest.mark.parametrize("seed", range(3))
