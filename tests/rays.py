@@ -1,6 +1,7 @@
 """Slow ray casting, one surface at a time, as a reference for the renderer."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,6 +33,8 @@ ATLAS = MeshAtlas(
     first_triangle=np.array([0, 12, 16], np.int32),
     extent=np.full((2, 3), 0.4, np.float32),
 )
+COLOURED = replace(ATLAS, parts=ATLAS.parts % 2)
+"""The same meshes without parts of fixed colours."""
 STACK = textures.stack()
 WIDTH, HEIGHT = 64, 48
 
@@ -44,8 +47,8 @@ def plain(*colours):
     return stack
 
 
-def view(scenes, stack=STACK, width=WIDTH, height=HEIGHT, **options):
-    renderer = Renderer(ATLAS, stack, width=width, height=height, **options)
+def view(scenes, stack=STACK, width=WIDTH, height=HEIGHT, atlas=ATLAS, **options):
+    renderer = Renderer(atlas, stack, width=width, height=height, **options)
     out = np.zeros((scenes.num_worlds, height, width, 3), np.uint8)
     renderer.render(scenes, out)
     return out
@@ -73,7 +76,7 @@ def within(distance, size):
     return (distance >= -optics.GROW) & (distance <= size + optics.GROW)
 
 
-def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
+def cast(scenes, world, stack, width=WIDTH, height=HEIGHT, atlas=ATLAS):
     """An image [H, W, 3] of floats, and which surface each pixel shows (0: the sky)."""
     packed = pack_textures(stack)
     eye, (yaw, pitch) = (
@@ -168,8 +171,8 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
             position = scenes.position[world, k].astype(float)
             colours = np.concatenate([scenes.colours[world, k], FIXED_COLOURS]).astype(float)
             fade = max((position - eye) @ ahead, 0.0)
-            for triangle in range(*ATLAS.first_triangle[mesh : mesh + 2]):
-                corners = ATLAS.vertices[ATLAS.triangles[triangle] + ATLAS.first_vertex[mesh] * 0]
+            for triangle in range(*atlas.first_triangle[mesh : mesh + 2]):
+                corners = atlas.vertices[atlas.triangles[triangle] + atlas.first_vertex[mesh] * 0]
                 a, b, c = scale * corners.astype(float) @ rotation.T + position
                 normal = np.cross(b - a, c - a)
                 normal /= np.linalg.norm(normal)
@@ -181,7 +184,7 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT):
                 for p, q in ((a, b), (b, c), (c, a)):
                     inside &= np.cross(q - p, hit - p) @ normal >= 0
                 light = sun_on(scenes, world, normal, optics.MESH_DARK, optics.MESH_SUN)
-                part, pattern = ATLAS.parts[triangle], scenes.pattern[world, k]
+                part, pattern = atlas.parts[triangle], scenes.pattern[world, k]
                 colour = np.broadcast_to(colours[part], (height, width, 3))
                 if pattern >= 0 and part < 2:
                     own = np.nan_to_num(hit - position) @ rotation
