@@ -38,8 +38,9 @@ class LabyrinthEnv(SingleWorld):
     `zipf.envs.labyrinth.actions.EXTENDED`: forward, backward, strafe left and right; turn by 4.2
     degrees left and right, by 25.3 degrees left and right; look down and up by 4.2 degrees;
     forward while turning by 4.2 degrees left and right, by 25.3 degrees left and right; fire, which
-    does nothing in these levels. `num_actions=9` has the table of IMPALA (Espeholt et al., 2018),
-    `actions.IMPALA`, which cannot look up or down and turns by 8.4 degrees.
+    only does something in the levels `lasertag_*`. `num_actions=9` has the table of IMPALA (Espeholt et al., 2018),
+    `actions.IMPALA`, which cannot look up or down and turns by 8.4 degrees: three of the levels `psychlab_*` cannot
+    be solved with it, or only in part.
 
     An action is held for four frames, 1/15 s. The player reaches full speed, 20.5 units a step,
     within ten frames, slides along walls, climbs steps of 18 units and falls off higher ones.
@@ -60,7 +61,7 @@ class LabyrinthEnv(SingleWorld):
 
     Truncated at the level's time limit. Terminated 0.2 s after what ends an episode earlier: the
     tenth object in `rooms_collect_*` and `rooms_exploit_*`, the goal in `rooms_keys_doors_puzzle`
-    and the skymazes.
+    and the skymazes, the last trial of the levels `psychlab_*`.
 
     ## Info
 
