@@ -18,8 +18,10 @@ from .shapes import (
     box,
     circle,
     cone,
+    cylinder,
     ellipsoid,
     lathe,
+    loft,
     rod,
     slab,
     torus,
@@ -177,25 +179,47 @@ def platform() -> list[Solid]:
     return [box(126, 126, 84, ACCENT, at=(0, 0, 42)), box(128, 128, 10, MAIN, at=(0, 0, 89))]
 
 
-def body() -> list[Solid]:
-    """A player of laser tag, with its gadget in front."""
+def robot() -> list[Solid]:
+    """A player of laser tag up to the neck, with its gadget in front: a round trunk on two boots."""
+    trunk = [(0, 12), (8, 12), (11.5, 17), (12, 27), (10.5, 34), (5, 38.5), (0, 38.5)]
     return [
-        block((12, 15), (14, 20), 16, MAIN, at=(-2, 0, 23)),
-        box(15, 17, 4, ACCENT, at=(-2, 0, 26)),
-        box(5, 5, 3, DARK, at=(-2, 0, 40)),
-        ellipsoid((7, 6.5, 7.4), ACCENT, at=(-1, 0, 48.6), sides=7, rings=3),
-        box(4, 10, 4, DARK, at=(4.4, 0, 49)),
-        box(20, 5, 5, DARK, at=(7, -7, 29)),
-        box(5, 12, 14, ACCENT, at=(-11, 0, 31)),
+        lathe(trunk, ACCENT, sides=10),
+        torus(11.6, 1.9, MAIN, at=(0, 0, 20), around=10, sides=4),
+        cylinder(4, 3, DARK, at=(0, 0, 37.8), sides=6),
+        box(22, 6, 6, DARK, at=(5, -12, 25)),
+        box(6, 7.6, 7.6, MAIN, at=(13, -12, 25)),
+        ellipsoid((5, 5, 5), MAIN, at=(0, -12.4, 31), sides=6, rings=2),
+        ellipsoid((5, 5, 5), MAIN, at=(0, 12.4, 31), sides=6, rings=2),
+        rod((0, 13, 30), (3, 12.6, 20), 3, DARK, sides=5),
+        ellipsoid((3.6, 3.6, 3.6), MAIN, at=(4, 12.4, 18.4), sides=6, rings=2),
         *both_sides(
-            ellipsoid((5, 5, 5), ACCENT, at=(-2, 11, 37), sides=6, rings=1),
-            rod((-2, 12, 36), (1, 12, 27), 3, MAIN, sides=4),
-            block((7, 6.4), (8, 7), 18, DARK, at=(-2, 5, 6)),
-            box(13, 8, 7, MAIN, at=(1, 5.2, 3.5)),
+            cylinder(3.4, 10, DARK, at=(0, 5.8, 5), sides=6),
+            block((17, 10), (11, 8.4), 8, MAIN, at=(1, 6, 0)),
         ),
-        rod((0, -12, 27), (8, -7.5, 28), 3, MAIN, sides=4),
-        rod((0, 12, 27), (11, -5, 28.5), 2.8, MAIN, sides=4),
     ]
+
+
+def robot_head() -> list[Solid]:
+    """A round helmet with a bright visor, two eyes, ears and an antenna with a ball."""
+    helmet = [(0, 0), (6, 0), (9.5, 3), (10.4, 7), (9, 11.5), (5, 14.6), (0, 15.6)]
+    return [
+        lathe(helmet, MAIN, sides=10),
+        box(5, 13, 6.4, ACCENT, at=(8, 0, 7.4)),
+        *both_sides(
+            box(2, 3.2, 4, DARK, at=(10.2, 3.1, 7.4)),
+            cylinder(3.6, 4, ACCENT, sides=6).turn("x", -90).move(0, 8.4, 7),
+        ),
+        box(4, 8, 4, ACCENT, at=(-9, 0, 6)),
+        rod((0, 0, 14), (0, 0, 19), 1.4, DARK, sides=4),
+        ellipsoid((2.8, 2.8, 2.8), ACCENT, at=(0, 0, 20.2), sides=6, rings=2),
+    ]
+
+
+def bolt() -> list[Solid]:
+    """What is seen of a shot: a spindle with a bright core."""
+    rings = [circle(r, 6, x)[:, [2, 0, 1]] for x, r in ((-22.0, 2.4), (-8, 3), (8, 3), (22, 2.4))]
+    ends = [np.array([(x, 0.0, 0.0)]) for x in (-30, 30)]
+    return [loft([ends[0], *rings, ends[1]], [ACCENT, ACCENT, MAIN, ACCENT, ACCENT])]
 
 
 def orb() -> list[Solid]:
@@ -297,7 +321,9 @@ OBJECTS = {
     "dead_tree": (dead_tree, (80, 80, 200)),
     "desert_arch": (desert_arch, (60, 200, 150)),
     "platform": (platform, (128, 128, 94)),
-    "body": (body, (30, 30, 56)),
+    "robot": (robot, (30, 30, 40)),
+    "robot_head": (robot_head, (22, 22, 23)),
+    "bolt": (bolt, (60, 6, 6)),
     "orb": (orb, (20, 20, 20)),
     "beam_gadget": (beam_gadget, (30, 30, 20)),
     "disc_gadget": (disc_gadget, (30, 30, 20)),

@@ -10,12 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.labyrinth.lasertag.arena import Combat, make_combat
+
 CELL = 100.0
 """Side of a cell and height of a wall of a text map."""
 
 X, Y, Z, VX, VY, VZ, YAW, PITCH = range(8)
 """Columns of `bodies`: the point 24 above the soles, its velocity per second, where it looks."""
 
+TOUCH_X, TOUCH_Y, TOUCH_Z = 40.0, 36.0, 36.0
+"""An item is touched within these distances of the player's point. The original's reach along x is
+from -50 to 44; approximated by a symmetric one."""
 GRID = 21
 """Most rows and columns of a text map."""
 ITEMS, BOXES, PLANES, PILLARS, ZONES, TIMERS = 184, 64, 16, 100, 10, 4
@@ -79,6 +84,8 @@ class Worlds(NamedTuple):
     """[N, ZONES]: whether the player is inside."""
     timers: NDArray[np.int64]
     """[N, TIMERS]: the frame at which a timer goes off; -1: it is off."""
+    combat: Combat
+    """Laser tag."""
 
 
 def make_worlds(num_worlds: int) -> Worlds:
@@ -111,6 +118,7 @@ def make_worlds(num_worlds: int) -> Worlds:
         zones=np.zeros((n, ZONES, 6)),
         inside=np.zeros((n, ZONES), np.bool_),
         timers=np.full((n, TIMERS), -1, np.int64),
+        combat=make_combat(n, GRID),
     )
 
 
@@ -124,3 +132,4 @@ def clear(worlds: Worlds, world: int) -> None:
         ("inside", False), ("timers", -1),
     ):  # fmt: skip
         getattr(worlds, name)[world] = value
+    worlds.combat.count[world] = 0

@@ -1,4 +1,4 @@
-"""A world from above, for people to watch: floors, walls, doors, items, and the player's arrow."""
+"""A world from above, for people to watch: floors, walls, doors, items, arrows of players."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth.lasertag.arena import TAGGED_AT
 from zipf.envs.labyrinth.scenery import METRES, Scenery, atlas
-from zipf.envs.labyrinth.state import CELL, QUADS, YAW, Worlds, X, Y
+from zipf.envs.labyrinth.state import CELL, ITEMS, QUADS, YAW, Worlds, X, Y
 from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH
 
 SIZE = 288
@@ -29,7 +30,8 @@ def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
     """The map of a world, uint8 [SIZE, SIZE, 3], the north above.
 
     Platforms and hills are lighter the higher they are. Thin white outlines are zones in which
-    something happens, whether they can be seen or not. Items are in their two colours.
+    something happens, whether they can be seen or not. Items are in their two colours. The player's arrow is
+    white, those of opponents have their colour.
     """
     page = _Page(_bounds(worlds, scenery, world))
     if worlds.quad[world] > 0:
@@ -40,6 +42,11 @@ def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
         if zone[0] < zone[3]:
             page.rectangle(zone[[0, 1]], zone[[3, 4]], None, outline=(255, 255, 255))
     _draw_items(page, worlds, scenery, world)
+    for k in range(1, int(worlds.combat.count[world])):
+        if worlds.combat.status[world, k, TAGGED_AT] < 0:
+            x, y, yaw = worlds.combat.bodies[world, k, [X, Y, YAW]].tolist()
+            colour = _colour(scenery.scenes.colours[world, ITEMS, 0])
+            page.arrow(x, y, yaw, colour)
     body = worlds.bodies[world]
     page.arrow(float(body[X]), float(body[Y]), float(body[YAW]))
     return page.finished()
@@ -98,9 +105,9 @@ class _Page:
         ):
             self.pen.ellipse((left - far, top - far, left + far, top + far), colour)
 
-    def arrow(self, x: float, y: float, yaw: float) -> None:
+    def arrow(self, x: float, y: float, yaw: float, fill: Colour = (255, 255, 255)) -> None:
         left, top = self.at(x, y)
-        for size, colour in ((11.0 * _FINE, (0, 0, 0)), (8.5 * _FINE, (255, 255, 255))):
+        for size, colour in ((11.0 * _FINE, (0, 0, 0)), (8.5 * _FINE, fill)):
             corners = [
                 (
                     left + far * size * math.cos(yaw + turn),
