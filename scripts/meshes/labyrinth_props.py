@@ -180,20 +180,18 @@ def platform() -> list[Solid]:
 
 
 def robot() -> list[Solid]:
-    """A player of laser tag up to the neck, with its gadget in front: a round trunk on two boots."""
-    trunk = [(0, 12), (8, 12), (11.5, 17), (12, 27), (10.5, 34), (5, 38.5), (0, 38.5)]
+    """A player of laser tag up to the neck: a round trunk on two boots, its gadget in front."""
+    trunk = [(0, 12), (8, 12), (12, 18), (12.4, 23), (11, 33), (5, 38.5), (0, 38.5)]
+    parts = [ACCENT, ACCENT, MAIN, ACCENT, ACCENT, ACCENT]
     return [
-        lathe(trunk, ACCENT, sides=10),
-        torus(11.6, 1.9, MAIN, at=(0, 0, 20), around=10, sides=4),
-        cylinder(4, 3, DARK, at=(0, 0, 37.8), sides=6),
-        box(22, 6, 6, DARK, at=(5, -12, 25)),
+        lathe(trunk, parts, sides=8),
+        cylinder(4, 3, DARK, at=(0, 0, 37.8), sides=5),
+        box(20, 6, 6, DARK, at=(5, -12, 25)),
         box(6, 7.6, 7.6, MAIN, at=(13, -12, 25)),
-        ellipsoid((5, 5, 5), MAIN, at=(0, -12.4, 31), sides=6, rings=2),
-        ellipsoid((5, 5, 5), MAIN, at=(0, 12.4, 31), sides=6, rings=2),
-        rod((0, 13, 30), (3, 12.6, 20), 3, DARK, sides=5),
-        ellipsoid((3.6, 3.6, 3.6), MAIN, at=(4, 12.4, 18.4), sides=6, rings=2),
+        box(8, 5, 14, MAIN, at=(0, 12.6, 26)),
+        box(8, 5, 6, MAIN, at=(-2, -12.4, 31.4)),
         *both_sides(
-            cylinder(3.4, 10, DARK, at=(0, 5.8, 5), sides=6),
+            box(5, 5, 8, DARK, at=(0, 5.8, 10)),
             block((17, 10), (11, 8.4), 8, MAIN, at=(1, 6, 0)),
         ),
     ]
@@ -201,23 +199,24 @@ def robot() -> list[Solid]:
 
 def robot_head() -> list[Solid]:
     """A round helmet with a bright visor, two eyes, ears and an antenna with a ball."""
-    helmet = [(0, 0), (6, 0), (9.5, 3), (10.4, 7), (9, 11.5), (5, 14.6), (0, 15.6)]
+    helmet = [(0, 0), (7, 0), (10.4, 5), (9.4, 11), (5, 15), (0, 15.6)]
     return [
-        lathe(helmet, MAIN, sides=10),
+        lathe(helmet, MAIN, sides=8),
         box(5, 13, 6.4, ACCENT, at=(8, 0, 7.4)),
         *both_sides(
             box(2, 3.2, 4, DARK, at=(10.2, 3.1, 7.4)),
-            cylinder(3.6, 4, ACCENT, sides=6).turn("x", -90).move(0, 8.4, 7),
+            box(6, 4, 6, ACCENT, at=(0, 10.4, 7)),
         ),
-        box(4, 8, 4, ACCENT, at=(-9, 0, 6)),
-        rod((0, 0, 14), (0, 0, 19), 1.4, DARK, sides=4),
-        ellipsoid((2.8, 2.8, 2.8), ACCENT, at=(0, 0, 20.2), sides=6, rings=2),
+        box(4, 9, 5, ACCENT, at=(-9, 0, 6)),
+        box(1.6, 1.6, 6, DARK, at=(0, 0, 17)),
+        ellipsoid((2.8, 2.8, 2.8), ACCENT, at=(0, 0, 20.2), sides=5, rings=1),
     ]
 
 
 def bolt() -> list[Solid]:
     """What is seen of a shot: a spindle with a bright core."""
-    rings = [circle(r, 6, x)[:, [2, 0, 1]] for x, r in ((-22.0, 2.4), (-8, 3), (8, 3), (22, 2.4))]
+    widths = [(-22.0, 2.4), (-8.0, 3.0), (8.0, 3.0), (22.0, 2.4)]
+    rings = [circle(r, 6, x)[:, [2, 0, 1]] for x, r in widths]
     ends = [np.array([(x, 0.0, 0.0)]) for x in (-30, 30)]
     return [loft([ends[0], *rings, ends[1]], [ACCENT, ACCENT, MAIN, ACCENT, ACCENT])]
 

@@ -1,8 +1,8 @@
 """Runs the frames of a step in all worlds, compiled, and stops where a level's rules are needed.
 
-A frame is: turn and move (in combat: fight), touch items, enter zones, timers, the clock. Whatever happens is told to
-the episode of that world, in Python; then its frames go on where they stopped. Worlds do not
-wait for each other: most steps have no event at all.
+A frame is: turn and move (in combat: fight), touch items, enter zones, timers, the clock. Whatever
+happens is told to the episode of that world, in Python; then its frames go on where they stopped.
+Worlds do not wait for each other: most steps have no event at all.
 """
 
 from zipf.compiled import compiled

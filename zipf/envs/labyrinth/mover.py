@@ -42,46 +42,15 @@ def move(worlds, i, turn, rise, strafe, forward):
         turn, rise: of the view, to the left and upwards, radians.
         strafe, forward: 1, 0 or -1: to the right, forward.
     """
-    slides = worlds.pushed[i] > 0
-    if slides:
-        worlds.pushed[i] -= 1
-    move_body(
-        worlds, i, worlds.bodies[i], turn, rise, strafe, forward, not slides, ACCELERATION
-    )
-
-
-@compiled(error_model="numpy")
-def move_body(worlds, i, body, turn, rise, strafe, forward, friction, acceleration):
-    """Moves a player's body, float64 [8], by one frame; see `move`.
-
-    Args:
-        worlds, i, turn, rise, strafe, forward: see `move`.
-        body: a row of `Worlds.bodies`, or another player's, written.
-        friction: whether the ground slows him.
-        acceleration: on the ground, in multiples of his speed per second.
-    """
-    body[YAW] = (body[YAW] + turn) % (2 * math.pi)
-    body[PITCH] = min(max(body[PITCH] + rise, -_MOST_PITCH), _MOST_PITCH)
+    body = worlds.bodies[i]
     soles = body[Z] - BELOW
     ground = _ground(worlds, i, body[X], body[Y], soles)
     standing = soles <= ground + _SKIN
-    if standing and friction:
-        speed = math.hypot(body[VX], body[VY])
-        if speed > 0.0:
-            left = max(speed - max(speed, STOP_SPEED) * FRICTION * FRAME, 0.0) / speed
-            body[VX] *= left
-            body[VY] *= left
-    if strafe != 0.0 or forward != 0.0:
-        cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
-        wish_x, wish_y = forward * cos + strafe * sin, forward * sin - strafe * cos
-        length = math.hypot(wish_x, wish_y)
-        wish_x, wish_y = wish_x / length, wish_y / length
-        missing = RUN - (body[VX] * wish_x + body[VY] * wish_y)
-        if missing > 0.0:
-            gain = (acceleration if standing else IN_AIR) * FRAME * RUN
-            gain = min(gain, missing)
-            body[VX] += gain * wish_x
-            body[VY] += gain * wish_y
+    acceleration = ACCELERATION if standing else IN_AIR
+    friction = standing and worlds.pushed[i] == 0
+    turn_and_run(body, turn, rise, strafe, forward, acceleration, friction)
+    if worlds.pushed[i] > 0:
+        worlds.pushed[i] -= 1
     if not standing:
         body[VZ] -= GRAVITY * FRAME
     before_x, before_y = body[X], body[Y]
@@ -89,14 +58,14 @@ def move_body(worlds, i, body, turn, rise, strafe, forward, friction, accelerati
         step = body[VX + axis] * FRAME
         if step != 0.0:
             wanted = body[X + axis] + step
-            reached = _reach(worlds, i, body, axis, wanted)
+            reached = _reach(worlds, i, axis, wanted)
             if reached != wanted:
                 body[VX + axis] = 0.0
             body[X + axis] = reached
     if worlds.quad[i] > 0.0:
-        _stay_off_pillars(worlds, i, body)
-        _stay_off_slopes(worlds, i, body, before_x, before_y)
-    _stay_in_room(worlds, i, body)
+        _stay_off_pillars(worlds, i)
+        _stay_off_slopes(worlds, i, before_x, before_y)
+    _stay_in_room(worlds, i)
     if worlds.held[i]:
         body[X], body[Y] = worlds.hold[i, 0], worlds.hold[i, 1]
         body[Z] = min(body[Z] + RISE, worlds.hold[i, 2] + BELOW)
@@ -113,8 +82,39 @@ def move_body(worlds, i, body, turn, rise, strafe, forward, friction, accelerati
 
 
 @compiled(error_model="numpy")
-def _stay_in_room(worlds, i, body):
+def turn_and_run(body, turn, rise, strafe, forward, acceleration, friction):
+    """Turns a body, float64 [8], and changes its velocity over the ground.
+
+    Args:
+        body: written.
+        turn, rise, strafe, forward: see `move`.
+        acceleration: ACCELERATION or IN_AIR.
+        friction: whether the ground slows it.
+    """
+    body[YAW] = (body[YAW] + turn) % (2 * math.pi)
+    body[PITCH] = min(max(body[PITCH] + rise, -_MOST_PITCH), _MOST_PITCH)
+    if friction:
+        speed = math.hypot(body[VX], body[VY])
+        if speed > 0.0:
+            left = max(speed - max(speed, STOP_SPEED) * FRICTION * FRAME, 0.0) / speed
+            body[VX] *= left
+            body[VY] *= left
+    if strafe != 0.0 or forward != 0.0:
+        cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
+        wish_x, wish_y = forward * cos + strafe * sin, forward * sin - strafe * cos
+        length = math.hypot(wish_x, wish_y)
+        wish_x, wish_y = wish_x / length, wish_y / length
+        missing = RUN - (body[VX] * wish_x + body[VY] * wish_y)
+        if missing > 0.0:
+            gain = min(acceleration * FRAME * RUN, missing)
+            body[VX] += gain * wish_x
+            body[VY] += gain * wish_y
+
+
+@compiled(error_model="numpy")
+def _stay_in_room(worlds, i):
     """Moves the player out of the walls of a convex room, along which he slides."""
+    body = worlds.bodies[i]
     for k in range(worlds.plane_count[i]):
         x, y, distance = worlds.planes[i, k]
         beyond = x * body[X] + y * body[Y] + WIDE * (abs(x) + abs(y)) - distance
@@ -128,8 +128,9 @@ def _stay_in_room(worlds, i, body):
 
 
 @compiled(error_model="numpy")
-def _stay_off_pillars(worlds, i, body):
+def _stay_off_pillars(worlds, i):
     """Moves the player out of pillars, round which he slides."""
+    body = worlds.bodies[i]
     for k in range(worlds.pillar_count[i]):
         x, y = body[X] - worlds.pillars[i, k, 0], body[Y] - worlds.pillars[i, k, 1]
         apart = math.hypot(x, y)
@@ -145,8 +146,9 @@ def _stay_off_pillars(worlds, i, body):
 
 
 @compiled(error_model="numpy")
-def _stay_off_slopes(worlds, i, body, before_x, before_y):
+def _stay_off_slopes(worlds, i, before_x, before_y):
     """Keeps the player from climbing what is too steep, along which he slides."""
+    body = worlds.bodies[i]
     size = worlds.quad[i]
     now = height_at(worlds.heights[i], size, before_x, before_y)
     step_x, step_y = body[X] - before_x, body[Y] - before_y
@@ -188,8 +190,9 @@ def _ground(worlds, i, x, y, soles):
 
 
 @compiled(error_model="numpy")
-def _reach(worlds, i, body, axis, wanted):
+def _reach(worlds, i, axis, wanted):
     """How far the player's box gets along an axis towards `wanted`, without entering anything."""
+    body = worlds.bodies[i]
     now = body[X + axis]
     ahead = 1.0 if wanted > now else -1.0
     across = body[Y - axis]

@@ -105,17 +105,20 @@ class Scenery:
     def _update(self, mask: NDArray[np.bool_]) -> None:
         """Copies the poses of players and items to the scenes of the worlds of `mask`."""
         scenes, worlds = self.scenes, self.worlds
+        actors, supplies = _combat_meshes()
+        fights = worlds.combat.count.any()
+        if fights:
+            view.show_supplies(mask, worlds.combat, supplies, self.shape, scenes.colours)
         _pose(
             mask, worlds.bodies, worlds.clock, worlds.places, worlds.present, self.shape,
             self.spins, scenes.camera, scenes.mesh, scenes.position, scenes.rotation,
         )  # fmt: skip
-        if worlds.combat.count.any():
+        if fights:
             view.pose(
-                mask, ITEMS, worlds.clock, worlds.bodies, worlds.combat, *_combat_meshes(),
+                mask, ITEMS, worlds.clock, worlds.combat, actors,
                 view.Pictures(
                     scenes.camera, scenes.mesh, scenes.position, scenes.rotation, scenes.scale,
                     scenes.colours, scenes.overlays, scenes.overlay_colours, scenes.overlay_count,
-                    self.shape,
                 ),
             )  # fmt: skip
 

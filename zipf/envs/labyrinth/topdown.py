@@ -30,8 +30,8 @@ def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
     """The map of a world, uint8 [SIZE, SIZE, 3], the north above.
 
     Platforms and hills are lighter the higher they are. Thin white outlines are zones in which
-    something happens, whether they can be seen or not. Items are in their two colours. The player's arrow is
-    white, those of opponents have their colour.
+    something happens, whether they can be seen or not. Items are in their two colours. The
+    player's arrow is white, those of opponents have their colour.
     """
     page = _Page(_bounds(worlds, scenery, world))
     if worlds.quad[world] > 0:

@@ -1,6 +1,6 @@
 """The state of laser tag in a batch of worlds: fighters, gadgets, supplies, shots.
 
-Fighter 0 is the player, whose body is a row of `Worlds.bodies`; the others are opponents. Lengths
+Fighter 0 is the player; the others are opponents. Lengths
 are in units. A second has 60 frames; periods that are stated in milliseconds are counted by the 16
 ms of physics that a frame has, as the original counts them.
 """
@@ -71,7 +71,7 @@ class Combat(NamedTuple):
     count: NDArray[np.int64]
     """[N]: fighters; 0: there is no combat, and the rest has no meaning."""
     bodies: NDArray[np.float64]
-    """[N, FIGHTERS, 8], as `Worlds.bodies`; row 0 is not used."""
+    """[N, FIGHTERS, 8], as `Worlds.bodies`, of which row 0 is a copy."""
     status: NDArray[np.int64]
     """[N, FIGHTERS, columns]."""
     minds: NDArray[np.float64]

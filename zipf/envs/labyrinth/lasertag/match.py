@@ -21,7 +21,7 @@ from zipf.envs.labyrinth.lasertag.arena import (
     clear_combat,
 )
 from zipf.envs.labyrinth.lasertag.fight import respawn
-from zipf.envs.labyrinth.lasertag.sight import body_of, in_view, is_up
+from zipf.envs.labyrinth.lasertag.sight import in_view
 from zipf.envs.labyrinth.lasertag.view import COLOURS, SUPPLY_MESHES, opponents_colours
 from zipf.envs.labyrinth.state import ITEMS, VX, VY, X, Y
 from zipf.envs.labyrinth.world import World
@@ -94,12 +94,13 @@ class Match:
         combat.status[self._i, :, TAGGED_AT] = 0
         for fighter in range(int(combat.count[self._i])):
             respawn(self._worlds, self._i, fighter)
+        self._worlds.bodies[self._i] = combat.bodies[self._i, 0]
 
     # What oracles read.
 
     def is_up(self, fighter: int) -> bool:
         """Whether a fighter is there, not tagged; fighter 0 is the player."""
-        return bool(is_up(self._worlds, self._i, fighter))
+        return bool(self.combat.status[self._i, fighter, TAGGED_AT] < 0)
 
     @property
     def enemies(self) -> list[int]:
@@ -108,12 +109,12 @@ class Match:
 
     def place(self, fighter: int) -> tuple[float, float]:
         """x and y of a fighter."""
-        body = body_of(self._worlds, self._i, fighter)
+        body = self.combat.bodies[self._i, fighter]
         return float(body[X]), float(body[Y])
 
     def velocity(self, fighter: int) -> tuple[float, float]:
         """Of a fighter along x and y, units per second."""
-        body = body_of(self._worlds, self._i, fighter)
+        body = self.combat.bodies[self._i, fighter]
         return float(body[VX]), float(body[VY])
 
     def in_view(self, fighter: int) -> bool:

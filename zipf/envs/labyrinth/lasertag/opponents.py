@@ -38,7 +38,6 @@ from zipf.envs.labyrinth.lasertag.arena import (
     NOTHING,
     ORB,
     PAUSE_UNTIL,
-    RAPID,
     REACH,
     SECOND,
     SEEN_AT,
@@ -47,12 +46,13 @@ from zipf.envs.labyrinth.lasertag.arena import (
     SIDE_UNTIL,
     STAY_UNTIL,
     SUPPLIES,
+    TAGGED_AT,
     TRIGGER,
     WISH_X,
     WISH_Y,
 )
 from zipf.envs.labyrinth.lasertag.shooting import BLAST_RADIUS, ORB_SPEED
-from zipf.envs.labyrinth.lasertag.sight import body_of, in_view, is_up
+from zipf.envs.labyrinth.lasertag.sight import in_view
 from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.state import CELL, PITCH, VX, VY, YAW, X, Y, Z
 
@@ -84,9 +84,8 @@ PEACE = -10.0 * CHASE
 
 
 @compiled(error_model="numpy")
-def forget(combat, i, f):
+def forget(mind):
     """An opponent begins anew."""
-    mind = combat.minds[i, f]
     mind[:] = 0.0
     mind[ENEMY] = mind[ATTACKER] = NOTHING
     mind[SEEN_AT] = mind[LAST_SEEN] = mind[ATTACKED_AT] = PEACE
@@ -95,9 +94,8 @@ def forget(combat, i, f):
 
 
 @compiled(error_model="numpy")
-def act(worlds, i, f):
+def act(mind, body):
     """What an opponent does in a frame: turn to the left and upwards, strafe, go forward, fire."""
-    mind, body = worlds.combat.minds[i, f], body_of(worlds, i, f)
     turn = min(max(_wrapped(mind[AIM_YAW] - body[YAW]), -TURN), TURN)
     rise = min(max(mind[AIM_PITCH] - body[PITCH], -TURN), TURN)
     cos, sin = math.cos(body[YAW] + turn), math.sin(body[YAW] + turn)
@@ -110,13 +108,13 @@ def act(worlds, i, f):
 def think(worlds, i, f):
     """An opponent looks around and decides what it does until it thinks again."""
     combat = worlds.combat
-    mind, body, status = combat.minds[i, f], body_of(worlds, i, f), combat.status[i, f]
+    mind, body, status = combat.minds[i, f], combat.bodies[i, f], combat.status[i, f]
     now = worlds.clock[i]
     enemy = _look_around(worlds, i, f)
     if enemy != NOTHING:
         if enemy != mind[ENEMY] or now - mind[LAST_SEEN] > CALM:
             mind[SEEN_AT] = now
-        there = body_of(worlds, i, enemy)
+        there = combat.bodies[i, enemy]
         mind[ENEMY], mind[LAST_SEEN] = enemy, now
         mind[LAST_ROW], mind[LAST_COLUMN] = there[Y] // CELL, there[X] // CELL
     mind[WISH_X] = mind[WISH_Y] = 0.0
@@ -127,7 +125,7 @@ def think(worlds, i, f):
     if not noticed or hurt or status[GADGET] == IMPULSE:
         supply = _useful_supply(worlds, i, f, hurt and noticed)
     if noticed and supply == NOTHING:
-        _close_in(worlds, i, f, body_of(worlds, i, int(enemy)))
+        _close_in(worlds, i, f, combat.bodies[i, int(enemy)])
     else:
         if supply != NOTHING:
             place = worlds.places[i, supply]
@@ -141,24 +139,24 @@ def think(worlds, i, f):
     if noticed:
         _aim(worlds, i, f, int(enemy))
         if now - mind[SEEN_AT] >= REACTION:
-            mind[TRIGGER] = _pulls_trigger(worlds, i, f, body_of(worlds, i, int(enemy)))
+            mind[TRIGGER] = _pulls_trigger(worlds, i, f, combat.bodies[i, int(enemy)])
     elif now - mind[ATTACKED_AT] < SECOND and mind[ATTACKER] >= 0:
         # Whoever shoots it in the back is looked for there.
-        there = body_of(worlds, i, int(mind[ATTACKER]))
+        there = combat.bodies[i, int(mind[ATTACKER])]
         mind[AIM_YAW] = math.atan2(there[Y] - body[Y], there[X] - body[X])
 
 
-@compiled(error_model="numpy")
+@compiled(error_model="numpy", forceinline=True)
 def _look_around(worlds, i, f):
     """The enemy to fight: the nearest one that is seen; or NOTHING."""
     combat = worlds.combat
-    mind, body = combat.minds[i, f], body_of(worlds, i, f)
+    mind, body = combat.minds[i, f], combat.bodies[i, f]
     now = worlds.clock[i]
     found, least = NOTHING, math.inf
     for other in range(combat.count[i]):
-        if other == f or not is_up(worlds, i, other):
+        if other == f or combat.status[i, other, TAGGED_AT] >= 0:
             continue
-        there = body_of(worlds, i, other)
+        there = combat.bodies[i, other]
         dx, dy = there[X] - body[X], there[Y] - body[Y]
         away = math.hypot(dx, dy)
         fights = other == mind[ENEMY] and now - mind[LAST_SEEN] < SECOND
@@ -174,11 +172,11 @@ def _look_around(worlds, i, f):
     return found
 
 
-@compiled(error_model="numpy")
+@compiled(error_model="numpy", forceinline=True)
 def _close_in(worlds, i, f, there):
     """Strafes around an enemy in view and keeps a distance."""
     combat = worlds.combat
-    mind, body, stream = combat.minds[i, f], body_of(worlds, i, f), combat.stream[i]
+    mind, body, stream = combat.minds[i, f], combat.bodies[i, f], combat.stream[i]
     now = worlds.clock[i]
     dx, dy = there[X] - body[X], there[Y] - body[Y]
     away = math.hypot(dx, dy) + 1e-9
@@ -195,12 +193,12 @@ def _close_in(worlds, i, f, there):
     mind[WISH_X], mind[WISH_Y] = ahead * dx + side * dy, ahead * dy - side * dx
 
 
-@compiled(error_model="numpy")
+@compiled(error_model="numpy", forceinline=True)
 def _aim(worlds, i, f, enemy):
     """Looks at where an enemy is or will be, with an error that depends on the gadget."""
     combat = worlds.combat
-    mind, body, stream = combat.minds[i, f], body_of(worlds, i, f), combat.stream[i]
-    there = body_of(worlds, i, enemy)
+    mind, body, stream = combat.minds[i, f], combat.bodies[i, f], combat.stream[i]
+    there = combat.bodies[i, enemy]
     gadget = combat.status[i, f, GADGET]
     accuracy = ACCURACY[f - 1, gadget]
     off = 20.0 * (1.0 - accuracy)
@@ -221,18 +219,18 @@ def _aim(worlds, i, f, enemy):
     mind[AIM_YAW], mind[AIM_PITCH] = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
 
 
-@compiled(error_model="numpy")
+@compiled(error_model="numpy", forceinline=True)
 def _pulls_trigger(worlds, i, f, there):
     """Whether an opponent that has aimed shoots."""
     combat = worlds.combat
-    mind, body, stream = combat.minds[i, f], body_of(worlds, i, f), combat.stream[i]
+    mind, body, stream = combat.minds[i, f], combat.bodies[i, f], combat.stream[i]
     now, gadget = worlds.clock[i], combat.status[i, f, GADGET]
     dx, dy = there[X] - body[X], there[Y] - body[Y]
     away = math.hypot(dx, dy)
     off = abs(_wrapped(math.atan2(dy, dx) - body[YAW]))
     if off > (CLOSE_CONE if away < CLOSE else CONE):
         return False
-    if gadget == BEAM and away > REACH[BEAM] or gadget == ORB and away < BLAST_RADIUS:
+    if (gadget == BEAM and away > REACH[BEAM]) or (gadget == ORB and away < BLAST_RADIUS):
         return False
     if now < mind[PAUSE_UNTIL]:
         return False
@@ -245,11 +243,11 @@ def _pulls_trigger(worlds, i, f, there):
     return True
 
 
-@compiled(error_model="numpy")
+@compiled(error_model="numpy", forceinline=True)
 def _useful_supply(worlds, i, f, healing):
     """The nearest supply that an opponent can use, or only one that heals; or NOTHING."""
     combat = worlds.combat
-    body, status = body_of(worlds, i, f), combat.status[i, f]
+    body, status = combat.bodies[i, f], combat.status[i, f]
     found, least = NOTHING, math.inf
     for k in range(SUPPLIES):
         kind = combat.kinds[i, k]
@@ -271,11 +269,11 @@ def _useful_supply(worlds, i, f, healing):
     return found
 
 
-@compiled(error_model="numpy")
+@compiled(error_model="numpy", forceinline=True)
 def _roam(worlds, i, f):
-    """Goes to a random spawn cell, and from there to another one; campers stay there for a while."""
+    """Goes to a random spawn cell, and from there to another one; campers stay for a while."""
     combat = worlds.combat
-    mind, body, stream = combat.minds[i, f], body_of(worlds, i, f), combat.stream[i]
+    mind, body, stream = combat.minds[i, f], combat.bodies[i, f], combat.stream[i]
     now = worlds.clock[i]
     if now < mind[STAY_UNTIL]:
         return
@@ -293,7 +291,7 @@ def _roam(worlds, i, f):
 def _go_to(worlds, i, f, row, column):
     """Walks towards a cell by the shortest way, then to its middle."""
     combat = worlds.combat
-    mind, body = combat.minds[i, f], body_of(worlds, i, f)
+    mind, body = combat.minds[i, f], combat.bodies[i, f]
     field, solid = combat.fields[i, f], worlds.solid[i]
     if row != mind[FIELD_ROW] or column != mind[FIELD_COLUMN]:
         mind[FIELD_ROW], mind[FIELD_COLUMN] = row, column

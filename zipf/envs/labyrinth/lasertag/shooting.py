@@ -45,10 +45,8 @@ from zipf.envs.labyrinth.lasertag.arena import (
     WAIT,
 )
 from zipf.envs.labyrinth.lasertag.sight import (
-    body_of,
     first_body,
     in_view,
-    is_up,
     to_body,
     to_surroundings,
 )
@@ -78,7 +76,7 @@ _MOST_HITS = 4
 def shoot(worlds, i, f):
     """Fires the gadget of a fighter, which is ready."""
     combat = worlds.combat
-    status, body, stream = combat.status[i, f], body_of(worlds, i, f), combat.stream[i]
+    status, body, stream = combat.status[i, f], combat.bodies[i, f], combat.stream[i]
     gadget = status[GADGET]
     cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
     flat, dz = math.cos(body[PITCH]), math.sin(body[PITCH])
@@ -92,19 +90,21 @@ def shoot(worlds, i, f):
     if gadget == ORB:
         _launch(worlds, i, f, x, y, z, dx, dy, dz)
     elif gadget == DISC:
-        far = to_surroundings(worlds, i, x, y, z, dx, dy, dz, REACH[DISC])
+        far = to_surroundings(worlds.solid[i], x, y, z, dx, dy, dz, REACH[DISC])
         _trace(worlds, i, f, x + far * dx, y + far * dy, z + far * dz)
         hits = 0
         for other in range(combat.count[i]):
-            if other != f and is_up(worlds, i, other) and hits < _MOST_HITS:
-                away = to_body(body_of(worlds, i, other), x, y, z, dx, dy, dz)
+            if other != f and combat.status[i, other, TAGGED_AT] < 0 and hits < _MOST_HITS:
+                away = to_body(combat.bodies[i, other], x, y, z, dx, dy, dz)
                 if away < far:
                     flash(worlds, i, x + away * dx, y + away * dy, z + away * dz, SPARK)
                     hurt(worlds, i, other, f, DAMAGE[DISC], dx, dy, dz)
                     hits += 1
     else:
-        far = to_surroundings(worlds, i, x, y, z, dx, dy, dz, REACH[gadget])
-        hit, far = first_body(worlds, i, f, x, y, z, dx, dy, dz, far)
+        far = to_surroundings(worlds.solid[i], x, y, z, dx, dy, dz, REACH[gadget])
+        hit, far = first_body(
+            combat.count[i], combat.bodies[i], combat.status[i], f, x, y, z, dx, dy, dz, far
+        )
         if gadget == IMPULSE and hit == NOTHING:
             return
         end_x, end_y, end_z = x + far * dx, y + far * dy, z + far * dz
@@ -142,7 +142,7 @@ def take(status, gadget):
 def hurt(worlds, i, target, attacker, damage, dx, dy, dz):
     """Damages a fighter, who is pushed along a direction of length 1, and may be tagged."""
     combat = worlds.combat
-    status, body = combat.status[i, target], body_of(worlds, i, target)
+    status, body = combat.status[i, target], combat.bodies[i, target]
     damage = max(int(damage), 1)
     push = KNOCK_BACK * min(damage, MOST_KNOCK_BACK)
     body[VX] += push * dx
@@ -152,7 +152,7 @@ def hurt(worlds, i, target, attacker, damage, dx, dy, dz):
         status[SLIDE] = min(max(2 * damage, 50), 200)
     if target == attacker:
         damage = max(damage // 2, 1)
-    saved = min(status[ARMOUR], int(math.ceil(SAVED * damage)))
+    saved = min(status[ARMOUR], math.ceil(SAVED * damage))
     status[ARMOUR] -= saved
     status[HEALTH] -= damage - saved
     combat.minds[i, target, ATTACKER] = attacker
@@ -165,10 +165,11 @@ def hurt(worlds, i, target, attacker, damage, dx, dy, dz):
 def _tag(worlds, i, target, attacker):
     """A fighter is tagged: vanishes, drops the gadget in hand, and gives or costs a point."""
     combat = worlds.combat
-    status, body = combat.status[i, target], body_of(worlds, i, target)
+    status, body = combat.status[i, target], combat.bodies[i, target]
     status[HEALTH] = 0
     status[TAGGED_AT] = worlds.clock[i]
-    flash(worlds, i, body[X], body[Y], body[Z], PUFF)
+    if target > 0:  # the player would see his own from inside
+        flash(worlds, i, body[X], body[Y], body[Z], PUFF)
     gadget = status[GADGET]
     if gadget > RAPID and status[LOADED + gadget] > 0:
         _drop(worlds, i, gadget, body[X], body[Y])
@@ -215,8 +216,10 @@ def fly(worlds, i):
             continue
         x, y, z, dx, dy, dz = shot[:6]
         step = ORB_SPEED * FRAME
-        far = to_surroundings(worlds, i, x, y, z, dx, dy, dz, step)
-        hit, far = first_body(worlds, i, f, x, y, z, dx, dy, dz, far)
+        far = to_surroundings(worlds.solid[i], x, y, z, dx, dy, dz, step)
+        hit, far = first_body(
+            combat.count[i], combat.bodies[i], combat.status[i], f, x, y, z, dx, dy, dz, far
+        )
         shot[0], shot[1], shot[2] = x + far * dx, y + far * dy, z + far * dz
         if hit != NOTHING or far < step or worlds.clock[i] - shot[BORN] > ORB_LIFE:
             shot[SHOOTER] = NOTHING
@@ -231,16 +234,15 @@ def fly(worlds, i):
 @compiled(error_model="numpy")
 def _burst(worlds, i, x, y, z, shooter, spared):
     """Damages the fighters around an orb that bursts, the less the farther they are."""
-    for f in range(worlds.combat.count[i]):
-        if f == spared or not is_up(worlds, i, f):
+    combat = worlds.combat
+    for f in range(combat.count[i]):
+        if f == spared or combat.status[i, f, TAGGED_AT] >= 0:
             continue
-        body = body_of(worlds, i, f)
+        body = combat.bodies[i, f]
         off_x = max(abs(x - body[X]) - WIDE, 0.0)
         off_y = max(abs(y - body[Y]) - WIDE, 0.0)
         off_z = max(body[Z] - BELOW - z, z - body[Z] - ABOVE, 0.0)
-        damage = DAMAGE[ORB] * (
-            1.0 - math.sqrt(off_x**2 + off_y**2 + off_z**2) / BLAST_RADIUS
-        )
+        damage = DAMAGE[ORB] * (1.0 - math.sqrt(off_x**2 + off_y**2 + off_z**2) / BLAST_RADIUS)
         if damage <= 0.0 or not in_view(worlds.solid[i], x, y, body[X], body[Y]):
             continue
         dx, dy, dz = body[X] - x, body[Y] - y, body[Z] - z + BELOW
@@ -262,7 +264,8 @@ def flash(worlds, i, x, y, z, kind):
 @compiled(error_model="numpy")
 def _trace(worlds, i, f, x, y, z):
     """Remembers a shot for the view."""
-    combat, body = worlds.combat, body_of(worlds, i, f)
+    combat = worlds.combat
+    body = combat.bodies[i, f]
     k = combat.written[i, 0] % TRACES
     combat.written[i, 0] += 1
     cos, sin = math.cos(body[YAW]), math.sin(body[YAW])

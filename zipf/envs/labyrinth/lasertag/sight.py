@@ -12,20 +12,6 @@ CEILING = 400.0
 
 
 @compiled(error_model="numpy")
-def body_of(worlds, i, fighter):
-    """The body of a fighter, float64 [8]."""
-    if fighter == 0:
-        return worlds.bodies[i]
-    return worlds.combat.bodies[i, fighter]
-
-
-@compiled(error_model="numpy")
-def is_up(worlds, i, fighter):
-    """Whether a fighter is there, not tagged."""
-    return worlds.combat.status[i, fighter, TAGGED_AT] < 0
-
-
-@compiled(error_model="numpy")
 def to_wall(solid, x, y, dx, dy, most):
     """How far a ray goes over the floor before it meets a wall, at most `most`.
 
@@ -66,13 +52,13 @@ def in_view(solid, x, y, to_x, to_y):
 
 
 @compiled(error_model="numpy")
-def to_surroundings(worlds, i, x, y, z, dx, dy, dz, most):
+def to_surroundings(solid, x, y, z, dx, dy, dz, most):
     """How far a ray goes before it meets a wall, the ground or the sky, at most `most`."""
     if dz < 0.0:
         most = min(most, z / -dz)
     elif dz > 0.0:
         most = min(most, (CEILING - z) / dz)
-    return to_wall(worlds.solid[i], x, y, dx, dy, most)
+    return to_wall(solid, x, y, dx, dy, most)
 
 
 @compiled(error_model="numpy")
@@ -96,13 +82,13 @@ def to_body(body, x, y, z, dx, dy, dz):
 
 
 @compiled(error_model="numpy")
-def first_body(worlds, i, shooter, x, y, z, dx, dy, dz, most):
+def first_body(count, bodies, status, shooter, x, y, z, dx, dy, dz, most):
     """The first fighter beside the shooter whom a ray meets within `most`, or NOTHING; and how far
     that is."""
     found, near = NOTHING, most
-    for fighter in range(worlds.combat.count[i]):
-        if fighter != shooter and is_up(worlds, i, fighter):
-            away = to_body(body_of(worlds, i, fighter), x, y, z, dx, dy, dz)
+    for fighter in range(count):
+        if fighter != shooter and status[fighter, TAGGED_AT] < 0:
+            away = to_body(bodies[fighter], x, y, z, dx, dy, dz)
             if away < near:
                 found, near = fighter, away
     return found, near

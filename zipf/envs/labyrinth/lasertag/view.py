@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from zipf.compiled import compiled
 from zipf.envs.labyrinth.lasertag.arena import (
     AMMUNITION,
-    ARMOUR_PACK,
-    BEAM,
     BLAST,
     DISC,
     FIGHTERS,
@@ -31,7 +29,6 @@ from zipf.envs.labyrinth.lasertag.arena import (
     RAPID,
     SHOOTER,
     SHOTS,
-    SPARK,
     SUPPLIES,
     TAGGED_AT,
     TRACE_FRAME,
@@ -42,8 +39,8 @@ from zipf.envs.labyrinth.looks import Colour
 from zipf.envs.labyrinth.mover import BELOW
 from zipf.envs.labyrinth.state import YAW, X, Y, Z
 
-SEGMENTS, DASHES, DASH = 36, 12, 60.0
-"""Of which shots are drawn: how many there are, at most for one shot, and their distance."""
+SEGMENTS, DASHES, DASH = 36, 12, 50.0
+"""Of which shots are drawn: how many there are, at most for one shot, and their least distance."""
 ACTORS = 2 * (FIGHTERS - 1) + SHOTS + FLASHES + SEGMENTS
 """Instances of meshes that a world needs beside its items."""
 BARS = 6
@@ -73,7 +70,7 @@ _METRES = 0.01
 
 
 class Pictures(NamedTuple):
-    """The arrays of `Scenes` and `Scenery` that are written."""
+    """The arrays of `Scenes` that are written."""
 
     camera: NDArray[np.float32]
     mesh: NDArray[np.int32]
@@ -84,7 +81,6 @@ class Pictures(NamedTuple):
     overlays: NDArray[np.float32]
     overlay_colours: NDArray[np.uint8]
     overlay_count: NDArray[np.int32]
-    shape: NDArray[np.int32]
 
 
 def opponents_colours(hue: int) -> list[tuple[Colour, Colour]]:
@@ -97,25 +93,39 @@ def opponents_colours(hue: int) -> list[tuple[Colour, Colour]]:
 
 
 @compiled(error_model="numpy")
-def pose(mask, items, clock, bodies, combat, meshes, supply_meshes, pictures):
+def show_supplies(mask, combat, meshes, shape, colours):
+    """Gives the supplies of the worlds of `mask` their looks, also those that were dropped.
+
+    Args:
+        mask: bool [N].
+        combat: of `Worlds`.
+        meshes: int32, numbers of SUPPLY_MESHES.
+        shape, colours: of `Scenery` and `Scenes`, written.
+    """
+    for i in range(mask.size):
+        if mask[i] and combat.count[i] > 0:
+            for k in range(SUPPLIES):
+                kind = combat.kinds[i, k]
+                if kind != NOTHING:
+                    shape[i, k] = meshes[kind]
+                    _paint(colours[i, k], kind)
+
+
+@compiled(error_model="numpy")
+def pose(mask, items, clock, combat, meshes, pictures):
     """Copies what happens in the combats of the worlds of `mask` to their scenes.
 
     Args:
         mask: bool [N].
         items: how many instances come before those of the actors.
-        clock, bodies, combat: of `Worlds`.
-        meshes, supply_meshes: int32, numbers of ACTOR_MESHES and SUPPLY_MESHES.
+        clock, combat: of `Worlds`.
+        meshes: int32, numbers of ACTOR_MESHES.
         pictures: `Pictures`, written.
     """
     for i in range(mask.size):
         if not mask[i] or combat.count[i] == 0:
             continue
         pictures.mesh[i, items:] = -1
-        for k in range(SUPPLIES):
-            kind = combat.kinds[i, k]
-            if kind != NOTHING:
-                pictures.shape[i, k] = supply_meshes[kind]
-                _paint(pictures.colours[i, k], kind)
         at = items
         for f in range(1, combat.count[i]):
             if combat.status[i, f, TAGGED_AT] < 0:
@@ -206,12 +216,12 @@ def _draw_traces(pictures, i, first, mesh, combat, now):
         if length < DASH:
             continue
         dx, dy, dz = dx / length, dy / length, dz / length
-        count, step, scale = 1, length, 1.0
+        count, step, scale = 1, length, 0.7
         start = min(DASH + _SPEED * age, length - DASH / 2)
         if gadget != RAPID:
             count = min(int(length / DASH), DASHES)
             step, start = length / count, length / count / 2
-            scale = 1.4 if gadget == DISC else 1.0
+            scale = 0.8 if gadget == DISC else 0.5
         for m in range(count):
             if used == SEGMENTS:
                 return
@@ -248,8 +258,8 @@ def _draw_bars(pictures, i, status):
     for k in range(4, 6):
         wide, high = (1.5 / 96, 0.5 / 72) if k == 4 else (0.5 / 96, 1.5 / 72)
         overlay = overlays[k]
-        overlay[0], overlay[2] = 0.5 - wide, 0.5 + wide
-        overlay[1], overlay[3] = 0.5 - high, 0.5 + high
+        overlay[0], overlay[2] = 0.501 - wide, 0.501 + wide  # away from the edges of pixels
+        overlay[1], overlay[3] = 0.501 - high, 0.501 + high
         for c in range(3):
             paint[k, c] = _CROSS[c]
         paint[k, 3] = 200 if up else 0

@@ -66,12 +66,8 @@ LEVELS: dict[str, Level] = {
         ),
         Level("rooms_watermaze", "rooms_watermaze:Watermaze", 120, 4.065, 54),
         Level("rooms_keys_doors_puzzle", "rooms_keys_doors:KeysDoorsPuzzle", 60, 4.135, 53.8),
-        Level(
-            "lasertag_one_opponent_small", "lasertag:OneOpponentSmall", 240, -0.224, 12.65
-        ),
-        Level(
-            "lasertag_three_opponents_small", "lasertag:ThreeOpponentsSmall", 240, -0.214, 18.55
-        ),
+        Level("lasertag_one_opponent_small", "lasertag:OneOpponentSmall", 240, -0.224, 12.65),
+        Level("lasertag_three_opponents_small", "lasertag:ThreeOpponentsSmall", 240, -0.214, 18.55),
         Level("lasertag_one_opponent_large", "lasertag:OneOpponentLarge", 240, -0.083, 18.6),
         Level("lasertag_three_opponents_large", "lasertag:ThreeOpponentsLarge", 240, -0.102, 31.5),
         Level("natlab_fixed_large_map", "natlab:FixedLargeMap", 120, 2.173, 36.9),

@@ -115,17 +115,19 @@ class Lasertag(Episode):
         """Where the nearest supply lies that is worth fetching."""
         match = self.match
         x, y, *_ = self.world.player
-        armed = any(match.loaded(gadget) > 2 for gadget in (ORB, BEAM, DISC))
+        strong = sum(match.loaded(gadget) > 2 for gadget in (ORB, BEAM, DISC))
+        armed = strong > 0 or match.loaded(RAPID) > 30
         best, least = None, math.inf
         for supply in match.supplies:
             if supply.kind == HEALTH_PACK:
-                far = 400.0 if match.health < 70 else 0.0
+                far = 500.0 if match.health < 60 else 0.0
             elif supply.kind == ARMOUR_PACK:
-                far = 300.0
-            elif match.loaded(supply.kind) < AMMUNITION[supply.kind]:
-                far = 400.0 if armed or match.loaded(RAPID) > 40 else math.inf
+                far = 200.0
+            elif not armed:
+                far = math.inf
             else:
-                continue
+                short = match.loaded(supply.kind) <= AMMUNITION[supply.kind] // 2
+                far = 400.0 if short else 100.0
             away = math.dist((x, y), (supply.x, supply.y))
             if away < min(far, least):
                 best, least = (supply.x, supply.y), away
@@ -156,11 +158,10 @@ class Lasertag(Episode):
         to_y += speed_y * (ahead + 0.03) - own_y * 0.03
         off = bearing(yaw, math.atan2(to_y - y, to_x - x))
         reach = 60.0 if gadget == IMPULSE else float(REACH[gadget]) - 20.0
-        if away > reach or (gadget == IMPULSE and away > reach):
+        if away > reach:
             return walk_to(self.world, to_x, to_y)
-        if gadget == ORB and away < BLAST_RADIUS + 2 * WIDE:
-            if abs(off) < 60:
-                return NAMES["backward"]
+        if gadget == ORB and away < BLAST_RADIUS + 2 * WIDE and abs(off) < 60:
+            return NAMES["backward"]
         if abs(off) <= math.degrees(math.atan(0.8 * WIDE / away)):
             return _FIRE
         side = "left" if off > 0 else "right"
