@@ -15,6 +15,7 @@ REWARDS: dict[str, set[float]] = {
     "rooms_select_nonmatching_object": {1, 10, -10},
     "rooms_watermaze": {1},
     "rooms_keys_doors_puzzle": {1, 50},
+    **{name: {1, -1} for name in LEVELS if name.startswith("lasertag")},
     **{name: {1} for name in LEVELS if name.startswith("natlab")},
     **{name: {100} for name in LEVELS if name.startswith("skymaze")},
     **{name: {1} for name in LEVELS if name.startswith("explore_object_locations")},

@@ -181,18 +181,18 @@ def platform() -> list[Solid]:
 
 def robot() -> list[Solid]:
     """A player of laser tag up to the neck: a round trunk on two boots, its gadget in front."""
-    trunk = [(0, 12), (8, 12), (12, 18), (12.4, 23), (11, 33), (5, 38.5), (0, 38.5)]
+    trunk = [(0, 9), (10, 9), (14, 16), (14.6, 22), (13.4, 33), (6, 38.5), (0, 38.5)]
     parts = [ACCENT, ACCENT, MAIN, ACCENT, ACCENT, ACCENT]
     return [
         lathe(trunk, parts, sides=8),
         cylinder(4, 3, DARK, at=(0, 0, 37.8), sides=5),
-        box(20, 6, 6, DARK, at=(5, -12, 25)),
-        box(6, 7.6, 7.6, MAIN, at=(13, -12, 25)),
-        box(8, 5, 14, MAIN, at=(0, 12.6, 26)),
-        box(8, 5, 6, MAIN, at=(-2, -12.4, 31.4)),
+        box(22, 6, 6, DARK, at=(6, -14, 25)),
+        box(6, 7.6, 7.6, MAIN, at=(15, -14, 25)),
+        box(9, 5, 14, MAIN, at=(0, 15, 26)),
+        box(9, 5, 6, MAIN, at=(-2, -14.8, 31.4)),
         *both_sides(
-            box(5, 5, 8, DARK, at=(0, 5.8, 10)),
-            block((17, 10), (11, 8.4), 8, MAIN, at=(1, 6, 0)),
+            box(6, 6, 6, DARK, at=(0, 6.4, 9)),
+            block((21, 12), (15, 10), 9, MAIN, at=(1, 7, 0)),
         ),
     ]
 
@@ -321,7 +321,7 @@ OBJECTS = {
     "desert_arch": (desert_arch, (60, 200, 150)),
     "platform": (platform, (128, 128, 94)),
     "robot": (robot, (30, 30, 40)),
-    "robot_head": (robot_head, (22, 22, 23)),
+    "robot_head": (robot_head, (26, 26, 23)),
     "bolt": (bolt, (60, 6, 6)),
     "orb": (orb, (20, 20, 20)),
     "beam_gadget": (beam_gadget, (30, 30, 20)),

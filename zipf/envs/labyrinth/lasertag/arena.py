@@ -124,8 +124,6 @@ def make_combat(num_worlds: int, grid: int) -> Combat:
 
 def clear_combat(combat: Combat, world: int) -> None:
     """Ends the combat of a world."""
-    if combat.count[world] == 0:
-        return
     for name, value in (
         ("count", 0), ("bodies", 0.0), ("status", 0), ("minds", 0.0), ("fields", -1),
         ("spawn_count", 0), ("kinds", NOTHING), ("until", -1), ("written", 0), ("points", 0),

@@ -3,7 +3,8 @@
 Their parameters are those of DeepMind Lab's first three bots at skill 4; what they do with them is
 ours. An opponent fights the nearest enemy it sees: it turns to him, strafes, keeps its distance and
 fires in bursts. Out of sight it fetches supplies it can use, looks where the enemy was last, or
-roams. It walks by the shortest way through the maze, as every player does: by the same kinematics.
+roams: to a random spawn cell, or to where somebody else is, whom it is said to hear. It walks by
+the shortest way through the maze and moves by the same kinematics as the player.
 """
 
 import math
@@ -79,6 +80,8 @@ CALM = 2 * SECOND
 """Frames out of sight after which an enemy surprises it again."""
 LOYALTY = 0.7
 """The enemy that it fights counts as nearer by this factor."""
+HEARING = 0.7
+"""How often it roams to where another fighter is."""
 PEACE = -10.0 * CHASE
 """When nothing has happened yet."""
 
@@ -271,7 +274,7 @@ def _useful_supply(worlds, i, f, healing):
 
 @compiled(error_model="numpy", forceinline=True)
 def _roam(worlds, i, f):
-    """Goes to a random spawn cell, and from there to another one; campers stay for a while."""
+    """Goes to a random spawn cell or another fighter, again and again; campers stay for a while."""
     combat = worlds.combat
     mind, body, stream = combat.minds[i, f], combat.bodies[i, f], combat.stream[i]
     now = worlds.clock[i]
@@ -284,6 +287,11 @@ def _roam(worlds, i, f):
             mind[AIM_YAW] = body[YAW] + pcg64.between(stream, -math.pi, math.pi)
         k = pcg64.below(stream, combat.spawn_count[i])
         mind[GOAL_ROW], mind[GOAL_COLUMN] = combat.spawns[i, k, 0], combat.spawns[i, k, 1]
+        if pcg64.next_double(stream) < HEARING:
+            heard = pcg64.below(stream, combat.count[i] - 1)
+            heard += heard >= f
+            there = combat.bodies[i, heard]
+            mind[GOAL_ROW], mind[GOAL_COLUMN] = there[Y] // CELL, there[X] // CELL
     _go_to(worlds, i, f, mind[GOAL_ROW], mind[GOAL_COLUMN])
 
 

@@ -28,6 +28,8 @@ from zipf.envs.labyrinth.steering import LARGE, NAMES, SMALL, Point, Ways, beari
 from zipf.envs.labyrinth.world import Episode, World
 
 _FIRE = NAMES["fire"]
+_STEP = 4 / 60
+_STOP = 0.1  # seconds after which who does not run stands
 
 
 class Lasertag(Episode):
@@ -152,18 +154,23 @@ class Lasertag(Episode):
             return None
         speed_x, speed_y = match.velocity(enemy)
         own_x, own_y = match.velocity(0)
-        ahead = away / ORB_SPEED if gadget == ORB else 0.0
-        # Where he and the player are in the middle of the step.
-        to_x += speed_x * (ahead + 0.03) - own_x * 0.03
-        to_y += speed_y * (ahead + 0.03) - own_y * 0.03
-        off = bearing(yaw, math.atan2(to_y - y, to_x - x))
+
+        def off_after(seconds: float) -> float:
+            """By how many degrees he will be to the left of the view."""
+            flight = seconds + (away / ORB_SPEED if gadget == ORB else 0.0)
+            ahead_x = to_x + speed_x * flight - x - own_x * min(seconds, _STOP)
+            ahead_y = to_y + speed_y * flight - y - own_y * min(seconds, _STOP)
+            return bearing(yaw, math.atan2(ahead_y, ahead_x))
+
         reach = 60.0 if gadget == IMPULSE else float(REACH[gadget]) - 20.0
         if away > reach:
             return walk_to(self.world, to_x, to_y)
+        off = off_after(0.5 * _STEP)
         if gadget == ORB and away < BLAST_RADIUS + 2 * WIDE and abs(off) < 60:
             return NAMES["backward"]
         if abs(off) <= math.degrees(math.atan(0.8 * WIDE / away)):
             return _FIRE
+        off = off_after(1.5 * _STEP)  # after a turn, when he is fired at
         side = "left" if off > 0 else "right"
         if abs(off) > (SMALL + LARGE) / 2:
             return NAMES[f"look {side}"]
