@@ -49,12 +49,12 @@ def run(mask, commands, left, part, worlds, over, timed_out, event, index):
                 left[i] -= 1
                 worlds.clock[i] += 1
                 turn, rise, strafe, forward, fire = commands[i]
-                if worlds.combat.count[i] > 0:
+                if worlds.combat.fighters[i] > 0:
                     fight(worlds, i, turn, rise, strafe, forward, fire > 0.0)
                 else:
                     move(worlds, i, turn, rise, strafe, forward)
                 part[i] = _TOUCHING
-            if worlds.combat.count[i] > 0:
+            if worlds.combat.fighters[i] > 0:
                 index[i] = next_point(worlds.combat, i)
                 if index[i] != 0:
                     event[i] = POINT

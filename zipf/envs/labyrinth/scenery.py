@@ -106,7 +106,7 @@ class Scenery:
         """Copies the poses of players and items to the scenes of the worlds of `mask`."""
         scenes, worlds = self.scenes, self.worlds
         actors, supplies = _combat_meshes()
-        fights = worlds.combat.count.any()
+        fights = worlds.combat.fighters.any()
         if fights:
             view.show_supplies(mask, worlds.combat, supplies, self.shape, scenes.colours)
         _pose(

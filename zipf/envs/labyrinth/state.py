@@ -132,4 +132,4 @@ def clear(worlds: Worlds, world: int) -> None:
         ("inside", False), ("timers", -1),
     ):  # fmt: skip
         getattr(worlds, name)[world] = value
-    worlds.combat.count[world] = 0
+    worlds.combat.fighters[world] = 0

@@ -42,7 +42,7 @@ def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
         if zone[0] < zone[3]:
             page.rectangle(zone[[0, 1]], zone[[3, 4]], None, outline=(255, 255, 255))
     _draw_items(page, worlds, scenery, world)
-    for k in range(1, int(worlds.combat.count[world])):
+    for k in range(1, int(worlds.combat.fighters[world])):
         if worlds.combat.status[world, k, TAGGED_AT] < 0:
             x, y, yaw = worlds.combat.bodies[world, k, [X, Y, YAW]].tolist()
             colour = _colour(scenery.scenes.colours[world, ITEMS, 0])

@@ -68,8 +68,8 @@ SPARK, BLAST, PUFF = range(3)
 class Combat(NamedTuple):
     """The state of laser tag in N worlds."""
 
-    count: NDArray[np.int64]
-    """[N]: fighters; 0: there is no combat, and the rest has no meaning."""
+    fighters: NDArray[np.int64]
+    """[N]: how many there are; 0: there is no combat, and the rest has no meaning."""
     bodies: NDArray[np.float64]
     """[N, FIGHTERS, 8], as `Worlds.bodies`, of which row 0 is a copy."""
     status: NDArray[np.int64]
@@ -104,7 +104,7 @@ def make_combat(num_worlds: int, grid: int) -> Combat:
     """The state of worlds without combat, whose text maps have `grid` rows and columns."""
     n = num_worlds
     return Combat(
-        count=np.zeros(n, np.int64),
+        fighters=np.zeros(n, np.int64),
         bodies=np.zeros((n, FIGHTERS, 8)),
         status=np.zeros((n, FIGHTERS, LOADED + len(DAMAGE)), np.int64),
         minds=np.zeros((n, FIGHTERS, ATTACKED_AT + 1)),
@@ -125,7 +125,7 @@ def make_combat(num_worlds: int, grid: int) -> Combat:
 def clear_combat(combat: Combat, world: int) -> None:
     """Ends the combat of a world."""
     for name, value in (
-        ("count", 0), ("bodies", 0.0), ("status", 0), ("minds", 0.0), ("fields", -1),
+        ("fighters", 0), ("bodies", 0.0), ("status", 0), ("minds", 0.0), ("fields", -1),
         ("spawn_count", 0), ("kinds", NOTHING), ("until", -1), ("written", 0), ("points", 0),
     ):  # fmt: skip
         getattr(combat, name)[world] = value

@@ -57,7 +57,7 @@ ROOM = 60.0
 def fight(worlds, i, turn, rise, strafe, forward, fire):
     """Passes a frame in a world with combat; the arguments are the player's action."""
     combat = worlds.combat
-    now, count = worlds.clock[i], combat.count[i]
+    now, count = worlds.clock[i], combat.fighters[i]
     bodies, status, minds = combat.bodies[i], combat.status[i], combat.minds[i]
     solid, kinds, until = worlds.solid[i], combat.kinds[i], combat.until[i]
     places, present = worlds.places[i], worlds.present[i]
@@ -131,7 +131,7 @@ def respawn(worlds, i, f):
 def _is_free(combat, i, f, spawn):
     """Whether nobody else stands in or near a spawn cell."""
     row, column = combat.spawns[i, spawn]
-    for other in range(combat.count[i]):
+    for other in range(combat.fighters[i]):
         if other != f and combat.status[i, other, TAGGED_AT] < 0:
             body = combat.bodies[i, other]
             off_x, off_y = CELL * (column + 0.5) - body[X], CELL * (row + 0.5) - body[Y]

@@ -72,7 +72,7 @@ class Match:
         self.combat = combat = self._worlds.combat
         i = self._i
         clear_combat(combat, i)
-        combat.count[i] = 1 + opponents
+        combat.fighters[i] = 1 + opponents
         combat.stream[i] = pcg64.stream(seed)
         combat.spawn_count[i] = len(spawns)
         combat.spawns[i, : len(spawns)] = spawns
@@ -92,7 +92,7 @@ class Match:
         """Puts all fighters where they begin."""
         combat = self.combat
         combat.status[self._i, :, TAGGED_AT] = 0
-        for fighter in range(int(combat.count[self._i])):
+        for fighter in range(int(combat.fighters[self._i])):
             respawn(self._worlds, self._i, fighter)
         self._worlds.bodies[self._i] = combat.bodies[self._i, 0]
 
@@ -105,7 +105,7 @@ class Match:
     @property
     def enemies(self) -> list[int]:
         """The opponents that are there."""
-        return [f for f in range(1, int(self.combat.count[self._i])) if self.is_up(f)]
+        return [f for f in range(1, int(self.combat.fighters[self._i])) if self.is_up(f)]
 
     def place(self, fighter: int) -> tuple[float, float]:
         """x and y of a fighter."""
@@ -122,10 +122,9 @@ class Match:
         solid: NDArray[np.bool_] = self._worlds.solid[self._i]
         return bool(in_view(solid, *self.place(0), *self.place(fighter)))
 
-    @property
-    def health(self) -> int:
-        """The player's."""
-        return int(self.combat.status[self._i, 0, HEALTH])
+    def health(self, fighter: int) -> int:
+        """Of a fighter."""
+        return int(self.combat.status[self._i, fighter, HEALTH])
 
     @property
     def gadget(self) -> int:

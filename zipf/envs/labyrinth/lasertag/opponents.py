@@ -35,9 +35,9 @@ from zipf.envs.labyrinth.lasertag.arena import (
     LAST_ROW,
     LAST_SEEN,
     LOADED,
-    MOST_HEALTH,
     NOTHING,
     ORB,
+    PACK,
     PAUSE_UNTIL,
     REACH,
     SECOND,
@@ -73,7 +73,10 @@ SIGHT = math.radians(60.0)
 """It sees to this angle on both sides."""
 NEAREST, FARTHEST = 150.0, 400.0
 """Distances that it keeps."""
-LOW_HEALTH = 40
+LOW_HEALTH, WOUNDED = 40, 70
+"""Below which it leaves a fight to be healed, and heals itself when there is none."""
+DETOUR = 800.0
+"""It goes so far for a supply, along x and y together, and anywhere once all it has is Impulse."""
 CHASE = 5 * SECOND
 """Frames for which it looks for an enemy that went out of sight."""
 CALM = 2 * SECOND
@@ -156,7 +159,7 @@ def _look_around(worlds, i, f):
     mind, body = combat.minds[i, f], combat.bodies[i, f]
     now = worlds.clock[i]
     found, least = NOTHING, math.inf
-    for other in range(combat.count[i]):
+    for other in range(combat.fighters[i]):
         if other == f or combat.status[i, other, TAGGED_AT] >= 0:
             continue
         there = combat.bodies[i, other]
@@ -251,19 +254,19 @@ def _useful_supply(worlds, i, f, healing):
     """The nearest supply that an opponent can use, or only one that heals; or NOTHING."""
     combat = worlds.combat
     body, status = combat.bodies[i, f], combat.status[i, f]
-    found, least = NOTHING, math.inf
+    found, least = NOTHING, math.inf if status[GADGET] == IMPULSE else DETOUR
     for k in range(SUPPLIES):
         kind = combat.kinds[i, k]
         if kind == NOTHING or not worlds.present[i, k]:
             continue
         if kind == HEALTH_PACK:
-            useful = status[HEALTH] < MOST_HEALTH
+            useful = status[HEALTH] < WOUNDED
         elif healing:
             useful = False
         elif kind == ARMOUR_PACK:
-            useful = status[ARMOUR] < MOST_HEALTH
+            useful = status[ARMOUR] < PACK
         else:
-            useful = status[LOADED + kind] < AMMUNITION[kind]
+            useful = status[LOADED + kind] <= AMMUNITION[kind] // 2
         if useful:
             place = worlds.places[i, k]
             away = abs(place[0] - body[X]) + abs(place[1] - body[Y])
@@ -288,7 +291,7 @@ def _roam(worlds, i, f):
         k = pcg64.below(stream, combat.spawn_count[i])
         mind[GOAL_ROW], mind[GOAL_COLUMN] = combat.spawns[i, k, 0], combat.spawns[i, k, 1]
         if pcg64.next_double(stream) < HEARING:
-            heard = pcg64.below(stream, combat.count[i] - 1)
+            heard = pcg64.below(stream, combat.fighters[i] - 1)
             heard += heard >= f
             there = combat.bodies[i, heard]
             mind[GOAL_ROW], mind[GOAL_COLUMN] = there[Y] // CELL, there[X] // CELL

@@ -93,7 +93,7 @@ def shoot(worlds, i, f):
         far = to_surroundings(worlds.solid[i], x, y, z, dx, dy, dz, REACH[DISC])
         _trace(worlds, i, f, x + far * dx, y + far * dy, z + far * dz)
         hits = 0
-        for other in range(combat.count[i]):
+        for other in range(combat.fighters[i]):
             if other != f and combat.status[i, other, TAGGED_AT] < 0 and hits < _MOST_HITS:
                 away = to_body(combat.bodies[i, other], x, y, z, dx, dy, dz)
                 if away < far:
@@ -103,7 +103,7 @@ def shoot(worlds, i, f):
     else:
         far = to_surroundings(worlds.solid[i], x, y, z, dx, dy, dz, REACH[gadget])
         hit, far = first_body(
-            combat.count[i], combat.bodies[i], combat.status[i], f, x, y, z, dx, dy, dz, far
+            combat.fighters[i], combat.bodies[i], combat.status[i], f, x, y, z, dx, dy, dz, far
         )
         if gadget == IMPULSE and hit == NOTHING:
             return
@@ -218,7 +218,7 @@ def fly(worlds, i):
         step = ORB_SPEED * FRAME
         far = to_surroundings(worlds.solid[i], x, y, z, dx, dy, dz, step)
         hit, far = first_body(
-            combat.count[i], combat.bodies[i], combat.status[i], f, x, y, z, dx, dy, dz, far
+            combat.fighters[i], combat.bodies[i], combat.status[i], f, x, y, z, dx, dy, dz, far
         )
         shot[0], shot[1], shot[2] = x + far * dx, y + far * dy, z + far * dz
         if hit != NOTHING or far < step or worlds.clock[i] - shot[BORN] > ORB_LIFE:
@@ -235,7 +235,7 @@ def fly(worlds, i):
 def _burst(worlds, i, x, y, z, shooter, spared):
     """Damages the fighters around an orb that bursts, the less the farther they are."""
     combat = worlds.combat
-    for f in range(combat.count[i]):
+    for f in range(combat.fighters[i]):
         if f == spared or combat.status[i, f, TAGGED_AT] >= 0:
             continue
         body = combat.bodies[i, f]

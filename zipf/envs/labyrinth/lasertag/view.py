@@ -103,7 +103,7 @@ def show_supplies(mask, combat, meshes, shape, colours):
         shape, colours: of `Scenery` and `Scenes`, written.
     """
     for i in range(mask.size):
-        if mask[i] and combat.count[i] > 0:
+        if mask[i] and combat.fighters[i] > 0:
             for k in range(SUPPLIES):
                 kind = combat.kinds[i, k]
                 if kind != NOTHING:
@@ -123,11 +123,11 @@ def pose(mask, items, clock, combat, meshes, pictures):
         pictures: `Pictures`, written.
     """
     for i in range(mask.size):
-        if not mask[i] or combat.count[i] == 0:
+        if not mask[i] or combat.fighters[i] == 0:
             continue
         pictures.mesh[i, items:] = -1
         at = items
-        for f in range(1, combat.count[i]):
+        for f in range(1, combat.fighters[i]):
             if combat.status[i, f, TAGGED_AT] < 0:
                 body = combat.bodies[i, f]
                 soles = body[Z] - BELOW

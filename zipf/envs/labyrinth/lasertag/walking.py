@@ -28,7 +28,8 @@ def walk(solid, bodies, status, count, f, turn, rise, strafe, forward):
 
     Args:
         solid: bool [rows, columns].
-        bodies, status, count: of one world, see `Combat`; bodies are written.
+        bodies, status: of one world, see `Combat`; bodies are written.
+        count: of fighters.
         f: the fighter.
         turn, rise, strafe, forward: see `mover.move`.
     """

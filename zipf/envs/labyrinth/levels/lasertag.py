@@ -86,15 +86,18 @@ class Lasertag(Episode):
         self.world.reward(points)
 
     def expert(self) -> int:
-        """Fights the nearest opponent in view; else fetches what it needs or chases the nearest."""
+        """Fights an opponent in view, a near and weak one first; else fetches what it needs, or
+        chases the nearest."""
         match = self.match
         if not match.is_up(0):
             return _FIRE
         x, y, *_ = self.world.player
-        enemies = sorted(match.enemies, key=lambda f: math.dist(match.place(f), (x, y)))
+        enemies = match.enemies
         seen = [f for f in enemies if match.in_view(f)]
         if seen:
-            action = self._fight(seen[0])
+            action = self._fight(
+                min(seen, key=lambda f: math.dist(match.place(f), (x, y)) * (50 + match.health(f)))
+            )
             if action is not None:
                 return action
         wanted = self._wanted()
@@ -122,14 +125,14 @@ class Lasertag(Episode):
         best, least = None, math.inf
         for supply in match.supplies:
             if supply.kind == HEALTH_PACK:
-                far = 500.0 if match.health < 60 else 0.0
+                far = 500.0 if match.health(0) < 60 else 0.0
             elif supply.kind == ARMOUR_PACK:
                 far = 200.0
             elif not armed:
                 far = math.inf
             else:
                 short = match.loaded(supply.kind) <= AMMUNITION[supply.kind] // 2
-                far = 400.0 if short else 100.0
+                far = 1000.0 if strong == 0 else 400.0 if short else 100.0
             away = math.dist((x, y), (supply.x, supply.y))
             if away < min(far, least):
                 best, least = (supply.x, supply.y), away
