@@ -116,7 +116,9 @@ def test_arenas_have_what_they_should(level: str) -> None:
         assert len(cells) == count
         assert not cells & spawns
         assert not any(maze.solid[cell] for cell in cells)
-        starts = [episode.ways.cell_of(*episode.match.place(f)) for f in range(combat.fighters[world])]
+        starts = [
+            episode.ways.cell_of(*episode.match.place(f)) for f in range(combat.fighters[world])
+        ]
         assert len(set(starts)) == len(starts)
         assert set(starts) <= spawns
         hues.add(env._scenery.scenes.colours[world, -60].tobytes())
@@ -407,7 +409,7 @@ def test_fighters_respawn_where_nobody_is() -> None:
     for _ in range(200):
         row, column = scene.combat.spawns[0, 0]
         scene.put(1, 100 * column + 50, 100 * row + 50)
-        fight.respawn(scene.worlds, 0, 0)
+        fight.respawn(scene.combat, 0, 0)
         x, y = scene.combat.bodies[0, 0, :2]
         found.add((int(y // 100), int(x // 100)))
     everywhere = {tuple(cell) for cell in scene.combat.spawns[0, :count].tolist()}

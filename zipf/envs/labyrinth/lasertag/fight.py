@@ -67,7 +67,7 @@ def fight(worlds, i, turn, rise, strafe, forward, fire):
             rest = now - status[f, TAGGED_AT]
             wakes = (fire and rest >= REST) if f == 0 else rest >= OPPONENTS_REST
             if wakes or rest >= LONGEST_REST:
-                respawn(worlds, i, f)
+                respawn(combat, i, f)
             continue
         if f > 0:
             if (now + 2 * f) % THINKING == 0:
@@ -101,9 +101,8 @@ def next_point(combat, i):
 
 
 @compiled(error_model="numpy")
-def respawn(worlds, i, f):
+def respawn(combat, i, f):
     """Puts a fighter in a random spawn cell that is free, looking anywhere, as good as new."""
-    combat = worlds.combat
     stream, body, status = combat.stream[i], combat.bodies[i, f], combat.status[i, f]
     free = 0
     for k in range(combat.spawn_count[i]):

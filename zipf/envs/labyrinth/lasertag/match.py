@@ -93,7 +93,7 @@ class Match:
         combat = self.combat
         combat.status[self._i, :, TAGGED_AT] = 0
         for fighter in range(int(combat.fighters[self._i])):
-            respawn(self._worlds, self._i, fighter)
+            respawn(combat, self._i, fighter)
         self._worlds.bodies[self._i] = combat.bodies[self._i, 0]
 
     # What oracles read.

@@ -115,8 +115,8 @@ def think(worlds, i, f):
     """An opponent looks around and decides what it does until it thinks again."""
     combat = worlds.combat
     mind, body, status = combat.minds[i, f], combat.bodies[i, f], combat.status[i, f]
-    now = worlds.clock[i]
-    enemy = _look_around(worlds, i, f)
+    now, solid = worlds.clock[i], worlds.solid[i]
+    enemy = _look_around(combat, solid, i, now, f)
     if enemy != NOTHING:
         if enemy != mind[ENEMY] or now - mind[LAST_SEEN] > CALM:
             mind[SEEN_AT] = now
@@ -129,35 +129,33 @@ def think(worlds, i, f):
     hurt = status[HEALTH] < LOW_HEALTH
     supply = NOTHING
     if not noticed or hurt or status[GADGET] == IMPULSE:
-        supply = _useful_supply(worlds, i, f, hurt and noticed)
+        supply = _useful_supply(combat, worlds.places[i], worlds.present[i], i, f, hurt and noticed)
     if noticed and supply == NOTHING:
-        _close_in(worlds, i, f, combat.bodies[i, int(enemy)])
+        _close_in(combat, i, now, f, combat.bodies[i, int(enemy)])
     else:
         if supply != NOTHING:
             place = worlds.places[i, supply]
-            _go_to(worlds, i, f, place[1] // CELL, place[0] // CELL)
+            _go_to(combat, solid, i, f, place[1] // CELL, place[0] // CELL)
         elif now - mind[LAST_SEEN] < CHASE:
-            _go_to(worlds, i, f, mind[LAST_ROW], mind[LAST_COLUMN])
+            _go_to(combat, solid, i, f, mind[LAST_ROW], mind[LAST_COLUMN])
         else:
-            _roam(worlds, i, f)
+            _roam(combat, solid, i, now, f)
         if mind[WISH_X] != 0.0 or mind[WISH_Y] != 0.0:
             mind[AIM_YAW], mind[AIM_PITCH] = math.atan2(mind[WISH_Y], mind[WISH_X]), 0.0
     if noticed:
-        _aim(worlds, i, f, int(enemy))
+        _aim(combat, i, f, int(enemy))
         if now - mind[SEEN_AT] >= REACTION:
-            mind[TRIGGER] = _pulls_trigger(worlds, i, f, combat.bodies[i, int(enemy)])
+            mind[TRIGGER] = _pulls_trigger(combat, i, now, f, combat.bodies[i, int(enemy)])
     elif now - mind[ATTACKED_AT] < SECOND and mind[ATTACKER] >= 0:
         # Whoever shoots it in the back is looked for there.
         there = combat.bodies[i, int(mind[ATTACKER])]
         mind[AIM_YAW] = math.atan2(there[Y] - body[Y], there[X] - body[X])
 
 
-@compiled(error_model="numpy", forceinline=True)
-def _look_around(worlds, i, f):
+@compiled(error_model="numpy")
+def _look_around(combat, solid, i, now, f):
     """The enemy to fight: the nearest one that is seen; or NOTHING."""
-    combat = worlds.combat
     mind, body = combat.minds[i, f], combat.bodies[i, f]
-    now = worlds.clock[i]
     found, least = NOTHING, math.inf
     for other in range(combat.fighters[i]):
         if other == f or combat.status[i, other, TAGGED_AT] >= 0:
@@ -173,17 +171,15 @@ def _look_around(worlds, i, f):
         off = abs(_wrapped(math.atan2(dy, dx) - body[YAW]))
         if not fights and off > SIGHT and away > CLOSE:
             continue
-        if in_view(worlds.solid[i], body[X], body[Y], there[X], there[Y]):
+        if in_view(solid, body[X], body[Y], there[X], there[Y]):
             found, least = other, away
     return found
 
 
-@compiled(error_model="numpy", forceinline=True)
-def _close_in(worlds, i, f, there):
+@compiled(error_model="numpy")
+def _close_in(combat, i, now, f, there):
     """Strafes around an enemy in view and keeps a distance."""
-    combat = worlds.combat
     mind, body, stream = combat.minds[i, f], combat.bodies[i, f], combat.stream[i]
-    now = worlds.clock[i]
     dx, dy = there[X] - body[X], there[Y] - body[Y]
     away = math.hypot(dx, dy) + 1e-9
     dx, dy = dx / away, dy / away
@@ -199,10 +195,9 @@ def _close_in(worlds, i, f, there):
     mind[WISH_X], mind[WISH_Y] = ahead * dx + side * dy, ahead * dy - side * dx
 
 
-@compiled(error_model="numpy", forceinline=True)
-def _aim(worlds, i, f, enemy):
+@compiled(error_model="numpy")
+def _aim(combat, i, f, enemy):
     """Looks at where an enemy is or will be, with an error that depends on the gadget."""
-    combat = worlds.combat
     mind, body, stream = combat.minds[i, f], combat.bodies[i, f], combat.stream[i]
     there = combat.bodies[i, enemy]
     gadget = combat.status[i, f, GADGET]
@@ -225,12 +220,11 @@ def _aim(worlds, i, f, enemy):
     mind[AIM_YAW], mind[AIM_PITCH] = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
 
 
-@compiled(error_model="numpy", forceinline=True)
-def _pulls_trigger(worlds, i, f, there):
+@compiled(error_model="numpy")
+def _pulls_trigger(combat, i, now, f, there):
     """Whether an opponent that has aimed shoots."""
-    combat = worlds.combat
     mind, body, stream = combat.minds[i, f], combat.bodies[i, f], combat.stream[i]
-    now, gadget = worlds.clock[i], combat.status[i, f, GADGET]
+    gadget = combat.status[i, f, GADGET]
     dx, dy = there[X] - body[X], there[Y] - body[Y]
     away = math.hypot(dx, dy)
     off = abs(_wrapped(math.atan2(dy, dx) - body[YAW]))
@@ -249,15 +243,14 @@ def _pulls_trigger(worlds, i, f, there):
     return True
 
 
-@compiled(error_model="numpy", forceinline=True)
-def _useful_supply(worlds, i, f, healing):
+@compiled(error_model="numpy")
+def _useful_supply(combat, places, present, i, f, healing):
     """The nearest supply that an opponent can use, or only one that heals; or NOTHING."""
-    combat = worlds.combat
     body, status = combat.bodies[i, f], combat.status[i, f]
     found, least = NOTHING, math.inf if status[GADGET] == IMPULSE else DETOUR
     for k in range(SUPPLIES):
         kind = combat.kinds[i, k]
-        if kind == NOTHING or not worlds.present[i, k]:
+        if kind == NOTHING or not present[k]:
             continue
         if kind == HEALTH_PACK:
             useful = status[HEALTH] < WOUNDED
@@ -268,19 +261,17 @@ def _useful_supply(worlds, i, f, healing):
         else:
             useful = status[LOADED + kind] <= AMMUNITION[kind] // 2
         if useful:
-            place = worlds.places[i, k]
+            place = places[k]
             away = abs(place[0] - body[X]) + abs(place[1] - body[Y])
             if away < least:
                 found, least = k, away
     return found
 
 
-@compiled(error_model="numpy", forceinline=True)
-def _roam(worlds, i, f):
+@compiled(error_model="numpy")
+def _roam(combat, solid, i, now, f):
     """Goes to a random spawn cell or another fighter, again and again; campers stay for a while."""
-    combat = worlds.combat
     mind, body, stream = combat.minds[i, f], combat.bodies[i, f], combat.stream[i]
-    now = worlds.clock[i]
     if now < mind[STAY_UNTIL]:
         return
     arrived = body[Y] // CELL == mind[GOAL_ROW] and body[X] // CELL == mind[GOAL_COLUMN]
@@ -295,15 +286,14 @@ def _roam(worlds, i, f):
             heard += heard >= f
             there = combat.bodies[i, heard]
             mind[GOAL_ROW], mind[GOAL_COLUMN] = there[Y] // CELL, there[X] // CELL
-    _go_to(worlds, i, f, mind[GOAL_ROW], mind[GOAL_COLUMN])
+    _go_to(combat, solid, i, f, mind[GOAL_ROW], mind[GOAL_COLUMN])
 
 
 @compiled(error_model="numpy")
-def _go_to(worlds, i, f, row, column):
+def _go_to(combat, solid, i, f, row, column):
     """Walks towards a cell by the shortest way, then to its middle."""
-    combat = worlds.combat
     mind, body = combat.minds[i, f], combat.bodies[i, f]
-    field, solid = combat.fields[i, f], worlds.solid[i]
+    field = combat.fields[i, f]
     if row != mind[FIELD_ROW] or column != mind[FIELD_COLUMN]:
         mind[FIELD_ROW], mind[FIELD_COLUMN] = row, column
         _fill(field, solid, int(row), int(column))

@@ -88,16 +88,24 @@ def shoot(worlds, i, f):
         dx, dy = dx + right * sin - up * cos * dz, dy - right * cos - up * sin * dz
         dz += up * flat
     if gadget == ORB:
-        _launch(worlds, i, f, x, y, z, dx, dy, dz)
+        _launch(combat.shots[i], worlds.clock[i], f, x, y, z, dx, dy, dz)
     elif gadget == DISC:
         far = to_surroundings(worlds.solid[i], x, y, z, dx, dy, dz, REACH[DISC])
-        _trace(worlds, i, f, x + far * dx, y + far * dy, z + far * dz)
+        _trace(combat, i, worlds.clock[i], f, x + far * dx, y + far * dy, z + far * dz)
         hits = 0
         for other in range(combat.fighters[i]):
             if other != f and combat.status[i, other, TAGGED_AT] < 0 and hits < _MOST_HITS:
                 away = to_body(combat.bodies[i, other], x, y, z, dx, dy, dz)
                 if away < far:
-                    flash(worlds, i, x + away * dx, y + away * dy, z + away * dz, SPARK)
+                    flash(
+                        combat,
+                        i,
+                        worlds.clock[i],
+                        x + away * dx,
+                        y + away * dy,
+                        z + away * dz,
+                        SPARK,
+                    )
                     hurt(worlds, i, other, f, DAMAGE[DISC], dx, dy, dz)
                     hits += 1
     else:
@@ -109,9 +117,9 @@ def shoot(worlds, i, f):
             return
         end_x, end_y, end_z = x + far * dx, y + far * dy, z + far * dz
         if gadget != IMPULSE:
-            _trace(worlds, i, f, end_x, end_y, end_z)
+            _trace(combat, i, worlds.clock[i], f, end_x, end_y, end_z)
         if hit != NOTHING:
-            flash(worlds, i, end_x, end_y, end_z, SPARK)
+            flash(combat, i, worlds.clock[i], end_x, end_y, end_z, SPARK)
             hurt(worlds, i, hit, f, DAMAGE[gadget], dx, dy, dz)
     status[WAIT] += PERIOD[gadget]
     if gadget != IMPULSE:
@@ -169,7 +177,7 @@ def _tag(worlds, i, target, attacker):
     status[HEALTH] = 0
     status[TAGGED_AT] = worlds.clock[i]
     if target > 0:  # the player would see his own from inside
-        flash(worlds, i, body[X], body[Y], body[Z], PUFF)
+        flash(combat, i, worlds.clock[i], body[X], body[Y], body[Z], PUFF)
     gadget = status[GADGET]
     if gadget > RAPID and status[LOADED + gadget] > 0:
         _drop(worlds, i, gadget, body[X], body[Y])
@@ -194,15 +202,14 @@ def _drop(worlds, i, gadget, x, y):
 
 
 @compiled(error_model="numpy")
-def _launch(worlds, i, f, x, y, z, dx, dy, dz):
+def _launch(shots, now, f, x, y, z, dx, dy, dz):
     """Sends an orb off."""
-    shots = worlds.combat.shots[i]
     k = 0
     while k < SHOTS - 1 and shots[k, SHOOTER] >= 0:
         k += 1
     shots[k, 0], shots[k, 1], shots[k, 2] = x, y, z
     shots[k, 3], shots[k, 4], shots[k, 5] = dx, dy, dz
-    shots[k, SHOOTER], shots[k, BORN] = f, worlds.clock[i]
+    shots[k, SHOOTER], shots[k, BORN] = f, now
 
 
 @compiled(error_model="numpy")
@@ -225,7 +232,7 @@ def fly(worlds, i):
             shot[SHOOTER] = NOTHING
             back = max(far - 1.0, 0.0)  # off the wall
             x, y, z = x + back * dx, y + back * dy, z + back * dz
-            flash(worlds, i, x, y, z, BLAST)
+            flash(combat, i, worlds.clock[i], x, y, z, BLAST)
             if hit != NOTHING:
                 hurt(worlds, i, hit, f, DAMAGE[ORB], dx, dy, dz)
             _burst(worlds, i, x, y, z, f, hit)
@@ -251,20 +258,18 @@ def _burst(worlds, i, x, y, z, shooter, spared):
 
 
 @compiled(error_model="numpy")
-def flash(worlds, i, x, y, z, kind):
+def flash(combat, i, now, x, y, z, kind):
     """Lets something flash in the view."""
-    combat = worlds.combat
     k = combat.written[i, 1] % FLASHES
     combat.written[i, 1] += 1
     made = combat.flashes[i, k]
     made[0], made[1], made[2] = x, y, z
-    made[FLASH_FRAME], made[FLASH_KIND] = worlds.clock[i], kind
+    made[FLASH_FRAME], made[FLASH_KIND] = now, kind
 
 
 @compiled(error_model="numpy")
-def _trace(worlds, i, f, x, y, z):
+def _trace(combat, i, now, f, x, y, z):
     """Remembers a shot for the view."""
-    combat = worlds.combat
     body = combat.bodies[i, f]
     k = combat.written[i, 0] % TRACES
     combat.written[i, 0] += 1
@@ -274,7 +279,7 @@ def _trace(worlds, i, f, x, y, z):
     made[1] = body[Y] + ARM_X * sin - ARM_Y * cos
     made[2] = body[Z] + EYE + ARM_Z
     made[3], made[4], made[5] = x, y, z
-    made[TRACE_FRAME], made[TRACE_SHOOTER] = worlds.clock[i], f
+    made[TRACE_FRAME], made[TRACE_SHOOTER] = now, f
     made[TRACE_GADGET] = combat.status[i, f, GADGET]
 
 
