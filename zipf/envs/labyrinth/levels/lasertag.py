@@ -53,8 +53,9 @@ class Lasertag(Episode):
     Length: 240 s.
     Approximated: the original's opponents are programs of tens of thousands of lines. These have
     the parameters of the same three at skill 4 (accuracy, reaction, turning, bursts), but decide by
-    a state machine of ours, see `lasertag.opponents`. Bursts of orbs are stopped by walls between
-    their middle and that of who is hit. One may fire again at once after respawning.
+    a state machine of ours, see `lasertag.opponents`. What bursts hurts who has no wall between his
+    middle and the burst. One may fire again at once after respawning. The dead view is from 8 units
+    above the ground. No clock and no numbers are shown; armour has no bar.
     """
 
     opponents: ClassVar[int]
