@@ -19,6 +19,7 @@ REWARDS: dict[str, set[float]] = {
     "language_select_located_object": {10, -3, -1},
     "language_execute_random_task": {10, 1, 11, *range(-8, 0)},
     "language_answer_quantitative_question": {10, -10},
+    **{name: {1, -1} for name in LEVELS if name.startswith("lasertag")},
     **{name: {1} for name in LEVELS if name.startswith("natlab")},
     **{name: {100} for name in LEVELS if name.startswith("skymaze")},
     **{name: {1} for name in LEVELS if name.startswith("psychlab")},

@@ -43,7 +43,8 @@ PROPS = {
     "rock_0": (100, 90, 70), "rock_1": (100, 90, 70), "rock_2": (100, 90, 70),
     "bush_0": (100, 100, 60), "bush_1": (100, 100, 60), "dead_tree": (80, 80, 200),
     "desert_arch": (60, 200, 150), "platform": (128, 128, 94),
-    "body": (30, 30, 56), "orb": (20, 20, 20), "beam_gadget": (30, 30, 20),
+    "robot": (30, 30, 40), "robot_head": (26, 26, 23), "bolt": (60, 6, 6),
+    "orb": (20, 20, 20), "beam_gadget": (30, 30, 20),
     "disc_gadget": (30, 30, 20), "orb_gadget": (30, 30, 20), "health_pack": (30, 30, 20),
     "armour_pack": (30, 30, 20), "puff": (40, 40, 40),
 }  # fmt: skip

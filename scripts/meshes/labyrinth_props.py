@@ -18,8 +18,10 @@ from .shapes import (
     box,
     circle,
     cone,
+    cylinder,
     ellipsoid,
     lathe,
+    loft,
     rod,
     slab,
     torus,
@@ -177,25 +179,46 @@ def platform() -> list[Solid]:
     return [box(126, 126, 84, ACCENT, at=(0, 0, 42)), box(128, 128, 10, MAIN, at=(0, 0, 89))]
 
 
-def body() -> list[Solid]:
-    """A player of laser tag, with its gadget in front."""
+def robot() -> list[Solid]:
+    """A player of laser tag up to the neck: a round trunk on two boots, its gadget in front."""
+    trunk = [(0, 9), (10, 9), (14, 16), (14.6, 22), (13.4, 33), (6, 38.5), (0, 38.5)]
+    parts = [ACCENT, ACCENT, MAIN, ACCENT, ACCENT, ACCENT]
     return [
-        block((12, 15), (14, 20), 16, MAIN, at=(-2, 0, 23)),
-        box(15, 17, 4, ACCENT, at=(-2, 0, 26)),
-        box(5, 5, 3, DARK, at=(-2, 0, 40)),
-        ellipsoid((7, 6.5, 7.4), ACCENT, at=(-1, 0, 48.6), sides=7, rings=3),
-        box(4, 10, 4, DARK, at=(4.4, 0, 49)),
-        box(20, 5, 5, DARK, at=(7, -7, 29)),
-        box(5, 12, 14, ACCENT, at=(-11, 0, 31)),
+        lathe(trunk, parts, sides=8),
+        cylinder(4, 3, DARK, at=(0, 0, 37.8), sides=5),
+        box(22, 6, 6, DARK, at=(6, -14, 25)),
+        box(6, 7.6, 7.6, MAIN, at=(15, -14, 25)),
+        box(9, 5, 14, MAIN, at=(0, 15, 26)),
+        box(9, 5, 6, MAIN, at=(-2, -14.8, 31.4)),
         *both_sides(
-            ellipsoid((5, 5, 5), ACCENT, at=(-2, 11, 37), sides=6, rings=1),
-            rod((-2, 12, 36), (1, 12, 27), 3, MAIN, sides=4),
-            block((7, 6.4), (8, 7), 18, DARK, at=(-2, 5, 6)),
-            box(13, 8, 7, MAIN, at=(1, 5.2, 3.5)),
+            box(6, 6, 6, DARK, at=(0, 6.4, 9)),
+            block((21, 12), (15, 10), 9, MAIN, at=(1, 7, 0)),
         ),
-        rod((0, -12, 27), (8, -7.5, 28), 3, MAIN, sides=4),
-        rod((0, 12, 27), (11, -5, 28.5), 2.8, MAIN, sides=4),
     ]
+
+
+def robot_head() -> list[Solid]:
+    """A round helmet with a bright visor, two eyes, ears and an antenna with a ball."""
+    helmet = [(0, 0), (7, 0), (10.4, 5), (9.4, 11), (5, 15), (0, 15.6)]
+    return [
+        lathe(helmet, MAIN, sides=8),
+        box(5, 13, 6.4, ACCENT, at=(8, 0, 7.4)),
+        *both_sides(
+            box(2, 3.2, 4, DARK, at=(10.2, 3.1, 7.4)),
+            box(6, 4, 6, ACCENT, at=(0, 10.4, 7)),
+        ),
+        box(4, 9, 5, ACCENT, at=(-9, 0, 6)),
+        box(1.6, 1.6, 6, DARK, at=(0, 0, 17)),
+        ellipsoid((2.8, 2.8, 2.8), ACCENT, at=(0, 0, 20.2), sides=5, rings=1),
+    ]
+
+
+def bolt() -> list[Solid]:
+    """What is seen of a shot: a spindle with a bright core."""
+    widths = [(-22.0, 2.4), (-8.0, 3.0), (8.0, 3.0), (22.0, 2.4)]
+    rings = [circle(r, 6, x)[:, [2, 0, 1]] for x, r in widths]
+    ends = [np.array([(x, 0.0, 0.0)]) for x in (-30, 30)]
+    return [loft([ends[0], *rings, ends[1]], [ACCENT, ACCENT, MAIN, ACCENT, ACCENT])]
 
 
 def orb() -> list[Solid]:
@@ -297,7 +320,9 @@ OBJECTS = {
     "dead_tree": (dead_tree, (80, 80, 200)),
     "desert_arch": (desert_arch, (60, 200, 150)),
     "platform": (platform, (128, 128, 94)),
-    "body": (body, (30, 30, 56)),
+    "robot": (robot, (30, 30, 40)),
+    "robot_head": (robot_head, (26, 26, 23)),
+    "bolt": (bolt, (60, 6, 6)),
     "orb": (orb, (20, 20, 20)),
     "beam_gadget": (beam_gadget, (30, 30, 20)),
     "disc_gadget": (disc_gadget, (30, 30, 20)),

@@ -1,23 +1,21 @@
 """Runs the frames of a step in all worlds, compiled, and stops where a level's rules are needed.
 
-A frame is: turn and move, touch items, enter zones, timers, the gaze, the clock. Whatever happens
-is told to the episode of that world, in Python; then its frames go on where they stopped. Worlds do
-not wait for each other: most steps have no event at all.
+A frame is: turn and move (in combat: fight), touch items, enter zones, timers, the gaze, the
+clock. Whatever happens is told to the episode of that world, in Python; then its frames go on where
+they stopped. Worlds do not wait for each other: most steps have no event at all.
 """
 
 from zipf.compiled import compiled
 from zipf.envs.labyrinth.gaze import gaze, widget_at
+from zipf.envs.labyrinth.lasertag.fight import fight, next_point
 from zipf.envs.labyrinth.mover import ABOVE, BELOW, WIDE, move
-from zipf.envs.labyrinth.state import X, Y, Z
+from zipf.envs.labyrinth.state import TOUCH_X, TOUCH_Y, TOUCH_Z, X, Y, Z
 
-NOTHING, MAP, ITEM, ZONE, TIMER = range(5)
-"""Kinds of events: a new map begins, an item was touched, a zone entered, a timer went off."""
-LOOKED, LOOKED_AWAY = 5, 6
+NOTHING, MAP, ITEM, ZONE, TIMER, POINT = range(6)
+"""Kinds of events: a new map begins, an item was touched, a zone entered, a timer went off, the
+player has won or lost a point in combat."""
+LOOKED, LOOKED_AWAY = 6, 7
 """Events of a screen: the gaze has entered a widget, or has left it."""
-
-TOUCH_X, TOUCH_Y, TOUCH_Z = 40.0, 36.0, 36.0
-"""An item is touched within these distances of the player's point. The original's reach along x is
-from -50 to 44; approximated by a symmetric one."""
 
 _MOVING, _TOUCHING = 0, 1
 
@@ -33,7 +31,8 @@ def run(mask, commands, left, part, worlds, over, timed_out, event, index):
         part: int64 [N], the part of a frame at which a world stopped; written.
         worlds: `Worlds`, written.
         over, timed_out: bool [N], set where the level or the clock ends the episode.
-        event, index: int64 [N], what happened and to which item, zone, timer or widget; written.
+        event, index: int64 [N], what happened and to which item, zone, timer or widget, or how many
+            points were won; written.
 
     Returns whether anything happened.
     """
@@ -52,9 +51,17 @@ def run(mask, commands, left, part, worlds, over, timed_out, event, index):
                     break
                 left[i] -= 1
                 worlds.clock[i] += 1
-                turn, rise, strafe, forward = commands[i, :4]
-                move(worlds, i, turn, rise, strafe, forward)
+                turn, rise, strafe, forward, fire = commands[i]
+                if worlds.combat.fighters[i] > 0:
+                    fight(worlds, i, turn, rise, strafe, forward, fire > 0.0)
+                else:
+                    move(worlds, i, turn, rise, strafe, forward)
                 part[i] = _TOUCHING
+            if worlds.combat.fighters[i] > 0:
+                index[i] = next_point(worlds.combat, i)
+                if index[i] != 0:
+                    event[i] = POINT
+                    break
             index[i] = _touched(worlds, i)
             if index[i] >= 0:
                 worlds.present[i, index[i]] = False

@@ -43,30 +43,14 @@ def move(worlds, i, turn, rise, strafe, forward):
         strafe, forward: 1, 0 or -1: to the right, forward.
     """
     body = worlds.bodies[i]
-    body[YAW] = (body[YAW] + turn) % (2 * math.pi)
-    body[PITCH] = min(max(body[PITCH] + rise, -_MOST_PITCH), _MOST_PITCH)
     soles = body[Z] - BELOW
     ground = _ground(worlds, i, body[X], body[Y], soles)
     standing = soles <= ground + _SKIN
-    if standing and worlds.pushed[i] == 0:
-        speed = math.hypot(body[VX], body[VY])
-        if speed > 0.0:
-            left = max(speed - max(speed, STOP_SPEED) * FRICTION * FRAME, 0.0) / speed
-            body[VX] *= left
-            body[VY] *= left
+    acceleration = ACCELERATION if standing else IN_AIR
+    friction = standing and worlds.pushed[i] == 0
+    turn_and_run(body, turn, rise, strafe, forward, acceleration, friction)
     if worlds.pushed[i] > 0:
         worlds.pushed[i] -= 1
-    if strafe != 0.0 or forward != 0.0:
-        cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
-        wish_x, wish_y = forward * cos + strafe * sin, forward * sin - strafe * cos
-        length = math.hypot(wish_x, wish_y)
-        wish_x, wish_y = wish_x / length, wish_y / length
-        missing = RUN - (body[VX] * wish_x + body[VY] * wish_y)
-        if missing > 0.0:
-            gain = (ACCELERATION if standing else IN_AIR) * FRAME * RUN
-            gain = min(gain, missing)
-            body[VX] += gain * wish_x
-            body[VY] += gain * wish_y
     if not standing:
         body[VZ] -= GRAVITY * FRAME
     before_x, before_y = body[X], body[Y]
@@ -95,6 +79,36 @@ def move(worlds, i, turn, rise, strafe, forward):
         soles = ground
         body[VZ] = 0.0
     body[Z] = soles + BELOW
+
+
+@compiled(error_model="numpy")
+def turn_and_run(body, turn, rise, strafe, forward, acceleration, friction):
+    """Turns a body, float64 [8], and changes its velocity over the ground.
+
+    Args:
+        body: written.
+        turn, rise, strafe, forward: see `move`.
+        acceleration: ACCELERATION or IN_AIR.
+        friction: whether the ground slows it.
+    """
+    body[YAW] = (body[YAW] + turn) % (2 * math.pi)
+    body[PITCH] = min(max(body[PITCH] + rise, -_MOST_PITCH), _MOST_PITCH)
+    if friction:
+        speed = math.hypot(body[VX], body[VY])
+        if speed > 0.0:
+            left = max(speed - max(speed, STOP_SPEED) * FRICTION * FRAME, 0.0) / speed
+            body[VX] *= left
+            body[VY] *= left
+    if strafe != 0.0 or forward != 0.0:
+        cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
+        wish_x, wish_y = forward * cos + strafe * sin, forward * sin - strafe * cos
+        length = math.hypot(wish_x, wish_y)
+        wish_x, wish_y = wish_x / length, wish_y / length
+        missing = RUN - (body[VX] * wish_x + body[VY] * wish_y)
+        if missing > 0.0:
+            gain = min(acceleration * FRAME * RUN, missing)
+            body[VX] += gain * wish_x
+            body[VY] += gain * wish_y
 
 
 @compiled(error_model="numpy")

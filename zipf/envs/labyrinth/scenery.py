@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from zipf.compiled import compiled
 from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth.lasertag import view
 from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Worlds, X, Y, Z
 from zipf.envs.render3d import MeshAtlas, Renderer, Scenes, load_meshes, pack_textures
@@ -21,7 +22,7 @@ FIELD_OF_VIEW = 90.0
 """Horizontal, degrees (DeepMind Lab)."""
 LARGE = 288, 384
 """Height and width of the views for people to watch."""
-WALLS, FLATS, OVERLAYS = 768, 288, 4
+WALLS, FLATS, OVERLAYS = 768, 288, view.BARS
 """Capacities of each world. The most are those of a skymaze of 10 x 10 nodes that all connect: 280
 platforms, 760 sides."""
 SCREEN_PIXELS = 128
@@ -59,6 +60,14 @@ def _large_renderer() -> Renderer:
     return _renderer(*LARGE)
 
 
+@cache
+def _combat_meshes() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Numbers of the meshes of laser tag: of its actors, and of its supplies by kind."""
+    actors = [atlas().index(name) for name in view.ACTOR_MESHES]
+    supplies = [atlas().index(name) if name else -1 for name in view.SUPPLY_MESHES]
+    return np.array(actors, np.int32), np.array(supplies, np.int32)
+
+
 class Scenery:
     """The scenes of N worlds.
 
@@ -72,7 +81,7 @@ class Scenery:
         n = len(worlds.clock)
         self.worlds = worlds
         self.scenes = Scenes(
-            n, walls=WALLS, flats=FLATS, instances=ITEMS, tile_cells=GRID * GRID,
+            n, walls=WALLS, flats=FLATS, instances=ITEMS + view.ACTORS, tile_cells=GRID * GRID,
             grid=(GRID, GRID), overlays=OVERLAYS, terrain=(QUADS, QUADS),
             screen=(SCREEN_PIXELS, SCREEN_PIXELS),
         )  # fmt: skip
@@ -86,6 +95,7 @@ class Scenery:
         scenes.wall_count[world] = scenes.flat_count[world] = scenes.overlay_count[world] = 0
         scenes.grid[world] = scenes.terrain[world] = 0
         scenes.sky[world] = (190, 215, 235), (95, 150, 215)
+        scenes.mesh[world, ITEMS:] = -1
         self.shape[world] = -1
         self.spins[world] = False
 
@@ -105,10 +115,22 @@ class Scenery:
     def _update(self, mask: NDArray[np.bool_]) -> None:
         """Copies the poses of players and items to the scenes of the worlds of `mask`."""
         scenes, worlds = self.scenes, self.worlds
+        actors, supplies = _combat_meshes()
+        fights = worlds.combat.fighters.any()
+        if fights:
+            view.show_supplies(mask, worlds.combat, supplies, self.shape, scenes.colours)
         _pose(
             mask, worlds.bodies, worlds.clock, worlds.places, worlds.present, self.shape,
             self.spins, scenes.camera, scenes.mesh, scenes.position, scenes.rotation,
         )  # fmt: skip
+        if fights:
+            view.pose(
+                mask, ITEMS, worlds.clock, worlds.combat, actors,
+                view.Pictures(
+                    scenes.camera, scenes.mesh, scenes.position, scenes.rotation, scenes.scale,
+                    scenes.colours, scenes.overlays, scenes.overlay_colours, scenes.overlay_count,
+                ),
+            )  # fmt: skip
 
     def add_walls(
         self, world: int, ends: NDArray[np.floating], heights: tuple[float, float],

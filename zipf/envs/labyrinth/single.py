@@ -27,7 +27,8 @@ class LabyrinthEnv(SingleWorld):
     A `Dict` with
 
     - `image`: uint8 [72, 96, 3], 90 degrees wide, from 50 units above the floor (a cell of a maze
-      has 100). In `rooms_keys_doors_puzzle` a square at the top left shows the key carried.
+      has 100). In `rooms_keys_doors_puzzle` a square at the top left shows the key carried; in
+      the lasertag levels bars at the bottom show health and ammunition.
     - `instruction`: int64 [16], the codes of an instruction's words in
       `zipf.envs.labyrinth.words.VOCABULARY`, followed by zeros. Only the levels `language_*` give
       instructions, a new one with each map; elsewhere all codes are 0.
@@ -38,9 +39,9 @@ class LabyrinthEnv(SingleWorld):
     `zipf.envs.labyrinth.actions.EXTENDED`: forward, backward, strafe left and right; turn by 4.2
     degrees left and right, by 25.3 degrees left and right; look down and up by 4.2 degrees;
     forward while turning by 4.2 degrees left and right, by 25.3 degrees left and right; fire, which
-    only does something in the levels `lasertag_*`. `num_actions=9` has the table of IMPALA (Espeholt et al., 2018),
-    `actions.IMPALA`, which cannot look up or down and turns by 8.4 degrees: three of the levels `psychlab_*` cannot
-    be solved with it, or only in part.
+    does nothing except in the lasertag levels. `num_actions=9` has the table of IMPALA (Espeholt et
+    al., 2018), `actions.IMPALA`, which cannot look up or down and turns by 8.4 degrees: three of
+    the levels `psychlab_*` cannot be solved with it, or only in part.
 
     An action is held for four frames, 1/15 s. The player reaches full speed, 20.5 units a step,
     within ten frames, slides along walls, climbs steps of 18 units and falls off higher ones.

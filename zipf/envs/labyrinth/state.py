@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.labyrinth.lasertag.arena import Combat, make_combat
 from zipf.envs.labyrinth.words import VOCABULARY
 
 CELL = 100.0
@@ -18,6 +19,9 @@ CELL = 100.0
 X, Y, Z, VX, VY, VZ, YAW, PITCH = range(8)
 """Columns of `bodies`: the point 24 above the soles, its velocity per second, where it looks."""
 
+TOUCH_X, TOUCH_Y, TOUCH_Z = 40.0, 36.0, 36.0
+"""An item is touched within these distances of the player's point. The original's reach along x is
+from -50 to 44; approximated by a symmetric one."""
 GRID = 21
 """Most rows and columns of a text map."""
 ITEMS, BOXES, PLANES, PILLARS, ZONES, TIMERS = 184, 64, 16, 100, 10, 4
@@ -92,6 +96,8 @@ class Worlds(NamedTuple):
     """[N]: the widget that the player looks at; -1: none."""
     instruction: NDArray[np.int64]
     """[N, 16]: the codes of the instruction's words, see `words.VOCABULARY`; 0: there is none."""
+    combat: Combat
+    """Laser tag."""
 
 
 def make_worlds(num_worlds: int) -> Worlds:
@@ -128,6 +134,7 @@ def make_worlds(num_worlds: int) -> Worlds:
         widgets=np.zeros((n, WIDGETS, 4)),
         watched=np.full(n, -1, np.int64),
         instruction=np.zeros((n, VOCABULARY.length), np.int64),
+        combat=make_combat(n, GRID),
     )
 
 
@@ -142,3 +149,4 @@ def clear(worlds: Worlds, world: int) -> None:
         ("instruction", 0),
     ):  # fmt: skip
         getattr(worlds, name)[world] = value
+    worlds.combat.fighters[world] = 0

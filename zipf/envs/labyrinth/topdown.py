@@ -1,4 +1,4 @@
-"""A world from above, for people to watch: floors, walls, doors, items, and the player's arrow."""
+"""A world from above, for people to watch: floors, walls, doors, items, arrows of players."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from PIL import Image, ImageDraw
 
 from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.gaze import gaze
+from zipf.envs.labyrinth.lasertag.arena import TAGGED_AT
 from zipf.envs.labyrinth.scenery import METRES, Scenery, atlas
-from zipf.envs.labyrinth.state import CELL, QUADS, YAW, Worlds, X, Y
+from zipf.envs.labyrinth.state import CELL, ITEMS, QUADS, YAW, Worlds, X, Y
 from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH
 
 SIZE = 288
@@ -30,8 +31,9 @@ def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
     """The map of a world, uint8 [SIZE, SIZE, 3], the north above.
 
     Platforms and hills are lighter the higher they are. Thin white outlines are zones in which
-    something happens, whether they can be seen or not. Items are in their two colours. In the place
-    of a map, worlds with a screen have the screen, with a ring where the player looks.
+    something happens, whether they can be seen or not. Items are in their two colours. The
+    player's arrow is white, those of opponents have their colour. In the place of a map, worlds
+    with a screen have the screen, with a ring where the player looks.
     """
     if worlds.screen[world, 3] > 0:
         return _draw_screen(worlds, scenery, world)
@@ -44,6 +46,11 @@ def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
         if zone[0] < zone[3]:
             page.rectangle(zone[[0, 1]], zone[[3, 4]], None, outline=(255, 255, 255))
     _draw_items(page, worlds, scenery, world)
+    for k in range(1, int(worlds.combat.fighters[world])):
+        if worlds.combat.status[world, k, TAGGED_AT] < 0:
+            x, y, yaw = worlds.combat.bodies[world, k, [X, Y, YAW]].tolist()
+            colour = _colour(scenery.scenes.colours[world, ITEMS, 0])
+            page.arrow(x, y, yaw, colour)
     body = worlds.bodies[world]
     page.arrow(float(body[X]), float(body[Y]), float(body[YAW]))
     return page.finished()
@@ -102,9 +109,9 @@ class _Page:
         ):
             self.pen.ellipse((left - far, top - far, left + far, top + far), colour)
 
-    def arrow(self, x: float, y: float, yaw: float) -> None:
+    def arrow(self, x: float, y: float, yaw: float, fill: Colour = (255, 255, 255)) -> None:
         left, top = self.at(x, y)
-        for size, colour in ((11.0 * _FINE, (0, 0, 0)), (8.5 * _FINE, (255, 255, 255))):
+        for size, colour in ((11.0 * _FINE, (0, 0, 0)), (8.5 * _FINE, fill)):
             corners = [
                 (
                     left + far * size * math.cos(yaw + turn),

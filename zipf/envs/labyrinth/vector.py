@@ -153,6 +153,8 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
             episode.picked_up(index)
         elif event == engine.ZONE:
             episode.entered(index)
+        elif event == engine.POINT:
+            episode.scored(index)
         elif event == engine.TIMER:
             episode.went_off(index)
         elif event == engine.LOOKED:

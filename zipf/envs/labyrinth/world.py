@@ -602,6 +602,9 @@ class Episode(ABC):
     def entered(self, zone: int) -> None:  # noqa: B027
         """The player has entered a zone."""
 
+    def scored(self, points: int) -> None:  # noqa: B027
+        """The player has won or lost a point in combat: 1 or -1."""
+
     def went_off(self, timer: int) -> None:  # noqa: B027
         """A timer has gone off."""
 
