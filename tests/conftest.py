@@ -15,7 +15,7 @@ from zipf.agents.unroll import Unroll
 from zipf.experiments.running import checkpoint
 
 PACKAGE = Path(__file__).parent.parent
-ANNOUNCED = "zipf: compiling the environments: up to half a minute, once\n"
+ANNOUNCED = "zipf: compiling the environments: a minute or so, once\n"
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -96,7 +96,7 @@ def test_where_no_folder_can_be_written_there_is_one_warning_and_no_cache(small:
 def test_compiling_is_announced_once_and_never_when_saved(small: Path) -> None:
     program = "kernel(1); kernel(1.5)"
     _, errors = finish(start(small, program))
-    assert errors == "zipf: compiling the environments: up to half a minute, once\n"
+    assert errors == "zipf: compiling the environments: a minute or so, once\n"
     assert finish(start(small, program))[1] == ""
     silenced = "import logging; logging.getLogger('zipf').setLevel('ERROR'); kernel(1j)"
     assert finish(start(small, silenced))[1] == ""

@@ -75,6 +75,7 @@ def test_chance_is_the_tasks_mean() -> None:
         found = envs.chance(name)
         assert found is not None
         assert found.score == pytest.approx(p @ random[::order])
+        assert found.by_rank == {"level": tuple(random[::order])}
     assert envs.chance("labyrinth/uniform", num_actions=9) is None
 
 

@@ -61,7 +61,7 @@ def fingerprint() -> str:
 
 @cache
 def _announce_once() -> None:
-    logging.getLogger("zipf").warning("zipf: compiling the environments: up to half a minute, once")
+    logging.getLogger("zipf").warning("zipf: compiling the environments: a minute or so, once")
 
 
 @cache

@@ -109,8 +109,9 @@ def chance(level: str, **options: Any) -> Chance | None:
     known = [one for one in of_tasks if one is not None]
     if len(known) < len(names):
         return None
-    mean = sum(float(p) * one.score for p, one in zip(probabilities, known, strict=True))
-    return Chance(mean, sum(one.episodes or 0 for one in known))
+    scores = tuple(one.score for one in known)
+    mean = float(np.dot(probabilities, scores))
+    return Chance(mean, sum(one.episodes or 0 for one in known), {"level": scores})
 
 
 def _split(name: str, order: str) -> Split:
