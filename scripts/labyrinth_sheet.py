@@ -26,14 +26,14 @@ GAP, CAPTION = 8, 22
 
 
 TITLES = {
-    "rooms_collect_good_objects_train": "take the good objects",
     "rooms_keys_doors_puzzle": "open doors with keys",
-    "rooms_watermaze": "find the hidden platform",
+    "language_select_described_object": "take what is described",
+    "lasertag_three_opponents_large": "tag the opponents",
     "natlab_varying_map_randomized": "gather mushrooms",
     "skymaze_irreversible_path_hard": "find the way down",
+    "psychlab_arbitrary_visuomotor_mapping": "learn where to look",
     "explore_object_locations_small": "collect all apples",
     "explore_obstructed_goals_small": "reach the goal through doors",
-    "explore_object_rewards_many": "find out what is good",
 }
 """Levels in the picture of the README, with what they are about."""
 WORLDS, STEPS = 6, 100

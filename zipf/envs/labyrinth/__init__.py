@@ -23,7 +23,7 @@ class LabyrinthOptions(Options):
 
 FAMILY = Family(
     name="labyrinth",
-    summary=f"{len(LEVELS)} of the 30 tasks of DMLab-30, in the first person",
+    summary="the 30 tasks of DMLab-30, in the first person",
     id="zipf/Labyrinth-v0",
     levels=(*LEVELS, *MIXTURES),
     check="zipf.envs.labyrinth.benchmark:check",
