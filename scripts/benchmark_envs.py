@@ -37,7 +37,7 @@ PLAYROOM = {
     "playroom/supervised/find_shape_zipf3": None,
 }
 """Levels to measure, with the steps per second that are the goal."""
-LABYRINTH_MEAN, LABYRINTH_EACH = 15000, 6000  # steps per second, the goals
+LABYRINTH_MEAN, LABYRINTH_EACH, MIXTURE = 15000, 6000, 10000  # steps per second, the goals
 UNITY_STEPS_PER_SECOND = 900 / 4  # the paper: about 900 frames/s with a GPU, four an action
 GOALS = {"batch of 256, out=": 450, "batch of 1024, out=": 250, "gym.make": 20}
 
@@ -290,6 +290,17 @@ def print_labyrinth(console: Console, repetitions: int, seconds: float) -> None:
     )
     together = statistics.harmonic_mean(speeds)
     table.add_row("the same steps on all levels", f"{together:,.0f}", "", f">= {LABYRINTH_MEAN:,}")
+    drawn = Parts("labyrinth/forward_zipf", 64, {}, "all")
+    drawn.stagger(120 * 15)
+    row = Row("forward_zipf", 64, drawn.run)
+    for _ in range(3 * repetitions):
+        row.measure(seconds)
+    table.add_row(
+        "forward_zipf, tasks drawn at resets",
+        f"{row.median:,.0f}",
+        f"{min(row.speeds):,.0f} .. {max(row.speeds):,.0f}",
+        f">= {MIXTURE:,}",
+    )
     console.print(table)
 
 
