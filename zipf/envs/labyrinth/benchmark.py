@@ -43,22 +43,17 @@ def law(name: str) -> tuple[str, NDArray[np.float64]] | None:
         except ValueError:
             raise _unknown(name) from None
     else:
-        check(name)
+        try:
+            by_name(name)
+        except ValueError:
+            raise _unknown(name) from None
         return None
     return order, distributions.by_name(distribution)(len(LEVELS))
 
 
 def check(name: str) -> None:
     """Raises ValueError if this is not a level, a task or one that draws them."""
-    if name in MIXTURES:
-        return
-    if name.startswith("zipf"):
-        law(name)
-        return
-    try:
-        by_name(name)
-    except ValueError:
-        raise _unknown(name) from None
+    law(name)
 
 
 def _unknown(name: str) -> ValueError:
@@ -104,7 +99,7 @@ def chance(level: str, **options: Any) -> Chance | None:
     if drawn is None:
         return references.chance(level, **options)
     order, probabilities = drawn
-    names = list(LEVELS)[:: -1 if order == "reversed" else 1]
+    names = _tasks(order)
     of_tasks = [references.chance(name, **options) for name in names]
     known = [one for one in of_tasks if one is not None]
     if len(known) < len(names):
@@ -114,8 +109,13 @@ def chance(level: str, **options: Any) -> Chance | None:
     return Chance(mean, sum(one.episodes or 0 for one in known), {"level": scores})
 
 
+def _tasks(order: str) -> list[str]:
+    """The tasks in an order, most frequent first."""
+    return list(LEVELS)[:: -1 if order == "reversed" else 1]
+
+
 def _split(name: str, order: str) -> Split:
-    names = list(LEVELS)[:: -1 if order == "reversed" else 1]
+    names = _tasks(order)
 
     def weighted(distribution: str) -> tuple[SplitLevel, ...]:
         probabilities = distributions.by_name(distribution)(len(names))

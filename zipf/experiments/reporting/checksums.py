@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting.csv_files import read_bytes, read_fields, read_lines
+from zipf.experiments.reporting.replacing import replace_text
 
 NAME = "checksums.json"
 FILES = ("run.json", "config.yaml")
@@ -69,9 +70,7 @@ def write(folder: Path, update: int, tables: Mapping[str, str] | None = None) ->
     if tables is None:
         tables = {name: _rows_until(folder / name, update) for name in TABLES}
     sums = Checksums(update=update, files=_files(folder), tables=dict(tables))
-    replacement = folder / f"{NAME}.new"
-    replacement.write_text(sums.model_dump_json(indent=2) + "\n", encoding="utf-8")
-    replacement.replace(folder / NAME)
+    replace_text(folder / NAME, sums.model_dump_json(indent=2) + "\n")
 
 
 def check(folder: Path) -> str | None:

@@ -20,6 +20,7 @@ from zipf import envs
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import checksums
 from zipf.experiments.reporting.csv_files import read_fields, read_lines
+from zipf.experiments.reporting.replacing import replace_text
 from zipf.experiments.running.evaluator import derive_seed
 from zipf.experiments.running.scoring import Evaluation, geometry, score
 
@@ -137,9 +138,9 @@ def record(
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _replace(folder / "run.json", json.dumps(description, indent=2) + "\n")
+        replace_text(folder / "run.json", json.dumps(description, indent=2) + "\n")
         for file, rows in tables.items():
-            _replace(folder / file, _with_rows(folder / file, update, rows))
+            replace_text(folder / file, _with_rows(folder / file, update, rows))
         checksums.write(folder, _last_update(folder / "evaluations.csv"))
     except OSError as error:
         raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
@@ -222,9 +223,3 @@ def _with_rows(path: Path, update: int, rows: Sequence[Mapping[str, Any]]) -> st
 def _last_update(path: Path) -> int:
     _, *rows = read_fields(path, read_lines(path)[0])
     return max(int(row[0]) for row in rows)
-
-
-def _replace(path: Path, text: str) -> None:
-    replacement = path.with_name(f"{path.name}.new")
-    replacement.write_text(text, encoding="utf-8")
-    replacement.replace(path)

@@ -13,6 +13,7 @@ from typing import Any
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting.checksums import hash_rows, row_bytes
 from zipf.experiments.reporting.csv_files import read_fields, read_lines
+from zipf.experiments.reporting.replacing import replace_text
 
 
 class ResultTable:
@@ -71,7 +72,7 @@ class ResultTable:
     def drop_later_rows(self) -> None:
         """Cuts the file to the rows that there were at the checkpoint."""
         if self._kept is not None:
-            _replace(self.path, self._kept)
+            replace_text(self.path, self._kept)
         self._kept = None
 
     @staticmethod
@@ -116,7 +117,7 @@ class ResultTable:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([*columns, *new])
         writer.writerows([*row, *([""] * len(new))] for row in rows)
-        _replace(self.path, text.getvalue())
+        replace_text(self.path, text.getvalue())
 
 
 def last_update(path: Path) -> str | None:
@@ -144,12 +145,6 @@ def _read(path: Path) -> tuple[list[str], list[list[str]], list[str], bool]:
                 f"{path}, line {number}: should begin with an update, not {row[0][:40]!r}"
             )
     return columns, rows, lines, torn
-
-
-def _replace(path: Path, text: str) -> None:
-    replacement = path.with_name(path.name + ".new")
-    replacement.write_text(text, encoding="utf-8", newline="")
-    replacement.replace(path)
 
 
 def _damaged(path: Path, update: int) -> UserError:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import json
-import os
 import platform
 import shlex
 import subprocess
@@ -25,6 +24,7 @@ from zipf import envs
 from zipf.experiments.config import Config, schema
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import results
+from zipf.experiments.reporting.replacing import replace_text
 from zipf.experiments.running import checkpoint
 from zipf.experiments.running.result_table import last_update
 
@@ -142,15 +142,9 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         "run.json": json.dumps(description, indent=2) + "\n",
     }
     for name, text in texts.items():
-        replacement = config.folder / f"{name}.new"
         try:
-            with open(replacement, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            replacement.replace(config.folder / name)
+            replace_text(config.folder / name, text)
         except OSError as error:
-            replacement.unlink(missing_ok=True)
             raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
 
 
