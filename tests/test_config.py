@@ -83,6 +83,8 @@ def test_every_condition_goes_with_every_experiment(experiment, condition):
         ("playroom_put", "r2d2", (5e-5, 0.99, 0.8, 400, 0.15, 20, 0.9)),
         ("gridworld", "r2d2", (3e-4, 0.9, 0.3, 10, 0.1, 3, 0.9)),
         ("gridworld", "r2d2_uniform_replay", (3e-4, 0.9, 0.3, 10, 0.1, 3, 0.9)),
+        ("labyrinth_forward", "r2d2", (3e-4, 0.997, 0.8, 400, 1e-3, 20, 0.9)),
+        ("labyrinth_reversed", "r2d2", (3e-4, 0.997, 0.8, 400, 1e-3, 20, 0.9)),
     ],
 )
 def test_the_papers_values_of_r2d2(experiment, condition, options):
@@ -103,7 +105,10 @@ def test_the_papers_values_of_r2d2(experiment, condition, options):
     )
 
 
-@pytest.mark.parametrize("experiment", ["gridworld", "playroom_lift", "playroom_put"])
+@pytest.mark.parametrize(
+    "experiment",
+    ["gridworld", "playroom_lift", "playroom_put", "labyrinth_forward", "labyrinth_reversed"],
+)
 def test_the_papers_values_of_vmpo(experiment):
     """Its table, as printed."""
     loaded = command_line.load([f"experiment={experiment}", "condition=vmpo"])
@@ -161,7 +166,31 @@ def test_the_papers_values_in_the_playroom(experiment, window):
         assert not changed.is_released_benchmark
 
 
-@pytest.mark.parametrize(("experiment", "patch"), [("demo", 9), ("playroom_lift_compact", 12)])
+@pytest.mark.parametrize("experiment", ["labyrinth_forward", "labyrinth_reversed"])
+def test_the_papers_values_in_the_labyrinth(experiment):
+    """Its IMPALA table, whose second column is the Labyrinth's."""
+    paper = command_line.load([f"experiment={experiment}"])
+    assert paper.environment.split == experiment
+    assert paper.environment.image_size == [72, 96]
+    assert paper.environment.action_repeat == 4
+    assert paper.agent.learning_rate == 1e-4
+    assert paper.agent.entropy_cost == 0.01
+    assert paper.agent.baseline_cost == 0.5
+    assert paper.agent.discount == 0.99
+    assert paper.collector.unroll_length == 128
+    assert paper.evaluation.episodes == 1000
+    assert paper.schedule.window == [200_000, 380_000]
+    assert paper.updates == 380_000
+    assert paper.is_released_benchmark
+    for other in ("image_size=[48,64]", "num_actions=9", "action_repeat=8", "max_steps=450"):
+        changed = command_line.load([f"experiment={experiment}", f"environment.{other}"])
+        assert not changed.is_released_benchmark
+
+
+@pytest.mark.parametrize(
+    ("experiment", "patch"),
+    [("demo", 9), ("playroom_lift_compact", 12), ("labyrinth_forward", 12)],
+)
 def test_the_compact_network_fits_every_family(experiment, patch):
     loaded = command_line.load([f"experiment={experiment}", "network=compact"])
     env = envs.make_vec(envs.split(loaded.environment.split).uniform[0], 1)

@@ -165,6 +165,8 @@ def test_a_mixture_is_saved_and_pickled() -> None:
         ({"num_actions": 15.0}, "num_actions must be 15 or 9, got 15.0"),
         ({"action_repeat": 0}, "action_repeat must be at least 1, got 0"),
         ({"action_repeat": 2.5}, "action_repeat must be a whole number"),
+        ({"max_steps": 0}, "max_steps must be at least 1, got 0"),
+        ({"max_steps": 2.5}, "max_steps must be a whole number"),
         ({"render_mode": "human"}, "render_mode must be one of"),
     ],
 )

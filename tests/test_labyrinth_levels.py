@@ -125,6 +125,18 @@ def test_other_action_repeats_have_the_same_length_in_time() -> None:
     assert steps + 1 == math.ceil(720 / 7)
 
 
+def test_episodes_can_be_cut_short() -> None:
+    env = batch(
+        "rooms_select_nonmatching_object", 1, action_repeat=7, max_steps=5,
+        autoreset_mode="Disabled",
+    )  # fmt: skip
+    env.reset(seed=0)
+    assert [wait(env)[1:] for _ in range(5)] == [(False, False)] * 4 + [(False, True)]
+    longer = batch("rooms_select_nonmatching_object", 1, max_steps=10_000)
+    longer.reset(seed=0)
+    assert longer.worlds.limit.tolist() == [720]
+
+
 @pytest.mark.parametrize(
     "level", ["rooms_collect_good_objects_train", "rooms_exploit_deferred_effects_train"]
 )

@@ -19,6 +19,7 @@ class LabyrinthOptions(Options):
     image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
     num_actions: Literal[15, 9] = 15  # ours: with the 9 of IMPALA no agent looks up or down
     action_repeat: Size = 4  # paper
+    max_steps: Size | None = None  # released loader: the level's own length
 
 
 FAMILY = Family(

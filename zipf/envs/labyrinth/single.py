@@ -86,6 +86,8 @@ class LabyrinthEnv(SingleWorld):
     - `image_size`: (height, width) of the image.
     - `num_actions`: 15 or 9, which table of actions.
     - `action_repeat`: for how many frames of 1/60 s an action is held.
+    - `max_steps`: after which an episode is truncated, if its level has not ended before; None: the
+      level's own length.
     - `render_mode`: `"rgb_array"` (672 x 288: the view, and the map from above) or None.
 
     ## Registered as
@@ -107,6 +109,7 @@ class LabyrinthEnv(SingleWorld):
         image_size: Sequence[int] = (72, 96),
         num_actions: int = 15,
         action_repeat: int = 4,
+        max_steps: int | None = None,
         render_mode: str | None = None,
     ) -> None:
         super().__init__(
@@ -115,5 +118,6 @@ class LabyrinthEnv(SingleWorld):
             image_size=image_size,
             num_actions=num_actions,
             action_repeat=action_repeat,
+            max_steps=max_steps,
             render_mode=render_mode,
         )

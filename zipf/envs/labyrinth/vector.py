@@ -40,6 +40,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         image_size: Sequence[int] = (72, 96),
         num_actions: int = 15,
         action_repeat: int = 4,
+        max_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
         render_mode: str | None = None,
@@ -51,6 +52,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
             known = " or ".join(map(str, TABLES))
             raise ValueError(f"num_actions must be {known}, got {num_actions!r}")
         self.action_repeat = whole("action_repeat", action_repeat, 1)
+        self.max_steps = None if max_steps is None else whole("max_steps", max_steps, 1)
         super().__init__(
             num_envs,
             single_observation_space=spaces.Dict(
@@ -89,9 +91,15 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         maps = [draw_map(self.worlds, self._scenery, i) for i in range(self.num_envs)]
         return tuple(np.hstack(pair) for pair in zip(views, maps, strict=True))
 
+    def _frames(self, level: Level) -> int:
+        """Frames of an episode of a level."""
+        if self.max_steps is None:
+            return level.frames
+        return min(level.frames, self.max_steps * self.action_repeat)
+
     def _steps(self, level: Level) -> int:
         """The most steps of an episode of a level."""
-        return -(-level.frames // self.action_repeat)
+        return -(-self._frames(level) // self.action_repeat)
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         for i in np.flatnonzero(mask).tolist():
@@ -105,7 +113,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
             self._scenery.clear(i)
             self._part[i] = 0
             self._maps[i] = 0
-            self.worlds.limit[i] = self.level.frames
+            self.worlds.limit[i] = self._frames(self.level)
             world = World(self.worlds, self._scenery, i, self._rewards)
             self.episodes[i] = self._rules(world, self._generator(i))
             self._begin_map(i)
@@ -175,7 +183,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
 
     def _engine(self) -> Hashable:
         shape = self.single_observation_space["image"].shape
-        return shape, int(self.single_action_space.n), self.action_repeat
+        return shape, int(self.single_action_space.n), self.action_repeat, self.max_steps
 
     def _use_engine(self, other: Self) -> None:
         level, rules = self.level, self._rules
