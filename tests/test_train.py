@@ -30,7 +30,7 @@ from worlds_of import chosen, needs
 
 import zipf.envs.family
 from zipf import envs, evaluate
-from zipf.experiments import command_line
+from zipf.experiments import command_line, composing
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder, runner
@@ -47,15 +47,39 @@ def possible(experiment: str, condition: str) -> bool:
     return needs(experiment, agent, auxiliary) is None
 
 
-TRAINED = [
-    (experiment, condition)
-    for experiment in command_line.choices("experiment")
-    for condition in command_line.choices("condition")
-    if possible(experiment, condition)
-]
+def trained() -> list[tuple[str, str]]:
+    """Pairs of experiment and condition: every condition with the shortest experiment of each
+    family that it is possible with, and every experiment with at least one condition.
+
+    `test_config.py` composes all pairs.
+    """
+    shortest: dict[tuple[str, str], str] = {}
+    experiments = sorted(command_line.choices("experiment"), key=updates_of)
+    conditions = command_line.choices("condition")
+    for experiment in experiments:
+        family = family_of(experiment)
+        for condition in conditions:
+            if (family, condition) not in shortest and possible(experiment, condition):
+                shortest[family, condition] = experiment
+    pairs = [(experiment, condition) for (_, condition), experiment in shortest.items()]
+    left = [experiment for experiment in experiments if experiment not in dict(pairs)]
+    return pairs + [(experiment, "impala") for experiment in left]
 
 
-@pytest.mark.parametrize(("experiment", "condition"), TRAINED)
+def updates_of(experiment: str) -> int:
+    return composing.composed(f"experiment={experiment}").values["updates"]
+
+
+def family_of(experiment: str) -> str:
+    split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
+    return next(
+        family.name
+        for family in envs.families().values()
+        if split in [one.name for one in family.splits]
+    )
+
+
+@pytest.mark.parametrize(("experiment", "condition"), trained())
 def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path):
     """Two updates; the same from a checkpoint after the first, bit for bit; a score of the last."""
     arguments = [
@@ -66,7 +90,7 @@ def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path)
         "device=cpu",
         "collector.num_envs=3",
         "collector.unroll_length=4",
-        "evaluation.episodes=4",
+        "evaluation.episodes=2",
         "schedule.log_every=1",
         "memory.size=8",
         "environment.max_steps=6",
@@ -96,11 +120,11 @@ def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path)
     evaluations = pd.read_csv(whole.folder / "evaluations.csv")
     assert list(evaluations["update"]) == [0] * len(scored) + [2] * len(scored)
     assert list(zip(evaluations["level_kind"], evaluations["level"], strict=True)) == scored * 2
-    assert (evaluations["episodes"] == 4).all()
+    assert (evaluations["episodes"] == 2).all()
     situations = pd.read_csv(whole.folder / "situations.csv")
     played = situations.groupby(["update", "level_kind"])["episodes"].sum()
     for (_, kind), episodes in played.items():
-        assert episodes == 4 * len(split.levels(kind))
+        assert episodes == 2 * len(split.levels(kind))
     description = run_folder.read_description(whole.folder)
     assert [(one["level_kind"], one["level"]) for one in description["levels"]] == scored
     assert description["experiment"] == experiment
@@ -551,7 +575,7 @@ def test_what_cannot_be_compiled_is_one_line(trained, monkeypatch):
 
 FULL_DISK = """
 import resource, sys
-from zipf.experiments import command_line
+from zipf.experiments import command_line, composing
 from zipf.experiments.running import runner
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
