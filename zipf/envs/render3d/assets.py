@@ -1,5 +1,6 @@
 """Textures and meshes, laid out as the compiled functions read them."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -45,8 +46,9 @@ def pack_textures(textures: NDArray[np.uint8]) -> NDArray[np.uint32]:
         level += 1
 
 
+@cache
 def prepare_meshes(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
-    """An atlas as the fields of `arrays.Meshes`."""
+    """An atlas as the fields of `arrays.Meshes`, which all its renderers share."""
     owner = np.repeat(np.arange(len(meshes.names)), np.diff(meshes.first_triangle))
     corners = meshes.vertices[meshes.triangles].astype(np.float64)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MeshAtlas:
     """Meshes in shared arrays, of which mesh i owns a half-open range each.
 
