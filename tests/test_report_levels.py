@@ -26,7 +26,7 @@ from run_folders import (
 )
 
 from zipf import envs, report
-from zipf.experiments.reporting import captions, markdown, paper, statistics
+from zipf.experiments.reporting import captions, markdown, paper, results, statistics, tables
 
 PUTTING = envs.split("playroom_put")
 LIFTING = envs.split("playroom_lift")
@@ -383,6 +383,13 @@ def test_scores_are_capped_only_across_levels_that_are_all_normalised(
     table = only_table(tmp_path)
     assert not table.is_capped
     assert "apped" not in markdown.markdown(table)
+
+
+def test_scores_in_different_units_do_not_share_a_table(tmp_path: Path) -> None:
+    returns = [{**one, "normalised": False} for one in HUMAN_TASKS]
+    write_run(tmp_path, constant(0.5, 7), levels=HUMAN_TASKS, paper=None)
+    write_run(tmp_path, constant(0.5, 7), condition="r2d2", levels=returns, paper=None)
+    assert len(tables.score_tables(results.load_runs([tmp_path]))) == 2
 
 
 def test_the_caption_says_what_the_error_is(tmp_path: Path) -> None:

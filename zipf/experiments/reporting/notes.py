@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from zipf.experiments.reporting.paper import LEVEL_KINDS
@@ -61,7 +62,7 @@ def _reference_notes(runs: Sequence[Run], name: str) -> list[str]:
                 continue
             score = level.references[name].score
             known, other = first.setdefault((level.level_kind, level.level), (score, run))
-            if known != score:
+            if not math.isclose(known, score, rel_tol=1e-9, abs_tol=1e-12):  # of other machines
                 names = " and ".join(sorted((run.label, other.label)))
                 return [f"{names} disagree about {name}: the first known value is shown."]
     return []
