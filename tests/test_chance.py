@@ -56,6 +56,13 @@ def test_an_unknown_reference_is_refused() -> None:
     assert "oracles" not in envs.families()
 
 
+def test_every_reference_that_a_family_names_is_known_of_a_level() -> None:
+    for family in envs.families().values():
+        for of in family.references:
+            levels = (f"{family.name}/{level}" for level in family.levels)
+            assert any(reference(of, level) for level in levels), (family.name, of)
+
+
 # A blind policy
 
 
