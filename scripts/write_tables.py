@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from zipf import envs
-from zipf.envs.labyrinth import references
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.experiments import catalogue, composing
 
@@ -71,12 +70,13 @@ def levels(family: str) -> list[str]:
         for kind in envs.KINDS:
             for level in split.levels(kind):
                 uses.setdefault(level.name, []).append(f"{code(split.name)} ({kind})")
+    known = [one for one in envs.REFERENCES if one.name in found.references]
     rows = []
     for name in (f"{family}/{level}" for level in found.levels):
-        known = (envs.chance(name), envs.blind(name))
-        scores = ("" if one is None else f"{one.score:.3f}" for one in known)
-        rows.append((code(name), ", ".join(uses.get(name, [])), *scores))
-    return markdown(("Level", "Used by split", "Chance", "Blind"), rows)
+        scores = (envs.reference(one.name, name) for one in known)
+        texts = ("" if score is None else f"{score.score:.3f}" for score in scores)
+        rows.append((code(name), ", ".join(uses.get(name, [])), *texts))
+    return markdown(("Level", "Used by split", *(one.title for one in known)), rows)
 
 
 def labyrinth() -> list[str]:
@@ -93,13 +93,15 @@ def labyrinth() -> list[str]:
 
 
 def labyrinth_references() -> list[str]:
-    """What random actions, experts and people score in the labyrinth."""
+    """What players that do not learn, and people, score in the labyrinth."""
+    known = [one for one in envs.REFERENCES if one.name in envs.find_family("labyrinth").references]
     rows = []
     for name, level in LEVELS.items():
-        own = references.measured()[name]
-        both = (f"{one.mean:.1f} ± {one.error:.1f}" for one in (own.random, own.expert))
-        rows.append((code(name), f"{level.random:g}", f"{level.human:g}", *both))
-    return markdown(("Level", "Random, published", "Human, published", "Random", "Expert"), rows)
+        scores = (envs.reference(one.name, f"labyrinth/{name}") for one in known)
+        texts = ("" if one is None else f"{one.score:.1f} ± {one.error:.1f}" for one in scores)
+        rows.append((code(name), f"{level.random:g}", f"{level.human:g}", *texts))
+    titles = (one.title for one in known)
+    return markdown(("Level", "Random, published", "Human, published", *titles), rows)
 
 
 def constructor_options(family: str) -> list[str]:

@@ -37,20 +37,28 @@ def level(
     weight: float = 1.0,
     chance: float | None = None,
     episodes: Any = None,
-    blind: float | None = None,
     by_rank: Mapping[str, Sequence[float]] | None = None,
+    normalised: bool = False,
+    **references: float,
 ) -> dict[str, Any]:
-    """A level as `run.json` describes it."""
+    """A level as `run.json` describes it; `references` other than chance are exact."""
+    known = {name: reference(score) for name, score in references.items()}
+    if chance is not None:
+        known["chance"] = reference(chance, episodes, by_rank)
     return {
         "level_kind": kind,
         "level": name,
         "weight": weight,
-        "chance": chance,
-        "chance_episodes": episodes,
-        "chance_by_rank": by_rank or {},
-        "blind": blind,
-        "blind_by_rank": {},
+        "normalised": normalised,
+        "references": known,
     }
+
+
+def reference(
+    score: float, episodes: Any = None, by_rank: Mapping[str, Sequence[float]] | None = None
+) -> dict[str, Any]:
+    """A reference as `run.json` describes it."""
+    return {"score": score, "episodes": episodes, "by_rank": by_rank or {}}
 
 
 def gridworld(chance: Mapping[str, float | None] = CHANCE) -> list[dict[str, Any]]:

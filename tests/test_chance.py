@@ -1,4 +1,4 @@
-"""The scores of policies that do not learn: of random actions, and of a blind policy."""
+"""References: the scores of players that do not learn."""
 
 import json
 import sys
@@ -8,27 +8,59 @@ import numpy as np
 import pytest
 
 from zipf import envs
-from zipf.envs.random_play import Chance, measure, measured
+from zipf.envs import ReferenceScore, reference, references
+from zipf.envs.random_play import measure
+from zipf.envs.references import measured
 
 
 def test_what_was_measured_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     package = tmp_path / "family_of_this_test"
     package.mkdir()
-    (package / "__init__.py").write_text("")
-    figures = [
-        {"score": 0.25, "episodes": 400, "options": {"max_steps": 900, "order": "usual"}},
-        {"score": 0.1, "episodes": 300, "options": {"max_steps": 90, "order": "usual"}},
-    ]
-    (package / "chance.json").write_text(json.dumps({"lift/easy": figures}))
+    (package / "__init__.py").write_text(
+        "from zipf.envs.family import Family\n"
+        "from zipf.options import Options\n"
+        "class Sizes(Options):\n"
+        "    max_steps: int = 900\n"
+        "    order: str = 'usual'\n"
+        "FAMILY = Family(name='a', summary='', levels=(), make_vec='', options=Sizes)\n"
+    )
     monkeypatch.syspath_prepend(tmp_path)
-    chance = measured(package.name)
-    assert chance("lift/easy") == Chance(0.25, 400)
-    assert chance("lift/easy", max_steps=900, order="usual") == Chance(0.25, 400)
-    assert chance("lift/easy", max_steps=90) == Chance(0.1, 300)
+    assert measured(package.name, "expert")("lift/easy") is None
+    references._figures.cache_clear()
+    figures = [
+        {"score": 0.25, "error": 0.02, "episodes": 400, "options": {}},
+        {"score": 0.1, "error": 0.01, "episodes": 300, "options": {"max_steps": 90}},
+    ]
+    (package / "references.json").write_text(json.dumps({"chance": {"lift/easy": figures}}))
+    chance = measured(package.name, "chance")
+    by_default = ReferenceScore(0.25, 400, error=0.02)
+    assert chance("lift/easy") == by_default
+    assert chance("lift/easy", max_steps=900, order="usual") == by_default
+    assert chance("lift/easy", max_steps=90) == ReferenceScore(0.1, 300, error=0.01)
+    assert chance("lift/easy", max_steps=90, order="other") is None
+    assert measured(package.name, "expert")("lift/easy") is None
     assert chance("lift/easy", max_steps=10) is None
     assert chance("lift/easy", gravity=0) is None
     assert chance("lift/hard") is None
     sys.modules.pop(package.name)
+
+
+def test_an_unknown_reference_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"unknown reference 'expart' \(did you mean 'expert'\?\)"):
+        reference("expart", "gridworld/uniform")
+    family = envs.Family(
+        name="oracles", summary="", levels=("a",), make_vec="", references={"oracle": "a:b"}
+    )
+    with pytest.raises(ValueError, match="unknown reference 'oracle': expected one of chance, "):
+        envs.register(family)
+    assert "oracles" not in envs.families()
+
+
+def test_every_reference_that_a_family_names_is_known_of_a_level() -> None:
+    for family in envs.families().values():
+        for of in family.references:
+            levels = (f"{family.name}/{level}" for level in family.levels)
+            assert any(reference(of, level) for level in levels), (family.name, of)
 
 
 # A blind policy
@@ -47,18 +79,20 @@ def test_what_a_blind_policy_scores() -> None:
         "playroom/supervised/find_shape_uniform_rare": 1 / 2 + 1 / 10 / 2,
     }
     for level, score in expected.items():
-        blind = envs.blind(level)
+        blind = reference("blind", level)
         assert blind is not None
         assert blind.score == pytest.approx(score)
         assert blind.episodes is None
     zipf3 = np.arange(1, 51) ** -3.0 / (np.arange(1, 51) ** -3.0).sum()
-    coin = envs.blind("playroom/supervised/find_shape_zipf3", max_steps=100, image_size=(9, 9))
+    coin = reference(
+        "blind", "playroom/supervised/find_shape_zipf3", max_steps=100, image_size=(9, 9)
+    )
     assert coin is not None
     assert coin.score == pytest.approx(0.5 + (zipf3**2).sum() / 2)
     assert coin.score == pytest.approx(0.852, abs=5e-4)
-    assert envs.blind(envs.SplitLevel("gridworld/uniform", options={"num_objects": 5})) == Chance(
-        0.2, by_rank={"map": (0.2,) * 20, "target": (1.0, 0.0, 0.0, 0.0, 0.0)}
-    )
+    five = envs.SplitLevel("gridworld/uniform", options={"num_objects": 5})
+    by_rank = {"map": (0.2,) * 20, "target": (1.0, 0.0, 0.0, 0.0, 0.0)}
+    assert reference("blind", five) == ReferenceScore(0.2, by_rank=by_rank)
 
 
 @pytest.mark.parametrize(
@@ -77,19 +111,19 @@ def test_the_expert_without_the_instruction_scores_as_a_blind_policy(
     played = measure(
         BlindExpert, f"playroom/{level}", episodes=episodes, num_envs=episodes, image_size=(1, 1)
     )
-    blind = envs.blind(f"playroom/{level}")
+    blind = reference("blind", f"playroom/{level}")
     assert blind is not None
     sigma = np.sqrt(blind.score * (1 - blind.score) / episodes)
     assert abs(played.score - blind.score) < 3 * sigma
 
 
 @pytest.mark.parametrize("name", sorted(envs.families()))
-@pytest.mark.parametrize("reference", [envs.chance, envs.blind])
-def test_what_is_known_by_rank_agrees_with_the_score(name: str, reference) -> None:
+@pytest.mark.parametrize("of", [one.name for one in envs.REFERENCES])
+def test_what_is_known_by_rank_agrees_with_the_score(name: str, of: str) -> None:
     """Weighted by how often a rank is drawn, where all are drawn alike."""
     family = envs.find_family(name)
     for level in family.levels:
-        known = reference(f"{name}/{level}")
+        known = reference(of, f"{name}/{level}")
         if known is None or "uniform" not in level:
             continue
         env = envs.make_vec(f"{name}/{level}", 1)

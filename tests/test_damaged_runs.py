@@ -48,7 +48,7 @@ DESCRIPTIONS = {
     "a list": of_json(lambda described: [described]),
     "null": lambda content: b"null",
     "no levels": of_json(lambda described: {**described, "levels": 5}),
-    "levels without chance": of_json(lambda described: {**described, "levels": [{}]}),
+    "empty levels": of_json(lambda described: {**described, "levels": [{}]}),
     "levels of another run": of_json(
         lambda described: {
             **described,
@@ -57,7 +57,12 @@ DESCRIPTIONS = {
     ),
     "another seed": of_json(lambda described: {**described, "seed": 7}),
     "no situation": of_json(lambda described: {**described, "situation": {}}),
-    "no chance": of_json(lambda described: {**described, "chance": None}),
+    "no references": of_json(
+        lambda described: {
+            **described,
+            "levels": [{**one, "references": None} for one in described["levels"]],
+        }
+    ),
     "resumed by a number": of_json(lambda described: {**described, "resumed": 5}),
 }
 OPTIONS = {

@@ -1,11 +1,12 @@
 import tracemalloc
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from zipf.envs import ZipfVectorEnv, all_splits, chance, make, make_vec, split
+from zipf.envs import ZipfVectorEnv, all_splits, make, make_vec, reference, split
 
 
 @pytest.mark.parametrize("name", list(all_splits()))
@@ -51,7 +52,9 @@ def test_options_reach_the_environment() -> None:
         ("", "expected one of gridworld/zipf_2"),
     ],
 )
-@pytest.mark.parametrize("function", [make, lambda level: make_vec(level, 2), chance])
+@pytest.mark.parametrize(
+    "function", [make, lambda level: make_vec(level, 2), partial(reference, "chance")]
+)
 def test_unknown_levels_name_the_nearest(function: Any, level: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         function(level)

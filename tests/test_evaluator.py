@@ -3,11 +3,13 @@
 import subprocess
 import sys
 
+import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
 
 from zipf import envs, evaluate
+from zipf.envs import ZipfVectorEnv, pcg64
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.experiments.running import evaluator, scoring
 
@@ -71,7 +73,7 @@ def test_the_first_episodes_to_start_are_the_ones_scored(num_envs):
 
 def test_short_episodes_are_not_over_counted():
     """Random play on the small world scores what is known exactly, whatever the batch."""
-    chance = envs.chance("gridworld/uniform", **SMALL).score
+    chance = envs.reference("chance", "gridworld/uniform", **SMALL).score
     for num_envs in (7, 1000):
         env = envs.make_vec("gridworld/uniform", num_envs, **SMALL)
         policy = Plays(random_policy(0))
@@ -260,6 +262,84 @@ def test_one_mixture_serves_all_levels(monkeypatch):
     ]  # fmt: skip
     for result in results[3:]:
         pd.testing.assert_frame_equal(result.episodes, by_level[result.level])
+
+
+class Tasks(ZipfVectorEnv):
+    """Two tasks: a short one whose episodes have one step and return 0, and one ten times as long
+    whose episodes return 1. On level `both` one of them is drawn at every reset."""
+
+    def __init__(self, num_envs, level="both", **options):
+        super().__init__(
+            num_envs,
+            single_observation_space=gym.spaces.Dict(nothing=gym.spaces.Box(0, 1, (1,))),
+            single_action_space=gym.spaces.Discrete(2),
+            situation={"task": 2},
+            **options,
+        )
+        shares = {"short": [1.0, 0.0], "long": [0.0, 1.0], "both": [0.5, 0.5]}
+        self.cumulative = pcg64.cumulative(np.array(shares[level]))
+        self.tasks = np.zeros(num_envs, np.int64)
+
+    def _begin(self, mask, forced):
+        for i in np.flatnonzero(mask):
+            self.tasks[i] = pcg64.choice(self._streams[i], self.cumulative)
+
+    def _advance(self, actions, mask):
+        ended = self._lengths >= np.where(self.tasks == 0, 1, 10)
+        reward = (ended & (self.tasks == 1)).astype(np.float64)
+        return reward, ended, np.zeros_like(ended), reward > 0
+
+    def _observe(self, out, mask):
+        out["nothing"][mask] = 0
+
+    def _situations(self):
+        return {"task": self.tasks.copy()}
+
+    def _get_worlds(self):
+        return {"tasks": self.tasks}
+
+    def _set_worlds(self, state):
+        self.tasks[:] = state["tasks"]
+
+
+def first_to_finish(env, episodes, seed):
+    """The mean return of the first episodes to end, which is not what the evaluator counts."""
+    env.reset(seed=seed)
+    returns = []
+    while len(returns) < episodes:
+        _, _, terminated, _, info = env.step(np.zeros(env.num_envs, np.int64))
+        if terminated.any():
+            returns += list(info["final_info"]["return"][terminated])
+    return np.mean(returns[:episodes])
+
+
+@pytest.mark.parametrize("draw", ["worlds", "resets"])
+def test_lengths_do_not_matter(monkeypatch, draw):
+    """Long episodes count as much as short ones, of a level and of a kind of several levels."""
+    known = envs.Family(name="tasks", summary="", levels=("short", "long", "both"), make_vec=Tasks)
+    monkeypatch.setitem(envs.family._FAMILIES, "tasks", known)
+    split = envs.Split(
+        "tasks",
+        (envs.SplitLevel("tasks/short", 3.0), envs.SplitLevel("tasks/long", 1.0)),
+        ("tasks/short", "tasks/long"),
+        "tasks/both",
+        draw=draw,
+    )
+    episodes, sigma = 400, 0.5 / np.sqrt(400)
+    policy = Plays(lambda observation: np.zeros(len(observation["nothing"]), np.int64))
+    results = evaluator.evaluate(policy, split, episodes=episodes, num_envs=400, seed=3)
+    assert [len(result.episodes) for result in results] == [episodes] * 5
+    assert [result.score for result in results[:4]] == [0, 1, 0, 1]
+    assert evaluator.scores(results) == {
+        "train": 0.25,
+        "uniform": 0.5,
+        "rare": pytest.approx(0.5, abs=4 * sigma),
+    }
+    both = results[4].episodes
+    assert both["return"].tolist() == both["task"].tolist()
+    assert both["length"].tolist() == (1 + 9 * both["task"]).tolist()
+    naive = first_to_finish(envs.make_vec("tasks/both", 400), episodes, seed=3)
+    assert naive < 0.5 - 5 * sigma
 
 
 def test_levels_with_options_of_their_own_have_worlds_of_their_own():

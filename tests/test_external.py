@@ -50,7 +50,9 @@ def test_a_record_is_a_run_that_the_report_reads(tmp_path):
     assert [level.level for level in description.levels] == [
         *("gridworld/zipf_2", "gridworld/uniform", "gridworld/rare")
     ]
-    assert description.levels[0].chance == envs.chance("gridworld/zipf_2", **DEMO).score
+    assert description.levels[0].references["chance"].score == (
+        envs.reference("chance", "gridworld/zipf_2", **DEMO).score
+    )
     assert description.paper is None
     rows = run.evaluations.set_index("level_kind")
     for kind, score in evaluation.scores.items():
@@ -118,13 +120,13 @@ def test_chance_is_measured_once_on_request(tmp_path, monkeypatch):
     options = {"name": "Theirs", **PLAY, **DEMO}
     evaluate.record(policy, own, tmp_path / "unknown", frames=1, **options)
     levels = json.loads((tmp_path / "unknown" / "run.json").read_text())["levels"]
-    assert levels[0]["chance"] is None
-    assert levels[1]["chance"] is not None
+    assert "chance" not in levels[0]["references"]
+    assert {"chance", "blind", "expert"} == levels[1]["references"].keys()
     evaluate.record(policy, own, tmp_path / "known", frames=1, chance_episodes=20, **options)
     levels = json.loads((tmp_path / "known" / "run.json").read_text())["levels"]
-    assert levels[0]["chance_episodes"] == 20
-    assert levels[1]["chance_episodes"] is None
-    monkeypatch.delattr(envs, "chance")  # which is how chance is looked up
+    assert levels[0]["references"]["chance"]["episodes"] == 20
+    assert levels[1]["references"]["chance"]["episodes"] is None
+    monkeypatch.delattr(envs, "reference")  # which is how chance is looked up
     evaluate.record(policy, own, tmp_path / "known", frames=2, chance_episodes=20, **options)
     assert json.loads((tmp_path / "known" / "run.json").read_text())["levels"] == levels
 

@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chisquare
 
-from zipf.envs import chance, distributions, make, make_vec
-from zipf.envs.gridworld import looks
+from zipf.envs import distributions, make, make_vec, reference
+from zipf.envs.gridworld import expert, looks
 from zipf.envs.gridworld.chance import destinations, random_policy
 from zipf.envs.gridworld.maps import MOVES, PAD, Maps, build_maps
 from zipf.envs.gridworld.single import GridworldEnv
@@ -273,7 +273,7 @@ def test_the_law_test_can_fail() -> None:
 def test_chance_is_known(level: str, success: float, timeout: float, length: float) -> None:
     p = distributions.by_name(level)(20)
     exact = random_policy(build_maps())
-    known = chance(f"gridworld/{level}")
+    known = reference("chance", f"gridworld/{level}")
     assert known is not None
     assert round(known.score, 4) == success
     assert known.episodes is None
@@ -314,10 +314,32 @@ def test_random_actions_do_as_computed(level: str) -> None:
         assert abs(sample.mean() - expected) < 4 * error
 
 
+def test_the_expert_scores_as_computed() -> None:
+    """Every situation is played once: the expert's actions are not random."""
+    for max_steps in (9, 100):
+        exact = expert.reached(build_maps(), max_steps)
+        env = make_vec("gridworld/uniform", 400, max_steps=max_steps, autoreset_mode="Disabled")
+        maps, targets = np.divmod(np.arange(400), 20)
+        env.reset(seed=0, options={"map": maps, "target": targets})
+        player = expert.Expert(env)
+        success = np.zeros(400, np.bool_)
+        for _ in range(max_steps):
+            *_, info = env.step(player())
+            if "_success" in info:
+                success[info["_success"]] = info["success"][info["_success"]]
+                env.reset(options={"reset_mask": info["_success"], "map": maps, "target": targets})
+        np.testing.assert_array_equal(success.reshape(20, 20), exact)
+        known = reference("expert", "gridworld/uniform", max_steps=max_steps)
+        assert known is not None
+        assert known.score == pytest.approx(exact.mean())
+        assert exact.all() == (max_steps == 100)
+
+
 def test_chance_of_other_sizes() -> None:
     options = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5}
-    expected = chance("gridworld/uniform", **options)
-    assert expected == chance("gridworld/uniform", **options, observation="tiles", copy=False)
+    expected = reference("chance", "gridworld/uniform", **options)
+    other_looks = {"observation": "tiles", "copy": False}
+    assert expected == reference("chance", "gridworld/uniform", **options, **other_looks)
     exact = random_policy(build_maps(5, (2, 2), (3, 3), 5))
     assert expected is not None
     assert expected.score == pytest.approx(exact.success.mean())

@@ -122,15 +122,15 @@ def test_worlds_keep_the_contract() -> None:
 
 def test_chance_is_known_once_it_is_measured() -> None:
     zipf.envs.register(over())
-    assert zipf.envs.chance("goal/zipf_1") is None
+    assert zipf.envs.reference("chance", "goal/zipf_1") is None
     measured = measure_chance("goal/zipf_1", episodes=4000)
     assert measured.episodes == 4000
     assert measured.score == pytest.approx(1 - 0.9**3, abs=0.02)
     assert measure_chance("goal/zipf_1", episodes=4000) == measured
     assert measure_chance("goal/zipf_1", episodes=4000, seed=1) != measured
     zipf.envs.register(over(name="other", chance={"zipf_1": measured}))
-    assert zipf.envs.chance("other/zipf_1") == measured
-    assert zipf.envs.chance("other/uniform") is None
+    assert zipf.envs.reference("chance", "other/zipf_1") == measured
+    assert zipf.envs.reference("chance", "other/uniform") is None
 
 
 class Coin(Goal):

@@ -6,7 +6,7 @@ from scipy import stats
 
 from zipf import envs
 from zipf.envs import make, make_vec
-from zipf.envs.labyrinth import benchmark, references
+from zipf.envs.labyrinth import benchmark
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.mixture import Mixture
 
@@ -68,15 +68,19 @@ def test_splits() -> None:
             assert one.score([level.random]) == pytest.approx(0)
 
 
-def test_chance_is_the_tasks_mean() -> None:
-    random = [references.measured()[name].random.mean for name in LEVELS]
+@pytest.mark.parametrize("of", ["chance", "expert"])
+def test_references_are_the_tasks_mean(of: str) -> None:
+    every = [envs.reference(of, f"labyrinth/{name}") for name in LEVELS]
+    scores = [one.score for one in every if one is not None]
+    errors = np.array([one.error for one in every if one is not None])
     for name, order in (("labyrinth/forward_zipf", 1), ("labyrinth/reversed_zipf", -1)):
         p = envs.distributions.zipfian(len(LEVELS), 1)
-        found = envs.chance(name)
+        found = envs.reference(of, name)
         assert found is not None
-        assert found.score == pytest.approx(p @ random[::order])
-        assert found.by_rank == {"level": tuple(random[::order])}
-    assert envs.chance("labyrinth/uniform", num_actions=9) is None
+        assert found.score == pytest.approx(p @ scores[::order])
+        assert found.by_rank == {"level": tuple(scores[::order])}
+        assert found.error == pytest.approx(np.sqrt((p**2) @ (errors[::order] ** 2)))
+    assert envs.reference(of, "labyrinth/uniform", num_actions=9) is None
 
 
 def test_experts_play_all_tasks() -> None:

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from labyrinth_levels import REWARDS, batch, play_out, record_rewards
 
-from zipf import envs
-from zipf.envs import Chance, expert
-from zipf.envs.labyrinth import references
+from zipf.envs import expert, reference
 from zipf.envs.labyrinth.levels import LEVELS
 
 FLOORS = {
@@ -91,31 +89,34 @@ def test_the_expert_needs_fifteen_actions() -> None:
 
 
 def test_every_level_was_measured() -> None:
-    found = references.measured()
-    assert list(found) == list(LEVELS)
-    for level, both in found.items():
-        for one in (both.random, both.expert):
-            assert one.episodes >= 200
+    for name, level in LEVELS.items():
+        chance, expert = (reference(of, f"labyrinth/{name}") for of in ("chance", "expert"))
+        assert chance is not None
+        assert expert is not None
+        for one in (chance, expert):
+            assert (one.episodes or 0) >= 200
+            assert one.error is not None
             assert one.error >= 0
-        assert both.expert.mean > both.random.mean + 5 * both.random.error
-        assert both.expert.mean >= FLOORS[level]
+        assert chance.error is not None
+        assert expert.score > chance.score + 5 * chance.error
+        assert expert.score >= FLOORS[name]
         # Random actions score as published, within a factor of 3 (or 1 near 0), as far as is known
         # by the standard error, except where the original's map is not known.
-        low, high = sorted((LEVELS[level].random / 3, LEVELS[level].random * 3))
-        margin = 1 + 2 * both.random.error
-        if level != "natlab_fixed_large_map":
-            assert low - margin <= both.random.mean <= high + margin
+        low, high = sorted((level.random / 3, level.random * 3))
+        margin = 1 + 2 * chance.error
+        if name != "natlab_fixed_large_map":
+            assert low - margin <= chance.score <= high + margin
 
 
-def test_chance_is_that_of_what_was_measured() -> None:
-    measured = references.measured()["rooms_watermaze"].random
-    expected = Chance(measured.mean, measured.episodes)
-    for options in ({}, {"image_size": (5, 5)}, {"num_actions": 15, "action_repeat": 4}):
-        assert envs.chance("labyrinth/rooms_watermaze", **options) == expected
-    assert envs.chance("labyrinth/rooms_watermaze", num_actions=9) is None
-    assert envs.chance("labyrinth/rooms_watermaze", action_repeat=1) is None
-    hard = envs.chance("labyrinth/skymaze_irreversible_path_hard_v2")
-    assert hard == envs.chance("labyrinth/skymaze_irreversible_path_hard")
+def test_references_are_known_for_what_was_measured() -> None:
+    expected = reference("chance", "labyrinth/rooms_watermaze")
+    assert expected is not None
+    for options in ({"image_size": (5, 5)}, {"num_actions": 15, "action_repeat": 4}):
+        assert reference("chance", "labyrinth/rooms_watermaze", **options) == expected
+    for other in ({"num_actions": 9}, {"action_repeat": 1}):
+        assert reference("chance", "labyrinth/rooms_watermaze", **other) is None
+    hard = reference("expert", "labyrinth/skymaze_irreversible_path_hard_v2")
+    assert hard == reference("expert", "labyrinth/skymaze_irreversible_path_hard")
 
 
 def test_the_references_come_from_one_command(
@@ -123,20 +124,27 @@ def test_the_references_come_from_one_command(
 ) -> None:
     scripts = Path(__file__).parent.parent / "scripts"
     monkeypatch.syspath_prepend(str(scripts))
-    import measure_labyrinth
+    import measure_references
 
     path, page = tmp_path / "references.json", tmp_path / "page.md"
     files = ["--out", str(path), "--page", str(page)]
     level = "rooms_select_nonmatching_object"
+    path.write_text(json.dumps({"expert": {level: [{"score": 1, "options": {}}]}}))
     for _ in range(2):  # renewed, and the same again
-        measure_labyrinth.main([level, "--episodes", "2", *files])
+        measure_references.main(["labyrinth", level, "--episodes", "2", *files])
         written = json.loads(path.read_text())
-        assert list(written) == [level]
-        assert written[level]["expert"]["mean"] == 67
+        assert list(written) == ["chance", "expert"]
+        for of in ("chance", "expert"):
+            ((name, (figure,)),) = written[of].items()
+            assert name == level
+            assert (figure["episodes"], figure["seed"], figure["options"]) == (2, 0, {})
+        assert written["expert"][level][0]["score"] == 67
     assert re.search(
-        rf"\n\| {level} \| 0.312 \| 65.9 \| .* \| 67.00 ± 0.00 \| 2 \| 0 \|", page.read_text()
+        rf"\n\| {level} \| 0.312 \| 65.9 \| .* \| 2 \| 67.00 ± 0.00 \| 2 \|", page.read_text()
     )
-    assert f"{level}: random" in capsys.readouterr().out
-    for wrong in (["--episodes", "1"], ["rooms_water"]):
+    assert "measure_references.py labyrinth --episodes 2\n" in page.read_text()
+    assert f"expert, {level} {{}}: 67.0 +- 0.0" in capsys.readouterr().out
+    for wrong in (["--episodes", "1"], ["rooms_water"], ["--references", "blind"]):
         with pytest.raises(SystemExit):
-            measure_labyrinth.main([*wrong, *files])
+            measure_references.main(["labyrinth", *wrong, *files])
+    assert measure_references.measurable("gridworld") == []  # all are exact

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from playroom_worlds import TRAY, act, arrange, look_at, playroom
 
-from zipf.envs import chance
+from zipf.envs import reference
 from zipf.envs.playroom import PlayroomOptions
 from zipf.envs.playroom.constants import FURNITURE_SIZE
 from zipf.envs.playroom.looks import LOOKS, SMALLEST, VARIED_FLOORS, VARIED_WALLS
@@ -87,7 +87,7 @@ def test_a_shadow_is_seen_below_a_toy_that_is_lifted() -> None:
 
 def test_chance_does_not_depend_on_looks() -> None:
     name = f"playroom/{LEVEL}"
-    assert chance(name, looks="varied", max_steps=900) == chance(name)
+    assert reference("chance", name, looks="varied", max_steps=900) == reference("chance", name)
 
 
 def test_the_options_name_all_looks() -> None:

@@ -150,7 +150,7 @@ def test_the_papers_numbers_stand_beside(runs: Path) -> None:
     assert np.isnan(train["paper_error"])
     assert (rare["paper_value"], rare["paper_error"]) == (0.24, 0.04)
     assert np.isnan(line(table, "my_agent", "rare")["paper_value"])
-    assert table.chance == CHANCE
+    assert table.reference("chance") == CHANCE
 
 
 def test_a_table_without_a_published_number_is_silent_about_the_paper(tmp_path: Path) -> None:
@@ -343,7 +343,7 @@ def test_seeds_trained_with_other_settings_are_noted(tmp_path: Path) -> None:
 def test_chance_may_be_known_for_some_levels_only(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5), levels=gridworld({"train": 0.1}))
     table = only_table(tmp_path)
-    assert table.chance == {"train": 0.1}
+    assert table.reference("chance") == {"train": 0.1}
     assert "| Chance |  | 0.10 |  | – |  | – |  |" in markdown.markdown(table)
 
 
@@ -351,7 +351,7 @@ def test_disagreement_about_chance_is_noted(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5))
     write_run(tmp_path, constant(0.5), seed=1, levels=gridworld({**CHANCE, "rare": 0.1}))
     table = only_table(tmp_path)
-    assert table.chance == CHANCE
+    assert table.reference("chance") == CHANCE
     assert "disagree about chance" in table.notes[0]
 
 
@@ -502,7 +502,7 @@ def test_the_report_reads_files_and_imports_nothing_else_of_the_package() -> Non
     }
     own = "zipf.experiments.reporting"
     others = {name for name in imported if not name.startswith(own)}
-    assert others == {"zipf.experiments.errors", "zipf.experiments.output"}
+    assert others == {"zipf.experiments.errors", "zipf.experiments.output", "zipf.references"}
 
 
 # --- output ----------------------------------------------------------------------------------

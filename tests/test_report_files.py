@@ -166,7 +166,10 @@ def test_a_missing_column_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
         ({"window": None}, "window: missing"),
         ({"external": {}}, "external.name: Field required"),
         ({"resumed": 5}, "resumed: Input should be a valid"),
-        ({"chance": {}}, "chance: should be of train, uniform, rare"),
+        (
+            {"levels": [level("train", "a", oracle=1.0)]},
+            "levels.0.references.oracle.[key]: Value error, should be one of chance, blind, ",
+        ),
         ({"paper": "atari"}, "paper: the paper has no experiment 'atari'; it has gridworld"),
     ],
 )
@@ -274,7 +277,7 @@ def edited(name: str, old: str, new: str) -> Callable[[Path], None]:
         ("situations.csv", edited("situations.csv", "300,uniform,0,1,10,5,5.0\n", "")),
         ("metrics.csv", lambda folder: (folder / "metrics.csv").unlink()),
         ("metrics.csv", edited("metrics.csv", ",1.5", ",1.6")),
-        ("run.json", edited("run.json", '"chance": 0.0324', '"chance": null')),
+        ("run.json", edited("run.json", '"score": 0.0324', '"score": 0.0325')),
         ("config.yaml", edited("config.yaml", "0.001", "0.002")),
         ("checksums.json", lambda folder: (folder / "checksums.json").write_text("{}")),
     ],

@@ -14,10 +14,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from run_folders import change_description, level, line, only_table, refusal, seal, write_run
+from run_folders import (
+    change_description,
+    constant,
+    level,
+    line,
+    only_table,
+    refusal,
+    seal,
+    write_run,
+)
 
 from zipf import envs, report
-from zipf.experiments.reporting import captions, markdown, paper, statistics
+from zipf.experiments.reporting import captions, markdown, paper, results, statistics, tables
 
 PUTTING = envs.split("playroom_put")
 LIFTING = envs.split("playroom_lift")
@@ -111,7 +120,7 @@ def test_train_levels_stand_in_a_table_of_their_own(tmp_path: Path) -> None:
         "| put\\_on\\_bed\\_tray\\_frequent | paper |\n"
         "| :-- | --: | --: | --: | --: | --: | --: | --: | --: | --: |\n"
         "| IMPALA | 1/3 | 0.90 | 0.99 | 0.45 | 0.99 | 0.60 | – | 0.30 | – |\n"
-        "| Chance (measured) |  | 0.30 |  | 0.01 |  | 0.01 |  | 0.02 |  |\n"
+        "| Chance |  | 0.30 |  | 0.01 |  | 0.01 |  | 0.02 |  |\n"
     )
     for name in ("out/report.md", "RESULTS.md"):
         assert expected in (tmp_path / name).read_text(encoding="utf-8")
@@ -153,7 +162,7 @@ def test_lifting_and_putting_stand_side_by_side_as_in_the_paper(
         "| IMPALA | 1/3 | 0.60 | 0.65 ± 0.02 | 0.50 | 0.59 ± 0.02 "
         "| 0.20 | 0.62 ± 0.02 | 0.10 | 0.49 ± 0.04 |",
         "| V-MPO | 1/3 | 0.40 | 0.39 ± 0.01 | 0.40 | 0.40 ± 0.03 | – | – | – | – |",
-        "| Chance (measured) |  | 0.30 |  | 0.30 |  | 0.01 |  | 0.01 |  |",
+        "| Chance |  | 0.30 |  | 0.30 |  | 0.01 |  | 0.01 |  |",
     ]
     train = text[text.index("## Zipf's Playroom, training performance") :].splitlines()
     assert train[4].startswith("| IMPALA | 1/3 | 0.99 | 1.00 | 0.90 | 0.99 | 0.45 | 0.99 |")
@@ -295,6 +304,94 @@ def test_a_plain_mean_stands_beside_a_weighted_one(tmp_path: Path) -> None:
     assert "Uniform levels:\n\n| Condition | Seeds | 0 | 1 | 2 |\n" in text
 
 
+# --- capped scores ---------------------------------------------------------------------------
+
+
+def of_humans(kind: str, name: str, weight: float = 1.0, expert: float = 1.0) -> dict[str, Any]:
+    """A level whose score is a fraction of a human's."""
+    return level(kind, name, weight, chance=0.0, expert=expert, normalised=True)
+
+
+HUMAN_TASKS = [
+    of_humans("train", "a", 4.0, expert=2.0),
+    of_humans("train", "b", 2.0, expert=0.5),
+    of_humans("train", "c", 1.0),
+    *(of_humans("uniform", name, expert=2.0) for name in "abc"),
+    of_humans("rare", "c"),
+]
+
+
+def test_capped_scores_by_hand(tmp_path: Path) -> None:
+    scores = {
+        0: {50: (9.0,) * 7, 100: (0.8, -0.1, 0.5, 1.5, -0.1, 0.4, 0.4), 200: (0.8, -0.1, 0.5, *(
+            1.5, -0.1, 0.4, 0.4))},
+        1: {100: (1.6, -0.1, 0.5, 1.5, -0.1, 0.4, 0.4)},
+    }  # fmt: skip
+    for seed, of_seed in scores.items():
+        write_run(tmp_path, of_seed, seed=seed, levels=HUMAN_TASKS, paper=None, spread="tasks")
+    table = only_table(tmp_path)
+    train = line(table, "impala", "train")
+    # The medians of a are 0.8 and 1.6, over seeds 1.2: capped after that, not the seeds before.
+    # (4 x 1.2 - 2 x 0.1 + 0.5) / 7 = 5.1 / 7, and with 1 in the place of 1.2 it is 4.3 / 7.
+    assert train["score"] == pytest.approx(5.1 / 7)
+    assert train["capped_score"] == pytest.approx(4.3 / 7)
+    # sqrt(3 / 2 x ((4/7 x 0.385714)² + (2/7 x 0.714286)² + (1/7 x 0.114286)²)).
+    assert train["capped_error"] == pytest.approx(0.368434, abs=1e-6)
+    uniform = line(table, "impala", "uniform")
+    assert uniform["score"] == pytest.approx(0.6)  # 1.5, -0.1, 0.4
+    assert uniform["capped_score"] == pytest.approx(1.3 / 3)  # 1, -0.1, 0.4: no cap below
+    assert uniform["capped_error"] == pytest.approx(0.317980, abs=1e-6)
+    rare = line(table, "impala", "rare")
+    assert rare["capped_score"] == rare["score"] == 0.4
+    assert math.isnan(rare["capped_error"])
+    assert train["expert"] == pytest.approx((8 + 1 + 1) / 7)
+    assert train["capped_expert"] == pytest.approx((4 + 1 + 1) / 7)
+
+    made = report.report([tmp_path], tmp_path / "out")
+    text = (tmp_path / "out/report.md").read_text("utf-8")
+    assert (
+        "| IMPALA | 2/3 | 0.73 ± 0.44 | 0.53 ± 0.38 | 0.60 ± 0.47 | 0.40 |\n"
+        "| Chance |  | 0.00 | 0.00 | 0.00 | 0.00 |\n"
+        "| Expert |  | 1.43 | 1.17 | 2.00 | 1.00 |\n\n"
+        "Capped scores:\n\n"
+        "| Condition | Seeds | Train (Zipfian) | Uniform | Rare |\n"
+        "| :-- | --: | --: | --: | --: |\n"
+        "| IMPALA | 2/3 | 0.61 ± 0.37 | 0.43 ± 0.32 | 0.40 |\n"
+        "| Chance |  | 0.00 | 0.00 | 0.00 |\n"
+        "| Expert |  | 0.86 | 1.00 | 1.00 |\n"
+    ) in text
+    assert (
+        "Capped: each level counts as at most 1, the score of a human, before the mean, as is the "
+        "convention on DMLab-30 (Espeholt et al. 2018)."
+    ) in text
+    assert "Expert: a scripted player that reads the whole state of the world." in text
+    assert r"\label{tab:gridworld-capped}" in (tmp_path / "out/report.tex").read_text("utf-8")
+    rows = pd.read_csv(tmp_path / "out/report.csv")
+    assert rows["capped_score"].tolist()[:3] == pytest.approx([4.3 / 7, 1.3 / 3, 0.4])
+    assert made.tables[0].is_capped
+
+
+@pytest.mark.parametrize("how", ["seeds", "partly"])
+def test_scores_are_capped_only_across_levels_that_are_all_normalised(
+    tmp_path: Path, how: str
+) -> None:
+    levels = HUMAN_TASKS
+    if how == "partly":
+        levels = [{**one, "normalised": one["level"] != "c"} for one in HUMAN_TASKS]
+    spread = "seeds" if how == "seeds" else "tasks"
+    write_run(tmp_path, constant(2.0, 7), levels=levels, paper=None, spread=spread)
+    table = only_table(tmp_path)
+    assert not table.is_capped
+    assert "apped" not in markdown.markdown(table)
+
+
+def test_scores_in_different_units_do_not_share_a_table(tmp_path: Path) -> None:
+    returns = [{**one, "normalised": False} for one in HUMAN_TASKS]
+    write_run(tmp_path, constant(0.5, 7), levels=HUMAN_TASKS, paper=None)
+    write_run(tmp_path, constant(0.5, 7), condition="r2d2", levels=returns, paper=None)
+    assert len(tables.score_tables(results.load_runs([tmp_path]))) == 2
+
+
 def test_the_caption_says_what_the_error_is(tmp_path: Path) -> None:
     write_tasks(tmp_path, np.random.default_rng(0), spread="tasks")
     assert captions.caption(only_table(tmp_path)).startswith(
@@ -320,3 +417,22 @@ def test_many_levels_are_lines(tmp_path: Path) -> None:
         "| task 0 | 0.386 | 0.10 | 0.50 | 0.50 | 0.50 | 0.50 | 0.50 |\n"
     ) in text
     assert "| task 6 | 0.055 | 0.10 | 0.50 |\n\nMedian" in text  # condition d
+
+
+def test_references_are_columns_beside_many_levels(tmp_path: Path) -> None:
+    """In the order of `REFERENCES`, and as many rows as leave the table as wide as others."""
+    many = [
+        *(
+            level("train", f"a/task {n}", 1 / (n + 1), 0.1, expert=2, blind=0.2, generalist=1)
+            for n in range(7)
+        ),
+        level("uniform", "a/task 0"),
+        level("rare", "a/task 6"),
+    ]
+    for condition in ("impala", "r2d2", "a", "b", "c", "d"):
+        write_run(tmp_path, {100: [0.5] * 9}, condition=condition, levels=many, paper=None)
+    text = markdown.markdown(only_table(tmp_path))
+    leading = "| Level | Weight | Chance | Blind | Generalist | Expert |"
+    assert f"{leading} IMPALA | R2D2 | a |\n" in text
+    assert f"{leading} b | c | d |\n" in text
+    assert "| task 0 | 0.386 | 0.10 | 0.20 | 1.00 | 2.00 | 0.50 | 0.50 | 0.50 |\n" in text

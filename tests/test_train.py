@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -129,7 +130,7 @@ def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path)
     assert [(one["level_kind"], one["level"]) for one in description["levels"]] == scored
     assert description["experiment"] == experiment
     assert description["condition"] == condition
-    assert description["chance"].keys() == {"train", "uniform", "rare"}
+    assert all("chance" in one["references"] for one in description["levels"])
     assert list((whole.folder / "tensorboard").iterdir())
 
     update, results = evaluate_run(EvaluateOptions(run=str(cut.folder), episodes=2))
@@ -183,16 +184,24 @@ def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
         "gridworld/uniform",
         "gridworld/rare",
     ]
-    each = [one["chance"] for one in described["levels"]]
-    assert described["chance"] == {
+    each = [one["references"]["chance"]["score"] for one in described["levels"]]
+    assert {
+        kind: run_folder.mean_of_levels(described["levels"], kind, "chance") for kind in envs.KINDS
+    } == {
         "train": pytest.approx((each[0] + each[1]) / 2),
         "uniform": each[2],
         "rare": each[3],
     }
+    assert run_folder.mean_of_levels(described["levels"], "train", "generalist") is None
     monkeypatch.setattr(sys, "argv", ["zipf.evaluate", f"run={folder}", "episodes=5"])
     evaluate.main()
     shown = capsys.readouterr().out
     assert all(f"│ {level} " in shown for level in (*train, "gridworld/rare"))
+    experts = (
+        run_folder.mean_of_levels(described["levels"], kind, "expert") for kind in envs.KINDS
+    )
+    assert re.search(rf"│ expert +│ {' +│ +'.join(f'{mean:.3f}' for mean in experts)} ", shown)
+    assert re.search(r"┃ level +┃ score ┃ chance ┃ blind ┃ expert ┃", shown)
 
 
 def test_levels_are_drawn_at_every_reset_in_proportion_to_their_weights(tmp_path, monkeypatch):
@@ -209,9 +218,10 @@ def test_levels_are_drawn_at_every_reset_in_proportion_to_their_weights(tmp_path
     described = run_folder.read_description(folder_of(whole))
     assert described["situation"] == {"level": 4, "map": 20, "target": 5}
     assert [one["weight"] for one in described["levels"]] == [1.0, 9.0, 1.0, 1.0]
-    chance = {one["level"]: one["chance"] for one in described["levels"]}
+    chance = {one["level"]: one["references"]["chance"]["score"] for one in described["levels"]}
     weighted = 0.1 * chance["gridworld/zipf_1"] + 0.9 * chance["gridworld/zipf_2"]
-    assert described["chance"]["train"] == pytest.approx(weighted)
+    mean = run_folder.mean_of_levels(described["levels"], "train", "chance")
+    assert mean == pytest.approx(weighted)
     situations = pd.read_csv(folder_of(whole) / "situations.csv")
     ranks = situations.groupby("level_kind")["level"].unique().map(set).to_dict()
     assert ranks == {"train": {0, 1}, "uniform": {2}, "rare": {3}}

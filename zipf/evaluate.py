@@ -49,6 +49,7 @@ def _evaluate(arguments: list[str]) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from zipf import envs
     from zipf.experiments.command_line import read_options
     from zipf.experiments.config import EvaluateOptions
     from zipf.experiments.running import run_folder
@@ -67,19 +68,22 @@ def _evaluate(arguments: list[str]) -> None:
     table = Table("", *by_kind)
     table.add_row("score", *(f"{value:.3f}" for value in by_kind.values()))
     levels = description["levels"]
-    for name in run_folder.REFERENCES:
-        means = [run_folder.mean_of_levels(levels, kind, name) for kind in by_kind]
-        if name == "chance" or any(mean is not None for mean in means):
-            table.add_row(name, *map(_figure, means))
+    for reference in envs.REFERENCES:
+        means = [run_folder.mean_of_levels(levels, kind, reference.name) for kind in by_kind]
+        if reference.name == "chance" or any(mean is not None for mean in means):
+            table.add_row(reference.name, *map(_figure, means))
     console = Console(highlight=False)
     console.print(f"{folder} at update {update}", soft_wrap=True)
     console.print(table)
     if len(results) > len(by_kind):
         described = {level["level"]: level for level in levels}
-        each = Table("level", "score", *run_folder.REFERENCES)
+        of_any = {name for level in levels for name in level["references"]}
+        names = [one.name for one in envs.REFERENCES if one.name in of_any]
+        each = Table("level", "score", *names)
         for result in results:
-            known = (described[result.level].get(name) for name in run_folder.REFERENCES)
-            each.add_row(result.level, f"{result.score:.3f}", *map(_figure, known))
+            known = described[result.level]["references"]
+            scores_of = (known[name]["score"] if name in known else None for name in names)
+            each.add_row(result.level, f"{result.score:.3f}", *map(_figure, scores_of))
         console.print(each)
     for file in files:
         console.print(f"written: {file}", soft_wrap=True)

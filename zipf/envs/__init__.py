@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 from zipf.envs.family import (
     Family,
     all_splits,
-    blind,
-    chance,
     expert,
     families,
     family_of_split,
@@ -21,22 +19,24 @@ from zipf.envs.family import (
     make_train,
     make_vec,
     questions,
+    reference,
     register,
     split,
 )
+from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
+from zipf.references import REFERENCES, Reference
 
 if TYPE_CHECKING:
     from zipf.envs.gymnasium_family import zipfian
     from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
     from zipf.envs.mixture import Mixture
-    from zipf.envs.random_play import Chance, measure_chance
+    from zipf.envs.random_play import measure_chance
     from zipf.envs.single import SingleWorld
     from zipf.envs.vector import ZipfVectorEnv
 
 # Imported when first asked for: these bring numba, and `import zipf` is to be quick.
 _LAZY = {
-    "Chance": "zipf.envs.random_play",
     "GymnasiumVectorEnv": "zipf.envs.gymnasium_worlds",
     "Mixture": "zipf.envs.mixture",
     "SingleWorld": "zipf.envs.single",
@@ -47,18 +47,18 @@ _LAZY = {
 
 __all__ = [
     "KINDS",
-    "Chance",
+    "REFERENCES",
     "Family",
     "GymnasiumVectorEnv",
     "Mixture",
     "Normalisation",
+    "Reference",
+    "ReferenceScore",
     "SingleWorld",
     "Split",
     "SplitLevel",
     "ZipfVectorEnv",
     "all_splits",
-    "blind",
-    "chance",
     "expert",
     "families",
     "family_of_split",
@@ -71,6 +71,7 @@ __all__ = [
     "make_vec",
     "measure_chance",
     "questions",
+    "reference",
     "register",
     "split",
     "zipfian",

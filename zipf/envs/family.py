@@ -16,22 +16,23 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
+from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Level, Split, SplitLevel
 from zipf.options import Options
+from zipf.references import REFERENCE_NAMES
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from zipf.envs.keyboard import Keys
-    from zipf.envs.random_play import Chance
     from zipf.envs.vector import ZipfVectorEnv
 
     Expert = Callable[[], NDArray[np.int64]]
@@ -60,13 +61,14 @@ class Family:
         make: makes one world: `make(level=..., render_mode=..., **options)`; None: a batch of one.
         id: the Gymnasium id; None: the family is not registered with Gymnasium.
         check: raises ValueError for a name that is not a level; None: those in `levels` are.
-        chance: `chance(level, **options)` is the score of uniformly random actions, a `Chance`, or
-            None where it is not known; None: it is known of no level.
-        blind: `blind(level, **options)` is the score of a policy that masters the level but cannot
-            read what an episode asks for (an instruction, a cue), and so does what was asked for
-            most often: a `Chance`, or None where it is not known; None: it is known of no level.
-        appearance: names of options that change what is shown and nothing else; `chance` and
-            `blind` are not told of them.
+        references: scores of players that do not learn, by the name that the player has in
+            `zipf.references.REFERENCES`: "chance" is of uniformly random actions, "blind" of a
+            policy that masters the level but cannot read what an episode asks for, "generalist" and
+            "expert" of scripted players. Each is a function: `function(level, **options)` gives a
+            `ReferenceScore`, or None where it is not known. References that are known of no level
+            are left out.
+        appearance: names of options that change what is shown and nothing else; the functions in
+            `references` are not told of them.
         keys: what a keyboard's keys do, for `zipf.play`; None: nobody can play by hand.
         expert: `expert(env)` is a scripted player of a batch; None: there is none.
         questions: `questions(split)` is a variant of a split whose episodes are questions about
@@ -83,8 +85,9 @@ class Family:
     make: Callable[..., gym.Env] | str | None = None
     id: str | None = None
     check: Callable[[str], object] | str | None = None
-    chance: Callable[..., Chance | None] | str | None = None
-    blind: Callable[..., Chance | None] | str | None = None
+    references: Mapping[str, Callable[..., ReferenceScore | None] | str] = field(
+        default_factory=dict, hash=False
+    )
     appearance: frozenset[str] = frozenset()
     keys: Keys | str | None = None
     expert: Callable[[Any], Expert] | str | None = None
@@ -137,8 +140,8 @@ def register(family: Family) -> Family:
     """Adds a family: its levels, its splits and its Gymnasium id; returns it.
 
     Raises:
-        ValueError: a family or a split of that name is there already, or a name cannot be part of
-            a level's name.
+        ValueError: a family or a split of that name is there already, a name cannot be part of a
+            level's name, or it has an unknown reference.
     """
     if not family.name or "/" in family.name:
         raise ValueError(f"a family's name must not be empty or hold '/', got {family.name!r}")
@@ -147,6 +150,8 @@ def register(family: Family) -> Family:
     for split in family.splits:
         if split.name in all_splits():
             raise ValueError(f"there is a split {split.name!r} already")
+    for name in family.references:
+        _check_reference(name)
     _FAMILIES[family.name] = family
     family.register_with_gymnasium()
     return family
@@ -289,42 +294,36 @@ def _mixture(
     return Mixture(makers, num_envs, draw="resets", probabilities=probabilities, **kwargs)
 
 
-def chance(level: Level | SplitLevel, **kwargs: Any) -> Chance | None:
-    """The mean return of uniformly random actions on a level, exact or measured.
+def reference(name: str, level: Level | SplitLevel, /, **kwargs: Any) -> ReferenceScore | None:
+    """The mean return of a player that does not learn on a level, exact or measured.
 
     Args:
+        name: "chance", "blind", "generalist" or "expert", see `zipf.references.REFERENCES`.
         level: a full level name, or what a `Split` may hold in its place.
         kwargs: constructor options as for `make` and `make_vec`.
 
     Returns:
         The mean return, or None if it is not known for the level with these options.
+
+    Raises:
+        ValueError: for an unknown reference or level.
     """
-    return _reference("chance", level, kwargs)
-
-
-def blind(level: Level | SplitLevel, **kwargs: Any) -> Chance | None:
-    """The mean return of a policy that masters a level but cannot read what an episode asks for.
-
-    A score that is not above it shows no reading. The arguments and the result are those of
-    `chance`.
-    """
-    return _reference("blind", level, kwargs)
-
-
-def _reference(
-    field: Literal["chance", "blind"], level: Level | SplitLevel, kwargs: dict[str, Any]
-) -> Chance | None:
+    _check_reference(name)
     if isinstance(level, SplitLevel):
-        return _reference(field, level.level, {**kwargs, **level.options})
+        return reference(name, level.level, **{**kwargs, **level.options})
     if not isinstance(level, str):
         return None
-    found, name = find_level(level)
-    known = getattr(found, field)
-    if known is None:
+    found, own = find_level(level)
+    if name not in found.references:
         return None
     ignored = found.appearance | {"render_mode", "copy", "autoreset_mode"}
     options = {key: value for key, value in kwargs.items() if key not in ignored}
-    return _loaded(known)(name, **options)
+    return _loaded(found.references[name])(own, **options)
+
+
+def _check_reference(name: str) -> None:
+    if name not in REFERENCE_NAMES:
+        raise ValueError(_unknown("reference", name, REFERENCE_NAMES))
 
 
 def keys(level: str) -> Keys | None:

@@ -11,7 +11,7 @@ from zipf.envs import distributions
 from zipf.envs.family import Family
 from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
 from zipf.envs.mixture import Mixture
-from zipf.envs.random_play import Chance
+from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Split
 from zipf.envs.vector import ZipfVectorEnv
 
@@ -23,7 +23,7 @@ def zipfian(
     over: Mapping[str, Iterable[Any]] | None = None,
     order: str | int = "forward",
     name: str | None = None,
-    chance: Mapping[str, Chance] | None = None,
+    chance: Mapping[str, ReferenceScore] | None = None,
     options: Mapping[str, Any] | None = None,
     **worlds: Any,
 ) -> Family:
@@ -99,7 +99,7 @@ def zipfian(
         check=levels.check,
         make_vec=levels.make_vec,
         splits=(Split(name, f"{name}/{trained}", f"{name}/uniform", f"{name}/rare"),),
-        chance=partial(_known_chance, chance or {}),
+        references={"chance": partial(_known, chance or {})},
     )
 
 
@@ -140,8 +140,10 @@ class _Levels:
         )
 
 
-def _known_chance(known: Mapping[str, Chance], level: str, **options: Any) -> Chance | None:
-    return None if options else known.get(level)
+def _known(
+    scores: Mapping[str, ReferenceScore], level: str, **options: Any
+) -> ReferenceScore | None:
+    return None if options else scores.get(level)
 
 
 def _without_module(id: str) -> str:

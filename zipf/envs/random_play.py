@@ -1,36 +1,18 @@
-"""Chance: the score of uniformly random actions on a level, and of other players."""
+"""Measures the score of uniformly random actions on a level, and of other players."""
 
-import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from importlib import resources
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.family import make_vec
+from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Level, SplitLevel
 from zipf.envs.vector import ZipfVectorEnv
 
 Player = Callable[[], NDArray[np.int64]]
-
-
-@dataclass(frozen=True)
-class Chance:
-    """The mean return of an episode of a policy that does not learn: of uniformly random actions,
-    or of a blind policy, see `Family`.
-
-    Attributes:
-        score: the mean return.
-        episodes: how many it was measured over; None if it is exact.
-        by_rank: the mean return at each value of a rank of the situation, by the rank's name, on a
-            level on which all others are drawn as here; without those that are not known.
-    """
-
-    score: float
-    episodes: int | None = None
-    by_rank: Mapping[str, tuple[float, ...]] = field(default_factory=dict, hash=False)
 
 
 def measure_chance(
@@ -40,7 +22,7 @@ def measure_chance(
     seed: int = 0,
     num_envs: int = 250,
     **options: Any,
-) -> Chance:
+) -> ReferenceScore:
     """Plays uniformly random actions on a level; the arguments are those of `measure`.
 
     Raises:
@@ -62,7 +44,7 @@ def measure(
     seed: int = 0,
     num_envs: int = 250,
     **options: Any,
-) -> Chance:
+) -> ReferenceScore:
     """Plays a level with the actions of a scripted player.
 
     The same arguments give the same figure on every machine.
@@ -83,7 +65,8 @@ def measure(
     env = make_vec(level, min(num_envs, episodes), **options)
     returns = play_returns(env, player(env), episodes, seed=seed)
     env.close()
-    return Chance(float(returns.mean()), episodes)
+    error = float(returns.std(ddof=1)) / math.sqrt(episodes) if episodes > 1 else None
+    return ReferenceScore(float(returns.mean()), episodes, error=error)
 
 
 def play_returns(
@@ -119,24 +102,3 @@ def play_returns(
         playing[ended] = np.arange(started, started + new)
         started += new
     return returns
-
-
-def measured(package: str) -> Callable[..., Chance | None]:
-    """The measured chance of a family's levels, from `chance.json` in its package.
-
-    Returns:
-        A function of a level's name and constructor options, as `Family.chance`. It returns None
-        for levels and options that were not measured. The file has for each level a list of
-        figures, as `scripts/measure_chance.py` writes it:
-
-        {"lift/lift_shape_zipf3": [{"score": 0.3, "episodes": 1000, "options": {"max_steps": 900}}]}
-    """
-
-    def chance(level: str, **options: Any) -> Chance | None:
-        figures = json.loads((resources.files(package) / "chance.json").read_text("utf-8"))
-        for figure in figures.get(level, []):
-            if options.items() <= figure["options"].items():
-                return Chance(figure["score"], figure["episodes"])
-        return None
-
-    return chance

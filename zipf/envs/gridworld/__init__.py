@@ -41,8 +41,11 @@ FAMILY = Family(
     ),
     make="zipf.envs.gridworld.single:GridworldEnv",
     make_vec="zipf.envs.gridworld.vector:GridworldVectorEnv",
-    chance="zipf.envs.gridworld.chance:chance",
-    blind="zipf.envs.gridworld.chance:blind",
+    references={
+        "chance": "zipf.envs.gridworld.chance:chance",
+        "blind": "zipf.envs.gridworld.chance:blind",
+        "expert": "zipf.envs.gridworld.expert:score",
+    },
     appearance=frozenset({"observation"}),
     keys="zipf.envs.gridworld.keys:KEYS",
     expert="zipf.envs.gridworld.expert:Expert",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from zipf.envs import distributions
 from zipf.envs.gridworld import kernels, looks
 from zipf.envs.gridworld.maps import MOVES, Maps, build_maps, check_sizes
-from zipf.envs.random_play import Chance
+from zipf.envs.references import ReferenceScore
 
 SURVIVAL = 1e-20  # ours: less of an episode is left than a sum of probabilities can show
 
@@ -57,7 +57,7 @@ def chance(
     room_size: Sequence[int] = (3, 3),
     num_objects: int = 20,
     max_steps: int = 100,
-) -> Chance:
+) -> ReferenceScore:
     """The score of uniformly random actions on a level, exact, also by map and by target."""
     return _chance(level, num_maps, tuple(num_rooms), tuple(room_size), num_objects, max_steps)
 
@@ -70,22 +70,35 @@ def _chance(
     room_size: tuple[int, int],
     num_objects: int,
     max_steps: int,
-) -> Chance:
-    distribution = distributions.by_name(level.removeprefix("gridworld/"))
+) -> ReferenceScore:
     maps = build_maps(num_maps, num_rooms, room_size, num_objects)
-    success = random_policy(maps, max_steps).success
+    return mean_success(level, random_policy(maps, max_steps).success)
+
+
+def mean_success(level: str, success: NDArray) -> ReferenceScore:
+    """The score of a player on a level.
+
+    Args:
+        level: its name.
+        success: [maps, objects], the probability of success where that object is the target.
+    """
+    distribution = distributions.by_name(level.removeprefix("gridworld/"))
+    num_maps, num_objects = success.shape
     by_map, by_target = success @ distribution(num_objects), distribution(num_maps) @ success
     by_rank = {"map": tuple(by_map.tolist()), "target": tuple(by_target.tolist())}
-    return Chance(float(distribution(num_maps) @ by_map), by_rank=by_rank)
+    return ReferenceScore(float(distribution(num_maps) @ by_map), by_rank=by_rank)
 
 
-def blind(level: str, *, num_maps: int = 20, num_objects: int = 20, **options: Any) -> Chance:
+def blind(
+    level: str, *, num_maps: int = 20, num_objects: int = 20, **options: Any
+) -> ReferenceScore:
     """The score of a policy that reaches any object but cannot see the cue, and goes to that which
     is the target most often in training: exact."""
     distribution = distributions.by_name(level.removeprefix("gridworld/"))
     score = float(distribution(num_objects)[0])
     by_target = (1.0, *(0.0,) * (num_objects - 1))
-    return Chance(score, by_rank={"map": (score,) * num_maps, "target": by_target})
+    by_rank = {"map": (score,) * num_maps, "target": by_target}
+    return ReferenceScore(score, by_rank=by_rank)
 
 
 def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:

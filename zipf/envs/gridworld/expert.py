@@ -1,14 +1,16 @@
 """A scripted expert: the shortest way to the target that touches no other object."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.gridworld import kernels
-from zipf.envs.gridworld.chance import destinations
-from zipf.envs.gridworld.maps import Maps
+from zipf.envs.gridworld.chance import destinations, mean_success
+from zipf.envs.gridworld.maps import Maps, build_maps, check_sizes
 from zipf.envs.gridworld.vector import GridworldVectorEnv
+from zipf.envs.references import ReferenceScore
 
 
 class Expert:
@@ -25,6 +27,35 @@ class Expert:
         map, target = self._worlds[:, kernels.MAP], self._worlds[:, kernels.TARGET]
         cell = self._worlds[:, kernels.ROW] * self._maps.boards.shape[2]
         return shortest_ways(self._maps)[map, target, cell + self._worlds[:, kernels.COLUMN]]
+
+
+def score(
+    level: str,
+    *,
+    num_maps: int = 20,
+    num_rooms: Sequence[int] = (3, 3),
+    room_size: Sequence[int] = (3, 3),
+    num_objects: int = 20,
+    max_steps: int = 100,
+) -> ReferenceScore:
+    """The expert's score on a level, exact, also by map and by target."""
+    maps = build_maps(*check_sizes(num_maps, num_rooms, room_size, num_objects))
+    return mean_success(level, reached(maps, max_steps).astype(np.float64))
+
+
+def reached(maps: Maps, max_steps: int) -> NDArray[np.bool_]:
+    """Whether the expert reaches the target in `max_steps`, bool [maps, objects]."""
+    width = maps.boards.shape[2]
+    cells = maps.cells[:, :, 0] * width + maps.cells[:, :, 1]
+    objects, start = cells[:, :-1], cells[:, -1:]
+    map, target = np.indices(objects.shape)
+    leads_to, ways = destinations(maps), shortest_ways(maps)
+    at = np.broadcast_to(start, objects.shape)
+    walking = np.ones(objects.shape, np.bool_)
+    for _ in range(min(max_steps, maps.boards[0].size)):  # no shortest way is longer
+        at = np.where(walking, leads_to[map, at, ways[map, target, at]], at)
+        walking &= (at[:, :, None] != objects[:, None, :]).all(axis=2)
+    return at == objects
 
 
 @lru_cache(maxsize=16)

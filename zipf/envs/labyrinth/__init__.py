@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from zipf.envs.family import Family
-from zipf.envs.labyrinth.benchmark import MIXTURES, SPLITS
+from zipf.envs.labyrinth.benchmark import MIXTURES, SPLITS, mean_of_tasks
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.options import Options
 
@@ -32,7 +32,7 @@ FAMILY = Family(
     splits=SPLITS,
     make="zipf.envs.labyrinth.single:LabyrinthEnv",
     make_vec="zipf.envs.labyrinth.benchmark:make_vec",
-    chance="zipf.envs.labyrinth.benchmark:chance",
+    references={name: mean_of_tasks(name) for name in ("chance", "expert")},
     appearance=frozenset({"image_size"}),
     keys="zipf.envs.labyrinth.keys:KEYS",
     expert="zipf.envs.labyrinth.expert:Expert",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -11,10 +12,10 @@ from numpy.typing import NDArray
 
 from zipf.envs import distributions
 from zipf.envs.labyrinth.levels import LEVELS, by_name
+from zipf.envs.references import ReferenceScore, measured
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
 
 if TYPE_CHECKING:
-    from zipf.envs.random_play import Chance
     from zipf.envs.vector import ZipfVectorEnv
 
 MIXTURES: dict[str, tuple[str, str]] = {
@@ -90,23 +91,31 @@ def make_vec(
     )
 
 
-def chance(level: str, **options: Any) -> Chance | None:
-    """The mean return of uniformly random actions, or None for options that were not measured."""
-    from zipf.envs.labyrinth import references
-    from zipf.envs.random_play import Chance
+def mean_of_tasks(name: str) -> Callable[..., ReferenceScore | None]:
+    """A reference, as `zipf.envs.references.measured` has it of the tasks; of a level that draws
+    them their mean, with the score of each by the rank."""
+    measured_of = measured("zipf.envs.labyrinth", name)
 
-    drawn = law(level)
-    if drawn is None:
-        return references.chance(level, **options)
-    order, probabilities = drawn
-    names = _tasks(order)
-    of_tasks = [references.chance(name, **options) for name in names]
-    known = [one for one in of_tasks if one is not None]
-    if len(known) < len(names):
-        return None
-    scores = tuple(one.score for one in known)
-    mean = float(np.dot(probabilities, scores))
-    return Chance(mean, sum(one.episodes or 0 for one in known), {"level": scores})
+    def reference(level: str, **options: Any) -> ReferenceScore | None:
+        drawn = law(level)
+        if drawn is None:
+            return measured_of(by_name(level).name, **options)
+        order, probabilities = drawn
+        of_tasks = [measured_of(task, **options) for task in _tasks(order)]
+        known = [one for one in of_tasks if one is not None]
+        if len(known) < len(of_tasks):
+            return None
+        scores = tuple(one.score for one in known)
+        episodes = sum(one.episodes or 0 for one in known)
+        errors = probabilities * [one.error or 0.0 for one in known]
+        return ReferenceScore(
+            float(np.dot(probabilities, scores)),
+            episodes,
+            {"level": scores},
+            float(np.linalg.norm(errors)),
+        )
+
+    return reference
 
 
 def _tasks(order: str) -> list[str]:

@@ -49,8 +49,8 @@ class LabyrinthEnv(SingleWorld):
     ## Rewards
 
     As in the original, unclipped; see the levels. `zipf.envs.labyrinth.levels.LEVELS` has the
-    published mean returns of random actions and of people, `zipf.envs.labyrinth.references` those
-    that were measured here of random actions and of the scripted experts.
+    published mean returns of random actions and of people, `zipf.envs.reference` gives those that
+    were measured here of random actions and of the scripted experts.
 
     ## Starting state
 

@@ -7,6 +7,7 @@ from pydantic import Field
 from zipf.envs.family import Family
 from zipf.envs.playroom.constants import EXPONENT_BOUNDS, REACH_BOUNDS
 from zipf.envs.playroom.levels import LEVELS
+from zipf.envs.references import measured
 from zipf.envs.splits import Split
 from zipf.options import Options
 
@@ -64,8 +65,11 @@ FAMILY = Family(
     ),
     make="zipf.envs.playroom.single:PlayroomEnv",
     make_vec="zipf.envs.playroom.vector:PlayroomVectorEnv",
-    chance="zipf.envs.playroom.chance:chance",
-    blind="zipf.envs.playroom.chance:blind",
+    references={
+        "chance": measured("zipf.envs.playroom", "chance"),
+        "blind": "zipf.envs.playroom.references:blind",
+        "expert": measured("zipf.envs.playroom", "expert"),
+    },
     appearance=frozenset({"image_size", "looks"}),
     keys="zipf.envs.playroom.keys:KEYS",
     expert="zipf.envs.playroom.expert:Expert",

@@ -6,6 +6,7 @@ from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import UpdateWindow, window_text
 from zipf.experiments.reporting.wording import EXTERNAL_MARK, PROTOCOL_SEEDS, range_text
+from zipf.references import REFERENCES
 
 PLAIN_MEAN = "plain mean"
 
@@ -32,18 +33,12 @@ def caption(table: ScoreTable) -> str:
             f"{EXTERNAL_MARK}: recorded from outside this package and scored at its last "
             f"evaluation."
         )
-    if table.chance and table.chance_episodes:
-        sentences.append(
-            f"Chance: uniformly random actions, measured over {range_text(table.chance_episodes)} "
-            f"episodes of each level."
-        )
-    elif table.chance:
-        sentences.append("Chance: uniformly random actions.")
-    if table.reference("blind"):
-        sentences.append(
-            "Blind: masters the level but cannot read what an episode asks for, and so does what "
-            "is asked for most often."
-        )
+    for one in REFERENCES:
+        if table.reference(one.name):
+            measured = ""
+            if episodes := table.reference_episodes(one.name):
+                measured = f", measured over {range_text(episodes)} episodes of each level"
+            sentences.append(f"{one.title}: {one.meaning}{measured}.")
     if table.paper:
         sentences.append(f"Paper: {table.paper.source}, ± {table.paper.error_kind}.")
         if table.paper.note:
@@ -86,4 +81,9 @@ def _statistics(table: ScoreTable) -> list[str]:
             sentences.append(f"The score of several levels is their {mean}.")
     if weighted:
         sentences.append(f"In a {PLAIN_MEAN} all levels have the same weight.")
+    if table.is_capped:
+        sentences.append(
+            "Capped: each level counts as at most 1, the score of a human, before the mean, as is "
+            "the convention on DMLab-30 (Espeholt et al. 2018)."
+        )
     return sentences

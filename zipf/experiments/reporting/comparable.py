@@ -93,10 +93,14 @@ def paper_of(runs: Sequence[Run]) -> PaperTable | None:
 def _worlds(run: Run) -> dict[str, Any]:
     """What a run is scored on, and how."""
     description = run.description
-    levels = [
-        f"{kind}: {', '.join(f'{level} x {w:g}' for level, w in group.weights.items())}"
-        for kind, group in ((kind, description.levels_of(kind)) for kind in LEVEL_KINDS)
-    ]
+    levels = []
+    for kind in LEVEL_KINDS:
+        each = (
+            f"{one.level} x {one.weight:g}{', normalised' if one.normalised else ''}"
+            for one in description.levels
+            if one.level_kind == kind
+        )
+        levels.append(f"{kind}: {', '.join(each)}")
     return {
         "split": description.split,
         "levels": "; ".join(levels),

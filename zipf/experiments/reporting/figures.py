@@ -17,7 +17,7 @@ from zipf.experiments.reporting.markdown import PLOT_KINDS
 from zipf.experiments.reporting.situation_figures import by_rank, by_situation
 from zipf.experiments.reporting.styles import (
     BAND,
-    REFERENCES,
+    REFERENCE_LINES,
     SHADE,
     STYLE,
     LineStyle,
@@ -74,7 +74,7 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figur
     time = "update" if _frames_follow_updates(table) else "frames"
     window = _window_ends(table, time)
     handles = row_handles(table.rows, styles)
-    handles += [reference_handle(name) for name in REFERENCES if table.reference(name)]
+    handles += [reference_handle(name) for name in REFERENCE_LINES if table.reference(name)]
     if window:
         handles.append(Patch(color=SHADE, label="Window of the table"))
     if any(len(row.runs) > 1 for row in table.rows):
@@ -84,7 +84,7 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figur
         for row in table.rows:
             of_row = scores[row.key, levels.level_kind]
             _draw_curve(axis, of_row.groupby(time)["score"], styles[row.key])
-        for name, style in REFERENCES.items():
+        for name, style in REFERENCE_LINES.items():
             if levels.level_kind in table.reference(name):
                 axis.axhline(table.reference(name)[levels.level_kind], **style)
         if window:
@@ -94,7 +94,8 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figur
         axis.set_xlabel("Updates" if time == "update" else "Frames")
         axis.xaxis.set_major_formatter(EngFormatter(sep=""))
         axis.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10], integer=True))
-    score_limits(axes[0], every["score"])
+    references = [pd.Series(table.reference(name)) for name in REFERENCE_LINES]
+    score_limits(axes[0], pd.concat([every["score"], *references]))
     axes[0].set_ylabel("Score")
     return figure
 

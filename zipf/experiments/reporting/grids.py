@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import pandas as pd
 
 from zipf.experiments.reporting.captions import PLAIN_MEAN
 from zipf.experiments.reporting.results import LevelGroup
 from zipf.experiments.reporting.side_by_side import SideBySide
-from zipf.experiments.reporting.tables import Reference, Row, ScoreTable
+from zipf.experiments.reporting.tables import Row, ScoreTable
 from zipf.experiments.reporting.wording import (
     KIND_NAMES,
     NONE,
@@ -20,8 +21,10 @@ from zipf.experiments.reporting.wording import (
     seeds_text,
     short_name,
 )
+from zipf.references import REFERENCES, Reference
 
 MOST_COLUMNS = 5  # of scores, as many as fit a page; more levels than that become lines
+MOST_WITH_LEADING = 9  # columns of all kinds where levels are lines
 
 
 @dataclass(frozen=True)
@@ -43,8 +46,7 @@ class Grid:
         leading: the headings of the leading columns, the first of which is text, the rest numbers.
         columns: the headings of the columns of scores.
         lines: without the references.
-        references: chance and the blind policy, apart from the others; without those that are not
-            known or not at the bottom.
+        references: apart from the others; without those that are not known or not at the bottom.
     """
 
     title: str
@@ -72,12 +74,18 @@ class Grid:
 def main_grid(table: ScoreTable) -> Grid:
     """A line for each row of the table, a column for each level kind."""
     columns, scores = _with_plain_means(table)
-    parts = _by_row(table.rows, scores, columns, _reference_names(table), _frames(table))
+    parts = _by_row(table.rows, scores, columns, _frames(table))
     return Grid(table.title, table.name, _leading(table), list(columns.values()), *parts)
 
 
-def group_grids(table: ScoreTable) -> Iterator[Grid]:
-    """The levels of every kind that has several: columns, or lines if they are too many."""
+def lower_grids(table: ScoreTable) -> Iterator[Grid]:
+    """The tables below the main one: capped scores, where there are any, then the levels of every
+    kind that has several, as columns, or as lines if they are too many."""
+    if table.is_capped:
+        columns = {levels.column: KIND_NAMES[levels.level_kind] for levels in table.kinds}
+        parts = _by_row(table.rows, _other_mean(table.scores, "capped"), columns, _frames(table))
+        name = f"{table.name}-capped"
+        yield Grid("capped scores", name, _leading(table), list(columns.values()), *parts)
     for levels in table.kinds:
         groups = [group for group in table.groups if group.level_kind == levels.level_kind]
         if not groups:
@@ -86,25 +94,24 @@ def group_grids(table: ScoreTable) -> Iterator[Grid]:
         name = f"{table.name}-{levels.level_kind}"
         if len(groups) <= MOST_COLUMNS:
             columns = dict(zip((group.column for group in groups), _names(groups), strict=True))
-            parts = _by_row(
-                table.rows, table.group_scores, columns, _reference_names(table), _frames(table)
-            )
+            parts = _by_row(table.rows, table.group_scores, columns, _frames(table))
             yield Grid(title, name, _leading(table), list(columns.values()), *parts)
         else:
-            for first in range(0, len(table.rows), MOST_COLUMNS):
-                part = "" if first == 0 else f"-{first // MOST_COLUMNS + 1}"
-                rows = table.rows[first : first + MOST_COLUMNS]
-                yield _by_level(rows, table, groups, levels, title, name + part)
+            references = _known_references(table.group_scores, [group.column for group in groups])
+            leading = len(references) + (2 if levels.is_weighted else 1)
+            most = min(MOST_COLUMNS, MOST_WITH_LEADING - leading)
+            for first in range(0, len(table.rows), most):
+                part = "" if first == 0 else f"-{first // most + 1}"
+                rows = table.rows[first : first + most]
+                yield _by_level(rows, table, groups, levels, references, title, name + part)
 
 
 def side_by_side_grids(beside: SideBySide) -> list[Grid]:
     """The tables of one of the paper's layouts."""
-    measured = [table for table in beside.tables if table.chance_episodes]
-    names = _reference_names((measured or beside.tables)[0])
     grids = []
     for number, (title, headings, scores) in enumerate(beside.parts):
         columns = {heading: heading for heading in headings}
-        parts = _by_row(beside.rows, scores, columns, names, {})
+        parts = _by_row(beside.rows, scores, columns, {})
         name = f"{beside.name}-{number}"
         grids.append(Grid(title, name, ["Condition", "Seeds"], list(headings), *parts))
     return grids
@@ -121,18 +128,18 @@ def _with_plain_means(table: ScoreTable) -> tuple[dict[str, str], pd.DataFrame]:
             column = f"{kind}, {PLAIN_MEAN}"
             columns[column] = column.capitalize()
             of_kind = table.scores[table.scores["level_kind"] == kind]
-            parts.append(
-                of_kind.assign(
-                    column=column,
-                    score=of_kind["plain_score"],
-                    error=of_kind["plain_error"],
-                    chance=of_kind["plain_chance"],
-                    blind=of_kind["plain_blind"],
-                    paper_value=math.nan,
-                    paper_error=math.nan,
-                )
-            )
+            parts.append(_other_mean(of_kind, "plain").assign(column=column))
     return columns, pd.concat(parts)
+
+
+def _other_mean(scores: pd.DataFrame, mean: Literal["plain", "capped"]) -> pd.DataFrame:
+    """The scores with another mean over the levels in the place of the weighted one."""
+    names = ["score", "error", *(one.name for one in REFERENCES)]
+    return scores.assign(
+        **{name: scores[f"{mean}_{name}"] for name in names},
+        paper_value=math.nan,
+        paper_error=math.nan,
+    )
 
 
 def _frames(table: ScoreTable) -> dict[str, int]:
@@ -148,11 +155,10 @@ def _by_row(
     rows: Sequence[Row],
     frame: pd.DataFrame,
     columns: Mapping[str, str],
-    reference_names: Mapping[Reference, str],
     frames: Mapping[str, int],
 ) -> tuple[list[Line], list[Line]]:
     """A line for each row that has scores in these columns, which are headings by the frame's
-    `column`; and the last lines, of chance and the blind policy."""
+    `column`; and the last lines, of the references that are known."""
     frame = frame[frame["column"].isin(columns)]
     lines = []
     for row in rows:
@@ -164,12 +170,11 @@ def _by_row(
             leading.append(count_text(frames[row.key]) if row.key in frames else NONE)
         lines.append(_line(leading, scores))
     references = []
-    for reference, shown in reference_names.items():
-        known = frame.groupby("column")[reference].first().reindex(list(columns))
-        if known.notna().any():
-            leading = [shown, *[""] * (2 if frames else 1)]
-            texts = [score_text(value) for value in known]
-            references.append(Line(leading, texts, [""] * len(columns)))
+    for one in _known_references(frame, list(columns)):
+        known = frame.groupby("column")[one.name].first().reindex(list(columns))
+        leading = [one.title, *[""] * (2 if frames else 1)]
+        texts = [score_text(value) for value in known]
+        references.append(Line(leading, texts, [""] * len(columns)))
     return lines, references
 
 
@@ -178,6 +183,7 @@ def _by_level(
     table: ScoreTable,
     groups: Sequence[LevelGroup],
     levels: LevelGroup,
+    references: Sequence[Reference],
     title: str,
     name: str,
 ) -> Grid:
@@ -185,16 +191,15 @@ def _by_level(
     leading = ["Level"]
     if levels.is_weighted:
         leading.append("Weight")
-    names = _reference_names(table)
-    known = table.group_scores.groupby("column")[list(names)].first()
-    leading += [names[reference] for reference in names if known[reference].notna().any()]
+    leading += [one.title for one in references]
+    known = table.group_scores.groupby("column").first()
     total = sum(levels.weights.values())
     lines = []
     for group, shown in zip(groups, _names(groups), strict=True):
         cells = {
             "Level": shown,
             "Weight": f"{sum(group.weights.values()) / total:.3f}",
-            **{names[one]: score_text(known[one][group.column]) for one in names},
+            **{one.title: score_text(known[one.name][group.column]) for one in references},
         }
         scores = table.group_scores[table.group_scores["column"] == group.column]
         scores = scores.set_index("row").reindex([row.key for row in rows])
@@ -216,8 +221,7 @@ def _line(leading: list[str], scores: pd.DataFrame) -> Line:
     )
 
 
-def _reference_names(table: ScoreTable) -> dict[Reference, str]:
-    return {
-        "chance": "Chance (measured)" if table.chance_episodes else "Chance",
-        "blind": "Blind",
-    }
+def _known_references(scores: pd.DataFrame, columns: Sequence[str]) -> list[Reference]:
+    """The references that are known in one of these columns, which are values of `column`."""
+    shown = scores[scores["column"].isin(columns)]
+    return [one for one in REFERENCES if shown[one.name].notna().any()]

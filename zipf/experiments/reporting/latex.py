@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Sequence
 
 from zipf.experiments.reporting.captions import caption, side_by_side_caption
-from zipf.experiments.reporting.grids import Grid, group_grids, main_grid, side_by_side_grids
+from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
 from zipf.experiments.reporting.side_by_side import side_by_side
 from zipf.experiments.reporting.tables import ScoreTable
 
@@ -20,7 +20,7 @@ def latex_report(tables: Sequence[ScoreTable]) -> str:
     for table in tables:
         text = caption(table) + "".join(f" {note}" for note in table.notes)
         parts.append(_grid(main_grid(table), table.title, text))
-        parts += [_grid(grid, f"{table.title}: {grid.title}", "") for grid in group_grids(table)]
+        parts += [_grid(grid, f"{table.title}: {grid.title}", "") for grid in lower_grids(table)]
     for beside in side_by_side(tables):
         text = side_by_side_caption(beside)
         parts += [_grid(grid, grid.title, text) for grid in side_by_side_grids(beside)]

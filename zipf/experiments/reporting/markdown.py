@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from zipf.experiments.reporting.captions import caption, side_by_side_caption
-from zipf.experiments.reporting.grids import Grid, group_grids, main_grid, side_by_side_grids
+from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
 from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.side_by_side import SideBySide, side_by_side
 from zipf.experiments.reporting.tables import Row, ScoreTable
@@ -22,7 +22,7 @@ PLOT_KINDS = ("learning", "ranks", "situations")  # as in the plots' file names
 def markdown(table: ScoreTable) -> str:
     """The table as Markdown, with its caption and notes below it."""
     parts = [_grid(main_grid(table))]
-    for grid in group_grids(table):
+    for grid in lower_grids(table):
         parts += [f"{grid.title.capitalize()}:", _grid(grid)]
     parts.append(caption(table))
     if table.notes:

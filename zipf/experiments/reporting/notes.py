@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from zipf.experiments.reporting.paper import LEVEL_KINDS
@@ -14,6 +15,7 @@ from zipf.experiments.reporting.windows import (
     window_text,
 )
 from zipf.experiments.reporting.wording import count_text
+from zipf.references import REFERENCE_NAMES
 
 
 def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
@@ -22,7 +24,7 @@ def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
     for run in runs:
         found += run.notes
         found += _window_notes(run, window_of(run, window))
-    found += [note for name in ("chance", "blind") for note in _reference_notes(runs, name)]
+    found += [note for name in REFERENCE_NAMES for note in _reference_notes(runs, name)]
     for key in dict.fromkeys(run.description.row_key for run in runs):
         found += _seeds_notes([run for run in runs if run.description.row_key == key])
     return tuple(found)
@@ -56,14 +58,13 @@ def _reference_notes(runs: Sequence[Run], name: str) -> list[str]:
     first: dict[tuple[str, str], tuple[float, Run]] = {}
     for run in runs:
         for level in run.description.levels:
-            score = getattr(level, name)
-            if score is None:
+            if name not in level.references:
                 continue
+            score = level.references[name].score
             known, other = first.setdefault((level.level_kind, level.level), (score, run))
-            if known != score:
-                what = {"chance": "chance", "blind": "the blind policy's score"}[name]
+            if not math.isclose(known, score, rel_tol=1e-9, abs_tol=1e-12):  # of other machines
                 names = " and ".join(sorted((run.label, other.label)))
-                return [f"{names} disagree about {what}: the first known value is shown."]
+                return [f"{names} disagree about {name}: the first known value is shown."]
     return []
 
 

@@ -13,13 +13,14 @@ from typing import Annotated, Any, Literal
 
 import pandas as pd
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import checksums
 from zipf.experiments.reporting.csv_files import Kind, read_bytes, read_header, read_table
 from zipf.experiments.reporting.paper import LEVEL_KINDS
 from zipf.experiments.reporting.wording import EXTERNAL_MARK
+from zipf.references import REFERENCE_NAMES
 
 # Differences between two seeds of a condition that cannot change what was learned.
 BOOKKEEPING = frozenset(
@@ -34,6 +35,12 @@ Whole = Annotated[int, Field(gt=-(2**63), lt=2**63)]
 Count = Annotated[int, Field(ge=0, lt=10**15)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _known(name: str) -> str:
+    if name not in REFERENCE_NAMES:
+        raise ValueError(f"should be one of {', '.join(REFERENCE_NAMES)}, is {name!r}")
+    return name
 
 
 class _Described(BaseModel):
@@ -53,25 +60,31 @@ class RowDescription(_Described):
     line: Literal["solid", "dashed"]
 
 
+class ReferenceDescription(_Described):
+    """The score of a player that does not learn on a level.
+
+    `episodes` is over how many it was measured, None where it is exact. `by_rank` is the same at
+    each value of a rank of the situation, for those ranks for which it is known.
+    """
+
+    score: Finite
+    episodes: Count | None
+    by_rank: Mapping[str, tuple[Finite, ...]]
+
+
 class LevelDescription(_Described):
     """A level of a run.
 
     `weight` is its share in the score of its kind, relative to those of the kind's other levels.
-    `chance` is the score of random actions there, None where it is not known, and
-    `chance_episodes` over how many episodes it was measured, None where it is exact or not known.
-    `blind` is the score of a policy that masters the level and cannot read what an episode asks
-    for, None where it is not known. `..._by_rank` are the same at each value of a rank of the
-    situation, for those ranks for which they are known.
+    `normalised` says whether its score is a fraction of a human's above random actions.
+    `references` are those of `zipf.references.REFERENCES` that are known, by name.
     """
 
     level_kind: Literal["train", "uniform", "rare"]
     level: Line
     weight: Positive
-    chance: Finite | None
-    chance_episodes: Count | None
-    chance_by_rank: Mapping[str, tuple[Finite, ...]] = {}
-    blind: Finite | None = None
-    blind_by_rank: Mapping[str, tuple[Finite, ...]] = {}
+    normalised: bool
+    references: Mapping[Annotated[str, AfterValidator(_known)], ReferenceDescription]
 
 
 class ExternalDescription(_Described):
@@ -108,14 +121,11 @@ class RunDescription(_Described):
     device: str | None = None
     precision: str | None = None
     resumed: tuple[dict[str, Any], ...] = ()
-    chance: dict[str, Finite | None] | None = None
 
     @model_validator(mode="after")
     def _is_consistent(self) -> RunDescription:
         if self.window is None and self.external is None:
             raise ValueError("window: missing")
-        if not self.external and self.chance is not None and {*self.chance} != {*LEVEL_KINDS}:
-            raise ValueError(f"chance: should be of {', '.join(LEVEL_KINDS)}")
         if self.window is not None and self.window[0] > self.window[1]:
             raise ValueError(f"window {list(self.window)} ends before it starts")
         for level_kind in LEVEL_KINDS:

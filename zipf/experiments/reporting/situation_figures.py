@@ -26,7 +26,7 @@ from zipf.experiments.reporting.situations import (
 from zipf.experiments.reporting.styles import (
     BAND,
     RARE_COLOUR,
-    REFERENCES,
+    REFERENCE_LINES,
     SHADE,
     TITLE_LINE,
     LineStyle,
@@ -48,8 +48,7 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None
     """Success on the uniform levels against each rank of the situation, with 95 % intervals; the
     mean return where success is not reported.
 
-    Chance and the blind policy are drawn at each rank where they are known there, else as their
-    mean over all ranks.
+    References are drawn at each rank where they are known there, else as their mean over all ranks.
     """
     measure = measure_of(table)
     found = {name: rates(table, [name], measure=measure) for name in situation_names(table)}
@@ -57,8 +56,8 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None
     if not found:
         return None
     handles = row_handles(table.rows, styles)
-    means = {one: reference_on_uniform(table, measure, one) for one in REFERENCES}
-    ranked = {one: reference_by_rank(table, measure, one) for one in REFERENCES}
+    means = {one: reference_on_uniform(table, measure, one) for one in REFERENCE_LINES}
+    ranked = {one: reference_by_rank(table, measure, one) for one in REFERENCE_LINES}
     for one, mean in means.items():
         if mean is not None:
             flat = any(name not in ranked[one] for name in found)
@@ -77,7 +76,7 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None
             axis.fill_between(
                 of_row[name], of_row["low"], of_row["high"], color=style.color, **BAND
             )
-        for one, line in REFERENCES.items():
+        for one, line in REFERENCE_LINES.items():
             if name in ranked[one]:
                 axis.plot(range(len(ranked[one][name])), ranked[one][name], **line)
             elif (mean := means[one]) is not None:

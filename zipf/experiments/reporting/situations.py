@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from zipf.experiments.reporting.statistics import Z_95, standard_error, wilson_interval
-from zipf.experiments.reporting.tables import Reference, ScoreTable
+from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside, situations_inside
 
 Measure = Literal["success", "return"]
@@ -79,12 +79,11 @@ def rates(
     return found.drop(columns=summed)
 
 
-def reference_on_uniform(table: ScoreTable, measure: Measure, reference: Reference) -> float | None:
-    """Chance, or the blind policy, on the uniform levels in the units of the measure; None where it
-    is not known.
+def reference_on_uniform(table: ScoreTable, measure: Measure, reference: str) -> float | None:
+    """A reference on the uniform levels in the units of the measure; None where it is not known.
 
-    They are known as scores, which are the measure only where a level is not normalised and, for
-    success, where returns are 0 or 1: where score and measure are the same in every evaluation.
+    References are known as scores, which are the measure only where a level is not normalised and,
+    for success, where returns are 0 or 1: where score and measure are the same in every evaluation.
     """
     known = table.reference(reference)
     if "uniform" not in known:
@@ -96,17 +95,17 @@ def reference_on_uniform(table: ScoreTable, measure: Measure, reference: Referen
 
 
 def reference_by_rank(
-    table: ScoreTable, measure: Measure, reference: Reference
+    table: ScoreTable, measure: Measure, reference: str
 ) -> dict[str, Sequence[float]]:
     """The same at each value of a rank, by the rank's name; without ranks for which it is not
     known, and with several uniform levels for none."""
     if reference_on_uniform(table, measure, reference) is None:
         return {}
     levels = {
-        level.level: getattr(level, f"{reference}_by_rank")
-        for run in reversed(table.runs)  # of the first run, as chance itself is
+        level.level: level.references[reference].by_rank
+        for run in reversed(table.runs)  # of the first run, as the reference itself is
         for level in run.description.levels
-        if level.level_kind == "uniform"
+        if level.level_kind == "uniform" and reference in level.references
     }
     known = next(iter(levels.values())) if len(levels) == 1 else {}
     counts = rank_counts(table)

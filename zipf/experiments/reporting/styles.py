@@ -16,23 +16,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from zipf.experiments.reporting.tables import Reference, Row
+from zipf.experiments.reporting.tables import Row
+from zipf.references import REFERENCES
 
 # Okabe and Ito (2008): told apart with any colour vision. Yellow is left out (too light for lines),
 # and so is orange (too near vermilion); olive and wine are from Tol's muted colours (2021). Grey is
-# kept for policies that do not learn.
+# kept for references.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#999933", "#56B4E9", "#882255", "#000000")
 RARE_COLOUR = "#D55E00"
 SHADE = "#FBF1CC"
 LINES: Mapping[str, Any] = {"solid": "-", "dashed": (0, (5, 1.5))}
 DASHES: tuple[Any, ...] = (*LINES.values(), (0, (1.5, 1)), (0, (5, 1.5, 1.5, 1.5)))
-REFERENCES: Mapping[Reference, Mapping[str, Any]] = {
-    "chance": {"color": "0.5", "linestyle": ":", "linewidth": 1.6, "zorder": 1},
-    "blind": {"color": "0.2", "linestyle": (0, (7, 2, 1.5, 2)), "linewidth": 1.1, "zorder": 1},
-}
-REFERENCE_LABELS: Mapping[Reference, str] = {
-    "chance": "Chance (random actions)",
-    "blind": "Blind (does not read what is asked for)",
+_REFERENCE_LINES: tuple[Mapping[str, Any], ...] = (
+    {"color": "0.5", "linestyle": ":", "linewidth": 1.6},
+    {"color": "0.2", "linestyle": (0, (7, 2, 1.5, 2)), "linewidth": 1.1},
+    {"color": "0.5", "linestyle": (0, (7, 2, 1.5, 2, 1.5, 2)), "linewidth": 1.1},
+    {"color": "0.2", "linestyle": (0, (10, 3)), "linewidth": 1.1},
+)
+REFERENCE_LINES: Mapping[str, Mapping[str, Any]] = {
+    one.name: {**line, "zorder": 1} for one, line in zip(REFERENCES, _REFERENCE_LINES, strict=True)
 }
 BAND: Mapping[str, Any] = {"alpha": 0.18, "linewidth": 0}
 
@@ -93,9 +95,10 @@ def row_handles(rows: Sequence[Row], styles: Mapping[str, LineStyle]) -> list[An
     return [Line2D([], [], **styles[row.key]._asdict(), label=row.title) for row in rows]
 
 
-def reference_handle(name: Reference, addition: str = "") -> Line2D:
-    """The entry of a policy that does not learn in a legend."""
-    return Line2D([], [], **REFERENCES[name], label=REFERENCE_LABELS[name] + addition)
+def reference_handle(name: str, addition: str = "") -> Line2D:
+    """The entry of a player that does not learn in a legend."""
+    (one,) = (one for one in REFERENCES if one.name == name)
+    return Line2D([], [], **REFERENCE_LINES[name], label=f"{one.title} ({one.hint}){addition}")
 
 
 def panels(count: int, title: str, handles: list[Any]) -> tuple[Figure, list[Axes]]:

@@ -14,6 +14,8 @@ The protocol, and what it leaves open (Chan et al. 2022, section on training and
    "an average or weighted average across tasks (± standard error across tasks)". There the medians
    of window and seeds are taken for each level by itself, then the weighted mean and its standard
    error across levels. One level has no such error.
+   Where these levels' scores are normalised by a human's, a capped score stands beside: each
+   level's median counts as at most 1, then mean and standard error are taken as before.
 4. The window is part of the result. A run with no evaluation inside it has no score, and a note
    says so; it is never scored somewhere else unless the reader asks for another window. An external
    agent, which has no updates, is scored at its last evaluation.
@@ -25,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -47,9 +49,7 @@ from zipf.experiments.reporting.windows import (
     window_of,
 )
 from zipf.experiments.reporting.wording import EXTERNAL_MARK
-
-Reference = Literal["chance", "blind"]
-"""Policies that do not learn: random actions, and one that cannot read what is asked for."""
+from zipf.references import REFERENCE_NAMES
 
 CSV_COLUMNS = (
     "table",
@@ -65,19 +65,21 @@ CSV_COLUMNS = (
     "error",
     "plain_score",
     "plain_error",
+    "capped_score",
+    "capped_error",
     "spread",
     "paper_value",
     "paper_error",
-    "chance",
-    "plain_chance",
-    "blind",
-    "plain_blind",
+    *(f"{mean}{name}" for name in REFERENCE_NAMES for mean in ("", "plain_", "capped_")),
     "window",
     "evaluations",
     "episodes",
     "updates",
     "frames",
 )
+
+
+CAP = 1.0  # a human's score; DMLab-30's convention (Espeholt et al. 2018, IMPALA, section 5.3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,25 +146,26 @@ class ScoreTable:
         """All runs, in the order of rows."""
         return [run for row in self.rows for run in row.runs]
 
-    @property
-    def chance(self) -> dict[str, float]:
-        """Score of uniformly random actions by level kind; empty where it is not known."""
-        return self.reference("chance")
-
-    def reference(self, name: Reference) -> dict[str, float]:
-        """Score of a policy that does not learn by level kind, without those not known."""
+    def reference(self, name: str) -> dict[str, float]:
+        """Score of a player that does not learn by level kind, without those not known."""
         known = self.scores.dropna(subset=[name])
         return dict(zip(known["level_kind"], known[name], strict=True))
 
-    @property
-    def chance_episodes(self) -> list[int]:
-        """Over how many episodes the chance of each level was measured; empty where it is exact."""
-        return [
-            level.chance_episodes
+    def reference_episodes(self, name: str) -> list[int]:
+        """Over how many episodes a reference was measured on each level, without those on which it
+        is exact or not known."""
+        known = (
+            level.references[name]
             for run in self.runs
             for level in run.description.levels
-            if level.chance_episodes is not None
-        ]
+            if name in level.references
+        )
+        return [one.episodes for one in known if one.episodes is not None]
+
+    @property
+    def is_capped(self) -> bool:
+        """Whether there are capped scores beside the others."""
+        return bool(self.scores["capped_score"].notna().any())
 
     @property
     def episodes(self) -> list[int]:
@@ -202,6 +205,8 @@ def score_frame(
         The columns that docs/results.md describes for `report.csv`, and `row` and `column`, the
         keys of the row and of the group of levels. NaN is "none".
     """
+    runs = [run for row in rows for run in row.runs]
+    references = {levels.column: _references(runs, levels) for levels in groups}
     lines = []
     for row in rows:
         for levels in groups:
@@ -227,8 +232,7 @@ def score_frame(
                     "spread": row.runs[0].description.spread,
                     "paper_value": published.value if published else np.nan,
                     "paper_error": error if error is not None else np.nan,
-                    **_reference("chance", [run for row in rows for run in row.runs], levels),
-                    **_reference("blind", [run for row in rows for run in row.runs], levels),
+                    **references[levels.column],
                     "window": str(window_of(row.runs[0], window)),
                 }
             )
@@ -344,7 +348,7 @@ def _score(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str,
         measured = _across_seeds(list(scored.values()))
     else:
         measured = _across_tasks(scored, levels)
-    return effort | measured
+    return effort | {"capped_score": np.nan, "capped_error": np.nan} | measured
 
 
 def _mean_scores_inside(run: Run, levels: LevelGroup, window: Window) -> pd.DataFrame:
@@ -371,25 +375,41 @@ def _across_tasks(scored: Mapping[Run, pd.DataFrame], levels: LevelGroup) -> dic
         of_seeds.append(rows.groupby("level")["score"].median())
     of_levels = pd.concat(of_seeds, axis=1).median(axis=1)[list(levels.weights)]
     weights, equal = list(levels.weights.values()), np.ones(len(levels.weights))
-    return {
+    found = {
         "score": weighted_mean(of_levels, weights),
         "error": standard_error(of_levels, weights),
         "plain_score": weighted_mean(of_levels, equal),
         "plain_error": standard_error(of_levels, equal),
     }
+    if _capped(next(iter(scored)), levels):
+        capped = np.minimum(of_levels, CAP)
+        found["capped_score"] = weighted_mean(capped, weights)
+        found["capped_error"] = standard_error(capped, weights)
+    return found
 
 
-def _reference(name: Reference, runs: Sequence[Run], levels: LevelGroup) -> dict[str, float]:
-    """The first known values of each level, averaged; NaN where a level's is not known."""
-    known: dict[str, float] = {}
-    for level in (level for run in runs for level in run.description.levels):
-        score = getattr(level, name)
-        if level.level_kind == levels.level_kind and score is not None:
-            known.setdefault(level.level, score)
-    if not known.keys() >= levels.weights.keys():
-        return {name: np.nan, f"plain_{name}": np.nan}
-    values = [known[one] for one in levels.weights]
-    return {
-        name: weighted_mean(values, list(levels.weights.values())),
-        f"plain_{name}": weighted_mean(values, np.ones(len(values))),
-    }
+def _capped(run: Run, levels: LevelGroup) -> bool:
+    """Whether levels have capped scores: a human's score is 1 on each of them."""
+    return run.description.spread == "tasks" and all(
+        level.normalised
+        for level in run.description.levels
+        if level.level_kind == levels.level_kind and level.level in levels.weights
+    )
+
+
+def _references(runs: Sequence[Run], levels: LevelGroup) -> dict[str, float]:
+    """For each reference the first known values of each level, averaged by their weights, with the
+    same weights and capped; NaN where a level's is not known."""
+    weights = list(levels.weights.values())
+    found = {}
+    for name in REFERENCE_NAMES:
+        known: dict[str, float] = {}
+        for level in (level for run in runs for level in run.description.levels):
+            if level.level_kind == levels.level_kind and name in level.references:
+                known.setdefault(level.level, level.references[name].score)
+        values = np.array([known.get(one, np.nan) for one in levels.weights])
+        found[name] = weighted_mean(values, weights)
+        found[f"plain_{name}"] = weighted_mean(values, np.ones(len(values)))
+        capped = np.minimum(values, CAP) if _capped(runs[0], levels) else values * np.nan
+        found[f"capped_{name}"] = weighted_mean(capped, weights)
+    return found

@@ -7,7 +7,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from zipf.experiments.reporting.captions import caption, side_by_side_caption
-from zipf.experiments.reporting.grids import Grid, group_grids, main_grid, side_by_side_grids
+from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.wording import KIND_NAMES, NONE
@@ -16,7 +16,7 @@ from zipf.experiments.reporting.wording import KIND_NAMES, NONE
 def print_table(table: ScoreTable, console: Console) -> None:
     """Print the table, the paper's scores below ours, then its caption and notes."""
     _print_grid(main_grid(table), table.title, console)
-    for grid in group_grids(table):
+    for grid in lower_grids(table):
         _print_grid(grid, f"{table.title}: {grid.title}", console)
     console.print(f"[dim]{escape(caption(table))}[/dim]", highlight=False)
     for note in table.notes:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from omegaconf import OmegaConf
@@ -27,10 +27,6 @@ from zipf.experiments.reporting import results
 from zipf.experiments.reporting.replacing import replace_text
 from zipf.experiments.running import checkpoint
 from zipf.experiments.running.result_table import last_update
-
-Reference = Literal["chance", "blind"]
-REFERENCES: tuple[Reference, ...] = ("chance", "blind")
-"""The scores that a level is described with: of random actions, and of a blind policy."""
 
 
 def find_checkpoint(config: Config) -> dict[str, Any] | None:
@@ -129,7 +125,6 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         "precision": config.precision,
         "window": config.schedule.window,
         "num_updates": config.updates,
-        "chance": {kind: mean_of_levels(described, kind, "chance") for kind in envs.KINDS},
         "levels": described,
         "situation": situation,
         "environment": config.level_options,
@@ -151,8 +146,8 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
 def describe_levels(
     split: envs.Split, options: dict[str, Any], *, chance_episodes: int = 0
 ) -> list[dict[str, Any]]:
-    """The levels of a run, each with its weight and the scores of random actions and of a blind
-    policy, as `LevelDescription` reads them.
+    """The levels of a run, each with its weight and the scores of those references that are known,
+    as `LevelDescription` reads them.
 
     Args:
         options: constructor options of the levels.
@@ -161,43 +156,44 @@ def describe_levels(
     described = []
     for kind in envs.KINDS:
         for level in split.levels(kind):
-            chance = envs.chance(level, **options)
-            if chance is None and chance_episodes:
-                chance = envs.measure_chance(level, episodes=chance_episodes, **options)
-            blind = envs.blind(level, **options)
+            references = {}
+            for one in envs.REFERENCES:
+                known = envs.reference(one.name, level, **options)
+                if known is None and one.name == "chance" and chance_episodes:
+                    known = envs.measure_chance(level, episodes=chance_episodes, **options)
+                if known is not None:
+                    references[one.name] = _described(level, known)
             described.append(
                 {
                     "level_kind": kind,
                     "level": level.name,
                     "weight": level.weight,
-                    "chance": chance and level.normalised(chance.score),
-                    "chance_episodes": chance and chance.episodes,
-                    "chance_by_rank": _by_rank(level, chance),
-                    "blind": blind and level.normalised(blind.score),
-                    "blind_by_rank": _by_rank(level, blind),
+                    "normalised": level.normalisation is not None,
+                    "references": references,
                 }
             )
     return described
 
 
-def _by_rank(level: envs.SplitLevel, known: envs.Chance | None) -> dict[str, list[float]]:
-    if known is None:
-        return {}
+def _described(level: envs.SplitLevel, known: envs.ReferenceScore) -> dict[str, Any]:
     return {
-        name: [level.normalised(value) for value in values]
-        for name, values in known.by_rank.items()
+        "score": level.normalised(known.score),
+        "episodes": known.episodes,
+        "by_rank": {
+            name: [level.normalised(value) for value in values]
+            for name, values in known.by_rank.items()
+        },
     }
 
 
-def mean_of_levels(
-    described: list[dict[str, Any]], kind: str, reference: Reference
-) -> float | None:
-    """The weighted mean over a kind's levels; None where one is not known."""
+def mean_of_levels(described: list[dict[str, Any]], kind: str, reference: str) -> float | None:
+    """The weighted mean of a reference over a kind's levels; None where one is not known."""
     levels = [level for level in described if level["level_kind"] == kind]
-    if any(level.get(reference) is None for level in levels):
+    if any(reference not in level["references"] for level in levels):
         return None
     total = sum(level["weight"] for level in levels)
-    return sum(level["weight"] * level[reference] for level in levels) / total
+    weighted = (level["weight"] * level["references"][reference]["score"] for level in levels)
+    return sum(weighted) / total
 
 
 def make(folder: Path) -> None:
@@ -318,9 +314,6 @@ def _check_same(folder: Path, description: dict[str, Any], config: Config, **kno
         "levels": [
             [kind, one.name, one.weight] for kind in envs.KINDS for one in split.levels(kind)
         ],
-        "chance": {
-            kind: mean_of_levels(description["levels"], kind, "chance") for kind in envs.KINDS
-        },
         **known,
     }
     there = {name: description.get(name) for name in here} | {

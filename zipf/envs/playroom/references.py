@@ -1,15 +1,13 @@
-"""Chance on the playroom's levels, as `scripts/measure_chance.py` measured it, and the score of a
-policy that cannot read the instruction."""
+"""What a policy that cannot read the instruction scores in the playroom, exactly; the other
+references were measured and stand in `references.json`."""
 
 from typing import Any
 
 from zipf.envs.playroom import levels
-from zipf.envs.random_play import Chance, measured
-
-chance = measured("zipf.envs.playroom")
+from zipf.envs.references import ReferenceScore
 
 
-def blind(level: str, **options: Any) -> Chance:
+def blind(level: str, **options: Any) -> ReferenceScore:
     """The score of a policy that does what an instruction of the level says about a toy of the
     room, but not the instruction that was given: exact.
 
@@ -19,7 +17,7 @@ def blind(level: str, **options: Any) -> Chance:
     found = levels.by_name(level)
     if not found.finding:
         score = 1 / ((found.others + 1) * len(found.tasks))
-        return Chance(score, by_rank={"target": (score,) * len(found.probabilities)})
+        return ReferenceScore(score, by_rank={"target": (score,) * len(found.probabilities)})
     by_target = (1 + found.probabilities) / 2
     score = float(found.probabilities @ by_target)
-    return Chance(score, by_rank={"target": tuple(by_target.tolist())})
+    return ReferenceScore(score, by_rank={"target": tuple(by_target.tolist())})

@@ -1,0 +1,175 @@
+"""Measures what players that do not learn score on the levels of a family.
+
+    python scripts/measure_references.py playroom
+    python scripts/measure_references.py playroom --references expert
+    python scripts/measure_references.py labyrinth --episodes 200
+
+Writes `references.json` in the family's package, which evaluations, reports and the documentation
+read, and `results/<family>_references.md`, which `make results` copies into the record. What is
+exact is not measured. A scripted player is measured where the family has it in `references` and
+`zipf.envs` has a function of the reference's name that makes it, as `zipf.envs.expert` does.
+
+Every draw comes from fixed seeds. Images are of a single pixel: no player looks at them.
+"""
+
+import argparse
+import importlib
+import json
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from zipf import envs
+from zipf.envs.gridworld import FAMILY as GRIDWORLD
+from zipf.envs.labyrinth.levels import LEVELS as TASKS
+from zipf.envs.playroom.levels import LEVELS as PLAYROOM
+from zipf.envs.random_play import measure
+from zipf.experiments.running.run_folder import commit
+
+RESULTS = Path(__file__).parent.parent / "results"
+NUM_ENVS = 100
+
+Measured = Sequence[tuple[str, Mapping[str, Any]]]
+Figures = dict[str, dict[str, list[dict[str, Any]]]]
+
+MEASURED: Mapping[str, Measured] = {
+    "gridworld": [(level, {}) for level in GRIDWORLD.levels],
+    "playroom": [
+        *((level, {}) for level in PLAYROOM),
+        *(  # as experiment=playroom_lift_compact has them
+            (f"lift/lift_shape_{name}", {"max_steps": 100})
+            for name in ("zipf3", "uniform", "uniform_rare")
+        ),
+    ],
+    "labyrinth": [(task, {}) for task in TASKS],
+}
+"""Levels of each family, and the constructor options that are not the family's defaults."""
+
+
+def measurable(family: str) -> list[str]:
+    """The references of a family that have a player and are not known exactly."""
+    found = []
+    for name in envs.find_family(family).references:
+        if name == "chance" or hasattr(envs, name):
+            known = envs.reference(name, f"{family}/{MEASURED[family][0][0]}")
+            if known is None or known.episodes is not None:
+                found.append(name)
+    return found
+
+
+def figure(
+    name: str, family: str, level: str, options: Mapping[str, Any], episodes: int, seed: int
+) -> dict[str, Any]:
+    """Plays a level."""
+    full = f"{family}/{level}"
+    how: dict[str, Any] = {"episodes": episodes, "seed": seed, "num_envs": NUM_ENVS, **options}
+    if "image_size" in envs.find_family(family).options_class.model_fields:
+        how["image_size"] = (1, 1)
+    if name == "chance":
+        known = envs.measure_chance(full, **how)
+    else:
+        known = measure(partial(getattr(envs, name), full), full, **how)
+    assert known.error is not None
+    return {
+        "score": round(known.score, 4),
+        "error": round(known.error, 4),
+        "episodes": episodes,
+        "options": dict(options),
+        "seed": seed,
+        "commit": commit(),
+    }
+
+
+def page(family: str, found: Figures) -> str:
+    """The table for the record."""
+    published = {
+        level.name.removeprefix(f"{family}/"): level.normalisation
+        for split in envs.find_family(family).splits
+        for level in split.all_levels
+        if level.normalisation is not None
+    }
+    known = [one for one in envs.REFERENCES if one.name in found]
+    titles = [title for one in known for title in (one.title, "Episodes")]
+    header = ["Level", *(["Random, published", "Human, published"] if published else []), *titles]
+    lines = [header, [":--"] + ["--:"] * (len(header) - 1)]
+    for level, options in MEASURED[family]:
+        shown = level + "".join(f", {name}={value}" for name, value in options.items())
+        cells = [shown]
+        if published:
+            cells += [f"{published[level].random:g}", f"{published[level].human:g}"]
+        for one in known:
+            figures = found[one.name].get(level, [])
+            own = next((figure for figure in figures if figure["options"] == options), None)
+            cells += [
+                f"{own['score']:.2f} ± {own['error']:.2f}" if own else "–",
+                str(own["episodes"]) if own else "–",
+            ]
+        lines.append(cells)
+    figures = [f for of in found.values() for each in of.values() for f in each]
+    commits = ", ".join(dict.fromkeys(str(one["commit"])[:10] for one in figures))
+    counts = {figure["episodes"] for figure in figures}
+    episodes = f" --episodes {counts.pop()}" if len(counts) == 1 else ""
+    meanings = " ".join(f"{one.title}: {one.meaning}." for one in known)
+    text = (
+        f"Mean returns of an episode ± standard error, measured at {commits}. {meanings} Scripted "
+        "players are no upper bound."
+    )
+    if published:
+        text += (
+            " The published returns were taken in the original engine, those of levels that end in "
+            "`_train` on the `_test` levels."
+        )
+    table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    return (
+        f"## Zipf's {family.capitalize()}: references\n\n{table}\n\n{text}\n\n"
+        f"```\npython scripts/measure_references.py {family}{episodes}\n```\n"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("family", choices=MEASURED)
+    parser.add_argument("levels", nargs="*", help="levels to measure; all if none is given")
+    parser.add_argument("--references", nargs="+", help="all that are not exact if none is given")
+    parser.add_argument("--episodes", type=int, default=1000, help="of each level, at least 2")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, help="the file to write, or to renew")
+    parser.add_argument("--page", type=Path, help="the table for the record")
+    given = parser.parse_args(arguments)
+    names = measurable(given.family)
+    levels = list(dict.fromkeys(level for level, _ in MEASURED[given.family]))
+    if given.episodes < 2:
+        parser.error(f"--episodes must be at least 2, got {given.episodes}")
+    for what, chosen, known in (
+        ("references", given.references or [], names),
+        ("levels", given.levels, levels),
+    ):
+        if unknown := [one for one in chosen if one not in known]:
+            parser.error(
+                f"unknown {what} {', '.join(unknown)}: expected some of {', '.join(known)}"
+            )
+    package = importlib.import_module(f"zipf.envs.{given.family}")
+    out = given.out or Path(str(package.__file__)).with_name("references.json")
+    found: Figures = json.loads(out.read_text("utf-8")) if out.exists() else {}
+    for name in given.references or names:
+        for level, options in MEASURED[given.family]:
+            if given.levels and level not in given.levels:
+                continue
+            new = figure(name, given.family, level, options, given.episodes, given.seed)
+            of_level = found.setdefault(name, {}).setdefault(level, [])
+            of_level[:] = [*(old for old in of_level if old["options"] != options), new]
+            print(f"{name}, {level} {options}: {new['score']} +- {new['error']}", flush=True)
+            ordered = {
+                name: {level: found[name][level] for level in levels if level in found[name]}
+                for name in (one.name for one in envs.REFERENCES)
+                if name in found
+            }
+            out.write_text(json.dumps(ordered, indent=2) + "\n", "utf-8")
+    table = given.page or RESULTS / f"{given.family}_references.md"
+    table.write_text(page(given.family, found), "utf-8")
+    print(f"written: {out}, {table}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""Scores of the players of `zipf.references` on levels: exact, or measured and kept in files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import import_module, resources
+from typing import Any
+
+
+@dataclass(frozen=True)
+class ReferenceScore:
+    """The mean return of an episode of a reference on a level.
+
+    Attributes:
+        score: the mean return.
+        episodes: how many it was measured over; None if it is exact.
+        by_rank: the mean return at each value of a rank of the situation, by the rank's name, on a
+            level on which all others are drawn as here; without those that are not known.
+        error: the standard error of a measured score; None if it is not known.
+    """
+
+    score: float
+    episodes: int | None = None
+    by_rank: Mapping[str, tuple[float, ...]] = field(default_factory=dict, hash=False)
+    error: float | None = None
+
+
+def measured(package: str, name: str) -> Callable[..., ReferenceScore | None]:
+    """A reference as `scripts/measure_references.py` wrote it to `references.json` in a package.
+
+    Args:
+        package: has the family as `FAMILY`.
+        name: of the reference.
+
+    Returns:
+        A function of a level's name and constructor options, as in `Family.references`. It returns
+        None for levels and options that were not measured. The file has for each reference and
+        level a list of figures, with the options that are not the family's defaults:
+
+        {"chance": {"lift/lift_shape_zipf3": [
+            {"score": 0.03, "error": 0.005, "episodes": 1000, "options": {"max_steps": 100}, ...}]}}
+    """
+
+    def reference(level: str, **options: Any) -> ReferenceScore | None:
+        family = import_module(package).FAMILY
+        defaults = family.options_class().model_dump(exclude=set(family.appearance))
+        for figure in _figures(package).get(name, {}).get(level, []):
+            if {**defaults, **options} == {**defaults, **figure["options"]}:
+                return ReferenceScore(figure["score"], figure["episodes"], error=figure["error"])
+        return None
+
+    return reference
+
+
+@cache
+def _figures(package: str) -> dict[str, dict[str, list[dict[str, Any]]]]:
+    path = resources.files(package) / "references.json"
+    return json.loads(path.read_text("utf-8")) if path.is_file() else {}  # nothing measured yet

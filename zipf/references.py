@@ -1,0 +1,53 @@
+"""References: players that do not learn, whose scores tables show below those of agents.
+
+`REFERENCES` is the only list of them: a `zipf.envs.Family` states the score of each, and run.json,
+tables, captions, plots and report.csv have those that are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A player that does not learn.
+
+    Attributes:
+        name: in `Family.references`, in run.json, and of its column of report.csv.
+        title: in tables.
+        hint: what it does in a few words, for legends.
+        meaning: what it does, for captions: a sentence without its subject, verb and full stop.
+    """
+
+    name: str
+    title: str
+    hint: str
+    meaning: str
+
+
+REFERENCES = (
+    Reference("chance", "Chance", "random actions", "uniformly random actions"),
+    Reference(
+        "blind",
+        "Blind",
+        "does not read what is asked for",
+        "masters the level but cannot read what an episode asks for, and so does what is asked for "
+        "most often",
+    ),
+    Reference(
+        "generalist",
+        "Generalist",
+        "scripted, acts on what it has seen",
+        "a scripted player that acts only on what it has seen in the episode, and knows no map",
+    ),
+    Reference(
+        "expert",
+        "Expert",
+        "scripted, reads the state",
+        "a scripted player that reads the whole state of the world",
+    ),
+)
+"""In the order of tables."""
+
+REFERENCE_NAMES = tuple(reference.name for reference in REFERENCES)
