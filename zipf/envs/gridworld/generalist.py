@@ -26,14 +26,15 @@ class Generalist:
     """Plays all worlds of a batch from what has been in view: `Generalist(env)()` is actions [N].
 
     It knows the cue, the rules of moving, and the cells that have been in its 7 x 7 view in this
-    episode, but not the top left one, which the cue covers. Once it has seen the cued object it goes
-    there by the shortest way through floor that it has seen. Until then it moves to whichever
-    neighbouring floor cell it has been to least often in this episode, and touches no object.
+    episode, but not the top left one, which the cue covers. Once it has seen the cued object, and a
+    way there through floor that it has seen, it goes the shortest such way. Until then it moves to
+    whichever neighbouring floor cell it has been to least often in this episode, and touches no
+    object.
 
     It may be asked in worlds in which another policy acts. It then remembers what was in view, and
-    where the agent stood, at every step at which it was asked. Where it was not asked from the first
-    step of an episode on, its memory begins when it was. Asked again before the worlds have moved,
-    it gives the same actions.
+    where the agent stood, at every step at which it was asked. Where it was not asked from the
+    first step of an episode on, its memory begins when it was. Asked again before the worlds have
+    moved, it gives the same actions.
 
     Args:
         env: the batch.

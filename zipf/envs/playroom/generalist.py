@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.playroom import actions
+from zipf.envs.playroom.constants import AGENT_RADIUS, FURNITURE_SIZE
 from zipf.envs.playroom.expert import LOOK, Expert, around
+from zipf.envs.playroom.geometry import rectangle_gap
 from zipf.envs.playroom.in_view import look
 from zipf.envs.playroom.layout import FIRST_PITCH
 from zipf.envs.playroom.levels import LIFT, NEAR, ON
-from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Worlds, X, Y
+from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Worlds, X
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.playroom.view import FIELD_OF_VIEW
 
@@ -23,12 +25,14 @@ _PITCHES = (
     (FIRST_PITCH, math.radians(-55)),
     (math.radians(-10), math.radians(-40)),
 )
-"""At which the room is searched, by turns: far, and close by; and with a toy in the hand, which at
-lower views would be held so low that bed and toys were in its way."""
+"""Views, radians, at which the room is searched by turns, first with an empty hand, then with a toy
+in it: at lower views the toy would be so low that the bed and other toys were in its way."""
 _SPOTS = np.array([(x, y) for x in (-1.0, 1.0) for y in (-1.0, 1.0)])
 """From where it is searched again, metres."""
 _THERE = 0.4
 """Distance at which a spot is reached, metres."""
+_TOUCH = 0.02
+"""How near the agent comes to the bed when it bumps into it, metres."""
 _WALK = 60
 """Steps after which it is given up."""
 
@@ -44,7 +48,8 @@ class Generalist:
     It knows the instruction, its own pose and speed, the room's walls, what it holds, and of toys,
     bed and tray the pose at which each was last in view in this episode: in the image and not
     behind something else, see `in_view.py`. Where a toy is not in view at the place where it was
-    seen last, that place is forgotten. What has not been seen is to it not there.
+    seen last, that place is forgotten. What has not been seen is to it not there, but it notices
+    when it bumps into a bed that it has not seen, and turns until it sees it.
 
     It may be asked in worlds in which another policy acts. It then remembers what was in view at
     every step at which it was asked, and how far the agent turned. Where it was not asked from the
@@ -146,13 +151,22 @@ class Generalist:
         else:
             known = worlds.objects[i, 0, X] != _NOWHERE
         yaw = float(worlds.agents[i, YAW])
-        if known:
+        if known and not self._bumps(i):
             self._sweeps[i], self._turned[i], self._spots[i] = 0, 0.0, -1
             action = self._expert.act(i)
         else:
             action = self._search(worlds, i, moved, holds) + (actions.GRAB if holds else 0)
         self._yaw[i] = yaw
         return action
+
+    def _bumps(self, i: int) -> bool:
+        """Whether the agent touches a bed that it has not seen, and so has to look for it."""
+        worlds = self.env.worlds
+        if not worlds.furnished or self._supports[i, 0]:
+            return False
+        agent = worlds.agents[i]
+        gap = rectangle_gap(worlds.furniture[i, 0], FURNITURE_SIZE[0], agent[AX], agent[AY])
+        return bool(gap < AGENT_RADIUS + _TOUCH)
 
     def _search(self, worlds: Worlds, i: int, moved: bool, holds: bool) -> int:
         """Turns to the right, and after a full turn looks elsewhere."""

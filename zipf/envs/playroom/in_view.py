@@ -46,7 +46,10 @@ def look(worlds, wide, high, items, supports):
             for c in range(3):
                 halves[count + k, c] = FURNITURE_SIZE[k, c]
             halves[count + k, 2] /= 2
-            centres[count + k, 0], centres[count + k, 1] = world.furniture[k, 0], world.furniture[k, 1]
+            centres[count + k, 0], centres[count + k, 1] = (
+                world.furniture[k, 0],
+                world.furniture[k, 1],
+            )
             centres[count + k, 2] = halves[count + k, 2]
         for j in range(count):
             items[i, j] = _is_seen(j, agent, wide, high, centres[:boxes], frames, halves)
