@@ -1,4 +1,4 @@
-"""`python -m zipf.evaluate run=<folder>`: scores a trained agent; `score` scores any policy."""
+"""`python -m zipf.evaluate run=<folder>`: scores an agent or a script; `score` any policy."""
 
 from __future__ import annotations
 
