@@ -167,10 +167,10 @@ def test_in_the_gridworld_what_is_unseen_changes_nothing(memory: bool) -> None:
 
 
 def test_in_the_gridworld_batches_of_any_size_play_alike_and_seeds_differ() -> None:
-    def answers(num_envs: int, seed: int, **options: int) -> NDArray[np.int64]:
+    def answers(num_envs: int, first: int, **options: int) -> NDArray[np.int64]:
         env = gridworld(num_envs)
         player = GridworldGeneralist(env, **options)
-        env.reset(seed=seed)
+        env.reset(seed=first)
         made = []
         for _ in range(40):
             made.append(player())
@@ -228,16 +228,16 @@ def test_what_is_in_view() -> None:
     for agent, expected in (
         ((0, 0, 0, down), True),
         ((0, 0, np.radians(30), down), True),
-        ((0, 0, np.radians(45), down), False),  # beside the image
+        ((0, 0, np.radians(70), down), False),  # beside the image
         ((0, 0, np.pi, down), False),  # behind the agent
         ((0, 0, 0, np.radians(20)), False),  # below the image
         ((1, 0, 0, down), False),  # below the image, before the feet
     ):
         arrange(env, agent, {0: (1.2, 0)})
         assert seen(env)[0][0] is expected
-    arrange(env, (-1, 0, 0, down), {0: (1.2, 0), 1: (0.3, 0)}, names=("dice", "piano", "cup"))
+    arrange(env, (-1, 0, 0, down), {0: (0.65, 0), 1: (0.3, 0)}, names=("dice", "piano", "cup"))
     assert seen(env)[0][:2] == [False, True]  # hidden
-    arrange(env, (-1, 0, 0, down), {0: (1.2, 0.9), 1: (0.3, 0)}, names=("dice", "piano", "cup"))
+    arrange(env, (-1, 0, 0, down), {0: (0.65, 0.6), 1: (0.3, 0)}, names=("dice", "piano", "cup"))
     assert seen(env)[0][:2] == [True, True]
 
 
@@ -294,7 +294,7 @@ def test_in_the_playroom_it_remembers_and_forgets() -> None:
     assert not seen(env)[0][0]
     assert label != actions.TURN_RIGHT
     # It is moved, and its old place comes into view.
-    env.worlds.objects[0, 0, :2] = -1.4, 0.0
+    env.worlds.objects[0, 0, :2] = 0.3, -1.6
     assert player()[0] == label
     env.worlds.agents[0, YAW] = 0.0
     assert player()[0] == actions.TURN_RIGHT
@@ -308,6 +308,7 @@ def test_in_the_playroom_the_support_must_have_been_seen() -> None:
     arrange(env, (0.6, 0, 0, np.radians(-10)), {0: (1.2, 0, 0, 0.7)}, task="on bed")
     env.worlds.hands[0] = 0
     env.worlds.lifted[0, 0] = True
+    env._lengths[0] = 2  # in the midst of an episode
     assert seen(env)[1] == [False, False]
     player = PlayroomGeneralist(env)
     assert player()[0] == actions.GRAB + actions.TURN_RIGHT
@@ -317,7 +318,7 @@ def test_in_the_playroom_the_support_must_have_been_seen() -> None:
     env.worlds.agents[0, YAW] = 0.0
     assert player._supports[0].tolist() == [True, False]
     assert (player._furniture[0, 0] == env.worlds.furniture[0, 0]).all()
-    assert player()[0] != actions.GRAB + actions.TURN_RIGHT or env.lengths[0] % 2
+    assert player()[0] in actions.GRAB + np.arange(actions.FORWARD, actions.LEFT + 1)
 
 
 def test_in_the_playroom_it_looks_for_a_bed_that_it_bumps_into() -> None:
@@ -325,7 +326,7 @@ def test_in_the_playroom_it_looks_for_a_bed_that_it_bumps_into() -> None:
     for x, expected in ((-0.24, True), (-0.1, False)):  # the bed ends at -0.5
         arrange(env, (x, 0, 0, np.radians(-25)), {0: (1.2, 0)}, task="on bed")
         assert env.worlds.agents[0, AX] == x
-        assert (PlayroomGeneralist(env)()[0] == actions.TURN_RIGHT) is expected
+        assert bool(PlayroomGeneralist(env)()[0] == actions.TURN_RIGHT) is expected
 
 
 def test_of_two_toys_of_a_kind_either_is_found() -> None:

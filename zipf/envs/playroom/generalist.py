@@ -106,6 +106,7 @@ class Generalist:
         new = ~same
         self._items[new] = self._supports[new] = False
         self._objects[new] = self._furniture[new] = _NOWHERE
+        self._orientation[new] = np.eye(3)
         self._sweeps[new] = self._walked[new] = 0
         self._turned[new] = 0.0
         self._spots[new] = -1
