@@ -237,10 +237,18 @@ def test_an_mp4_takes_its_library(tmp_path, monkeypatch):
     assert not (tmp_path / "out.mp4").exists()
 
 
-@pytest.mark.parametrize("level", FAMILIES.values(), ids=FAMILIES)
-def test_every_family_can_be_recorded(level, tmp_path):
+@pytest.mark.parametrize(
+    ("level", "policy"),
+    [
+        (level, policy)
+        for name, level in FAMILIES.items()
+        for policy in envs.SCRIPTED
+        if getattr(envs.find_family(name), policy) is not None
+    ],
+)
+def test_every_family_can_be_recorded(level, policy, tmp_path):
     path = tmp_path / "out.gif"
-    said = play(f"level={level}", "policy=expert", "seed=1", f"record={path}", "view=agent")
+    said = play(f"level={level}", f"policy={policy}", "seed=1", f"record={path}", "view=agent")
     assert said[0] == f"{level}, seed 1"
     assert said[1].startswith("episode 1: ")
     steps = int(re.search(r"(\d+) steps?$", said[1])[1])
@@ -393,11 +401,12 @@ def test_a_level_that_the_agent_cannot_play(run, tmp_path):
             play(f"run={run}", f"level={level}", f"record={tmp_path}/x.gif")
 
 
-def test_a_family_may_have_neither_keys_nor_an_expert(monkeypatch, tmp_path):
-    for name in ("keys", "expert"):
+def test_a_family_may_have_neither_keys_nor_scripts(monkeypatch, tmp_path):
+    for name in ("keys", "scripted"):
         monkeypatch.setattr(envs, name, lambda *_: None)
-    with pytest.raises(UserError, match="policy=expert: gridworld/rare has none"):
-        play("level=gridworld/rare", "policy=expert", f"record={tmp_path}/x.gif")
+    for name in envs.SCRIPTED:
+        with pytest.raises(UserError, match=f"policy={name}: gridworld/rare has none; policy=ran"):
+            play("level=gridworld/rare", f"policy={name}", f"record={tmp_path}/x.gif")
     with pytest.raises(UserError, match="no keys for gridworld/rare"):
         play("level=gridworld/rare")
 

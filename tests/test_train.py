@@ -375,6 +375,25 @@ def test_evaluate_scores_a_run(trained, monkeypatch, capsys):
     assert capsys.readouterr().out == shown
 
 
+@pytest.mark.parametrize("name", envs.SCRIPTED)
+def test_evaluate_scores_a_script(name, monkeypatch, capsys):
+    arguments = [f"policy={name}", "split=gridworld", "episodes=50"]
+    monkeypatch.setattr(sys, "argv", ["zipf.evaluate", *arguments])
+    evaluate.main()
+    shown = capsys.readouterr().out
+    expected = evaluate.score(name, "gridworld", episodes=50)
+    assert f"policy={name}\n" in shown
+    for score in expected.values():
+        assert f" {score:.3f} " in shown
+    assert (min(expected.values()) == 1) == (name == "expert")
+    for told, options in {
+        "deterministic=True": {"deterministic": True},
+        "batched=False": {"batched": False},
+    }.items():
+        with pytest.raises(ValueError, match=told):
+            evaluate.score(name, "gridworld", **options)
+
+
 @pytest.mark.parametrize(
     ("module", "arguments", "told"),
     [
@@ -384,6 +403,17 @@ def test_evaluate_scores_a_run(trained, monkeypatch, capsys):
         ("zipf.evaluate", ["run=nowhere"], "nowhere: is no run's folder"),
         ("zipf.evaluate", ["rn=x"], "run"),
         ("zipf.evaluate", ["run=nowhere", "episodes=0"], "episodes=0"),
+        ("zipf.evaluate", ["episodes=5"], "choose run=<a run's folder>, or policy=expert"),
+        ("zipf.evaluate", ["policy=expert"], "with split=<a split's name>"),
+        ("zipf.evaluate", ["run=x", "split=gridworld"], "with split=<a split's name>"),
+        ("zipf.evaluate", ["policy=expert", "split=gridworld", "run=x"], "run=x: does not go with"),
+        ("zipf.evaluate", ["policy=expert", "split=gridwrld"], "did you mean 'gridworld'"),
+        ("zipf.evaluate", ["policy=best", "split=gridworld"], "policy=best"),
+        (
+            "zipf.evaluate",
+            ["policy=generalist", "split=labyrinth_forward", "num_envs=1", "episodes=1"],
+            "policy=generalist: labyrinth/",
+        ),
         ("zipf.report", ["nowhere"], "nowhere"),
         ("zipf.train", ["experiment=demo", "-m", "seed=0,-1"], "seed=-1"),
         ("zipf.train", ["--resolve"], "--resolve: goes with --cfg job"),

@@ -6,13 +6,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from zipf.envs.family import (
+    SCRIPTED,
     Family,
+    Scripted,
     all_splits,
     expert,
     families,
     family_of_split,
     find_family,
     find_level,
+    generalist,
     keys,
     make,
     make_scored,
@@ -21,6 +24,7 @@ from zipf.envs.family import (
     questions,
     reference,
     register,
+    scripted,
     split,
 )
 from zipf.envs.references import ReferenceScore
@@ -48,12 +52,14 @@ _LAZY = {
 __all__ = [
     "KINDS",
     "REFERENCES",
+    "SCRIPTED",
     "Family",
     "GymnasiumVectorEnv",
     "Mixture",
     "Normalisation",
     "Reference",
     "ReferenceScore",
+    "Scripted",
     "SingleWorld",
     "Split",
     "SplitLevel",
@@ -64,6 +70,7 @@ __all__ = [
     "family_of_split",
     "find_family",
     "find_level",
+    "generalist",
     "keys",
     "make",
     "make_scored",
@@ -73,6 +80,7 @@ __all__ = [
     "questions",
     "reference",
     "register",
+    "scripted",
     "split",
     "zipfian",
 ]
