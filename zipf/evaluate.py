@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from zipf.experiments.errors import UserError
+from zipf.experiments.errors import TOLD
 from zipf.experiments.output import keep_going
 from zipf.experiments.running.external import record
 from zipf.experiments.running.scoring import Evaluation, geometry, score
@@ -38,7 +38,7 @@ def main() -> None:
         _evaluate(arguments)
     except KeyboardInterrupt:
         sys.exit(130)
-    except UserError as error:
+    except TOLD as error:
         for line in str(error).splitlines():
             print(f"error: {line}", file=sys.stderr)
         sys.exit(2)

@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from zipf.envs.family import (
+    EngineError,
     Family,
     all_splits,
     blind,
@@ -48,6 +49,7 @@ _LAZY = {
 __all__ = [
     "KINDS",
     "Chance",
+    "EngineError",
     "Family",
     "GymnasiumVectorEnv",
     "Mixture",

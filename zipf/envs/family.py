@@ -38,6 +38,10 @@ if TYPE_CHECKING:
     """A scripted player of a batch of worlds: called, it gives actions [N] from their state."""
 
 
+class EngineError(RuntimeError):
+    """An engine that is not ours cannot be started, or goes wrong; says what it needs."""
+
+
 class NoOptions(Options):
     """A family without constructor options."""
 

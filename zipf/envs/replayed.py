@@ -20,10 +20,6 @@ _NOT_DETERMINISTIC: set[str] = set()
 """The engines and levels that this process has warned about."""
 
 
-class EngineError(RuntimeError):
-    """Another engine cannot be started, or refuses to go on; says what it needs."""
-
-
 class Outcome(NamedTuple):
     """What one world returned for an action.
 

@@ -9,7 +9,7 @@ from typing import Any
 from zipf.envs.labyrinth.levels import by_name
 from zipf.envs.random_play import Chance
 
-OPTIONS = {"num_actions": 15, "action_repeat": 4}
+OPTIONS = {"backend": "own", "num_actions": 15, "action_repeat": 4}
 """Constructor options that were measured."""
 
 

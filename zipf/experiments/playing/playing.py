@@ -158,7 +158,10 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
         elif policy == "random":
             player = _Random(env, derive_seed(seed, "actions"))
         elif policy == "expert":
-            expert = envs.expert(level, env)
+            try:
+                expert = envs.expert(level, env)
+            except ValueError as error:
+                raise UserError(f"policy=expert: {error}") from None
             if expert is None:
                 raise UserError(f"policy=expert: {level} has none; policy=random plays all levels")
             player = _Scripted(expert)
