@@ -22,6 +22,7 @@ from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.evaluate import score
 from zipf.experiments import command_line, composing
 from zipf.experiments.config import Config
+from zipf.experiments.playing.playing import PlayOptions, play
 from zipf.experiments.running import run_folder, runner
 
 Lab = fake_deepmind_lab.Lab
@@ -235,6 +236,16 @@ def test_runs_are_trained_and_resumed(tmp_path: Path, monkeypatch: pytest.Monkey
             run.save()
         assert run.update == (1 if run.is_new and config is cut else 2)
     assert_equal(learned(whole.folder), learned(cut.folder))
+    film = tmp_path / "film.gif"
+    said: list[str] = []
+    play(
+        PlayOptions(
+            run=str(whole.folder), level="labyrinth/rooms_watermaze", seed=0, record=str(film)
+        ),
+        said.append,
+    )
+    assert film.stat().st_size > 0
+    assert Lab.opened[-1].name == "rooms_watermaze"
     assert alive() == []
     description = run_folder.read_description(whole.folder)
     assert description["environment"]["backend"] == "dmlab"
