@@ -184,8 +184,8 @@ class ReplayedVectorEnv(ZipfVectorEnv):
             )
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {"_actions": [[] for _ in range(self.num_envs)]}
-        return {**super().__getstate__(), **kept, "_saved": self.get_state()}
+        none: list[list[int]] = [[] for _ in range(self.num_envs)]
+        return {**super().__getstate__(), "_actions": none, "_saved": self.get_state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         saved = state.pop("_saved")

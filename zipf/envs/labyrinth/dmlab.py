@@ -119,7 +119,7 @@ class DmlabVectorEnv(ReplayedVectorEnv):
         render_mode: str | None = None,
     ) -> None:
         self.level = by_name(level)
-        height, width = pair("image_size", image_size)
+        self._height, self._width = pair("image_size", image_size)
         if not isinstance(num_actions, int) or num_actions not in TABLES:
             known = " or ".join(map(str, TABLES))
             raise ValueError(f"num_actions must be {known}, got {num_actions!r}")
@@ -131,7 +131,7 @@ class DmlabVectorEnv(ReplayedVectorEnv):
             num_envs,
             single_observation_space=spaces.Dict(
                 {
-                    "image": spaces.Box(0, 255, (height, width, 3), dtype=np.uint8),
+                    "image": spaces.Box(0, 255, (self._height, self._width, 3), dtype=np.uint8),
                     "instruction": VOCABULARY.space(),
                 }
             ),
@@ -185,12 +185,11 @@ class DmlabVectorEnv(ReplayedVectorEnv):
 
     def _make(self) -> Any:
         """An instance of DeepMind Lab. Raises EngineError if there cannot be one."""
-        height, width, _ = self.single_observation_space["image"].shape
         try:
             lab = _deepmind_lab().Lab(
                 f"{FOLDER}/{self.level.name}",
                 ["RGB_INTERLEAVED", "INSTR"],
-                config={"width": str(width), "height": str(height), "fps": "60"},
+                config={"width": str(self._width), "height": str(self._height), "fps": "60"},
                 renderer="software",
             )
         except Exception as error:
