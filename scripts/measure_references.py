@@ -9,7 +9,7 @@ read, and `results/<family>_references.md`, which `make results` copies into the
 exact is not measured. A scripted player is measured where the family has it in `references` and
 `zipf.envs` has a function of the reference's name that makes it, as `zipf.envs.expert` does.
 
-Every draw comes from fixed seeds. Images are of a single pixel: no player looks at them.
+Every draw comes from fixed seeds. Images are of a few pixels: no player looks at them.
 """
 
 import argparse
@@ -25,6 +25,7 @@ from zipf.envs.gridworld import FAMILY as GRIDWORLD
 from zipf.envs.labyrinth.levels import LEVELS as TASKS
 from zipf.envs.playroom.levels import LEVELS as PLAYROOM
 from zipf.envs.random_play import measure
+from zipf.experiments import command_line, composing
 from zipf.experiments.running.run_folder import commit
 
 RESULTS = Path(__file__).parent.parent / "results"
@@ -33,18 +34,28 @@ NUM_ENVS = 100
 Measured = Sequence[tuple[str, Mapping[str, Any]]]
 Figures = dict[str, dict[str, list[dict[str, Any]]]]
 
-MEASURED: Mapping[str, Measured] = {
-    "gridworld": [(level, {}) for level in GRIDWORLD.levels],
-    "playroom": [
-        *((level, {}) for level in PLAYROOM),
-        *(  # as experiment=playroom_lift_compact has them
-            (f"lift/lift_shape_{name}", {"max_steps": 100})
-            for name in ("zipf3", "uniform", "uniform_rare")
-        ),
-    ],
-    "labyrinth": [(task, {}) for task in TASKS],
+LEVELS: Mapping[str, Sequence[str]] = {
+    "gridworld": GRIDWORLD.levels,
+    "playroom": tuple(PLAYROOM),
+    "labyrinth": tuple(TASKS),
 }
-"""Levels of each family, and the constructor options that are not the family's defaults."""
+"""Levels of each family; one that draws others has the mean of theirs."""
+
+
+def to_measure(family: str) -> Measured:
+    """Levels, and the constructor options that are not the family's defaults: none, and those of
+    the experiments with the family's worlds."""
+    found: list[tuple[str, Mapping[str, Any]]] = [(level, {}) for level in LEVELS[family]]
+    options = envs.find_family(family).options_class()
+    defaults = options.model_dump(exclude=set(envs.find_family(family).appearance))
+    for experiment in command_line.choices("experiment"):
+        worlds = composing.composed(f"experiment={experiment}").values["environment"]
+        split = envs.split(worlds["split"])
+        others = {key: worlds[key] for key, value in defaults.items() if worlds[key] != value}
+        if envs.family_of_split(split.name).name == family and others:
+            levels = {one.name.removeprefix(f"{family}/"): others for one in split.all_levels}
+            found += [one for one in levels.items() if one not in found]
+    return found
 
 
 def measurable(family: str) -> list[str]:
@@ -52,7 +63,7 @@ def measurable(family: str) -> list[str]:
     found = []
     for name in envs.find_family(family).references:
         if name == "chance" or hasattr(envs, name):
-            known = envs.reference(name, f"{family}/{MEASURED[family][0][0]}")
+            known = envs.reference(name, f"{family}/{LEVELS[family][0]}")
             if known is None or known.episodes is not None:
                 found.append(name)
     return found
@@ -65,7 +76,7 @@ def figure(
     full = f"{family}/{level}"
     how: dict[str, Any] = {"episodes": episodes, "seed": seed, "num_envs": NUM_ENVS, **options}
     if "image_size" in envs.find_family(family).options_class.model_fields:
-        how["image_size"] = (1, 1)
+        how["image_size"] = (3, 4)  # the paper's proportions
     if name == "chance":
         known = envs.measure_chance(full, **how)
     else:
@@ -93,7 +104,7 @@ def page(family: str, found: Figures) -> str:
     titles = [title for one in known for title in (one.title, "Episodes")]
     header = ["Level", *(["Random, published", "Human, published"] if published else []), *titles]
     lines = [header, [":--"] + ["--:"] * (len(header) - 1)]
-    for level, options in MEASURED[family]:
+    for level, options in to_measure(family):
         shown = level + "".join(f", {name}={value}" for name, value in options.items())
         cells = [shown]
         if published:
@@ -129,16 +140,17 @@ def page(family: str, found: Figures) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("family", choices=MEASURED)
+    parser.add_argument("family", choices=LEVELS)
     parser.add_argument("levels", nargs="*", help="levels to measure; all if none is given")
     parser.add_argument("--references", nargs="+", help="all that are not exact if none is given")
     parser.add_argument("--episodes", type=int, default=1000, help="of each level, at least 2")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--missing", action="store_true", help="measure only what is not there")
     parser.add_argument("--out", type=Path, help="the file to write, or to renew")
     parser.add_argument("--page", type=Path, help="the table for the record")
     given = parser.parse_args(arguments)
     names = measurable(given.family)
-    levels = list(dict.fromkeys(level for level, _ in MEASURED[given.family]))
+    levels = list(LEVELS[given.family])
     if given.episodes < 2:
         parser.error(f"--episodes must be at least 2, got {given.episodes}")
     for what, chosen, known in (
@@ -153,8 +165,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     out = given.out or Path(str(package.__file__)).with_name("references.json")
     found: Figures = json.loads(out.read_text("utf-8")) if out.exists() else {}
     for name in given.references or names:
-        for level, options in MEASURED[given.family]:
+        for level, options in to_measure(given.family):
             if given.levels and level not in given.levels:
+                continue
+            there = [one["options"] for one in found.get(name, {}).get(level, [])]
+            if given.missing and options in there:
                 continue
             new = figure(name, given.family, level, options, given.episodes, given.seed)
             of_level = found.setdefault(name, {}).setdefault(level, [])

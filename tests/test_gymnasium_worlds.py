@@ -13,7 +13,7 @@ import pytest
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from zipf.envs import GymnasiumVectorEnv, Mixture, SingleWorld, gymnasium_worlds
+from zipf.envs import GymnasiumVectorEnv, Mixture, SingleWorld, gymnasium_worlds, replayed
 from zipf.envs.check import check_vector_env
 
 EVERYTHING = spaces.Dict(
@@ -77,7 +77,7 @@ def _registered() -> Iterator[None]:
     gym.register("Everything-v0", Everything, max_episode_steps=20)
     yield
     del gym.registry["Everything-v0"]
-    gymnasium_worlds._NOT_DETERMINISTIC.clear()
+    replayed._NOT_DETERMINISTIC.clear()
 
 
 CODES = {"kinds": 250, "kind": 256}

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zipf.experiments.errors import UserError
+from zipf.experiments.errors import TOLD, UserError
 from zipf.experiments.output import keep_going
 from zipf.experiments.running.external import record
 from zipf.experiments.running.scoring import Evaluation, geometry, score
@@ -47,7 +47,7 @@ def main() -> None:
         _evaluate(arguments)
     except KeyboardInterrupt:
         sys.exit(130)
-    except UserError as error:
+    except TOLD as error:
         for line in str(error).splitlines():
             print(f"error: {line}", file=sys.stderr)
         sys.exit(2)

@@ -6,7 +6,7 @@ import signal
 import sys
 
 from zipf.experiments.command_line import read_options
-from zipf.experiments.errors import UserError
+from zipf.experiments.errors import TOLD
 from zipf.experiments.output import keep_going
 from zipf.experiments.playing.playing import PlayOptions, play
 
@@ -47,7 +47,7 @@ def main() -> None:
         play(read_options(PlayOptions, arguments), lambda line: print(line, flush=True))
     except KeyboardInterrupt:
         sys.exit(130)
-    except UserError as error:
+    except TOLD as error:
         for line in str(error).splitlines():
             print(f"error: {line}", file=sys.stderr)
         sys.exit(2)

@@ -15,12 +15,12 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from zipf.experiments import catalogue, command_line, composing
-from zipf.experiments.errors import UserError
+from zipf.experiments.errors import TOLD, UserError
 from zipf.experiments.output import keep_going
 from zipf.experiments.running import run_folder, runner
 
 _command_process = os.getpid()
-_failed: list[UserError] = []
+_failed: list[Exception] = []
 
 # For the help text in configs/train.yaml.
 OmegaConf.register_new_resolver("zipf_choices", catalogue.help_text, replace=True)
@@ -36,7 +36,7 @@ def _job(_: DictConfig) -> None:
                 composing.add_folder(source.path)  # in a sweep's worker process
         config = command_line.load(list(HydraConfig.get().overrides.task))
         stopped = runner.train(config, alone=alone)
-    except UserError as error:
+    except TOLD as error:
         if not alone:  # a sweep's worker: the launcher raises it in `main`
             raise
         _tell(error)
@@ -48,7 +48,7 @@ def _job(_: DictConfig) -> None:
         sys.exit(128 + stopped)
 
 
-def _tell(error: UserError) -> None:
+def _tell(error: Exception) -> None:
     for line in str(error).splitlines():
         print(f"error: {line}", file=sys.stderr)
 
@@ -59,7 +59,7 @@ def main() -> None:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # otherwise Hydra prints a worker's error and exits
     try:
         _main()
-    except UserError as error:
+    except TOLD as error:
         _tell(error)
         _failed.append(error)
     except (HydraException, OmegaConfBaseException) as error:

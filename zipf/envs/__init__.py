@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from zipf.envs.family import (
     SCRIPTED,
+    EngineError,
     Family,
     Scripted,
     all_splits,
@@ -53,6 +54,7 @@ __all__ = [
     "KINDS",
     "REFERENCES",
     "SCRIPTED",
+    "EngineError",
     "Family",
     "GymnasiumVectorEnv",
     "Mixture",

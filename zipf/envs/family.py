@@ -43,6 +43,10 @@ SCRIPTED: tuple[Scripted, ...] = get_args(Scripted)
 """The fields of a `Family` that are scripted players."""
 
 
+class EngineError(RuntimeError):
+    """An engine that is not ours cannot be started, or goes wrong; says what it needs."""
+
+
 class NoOptions(Options):
     """A family without constructor options."""
 

@@ -2,12 +2,9 @@
 
 import hashlib
 import re
-import struct
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import chain
 from typing import Any
 
 import gymnasium as gym
@@ -16,20 +13,17 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs import pcg64
 from zipf.envs.arguments import mapping, whole
-from zipf.envs.vector import Observation, ZipfVectorEnv
+from zipf.envs.replayed import Outcome, ReplayedVectorEnv
+from zipf.envs.vector import Observation
 
 Success = Callable[[float, bool, dict[str, Any]], bool]
 """Whether an episode was a success: `success(episode_return, terminated, last_info)`."""
 
-_SEEDS = 2**31  # some environments take no larger ones
 _REPORTED = ("is_success", "success")
-_NOT_DETERMINISTIC: set[str] = set()
-"""Ids of the environments that this process has warned about."""
 
 
-class GymnasiumVectorEnv(ZipfVectorEnv):
+class GymnasiumVectorEnv(ReplayedVectorEnv):
     """`N` worlds of an existing Gymnasium environment, each made when it is first needed.
 
         env = GymnasiumVectorEnv(16, "CartPole-v1")
@@ -51,12 +45,7 @@ class GymnasiumVectorEnv(ZipfVectorEnv):
     **Actions** are Discrete, counted from 0.
 
     **Randomness.** Every episode is seeded by `reset(seed=...)` with a number of the world's own
-    stream, so seed and actions determine an episode of a deterministic environment. Environments
-    cannot save their state in general: `get_state` holds seed, actions and a digest of the
-    observations, rewards and ends of the running episodes, and `set_state` replays them, which
-    takes as long as playing them did. If a digest differs, the environment is not deterministic: a
-    warning names it, once in a process, and all its worlds begin their episodes again. Pickling
-    replays likewise.
+    stream. A saved state is replayed, see `ReplayedVectorEnv`.
 
     The situation has no ranks; `Mixture` and `zipfian` give it one.
 
@@ -83,8 +72,6 @@ class GymnasiumVectorEnv(ZipfVectorEnv):
             text of more words than `text_length`, or an `info` without the name given as success.
     """
 
-    _resizable = frozenset({"actions"})
-
     def __init__(
         self,
         num_envs: int,
@@ -101,6 +88,7 @@ class GymnasiumVectorEnv(ZipfVectorEnv):
         render_mode: str | None = None,
     ) -> None:
         self.id = id
+        self.replayed_name = f"environment {id!r}"
         self.options = dict(mapping("options", options))
         self.wrap = wrap
         self.render_mode = render_mode
@@ -127,18 +115,12 @@ class GymnasiumVectorEnv(ZipfVectorEnv):
             num_envs,
             single_observation_space=spaces.Dict({part.name: part.space for part in self.parts}),
             single_action_space=spaces.Discrete(int(action_space.n)),
-            situation={},
             autoreset_mode=autoreset_mode,
             copy=copy,
             render_mode=render_mode,
         )
         self._envs: list[gym.Env | None] = [None] * num_envs
         self._envs[0] = first
-        # The running episodes: how to repeat them, and what they returned last and so far.
-        self._seeds = np.zeros(num_envs, np.int64)
-        self._actions: list[list[int]] = [[] for _ in range(num_envs)]
-        self._digests = np.zeros(num_envs, np.uint64)
-        self._current = self.allocate()
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One frame of each world, uint8 [height, width, 3], with `render_mode="rgb_array"`.
@@ -177,44 +159,28 @@ class GymnasiumVectorEnv(ZipfVectorEnv):
         info = env.step(self._first_action)[4]
         return next((name for name in _REPORTED if name in info), None)
 
-    def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
-        for i in np.flatnonzero(mask).tolist():
-            self._begin_world(i, int(pcg64.next_double(self._streams[i]) * _SEEDS))
-
-    def _begin_world(self, i: int, seed: int) -> None:
+    def _open(self, i: int, seed: int) -> Observation:
         env = self._envs[i]
         if env is None:
             env = self._envs[i] = self._make()
-        self._seeds[i] = seed
-        self._actions[i] = []
-        self._digests[i] = 0
-        self._take(i, env.reset(seed=seed)[0], 0.0, False, False)
+        return self._read(env.reset(seed=seed)[0])
 
-    def _advance(
-        self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-        reward = np.zeros(self.num_envs)
-        terminated, truncated, success = np.zeros((3, self.num_envs), np.bool_)
-        for i in np.flatnonzero(mask).tolist():
-            reward[i], terminated[i], truncated[i], info = self._step_world(i, int(actions[i]))
-            if self.success is not None and (terminated[i] or truncated[i]):
-                episode_return = float(self._returns[i] + reward[i])
-                success[i] = self._succeeded(episode_return, bool(terminated[i]), info)
-        return reward, terminated, truncated, success
-
-    def _step_world(self, i: int, action: int) -> tuple[float, bool, bool, dict[str, Any]]:
+    def _act(self, i: int, action: int) -> Outcome:
         env = self._envs[i]
         assert env is not None
-        self._actions[i].append(action)
         observation, reward, terminated, truncated, info = env.step(self._first_action + action)
         # There is no future after a terminal state, whatever the time limit says.
         ends = bool(terminated), bool(truncated) and not terminated
-        self._take(i, observation, float(reward), *ends)
-        return float(reward), *ends, info
+        return Outcome(self._read(observation), float(reward), *ends, info)
 
-    def _succeeded(self, episode_return: float, terminated: bool, info: dict[str, Any]) -> bool:
+    def _read(self, observation: Any) -> Observation:
+        return {part.name: part.read(observation) for part in self.parts}
+
+    def _succeeded(self, episode_return: float, outcome: Outcome) -> bool:
+        info = dict(outcome.info)
         if callable(self.success):
-            return bool(self.success(episode_return, terminated, info))
+            return bool(self.success(episode_return, outcome.terminated, info))
+        assert self.success is not None
         if self.success not in info:
             raise ValueError(
                 f"success={self.success!r}, but {self.id} has no such entry in the info of an "
@@ -222,94 +188,8 @@ class GymnasiumVectorEnv(ZipfVectorEnv):
             )
         return bool(info[self.success])
 
-    def _take(
-        self, i: int, observation: Any, reward: float, terminated: bool, truncated: bool
-    ) -> None:
-        """Keeps a world's observation, and what the world returned in its digest."""
-        content = [struct.pack("<Qd??", self._digests[i], reward, terminated, truncated)]
-        for part in self.parts:
-            row = self._current[part.name][i : i + 1]
-            row[0] = part.read(observation)
-            content.append(row.tobytes())
-        digest = hashlib.blake2b(b"".join(content), digest_size=8).digest()
-        self._digests[i] = int.from_bytes(digest, "little")
-
-    def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
-        for name, array in out.items():
-            array[mask] = self._current[name][mask]
-
-    def _situations(self) -> dict[str, NDArray[np.int64]]:
-        return {}
-
-    def _get_worlds(self) -> dict[str, NDArray[Any]]:
-        begun = self._seeded
-        actions = [self._actions[i] for i in np.flatnonzero(begun).tolist()]
-        counts = np.zeros(self.num_envs, np.int64)
-        counts[begun] = [len(one) for one in actions]
-        dtype = np.min_scalar_type(int(self.single_action_space.n) - 1)
-        return {
-            "seeds": self._seeds * begun,
-            "digests": self._digests * begun,
-            "counts": counts,
-            "actions": np.fromiter(chain.from_iterable(actions), dtype, int(counts.sum())),
-        }
-
-    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
-        seeds, counts, actions = state["seeds"], state["counts"], state["actions"]
-        begun = state["seeded"]
-        if (
-            (seeds < 0).any()
-            or (seeds >= _SEEDS).any()
-            or (counts != state["lengths"] * begun).any()
-            or counts.sum() != len(actions)
-            or (actions >= self.single_action_space.n).any()
-        ):
-            raise ValueError(
-                "the state is of another environment, or damaged: seeds, actions or lengths out "
-                "of range"
-            )
-        worlds = np.flatnonzero(begun).tolist()
-        episodes = np.split(actions, np.cumsum(counts)[:-1])
-        same = [
-            self._replay(i, int(seeds[i]), episodes[i].tolist())
-            and self._digests[i] == state["digests"][i]
-            for i in worlds
-        ]
-        if not all(same):
-            self._warn()
-            for i in worlds:
-                self._begin_world(i, int(seeds[i]))
-                self._restarted[i] = True
-
-    def _replay(self, i: int, seed: int, actions: list[int]) -> bool:
-        """Plays a world's episode again; whether it was as long as these actions."""
-        self._begin_world(i, seed)
-        ended = False
-        for action in actions:
-            if ended:
-                return False
-            _, terminated, truncated, _ = self._step_world(i, action)
-            ended = terminated or truncated
-        return True
-
-    def _warn(self) -> None:
-        if self.id not in _NOT_DETERMINISTIC:
-            _NOT_DETERMINISTIC.add(self.id)
-            warnings.warn(
-                f"environment {self.id!r} is not deterministic: an episode replayed from its seed "
-                "and actions was another one. Its worlds begin their episodes again, here and "
-                "whenever a state of it is restored",
-                stacklevel=2,
-            )
-
     def __getstate__(self) -> dict[str, Any]:
-        kept = {"_envs": [None] * self.num_envs, "_actions": [[] for _ in range(self.num_envs)]}
-        return {**super().__getstate__(), **kept, "_saved": self.get_state()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        saved = state.pop("_saved")
-        self.__dict__.update(state)
-        self.set_state(saved)
+        return {**super().__getstate__(), "_envs": [None] * self.num_envs}
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from zipf.envs.family import Family
+from zipf.envs.references import measured
 from zipf.envs.splits import Split
 from zipf.options import Options
 
@@ -44,6 +45,7 @@ FAMILY = Family(
     references={
         "chance": "zipf.envs.gridworld.chance:chance",
         "blind": "zipf.envs.gridworld.chance:blind",
+        "generalist": measured("zipf.envs.gridworld", "generalist"),
         "expert": "zipf.envs.gridworld.expert:score",
     },
     appearance=frozenset({"observation"}),

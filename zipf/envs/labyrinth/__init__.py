@@ -16,6 +16,7 @@ Pair = Annotated[list[Size], Field(min_length=2, max_length=2)]
 class LabyrinthOptions(Options):
     """Constructor options. Other values than these make other worlds than the paper's."""
 
+    backend: Literal["own", "dmlab"] = "own"  # ours: DeepMind Lab has to be built, see its docs
     image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
     num_actions: Literal[15, 9] = 15  # ours: with the 9 of IMPALA no agent looks up or down
     action_repeat: Size = 4  # paper

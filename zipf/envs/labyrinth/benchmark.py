@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs import distributions
+from zipf.envs.arguments import whole
 from zipf.envs.labyrinth.levels import LEVELS, by_name
 from zipf.envs.references import ReferenceScore, measured
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
@@ -65,30 +66,49 @@ def _unknown(name: str) -> ValueError:
 
 
 def make_vec(
-    num_envs: int, level: str = "explore_goal_locations_small", **kwargs: Any
+    num_envs: int,
+    level: str = "explore_goal_locations_small",
+    *,
+    backend: str = "own",
+    **kwargs: Any,
 ) -> ZipfVectorEnv:
     """`num_envs` worlds of a level: of one task, or of tasks drawn at every reset.
 
     Args:
         num_envs: number of worlds N.
         level: with or without `labyrinth/` before it.
+        backend: the engine, "own" or "dmlab".
         kwargs: options of `LabyrinthVectorEnv`, which all tasks have.
 
     Raises:
-        ValueError: for an unknown level, or options out of range.
+        ValueError: for an unknown level or backend, options out of range, or a backend that is not
+            installed.
     """
-    from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
     from zipf.envs.mixture import Mixture
 
     level = level.removeprefix("labyrinth/")
     drawn = law(level)
+    make = _worlds(backend, num_envs)
     if drawn is None:
-        return LabyrinthVectorEnv(num_envs, level, **kwargs)
+        return make(num_envs, level, **kwargs)
     order, probabilities = drawn
-    tasks = {f"labyrinth/{name}": partial(LabyrinthVectorEnv, level=name) for name in LEVELS}
+    tasks = {f"labyrinth/{name}": partial(make, level=name) for name in LEVELS}
     return Mixture(
         tasks, num_envs, draw="resets", probabilities=probabilities, order=order, **kwargs
     )
+
+
+def _worlds(backend: str, num_envs: int) -> Callable[..., ZipfVectorEnv]:
+    """What makes worlds of a task with a backend, for up to `num_envs` worlds in one batch."""
+    if backend == "own":
+        from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
+
+        return LabyrinthVectorEnv
+    if backend == "dmlab":
+        from zipf.envs.labyrinth.dmlab import DmlabVectorEnv, Labs
+
+        return partial(DmlabVectorEnv, labs=Labs(whole("num_envs", num_envs, 1)))
+    raise ValueError(f"backend must be 'own' or 'dmlab', got {backend!r}")
 
 
 def mean_of_tasks(name: str) -> Callable[..., ReferenceScore | None]:

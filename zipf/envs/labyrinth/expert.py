@@ -16,14 +16,15 @@ class Expert:
             do, `Episode.expert`.
 
     Raises:
-        ValueError: the batch has another number of actions than fifteen.
+        ValueError: the batch has another number of actions than fifteen, or another engine.
     """
 
     def __init__(self, env: LabyrinthVectorEnv | Mixture) -> None:
         if env.single_action_space.n != 15:
             raise ValueError(f"the expert needs num_actions=15, got {env.single_action_space.n}")
         batch = env.batches[0] if isinstance(env, Mixture) else env  # they share their worlds
-        assert isinstance(batch, LabyrinthVectorEnv)
+        if not isinstance(batch, LabyrinthVectorEnv):
+            raise ValueError("the expert reads the state of our engine: use backend='own'")
         self.env = batch
 
     def __call__(self) -> NDArray[np.int64]:

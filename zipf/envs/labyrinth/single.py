@@ -83,6 +83,8 @@ class LabyrinthEnv(SingleWorld):
     ## Arguments
 
     - `level`: one of these names.
+    - `backend`: the engine: `"own"`, or `"dmlab"` for an installed DeepMind Lab, with which all of
+      the above is the original's; see `zipf.envs.labyrinth.dmlab.DmlabVectorEnv`.
     - `image_size`: (height, width) of the image.
     - `num_actions`: 15 or 9, which table of actions.
     - `action_repeat`: for how many frames of 1/60 s an action is held.
@@ -97,7 +99,7 @@ class LabyrinthEnv(SingleWorld):
     `gymnasium.make_vec` the same id gives `LabyrinthVectorEnv`, which steps many worlds at once.
 
     Raises:
-        ValueError: for an unknown level or number of actions, or sizes below 1.
+        ValueError: for an unknown level, backend or number of actions, or sizes below 1.
     """
 
     metadata = LabyrinthVectorEnv.metadata
@@ -106,6 +108,7 @@ class LabyrinthEnv(SingleWorld):
         self,
         level: str = "explore_goal_locations_small",
         *,
+        backend: str = "own",
         image_size: Sequence[int] = (72, 96),
         num_actions: int = 15,
         action_repeat: int = 4,
@@ -115,6 +118,7 @@ class LabyrinthEnv(SingleWorld):
         super().__init__(
             make_vec,
             level=level,
+            backend=backend,
             image_size=image_size,
             num_actions=num_actions,
             action_repeat=action_repeat,

@@ -20,6 +20,7 @@ Pair = Annotated[list[Size], Field(min_length=2, max_length=2)]
 class PlayroomOptions(Options):
     """Constructor options. Other values than these make other worlds than the paper's."""
 
+    backend: Literal["own", "docker"] = "own"  # ours: the released image may not be downloadable
     image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
     object_order: Literal["default", "alternate"] = "default"  # ours: the paper lists no objects
     looks: Literal["plain", "varied"] = "plain"  # ours: the paper does not say that they vary
@@ -64,10 +65,11 @@ FAMILY = Family(
         ),
     ),
     make="zipf.envs.playroom.single:PlayroomEnv",
-    make_vec="zipf.envs.playroom.vector:PlayroomVectorEnv",
+    make_vec="zipf.envs.playroom.backends:make_vec",
     references={
         "chance": measured("zipf.envs.playroom", "chance"),
         "blind": "zipf.envs.playroom.references:blind",
+        "generalist": measured("zipf.envs.playroom", "generalist"),
         "expert": measured("zipf.envs.playroom", "expert"),
     },
     appearance=frozenset({"image_size", "looks"}),

@@ -44,9 +44,14 @@ class Expert:
         env.step(expert())
 
     It has no state of its own, so it may take over at any step.
+
+    Raises:
+        ValueError: the batch has another engine.
     """
 
     def __init__(self, env: PlayroomVectorEnv) -> None:
+        if not hasattr(env, "worlds"):
+            raise ValueError("the expert reads the state of our engine: use backend='own'")
         self.env = env
         self.worlds = env.worlds
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from zipf.envs.playroom.backends import make_vec
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.single import SingleWorld
 
@@ -105,6 +106,8 @@ class PlayroomEnv(SingleWorld):
     ## Arguments
 
     - `level`: one of these names, with or without `playroom/` before it.
+    - `backend`: the engine: `"own"`, or `"docker"` for the released Playroom, see
+      `zipf.envs.playroom.docker.DockerVectorEnv`.
     - `image_size`: (height, width) of the image.
     - `object_order`: which toys are how frequent: `"default"`, or `"alternate"` to check that a
       result does not hang on which shapes are rare.
@@ -134,6 +137,7 @@ class PlayroomEnv(SingleWorld):
         self,
         level: str = "lift/lift_shape_zipf3",
         *,
+        backend: str = "own",
         image_size: Sequence[int] = (72, 96),
         object_order: str = "default",
         looks: str = "plain",
@@ -144,8 +148,9 @@ class PlayroomEnv(SingleWorld):
         render_mode: str | None = None,
     ) -> None:
         super().__init__(
-            PlayroomVectorEnv,
+            make_vec,
             level=level,
+            backend=backend,
             image_size=image_size,
             object_order=object_order,
             looks=looks,

@@ -81,6 +81,8 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
         world.env.render()
     fps = options.fps or worlds[0].env.metadata["render_fps"]
     with ExitStack() as stack:
+        for world in worlds:
+            stack.callback(world.env.close)
         lines: list[str] = []
         screen = recording = None
         if policy == "keyboard" or not options.record:
