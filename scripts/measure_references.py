@@ -46,13 +46,19 @@ def to_measure(family: str) -> Measured:
     """Levels, and the constructor options that are not the family's defaults: none, and those of
     the experiments with the family's worlds."""
     found: list[tuple[str, Mapping[str, Any]]] = [(level, {}) for level in LEVELS[family]]
-    options = envs.find_family(family).options_class()
-    defaults = options.model_dump(exclude=set(envs.find_family(family).appearance))
+    own = envs.find_family(family)
+    defaults = own.options_class().model_dump(exclude=set(own.appearance))
     for experiment in command_line.choices("experiment"):
         worlds = composing.composed(f"experiment={experiment}").values["environment"]
         split = envs.split(worlds["split"])
-        others = {key: worlds[key] for key, value in defaults.items() if worlds[key] != value}
-        if envs.family_of_split(split.name).name == family and others:
+        if envs.family_of_split(split.name) is not own:
+            continue
+        others = {
+            key: worlds[key]
+            for key, value in defaults.items()
+            if key in worlds and worlds[key] != value
+        }
+        if others:
             levels = {one.name.removeprefix(f"{family}/"): others for one in split.all_levels}
             found += [one for one in levels.items() if one not in found]
     return found
