@@ -20,7 +20,8 @@ USAGE = """Plays a level by hand, or shows or records episodes of a script or an
 
 level=NAME        a level; with run=, also train, uniform or rare: the run's levels of that kind
 run=FOLDER        a run's folder with a checkpoint: its agent plays, in the worlds of the run
-policy=NAME       keyboard, random, expert (a script) or agent (of the run)
+policy=NAME       keyboard, random, agent (of the run), or a script: expert, which reads the state
+                  of the world, or generalist, which knows what has been in view
 record=FILE       a .gif, for short recordings, or an .mp4; opens no screen unless you play
 episodes=N        default: 1 without a screen, otherwise until you leave
 plugins=NAMES     modules to import, for worlds and agents from outside the package

@@ -6,7 +6,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from zipf.envs.family import (
+    SCRIPTED,
     Family,
+    Scripted,
     all_splits,
     blind,
     chance,
@@ -15,6 +17,7 @@ from zipf.envs.family import (
     family_of_split,
     find_family,
     find_level,
+    generalist,
     keys,
     make,
     make_scored,
@@ -22,6 +25,7 @@ from zipf.envs.family import (
     make_vec,
     questions,
     register,
+    scripted,
     split,
 )
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
@@ -47,11 +51,13 @@ _LAZY = {
 
 __all__ = [
     "KINDS",
+    "SCRIPTED",
     "Chance",
     "Family",
     "GymnasiumVectorEnv",
     "Mixture",
     "Normalisation",
+    "Scripted",
     "SingleWorld",
     "Split",
     "SplitLevel",
@@ -64,6 +70,7 @@ __all__ = [
     "family_of_split",
     "find_family",
     "find_level",
+    "generalist",
     "keys",
     "make",
     "make_scored",
@@ -72,6 +79,7 @@ __all__ = [
     "measure_chance",
     "questions",
     "register",
+    "scripted",
     "split",
     "zipfian",
 ]

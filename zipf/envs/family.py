@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import gymnasium as gym
 
@@ -34,8 +34,12 @@ if TYPE_CHECKING:
     from zipf.envs.random_play import Chance
     from zipf.envs.vector import ZipfVectorEnv
 
-    Expert = Callable[[], NDArray[np.int64]]
-    """A scripted player of a batch of worlds: called, it gives actions [N] from their state."""
+    Player = Callable[[], NDArray[np.int64]]
+    """A scripted player of a batch of worlds: called, it gives actions [N]."""
+
+Scripted = Literal["expert", "generalist"]
+SCRIPTED: tuple[Scripted, ...] = get_args(Scripted)
+"""The fields of a `Family` that are scripted players."""
 
 
 class NoOptions(Options):
@@ -68,7 +72,12 @@ class Family:
         appearance: names of options that change what is shown and nothing else; `chance` and
             `blind` are not told of them.
         keys: what a keyboard's keys do, for `zipf.play`; None: nobody can play by hand.
-        expert: `expert(env)` is a scripted player of a batch; None: there is none.
+        expert: `expert(env)` is a scripted player of a batch that reads the state of its worlds;
+            None: there is none.
+        generalist: `generalist(env)` is a scripted player of a batch that knows of each world what
+            has been in view in the episode, and no map. It may be called at any time on worlds in
+            which another policy acts, leaves them as they are, and gives the same actions again
+            where they have not moved. None: there is none.
         questions: `questions(split)` is a variant of a split whose episodes are questions about
             their first frame, for agents that answer and do not act (raises ValueError where there
             is none); None: there is none.
@@ -87,7 +96,8 @@ class Family:
     blind: Callable[..., Chance | None] | str | None = None
     appearance: frozenset[str] = frozenset()
     keys: Keys | str | None = None
-    expert: Callable[[Any], Expert] | str | None = None
+    expert: Callable[[Any], Player] | str | None = None
+    generalist: Callable[[Any], Player] | str | None = None
     questions: Callable[[Split], Split] | str | None = None
 
     @cached_property
@@ -337,14 +347,36 @@ def keys(level: str) -> Keys | None:
     return _loaded(found.keys)
 
 
-def expert(level: str, env: ZipfVectorEnv) -> Expert | None:
+def expert(level: str, env: ZipfVectorEnv) -> Player | None:
+    """A scripted player that reads the state of worlds which `make_vec` made of a level.
+
+    The arguments and the rest are those of `scripted`.
+    """
+    return scripted("expert", level, env)
+
+
+def generalist(level: str, env: ZipfVectorEnv) -> Player | None:
+    """A scripted player that knows of worlds what has been in view in the episode, see `Family`.
+
+    The arguments and the rest are those of `scripted`.
+    """
+    return scripted("generalist", level, env)
+
+
+def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> Player | None:
     """A scripted player of worlds that `make_vec` made of a level; None in a family without one.
 
+    Args:
+        name: which one, of `SCRIPTED`.
+        level: the level's full name.
+        env: the worlds.
+
     Raises:
-        ValueError: for an unknown level.
+        ValueError: for an unknown level, or worlds that the player cannot play.
     """
     found, _ = find_level(level)
-    return None if found.expert is None else _loaded(found.expert)(env)
+    make = getattr(found, name)
+    return None if make is None else _loaded(make)(env)
 
 
 def questions(split: Split) -> Split:

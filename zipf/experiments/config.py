@@ -205,7 +205,9 @@ def _one_of(classes: list[type[Options]], tag: str) -> Any:
 class EvaluateOptions(Options):
     """The options of `python -m zipf.evaluate`."""
 
-    run: Annotated[str, Field(min_length=1)]
+    run: Annotated[str, Field(min_length=1)] | None = None
+    policy: envs.Scripted | None = None
+    split: Annotated[str, Field(min_length=1)] | None = None
     plugins: str = ""
     episodes: PositiveInt | None = None
     num_envs: PositiveInt = 250

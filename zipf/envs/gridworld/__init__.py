@@ -46,4 +46,5 @@ FAMILY = Family(
     appearance=frozenset({"observation"}),
     keys="zipf.envs.gridworld.keys:KEYS",
     expert="zipf.envs.gridworld.expert:Expert",
+    generalist="zipf.envs.gridworld.generalist:Generalist",
 )

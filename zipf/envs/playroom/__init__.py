@@ -69,5 +69,6 @@ FAMILY = Family(
     appearance=frozenset({"image_size", "looks"}),
     keys="zipf.envs.playroom.keys:KEYS",
     expert="zipf.envs.playroom.expert:Expert",
+    generalist="zipf.envs.playroom.generalist:Generalist",
     questions="zipf.envs.playroom.first_frame:questions",
 )

@@ -31,10 +31,10 @@ _SPEED = 1.2  # m/s; faster, it would overshoot
 _DECAY = math.exp(-DAMPING * STEP)
 _PUSH = hand.ACCELERATION * FRAME * sum(math.exp(-DAMPING * FRAME * k) for k in range(FRAMES))
 _TURN = hand.TURN_RATE * STEP
-_LOOK = hand.LOOK_RATE * STEP
+LOOK = hand.LOOK_RATE * STEP
 # How precisely the view can be turned: half of its smallest steps, and a little more.
 _AIM_YAW = 0.51 * 0.05 * _TURN
-_AIM_PITCH = 0.51 * 0.03 * _LOOK
+_AIM_PITCH = 0.51 * 0.03 * LOOK
 
 
 class Expert:
@@ -52,13 +52,13 @@ class Expert:
 
     def __call__(self) -> NDArray[np.int64]:
         """The next action of every world, int64 [N]."""
-        return np.array([self._act(i) for i in range(self.env.num_envs)])
+        return np.array([self.act(i) for i in range(self.env.num_envs)])
 
-    def _act(self, i: int) -> int:
+    def act(self, i: int) -> int:
         worlds = self.worlds
         if worlds.finding:
-            near = _around(worlds.objects[i, 0], APPROACH_DISTANCE - 0.1)
-            return self._go(i, near)
+            near = around(worlds.objects[i, 0], APPROACH_DISTANCE - 0.1)
+            return self.go(i, near)
         if worlds.hands[i] == 0:
             return self._raise(i) if worlds.task[i] == LIFT else self._bring(i)
         comes_to_rest = worlds.lifted[i, 0] and worlds.still[i, 0] < STILL_STEPS
@@ -74,7 +74,7 @@ class Expert:
             return actions.GRAB
         if _can_aim(agent, one_world(worlds, i)):
             return self._face(i, agent[YAW], agent[PITCH], closed=False)
-        return self._go(i, _viewpoints(agent, worlds, i))
+        return self.go(i, _viewpoints(agent, worlds, i))
 
     def _raise(self, i: int) -> int:
         """Lifts the held object by looking up, and at the highest view by pushing it away."""
@@ -105,12 +105,14 @@ class Expert:
         distance = math.hypot(spot[0] - agent[AX], spot[1] - agent[AY])
         if distance > 1.1 or distance < closest or gap < 0.3:
             goals = _beside(pose, size, inset, closest)
+            if self._is_low(i, radius):
+                return actions.GRAB + actions.LOOK_UP
             # It faces the support on its way: a held object would keep it away from walls.
             aside = math.atan2(pose[1] - agent[AY], pose[0] - agent[AX]) - agent[YAW]
             aside = (aside + math.pi) % (2 * math.pi) - math.pi
             if abs(aside) > _TURN and self.env.lengths[i] % 2:
                 return actions.GRAB + (actions.TURN_RIGHT if aside < 0 else actions.TURN_LEFT)
-            return actions.GRAB + self._go(i, goals)
+            return actions.GRAB + self.go(i, goals)
         top = 0.0 if near else float(size[2])
         height = max(top + 0.12, 0.2) + extent[2] / 2 - EYE
         if math.hypot(item[X] - spot[0], item[Y] - spot[1]) < 0.1 and item[Z] < top + 0.25:
@@ -123,6 +125,13 @@ class Expert:
         if abs(hold - agent[HOLD]) > 0.07:
             return actions.PUSH if hold > agent[HOLD] else actions.PULL
         return self._face(i, yaw, math.atan2(height, distance), closed=True)
+
+    def _is_low(self, i: int, radius: float) -> bool:
+        """Whether the bed's side is in the way of the held object, and it can be raised."""
+        worlds = self.worlds
+        item, bed, size = worlds.objects[i, 0], worlds.furniture[i, 0], FURNITURE_SIZE[0]
+        beside = rectangle_gap(bed, size, item[X], item[Y]) < radius + 0.1
+        return bool(item[Z] < size[2] and beside and worlds.agents[i, PITCH] < 0)
 
     def _face(self, i: int, yaw: float, pitch: float, *, closed: bool) -> int:
         """Turns the view towards two angles, the one with the larger error first."""
@@ -138,13 +147,13 @@ class Expert:
             ):
                 if abs(aside) >= share * _TURN:
                     return grip + (right if aside < 0 else left)
-        if abs(above) > 0.5 * _LOOK:
+        if abs(above) > 0.5 * LOOK:
             return grip + (actions.LOOK_DOWN if above < 0 else actions.LOOK_UP)
         if abs(above) > _AIM_PITCH:
             return grip + (actions.LOOK_DOWN_MID if above < 0 else actions.LOOK_UP_MID)
         return grip
 
-    def _go(self, i: int, goals: NDArray[np.bool_]) -> int:
+    def go(self, i: int, goals: NDArray[np.bool_]) -> int:
         """Walks the shortest way to one of the cells of `goals`, bool [rows, columns]."""
         agent = self.worlds.agents[i]
         heading = _way(goals, self.worlds, i, False)
@@ -248,7 +257,7 @@ def _beside(pose, size, inset, closest):
 
 
 @compiled()
-def _around(item, distance):
+def around(item, distance):
     """The cells that are nearer to an object than `distance`: bool [rows, columns]."""
     goals = np.zeros((_CELLS, _CELLS), np.bool_)
     for row in range(_CELLS):

@@ -169,14 +169,14 @@ def pick(agent, world):
             half[2] = FURNITURE_SIZE[k, 2] / 2
             centre[0], centre[1], centre[2] = furniture[k, 0], furniture[k, 1], half[2]
             set_upright(frame, furniture[k, 2])
-            nearest = min(nearest, _distance_along(direction, agent, centre, frame, half))
+            nearest = min(nearest, distance_along(direction, agent, centre, frame, half))
     for j in range(ranks.size):
         extent = world.extents[ranks[j]]
         for c in range(3):
             half[c] = extent[c] / 2 + AIM_MARGIN
         centre[0], centre[1] = objects[j, X], objects[j, Y]
         centre[2] = objects[j, Z] + half_width(orientation[j], extent, 0.0, 0.0, 1.0)
-        distance = _distance_along(direction, agent, centre, orientation[j], half)
+        distance = distance_along(direction, agent, centre, orientation[j], half)
         if distance < nearest:
             picked, nearest = j, distance
             along = (
@@ -189,7 +189,7 @@ def pick(agent, world):
 
 
 @compiled()
-def _distance_along(direction, agent, centre, frame, half):
+def distance_along(direction, agent, centre, frame, half):
     """The distance at which a ray from the eye enters an oriented box; infinity if it misses."""
     near, far = 0.0, math.inf
     for axis in range(3):

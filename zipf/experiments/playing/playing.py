@@ -27,6 +27,7 @@ from zipf.experiments.playing.recording import Recording
 from zipf.experiments.playing.screens import Screen, Text, enlarge, open_screen
 from zipf.experiments.running.agent_policy import AgentPolicy
 from zipf.experiments.running.evaluator import Policy, derive_seed
+from zipf.experiments.running.scripted import ScriptedPolicy
 from zipf.experiments.running.trained import Trained, load_agent
 from zipf.options import Options
 
@@ -39,7 +40,7 @@ class PlayOptions(Options):
 
     level: Annotated[str, Field(min_length=1)] | None = None
     run: Annotated[str, Field(min_length=1)] | None = None
-    policy: Literal["keyboard", "random", "expert", "agent"] | None = None
+    policy: Literal["keyboard", "random", envs.Scripted, "agent"] | None = None
     record: Annotated[str, Field(min_length=1)] | None = None
     episodes: PositiveInt | None = None
     plugins: str = ""
@@ -113,8 +114,8 @@ def _who_plays(options: PlayOptions) -> str:
         policy = "agent" if options.run else "keyboard"
         if options.record and not options.run:
             problems.append(
-                "policy is not set: for a recording choose policy=random, expert or keyboard, or "
-                "run=<a run's folder> for its agent"
+                "policy is not set: for a recording choose policy=random, "
+                f"{', '.join(envs.SCRIPTED)} or keyboard, or run=<a run's folder> for its agent"
             )
     if policy == "agent" and not options.run:
         problems.append("policy=agent: needs the agent of a run; add run=<a run's folder>")
@@ -157,11 +158,12 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
             player = agent
         elif policy == "random":
             player = _Random(env, derive_seed(seed, "actions"))
-        elif policy == "expert":
-            expert = envs.expert(level, env)
-            if expert is None:
-                raise UserError(f"policy=expert: {level} has none; policy=random plays all levels")
-            player = _Scripted(expert)
+        elif policy in envs.SCRIPTED:
+            player = ScriptedPolicy(policy)
+            try:
+                player.enter(level, env)
+            except ValueError as error:
+                raise UserError(f"{error}; policy=random plays all levels") from None
         worlds.append(World(level, env, keys or Keys(()), player))
     return worlds
 
@@ -213,20 +215,6 @@ class _Random:
         self, observation: dict[str, NDArray], reward: NDArray, is_first: NDArray
     ) -> NDArray:
         return self.rng.integers(self.actions, size=len(is_first))
-
-
-class _Scripted:
-    """A scripted player that reads the state of the worlds."""
-
-    def __init__(self, expert: envs.Expert) -> None:
-        self.expert = expert
-
-    def start(self, num_envs: int) -> None: ...
-
-    def __call__(
-        self, observation: dict[str, NDArray], reward: NDArray, is_first: NDArray
-    ) -> NDArray:
-        return self.expert()
 
 
 class _Shows:

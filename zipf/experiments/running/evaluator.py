@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from zipf import envs
 from zipf.envs.mixture import Mixture
 from zipf.envs.vector import ZipfVectorEnv
+from zipf.experiments.running.scripted import ScriptedPolicy
 
 OUTCOMES = ("success", "return", "length")
 """The columns of an episode that are not ranks of its situation."""
@@ -168,8 +169,8 @@ def evaluate(
         level_options: constructor options of the levels.
 
     Raises:
-        ValueError: no episodes, no worlds, options that a level cannot have, or actions that are
-            none.
+        ValueError: no episodes, no worlds, options that a level cannot have, actions that are none,
+            or a scripted player that a level does not have.
     """
     if episodes is not None and episodes < 1:
         raise ValueError(f"episodes={episodes}: should be at least 1")
@@ -181,9 +182,12 @@ def evaluate(
             for place, level in enumerate(split.levels(kind)):
                 key = level.name, repr(dict(level.options)), count
                 if key not in played:
+                    env = worlds.of(level, min(num_envs, count))
+                    if isinstance(policy, ScriptedPolicy):
+                        policy.enter(level.level, env)
                     played[key] = play(
                         policy,
-                        worlds.of(level, min(num_envs, count)),
+                        env,
                         episodes=count,
                         seed=derive_seed(seed, "evaluation", index + place * len(envs.KINDS)),
                     )

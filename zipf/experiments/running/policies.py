@@ -13,7 +13,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from zipf import envs
 from zipf.experiments.running.evaluator import Policy, derive_seed
+from zipf.experiments.running.scripted import ScriptedPolicy
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,11 @@ def as_policy(
         TypeError: the policy is of no known kind.
         UserError: a run's folder from which no agent can be loaded.
     """
+    if isinstance(policy, str) and policy in envs.SCRIPTED:
+        _refuse(batched=batched)
+        if deterministic:
+            raise ValueError("deterministic=True: a script decides for itself how it acts")
+        return ScriptedPolicy(policy)
     if isinstance(policy, str | Path):
         _refuse(batched=batched)
         return _from_path(Path(policy), worlds, deterministic, derive_seed(seed, "actions"))

@@ -128,7 +128,9 @@ def score(
             the path of a TorchScript (.pt, .ts) or ONNX file
             (`zipf.experiments.running.network_files` says what its inputs and outputs are);
             the path of a run's folder: the agent of its checkpoint;
-            a `Policy` of `zipf.experiments.running.evaluator`.
+            a `Policy` of `zipf.experiments.running.evaluator`;
+            "expert" or "generalist": a scripted player of the split's family (a folder of this
+            name is `Path("expert")`).
         split: the benchmark, for instance "gridworld", or a `zipf.envs.Split` of your own.
         episodes: played on each level; None: as many as the split says (the paper: 1000).
         num_envs: worlds played at a time; `batched=False` plays one.

@@ -17,6 +17,7 @@ from zipf.experiments.running.evaluator import Result, derive_seed, evaluate
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.policies import Worlds, check_geometry
+from zipf.experiments.running.scripted import ScriptedPolicy
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,7 @@ def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
     Raises:
         UserError: as `load_agent`, or so many worlds do not fit into RAM.
     """
+    assert options.run is not None
     trained = load_agent(Path(options.run), options.device, module_names(options.plugins))
     with enough_ram(f"a smaller num_envs={options.num_envs} needs less"):
         problem = feasibility.too_many_worlds(
@@ -88,6 +90,26 @@ def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
             seed=options.seed,
         )
     return trained.update, results
+
+
+def evaluate_scripted(options: EvaluateOptions, split: envs.Split) -> list[Result]:
+    """Scores a scripted player on the levels of a split.
+
+    Raises:
+        UserError: a level has no such player, or so many worlds do not fit into RAM.
+    """
+    assert options.policy is not None
+    with enough_ram(f"a smaller num_envs={options.num_envs} needs less"):
+        try:
+            return evaluate(
+                ScriptedPolicy(options.policy),
+                split,
+                episodes=options.episodes,
+                num_envs=options.num_envs,
+                seed=options.seed,
+            )
+        except ValueError as error:
+            raise UserError(str(error)) from None
 
 
 def agent_of_run(folder: Path, worlds: Worlds, seed: int) -> AgentPolicy:

@@ -1,0 +1,38 @@
+"""Scripted players as policies of the evaluator."""
+
+from __future__ import annotations
+
+from numpy.typing import NDArray
+
+from zipf import envs
+from zipf.envs.splits import Level
+from zipf.envs.vector import ZipfVectorEnv
+
+
+class ScriptedPolicy:
+    """A scripted player of a family, for one level after another.
+
+    Args:
+        name: which one, of `zipf.envs.SCRIPTED`.
+    """
+
+    def __init__(self, name: envs.Scripted) -> None:
+        self.name = name
+
+    def enter(self, level: Level, env: ZipfVectorEnv) -> None:
+        """Plays these worlds of a level from now on.
+
+        Raises:
+            ValueError: the level has no such player, or it cannot play these worlds.
+        """
+        player = envs.scripted(self.name, level, env) if isinstance(level, str) else None
+        if player is None:
+            raise ValueError(f"policy={self.name}: {level} has none")
+        self.player = player
+
+    def start(self, num_envs: int) -> None: ...
+
+    def __call__(
+        self, observation: dict[str, NDArray], reward: NDArray, is_first: NDArray
+    ) -> NDArray:
+        return self.player()
