@@ -85,8 +85,8 @@ class Agent(ABC):
         final_observations: how many of the observations that episodes were truncated at an unroll
             holds of each world, for agents that value them when they learn (`Unroll.final`); those
             agents need no `value`.
-        teacher: the scripted player of the worlds (`zipf.envs.SCRIPTED`) that labels every step of
-            an unroll with the action it would take; None: no labels.
+        teacher: name of the scripted player of the worlds that labels every step of an unroll with
+            the action that it would take (`zipf.envs.SCRIPTED`); None: no labels.
         teacher_share: the probability that the teacher acts in a step in the agent's place.
         actor: the network that `act` and `value` compute with. Constructors set it.
 

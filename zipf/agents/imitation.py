@@ -122,9 +122,7 @@ class Imitation(Agent):
 
         self.optimiser.zero_grad()
         loss.backward()
-        gradient_norm = torch.nn.utils.clip_grad_norm_(
-            self.learned, self.options.max_gradient_norm
-        )
+        gradient_norm = torch.nn.utils.clip_grad_norm_(self.learned, self.options.max_gradient_norm)
         if not gradient_norm.isfinite():
             raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")
         self.optimiser.step()

@@ -17,8 +17,8 @@ from zipf.agents.agent import Agent
 from zipf.agents.exploration import CountBonus
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
-from zipf.envs.family import Player
 from zipf.envs.mixture import Mixture
+from zipf.envs.players import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.running.checkpoint import arrays
 
@@ -49,8 +49,7 @@ class Collector:
         lag: an unroll is overwritten by the call of `collect` after `lag` further ones.
         bootstrap_at_time_limit: whether unrolls tell time limits from the end of the task. If
             not, `terminated` is set in the place of `truncated`.
-        teacher: gives the actions [N] it would take in the worlds of `env`, for an agent that learns
-            from them; see `Agent.teacher`.
+        teacher: of these worlds, for an agent that learns from one.
         reward_clipping: "none", or "soft_asymmetric": learned from are rewards as
             `soft_asymmetric` squashes them. What the agent is told of its last reward, and returns
             of episodes, stay as they are.
@@ -71,7 +70,7 @@ class Collector:
         lag: int = 0,
         bootstrap_at_time_limit: bool = True,
         reward_clipping: str = "none",
-        teacher: Player | None = None,
+        teacher: Teacher | None = None,
     ):
         if agent.burn_in > unroll_length:
             raise ValueError(
@@ -92,9 +91,7 @@ class Collector:
         self._abandoned = Event()
         pinned = device.startswith("cuda")
         self._buffers = [
-            _Buffers(
-                env, unroll_length + 1, agent.final_observations, teacher is not None, pinned
-            )
+            _Buffers(env, unroll_length + 1, agent.final_observations, teacher is not None, pinned)
             for _ in range(1 + lag)
         ]
         self._final = env.allocate()
