@@ -3,6 +3,7 @@
 from zipf.agents.agent import Agent, Setting, agents, register
 
 # These register themselves.
+from zipf.agents.imitation import Imitation
 from zipf.agents.impala import Impala
 from zipf.agents.r2d2 import R2D2
 from zipf.agents.supervised import Supervised
@@ -12,6 +13,7 @@ __all__ = [
     "R2D2",
     "VMPO",
     "Agent",
+    "Imitation",
     "Impala",
     "Setting",
     "Supervised",

@@ -85,6 +85,9 @@ class Agent(ABC):
         final_observations: how many of the observations that episodes were truncated at an unroll
             holds of each world, for agents that value them when they learn (`Unroll.final`); those
             agents need no `value`.
+        teacher: name of the scripted player of the worlds that labels every step of an unroll with
+            the action that it would take (`zipf.envs.SCRIPTED`); None: no labels.
+        teacher_share: the probability that the teacher acts in a step in the agent's place.
         actor: the network that `act` and `value` compute with. Constructors set it.
 
     Raises:
@@ -97,6 +100,8 @@ class Agent(ABC):
     answers_questions: ClassVar[bool] = False
     burn_in: int = 0
     final_observations: int = 0
+    teacher: Literal["expert", "generalist"] | None = None
+    teacher_share: float = 0.0
     actor: nn.Module
 
     def __init__(self, options: Any, setting: Setting):

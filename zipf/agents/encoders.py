@@ -66,6 +66,18 @@ class CompactOptions(EncoderOptions):
     size: Size
 
 
+class ComparingOptions(CompactOptions):
+    """As compact, and every patch is compared with every other.
+
+    With `comparison` "learned" by the cosine of two learned keys of `key_size`, with "given" by
+    whether their pixels are the same on another background.
+    """
+
+    name: Literal["comparing"]  # type: ignore[assignment]
+    comparison: Literal["learned", "given"]
+    key_size: Size
+
+
 class ShallowOptions(EncoderOptions):
     """The shallow network of Espeholt et al. 2018: strided convolutions, then a dense layer."""
 
@@ -77,7 +89,7 @@ class ShallowOptions(EncoderOptions):
 
 
 NetworkOptions = Annotated[
-    ResNetOptions | ShallowOptions | CompactOptions, Field(discriminator="name")
+    ResNetOptions | ShallowOptions | CompactOptions | ComparingOptions, Field(discriminator="name")
 ]
 
 
@@ -163,17 +175,84 @@ class PatchEncoder(nn.Module):
             )
         self.size = options.size
         rows, columns = height // self.patch, width // self.patch
+        self.patches = rows * columns
         self.embed = nn.Linear(self.patch**2 * channels, options.channels)
-        self.mix = nn.Linear(rows * columns * options.channels, options.size)
+        self.mix = nn.Linear(self.patches * options.channels, options.size)
 
     def forward(self, image: Tensor) -> Tensor:
+        patches = self.cut(image).to(_compute_dtype(image))
+        return self.mix(self.embedded(patches)).relu()
+
+    def cut(self, image: Tensor) -> Tensor:
+        """The patches of images: uint8 [N, H, W, C] -> [N, patches, pixels * C]."""
         n, height, width, channels = image.shape
         p = self.patch
         patches = image.view(n, height // p, p, width // p, p * channels).transpose(2, 3)
-        patches = patches.reshape(n, -1, p * p * channels).to(_compute_dtype(image))
+        return patches.reshape(n, -1, p * p * channels)
+
+    def embedded(self, patches: Tensor) -> Tensor:
+        """[N, patches, pixels * C] -> [N, patches * channels]."""
         # Scaling the weights instead of the pixels saves a pass over the largest tensor there is.
         embedded = F.linear(patches, self.embed.weight / 255.0, self.embed.bias)
-        return self.mix(embedded.relu().flatten(1)).relu()
+        return embedded.relu().flatten(1)
+
+
+class ComparingEncoder(PatchEncoder):
+    """A `PatchEncoder` whose dense layer also reads how alike any two patches are.
+
+    "learned": the cosine of their keys, k = W (p - mean(p)), one W for all patches. It begins as a
+    random rotation, which leaves cosines of pixels nearly as they are. Self-similarities: Shechtman
+    and Irani 2007; one metric for both of a pair: Bromley et al. 1993.
+
+    "given": 1 where two patches show the same, else 0. The colour of a patch's first pixel counts
+    as its background, and patches of nothing else show nothing.
+    """
+
+    pairs: Tensor
+    codes: Tensor
+
+    def __init__(self, shape: tuple[int, ...], options: ComparingOptions):
+        super().__init__(shape, options)
+        self.channels = shape[2]
+        pixels = self.patch**2 * self.channels
+        first, second = torch.triu_indices(self.patches, self.patches, 1)
+        self.register_buffer("pairs", first * self.patches + second, persistent=False)
+        inputs = self.patches * options.channels + len(self.pairs)
+        self.mix = nn.Linear(inputs, options.size)
+        self.key: nn.Linear | None = None
+        if options.comparison == "learned":
+            self.key = nn.Linear(pixels, options.key_size, bias=False)
+            nn.init.orthogonal_(self.key.weight)
+        else:
+            random = torch.Generator().manual_seed(0)
+            codes = torch.randint(1, 2**40, (pixels,), generator=random)
+            self.register_buffer("codes", codes, persistent=False)
+
+    def forward(self, image: Tensor) -> Tensor:
+        cut = self.cut(image)
+        patches = cut.to(_compute_dtype(image))
+        alike = self.same(cut) if self.key is None else self.cosines(patches)
+        compared = alike.flatten(1)[:, self.pairs].to(patches.dtype)
+        return self.mix(torch.cat([self.embedded(patches), compared], 1)).relu()
+
+    def cosines(self, patches: Tensor) -> Tensor:
+        """The cosines of the keys of any two patches, [N, patches, pixels * C] -> [N, patches,
+        patches]; 0 for patches of one colour."""
+        assert self.key is not None
+        weight = self.key.weight / 255.0
+        # Without the weights' mean keys do not depend on the patch's mean.
+        keys = F.linear(patches, weight - weight.mean(1, keepdim=True))
+        keys = keys / keys.norm(dim=-1, keepdim=True).clamp(min=1e-3)
+        return keys @ keys.transpose(1, 2)
+
+    def same(self, cut: Tensor) -> Tensor:
+        """Whether any two patches show the same, uint8 [N, patches, pixels * C] -> bool [N,
+        patches, patches]."""
+        pixels = cut.unflatten(2, (-1, self.channels))
+        background = (pixels == pixels[:, :, :1]).all(-1, keepdim=True)
+        shown = pixels.masked_fill(background, 0).flatten(2)
+        codes = (shown.long() * self.codes).sum(-1)  # equal for equal patches, and hardly else
+        return (codes.unsqueeze(1) == codes.unsqueeze(2)) & (codes != 0).unsqueeze(1)
 
 
 def largest_patch(height: int, width: int) -> int:
@@ -188,7 +267,7 @@ def _compute_dtype(tensor: Tensor) -> torch.dtype:
 
 def image_network(
     shape: tuple[int, ...], options: NetworkOptions
-) -> ResNet | ShallowNet | PatchEncoder:
+) -> ResNet | ShallowNet | PatchEncoder | ComparingEncoder:
     """The network that the options name, for images [H, W, C].
 
     Raises:
@@ -199,6 +278,8 @@ def image_network(
             return ResNet(shape, options)
         case ShallowOptions():
             return ShallowNet(shape, options)
+        case ComparingOptions():
+            return ComparingEncoder(shape, options)
         case CompactOptions():
             return PatchEncoder(shape, options)
 

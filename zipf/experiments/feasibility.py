@@ -149,9 +149,17 @@ def _try_to_build(config: Config) -> Iterator[str]:
         return
     try:
         with torch.random.fork_rng(devices=[]):  # an agent may seed the global generator
-            build_agent(config.model_copy(update={"device": "cpu", "run_root": "."}), env)
+            agent = build_agent(config.model_copy(update={"device": "cpu", "run_root": "."}), env)
     except UserError as error:
         yield from str(error).splitlines()
+        return
+    family = envs.family_of_split(config.environment.split)
+    if agent.teacher and getattr(family, agent.teacher) is None:
+        known = [name for name in envs.SCRIPTED if getattr(family, name) is not None]
+        yield (
+            f"agent.teacher={agent.teacher}: {family.name} has no such player; should be "
+            f"{' or '.join(known) or 'another agent'}"
+        )
 
 
 def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:

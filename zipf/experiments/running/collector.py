@@ -18,6 +18,7 @@ from zipf.agents.exploration import CountBonus
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.envs.mixture import Mixture
+from zipf.envs.players import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.running.checkpoint import arrays
 
@@ -48,6 +49,7 @@ class Collector:
         lag: an unroll is overwritten by the call of `collect` after `lag` further ones.
         bootstrap_at_time_limit: whether unrolls tell time limits from the end of the task. If
             not, `terminated` is set in the place of `truncated`.
+        teacher: of these worlds, for an agent that learns from one.
         reward_clipping: "none", or "soft_asymmetric": learned from are rewards as
             `soft_asymmetric` squashes them. What the agent is told of its last reward, and returns
             of episodes, stay as they are.
@@ -68,6 +70,7 @@ class Collector:
         lag: int = 0,
         bootstrap_at_time_limit: bool = True,
         reward_clipping: str = "none",
+        teacher: Teacher | None = None,
     ):
         if agent.burn_in > unroll_length:
             raise ValueError(
@@ -80,6 +83,7 @@ class Collector:
         self.exploration = exploration
         self.bootstrap_at_time_limit = bootstrap_at_time_limit
         self.reward_clipping = reward_clipping
+        self.teacher = teacher
         self.seconds = {"environment": 0.0, "inference": 0.0}
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
@@ -87,7 +91,7 @@ class Collector:
         self._abandoned = Event()
         pinned = device.startswith("cuda")
         self._buffers = [
-            _Buffers(env, unroll_length + 1, agent.final_observations, pinned)
+            _Buffers(env, unroll_length + 1, agent.final_observations, teacher is not None, pinned)
             for _ in range(1 + lag)
         ]
         self._final = env.allocate()
@@ -141,6 +145,7 @@ class Collector:
             "inputs": {name: fields[name][-1].copy() for name in _CARRIED},
             "episodes": dict(self._episodes),
             "exploration": self.exploration.state_dict() if self.exploration else {},
+            "teacher": self.teacher.get_state() if self.teacher else {},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -159,6 +164,8 @@ class Collector:
             buffers.fields[name][-1][restarted] = value
         if self.exploration:
             self.exploration.load_state_dict(arrays(state["exploration"]))
+        if self.teacher:
+            self.teacher.set_state(arrays(state["teacher"]))
 
     def _step(self, buffers: _Buffers, t: int) -> None:
         start = perf_counter()
@@ -169,6 +176,11 @@ class Collector:
             buffers.write(name, t, value)
         fields["action"][t] = action.cpu().numpy()  # waits for the copies above, too
         acted = perf_counter()
+        if self.teacher is not None:
+            fields["label"][t] = self.teacher()
+            share = torch.rand(self.env.num_envs, generator=self._generator).numpy()
+            by_teacher = share < self.agent.teacher_share
+            fields["action"][t, by_teacher] = fields["label"][t, by_teacher]
 
         following = buffers.observation_row(t + 1)
         _, reward, terminated, truncated, info = self.env.step(
@@ -257,7 +269,7 @@ class _Buffers:
         final: see `Unroll`; None for an agent that asks for none.
     """
 
-    def __init__(self, env: ZipfVectorEnv, rows: int, finals: int, pinned: bool):
+    def __init__(self, env: ZipfVectorEnv, rows: int, finals: int, labels: bool, pinned: bool):
         self.pinned = pinned
         shape = rows, env.num_envs
         self.steps = TensorDict(batch_size=shape)
@@ -275,6 +287,7 @@ class _Buffers:
             ("terminated", torch.bool),
             ("truncated", torch.bool),
             ("truncation_value", torch.float32),
+            *((("label", torch.int64),) if labels else ()),
         ):
             self.steps[name] = self._tensor(torch.zeros(shape, dtype=dtype))
             self.fields[name] = self.steps[name].numpy()

@@ -11,6 +11,7 @@ import torch
 from zipf import envs
 from zipf.agents.exploration import build_exploration
 from zipf.agents.unroll import Unroll
+from zipf.envs.players import Teacher
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder
@@ -125,6 +126,7 @@ class Run:
             lag=config.lag,
             bootstrap_at_time_limit=collector.bootstrap_at_time_limit,
             reward_clipping=collector.reward_clipping,
+            teacher=Teacher(self.agent.teacher, config.split, env) if self.agent.teacher else None,
         )
         self.overlap = Overlap(self.collector, self.agent) if config.lag else None
         self.frames_per_update = collector.num_envs * collector.unroll_length

@@ -1,0 +1,125 @@
+"""Imitation: its loss by its definition, labels and who acts, and that it learns."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import tiny_gridworld
+import torch
+from conftest import random_unroll
+from networks import compact
+
+from zipf import envs
+from zipf.agents.agent import Setting
+from zipf.agents.imitation import Imitation, ImitationOptions
+from zipf.agents.memory import LSTMOptions, MLPOptions
+from zipf.agents.network import Inputs
+from zipf.envs.players import Teacher
+from zipf.experiments.running.agent_policy import AgentPolicy
+from zipf.experiments.running.collector import Collector
+from zipf.experiments.running.evaluator import play
+
+ACTIONS, STEPS, BATCH = 3, 6, 4
+OPTIONS = ImitationOptions(
+    name="imitation",
+    teacher="expert",
+    teacher_share=0.0,
+    learning_rate=1e-3,
+    adam_beta1=0.9,
+    adam_beta2=0.999,
+    adam_epsilon=1e-8,
+    max_gradient_norm=1e9,
+)
+
+
+def build(observation_space, action_space, memory=None, **changes):
+    memory = memory or LSTMOptions(name="lstm", size=16, layers=1)
+    setting = Setting(observation_space, action_space, compact(), memory)
+    return Imitation(OPTIONS.model_copy(update=changes), setting)
+
+
+def test_the_loss_is_its_definition():
+    space = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8))
+    agent = build(space, gym.spaces.Discrete(ACTIONS))
+    data = random_unroll(STEPS, BATCH, ACTIONS, 0)
+    generator = torch.Generator().manual_seed(1)
+    data.steps["label"] = torch.randint(ACTIONS, (STEPS + 1, BATCH), generator=generator)
+    with torch.no_grad():
+        logits = agent.network(Inputs.of(data.steps), data.memory).logits
+    loss, right = 0.0, 0
+    for t in range(STEPS):
+        for b in range(BATCH):
+            label = data.steps["label"][t, b]
+            loss -= float(logits[t, b].double().log_softmax(-1)[label]) / (STEPS * BATCH)
+            right += int(logits[t, b].argmax() == label)
+    metrics = agent.update(data)
+    assert metrics["loss"] == metrics["imitation_loss"] == pytest.approx(loss, rel=1e-5)
+    assert metrics["accuracy"] == pytest.approx(right / (STEPS * BATCH))
+    assert agent.update(data)["loss"] < metrics["loss"]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_the_teacher_labels_every_step_and_acts_in_its_share(share):
+    env = envs.make_vec("gridworld/zipf_2", 64)
+    agent = build(env.single_observation_space, env.single_action_space, teacher_share=share)
+    split = envs.split("gridworld")
+    collector = Collector(
+        env, agent, unroll_length=8, seed=0, teacher=Teacher("expert", split, env)
+    )
+    twin, expert = envs.make_vec("gridworld/zipf_2", 64), []
+    asked = envs.expert("gridworld/zipf_2", twin)
+    twin.reset(seed=0)
+    unroll = collector.collect()
+    for t in range(8):
+        expert.append(asked())
+        twin.step(unroll.steps["action"][t].numpy())
+    labels, actions = unroll.steps["label"][:-1], unroll.steps["action"][:-1]
+    assert np.array_equal(labels.numpy(), expert)
+    agree = float((labels == actions).float().mean())
+    # The agent that has not learned agrees by chance, an eighth.
+    assert agree == pytest.approx(share + (1 - share) / 8, abs=0.06)
+
+
+def test_it_learns_what_its_teacher_does():
+    def learner(observation_space, action_space):
+        memory = MLPOptions(name="mlp", size=32, layers=1)
+        return build(observation_space, action_space, memory, learning_rate=3e-3)
+
+    env = envs.make_vec("gridworld/uniform", 64, **tiny_gridworld.WORLDS)
+    agent = learner(env.single_observation_space, env.single_action_space)
+    teacher = Teacher("expert", envs.split("gridworld"), env)
+    collector = Collector(env, agent, unroll_length=8, seed=0, teacher=teacher)
+    for _ in range(100):
+        agent.update(collector.collect())
+    test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.WORLDS)
+    played = play(AgentPolicy(agent, seed=1, device="cpu"), test, episodes=500, seed=2)
+    assert played["success"].mean() > 0.9  # chance is a third
+
+
+@pytest.mark.parametrize("split", ["playroom_put", "gridworld"])
+def test_a_teachers_memory_is_restored(split):
+    """In worlds where random actions are taken, with several levels in a batch or one."""
+    found = envs.split(split)
+    options = {"image_size": (6, 8), "max_steps": 30} if split != "gridworld" else {"max_steps": 30}
+    one, other = (envs.make_train(found, 6, **options) for _ in range(2))
+    teacher, resumed = (Teacher("generalist", found, env) for env in (one, other))
+    rng = np.random.default_rng(0)
+    one.reset(seed=0)
+    count = int(one.single_action_space.n)
+    for _ in range(20):
+        teacher()
+        one.step(rng.integers(count, size=6))
+    other.reset(seed=1)
+    other.set_state(one.get_state())
+    resumed.set_state(teacher.get_state())
+    for _ in range(40):
+        actions = teacher()
+        assert np.array_equal(actions, resumed())
+        for env in (one, other):
+            env.step(actions)
+
+
+def test_levels_without_such_a_player_are_named():
+    found = envs.split("labyrinth_forward")
+    env = envs.make_train(found, 1, image_size=(1, 1))
+    with pytest.raises(ValueError, match="the levels of labyrinth_forward have no generalist"):
+        Teacher("generalist", found, env)

@@ -1,0 +1,153 @@
+"""Imitation by DAgger (Ross et al. 2011): the agent acts, and a teacher says what it would do.
+
+The teacher is a scripted player of the worlds' family (`zipf.envs.SCRIPTED`). The learner takes one
+optimiser step per unroll on
+
+    -mean_{t,b}[ log pi(label_t|x_t) ]
+
+plus the auxiliary loss. The agent is not told of rewards other than by its inputs. Where the
+teacher acts in all steps (`teacher_share` 1) this is behavioural cloning (Pomerleau 1991).
+
+Scores show what a long tail costs an agent that need not explore; they are not those of
+reinforcement learning.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import torch
+import torch.nn.functional as F
+from pydantic import Field
+from torch import Tensor
+
+from zipf.agents.agent import Agent, Setting, register
+from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.memory import State
+from zipf.agents.network import ActorCritic, Inputs, autocast
+from zipf.agents.unroll import Unroll
+from zipf.options import Options
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, lt=1)]
+
+
+class ImitationOptions(Options):
+    """The options; `configs/agent/imitation.yaml` has the sources of their values.
+
+    `teacher` is a scripted player of the worlds, `teacher_share` the probability that it acts in a
+    step in the agent's place.
+    """
+
+    name: Literal["imitation"]
+    teacher: Literal["expert", "generalist"]
+    teacher_share: Annotated[float, Field(ge=0, le=1)]
+    learning_rate: Positive
+    adam_beta1: Fraction
+    adam_beta2: Fraction
+    adam_epsilon: Positive
+    max_gradient_norm: Positive
+
+
+@register
+class Imitation(Agent):
+    """The agent: samples actions from its policy and learns its teacher's."""
+
+    Options = ImitationOptions
+    auxiliary_losses = True
+    largest_lag = 1  # labels do not depend on the weights that acted
+    options: ImitationOptions
+    actor: ActorCritic
+
+    def __init__(self, options: ImitationOptions, setting: Setting):
+        super().__init__(options, setting)
+        self.teacher = options.teacher
+        self.teacher_share = options.teacher_share
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(setting.seed)
+            self.network = ActorCritic(
+                setting.observation_space, setting.action_space, setting.network, setting.memory
+            )
+            self.auxiliary = build_auxiliary(
+                setting.auxiliary,
+                setting.observation_space,
+                setting.network,
+                self.network,
+                setting.seed,
+            )
+        self.network.to(self.device)
+        self.auxiliary.to(self.device)
+        self.actor = self.network
+        self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
+        self.optimiser = torch.optim.Adam(
+            self.learned,
+            lr=options.learning_rate,
+            betas=(options.adam_beta1, options.adam_beta2),
+            eps=options.adam_epsilon,
+            fused=True,
+        )
+
+    def initial_memory(self, batch: int) -> State:
+        """The memory before the first frame of `batch` worlds."""
+        return self.network.memory.initial_state(batch)
+
+    @torch.no_grad()
+    def act(
+        self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
+    ) -> tuple[Tensor, State, dict[str, Tensor]]:
+        """Samples an action in each of B worlds, int64 [B], in training and evaluation alike."""
+        with autocast(self.device, self.precision):
+            outputs = self.actor(inputs.unsqueeze(), memory)
+        logits = outputs.logits[0]
+        # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
+        noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
+        return (logits + noise.to(logits.device)).argmax(-1), outputs.state, {}
+
+    def update(self, unroll: Unroll) -> dict[str, float]:
+        """One optimiser step on the unroll's first T rows.
+
+        The metric `accuracy` is the share of frames in which the likeliest action is the teacher's.
+
+        Raises:
+            FloatingPointError: learning has diverged; no weights were changed.
+        """
+        steps = unroll.steps
+        inputs = Inputs.of(steps)
+        with autocast(self.device, self.precision):
+            outputs = self.network(inputs, unroll.memory)
+            auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, outputs.core)
+        logits, label = outputs.logits[:-1], steps["label"][:-1]
+        imitation_loss = F.cross_entropy(logits.flatten(0, 1), label.flatten())
+        loss = imitation_loss + auxiliary_loss
+
+        self.optimiser.zero_grad()
+        loss.backward()
+        gradient_norm = torch.nn.utils.clip_grad_norm_(self.learned, self.options.max_gradient_norm)
+        if not gradient_norm.isfinite():
+            raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")
+        self.optimiser.step()
+        self.auxiliary.after_update(self.network.encoder)
+        log_policy = logits.detach().log_softmax(-1)
+        metrics = {
+            "loss": loss,
+            "imitation_loss": imitation_loss,
+            "accuracy": (logits.argmax(-1) == label).float().mean(),
+            "entropy": -(log_policy.exp() * log_policy).sum(-1).mean(),
+            "gradient_norm": gradient_norm,
+            **auxiliary_metrics,
+        }
+        return {name: metric.item() for name, metric in metrics.items()}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that `update` changes."""
+        return {
+            "network": self.network.state_dict(),
+            "auxiliary": self.auxiliary.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continues from `state_dict()`."""
+        self.network.load_state_dict(state["network"])
+        self.auxiliary.load_state_dict(state["auxiliary"])
+        self.optimiser.load_state_dict(state["optimiser"])

@@ -1,0 +1,89 @@
+"""Scripted players of the worlds that a split trains on, and how their memory is saved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.envs.family import Scripted, scripted
+from zipf.envs.mixture import Mixture
+from zipf.envs.splits import Split
+
+if TYPE_CHECKING:
+    from zipf.envs.family import Player
+    from zipf.envs.vector import ZipfVectorEnv
+
+
+class Remembering:
+    """The base of scripted players that remember something of their episodes.
+
+    Attributes:
+        remembered: names of the attributes, arrays [N, ...], that its next actions depend on.
+    """
+
+    remembered: ClassVar[tuple[str, ...]]
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """What it remembers, by name."""
+        return {name: getattr(self, name).copy() for name in self.remembered}
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Continues from `get_state()`, in the same worlds."""
+        for name in self.remembered:
+            getattr(self, name)[:] = state[name]
+
+
+class Teacher:
+    """A scripted player of the worlds that `zipf.envs.make_train` makes of a split.
+
+    Called, it gives the actions, int64 [N], that it would take.
+
+    Args:
+        name: which player, of `zipf.envs.SCRIPTED`.
+        split: the split.
+        env: the worlds.
+
+    Raises:
+        ValueError: a train level has no such player.
+    """
+
+    def __init__(self, name: Scripted, split: Split, env: ZipfVectorEnv):
+        self._env = env
+        names: Sequence[str] = [split.train[0].name]
+        batches = [env]
+        if isinstance(env, Mixture):
+            names, batches = env.level_names, env.batches
+        self._players: list[Player] = []
+        for level, batch in zip(names, batches, strict=True):
+            player = scripted(name, level, batch)
+            if player is None:
+                raise ValueError(f"the levels of {split.name} have no {name}")
+            self._players.append(player)
+
+    def __call__(self) -> NDArray[np.int64]:
+        if not isinstance(self._env, Mixture):
+            return self._players[0]()
+        actions = np.zeros(self._env.num_envs, np.int64)
+        for k in np.unique(self._env.levels_of_worlds).tolist():
+            np.copyto(actions, self._players[k](), where=self._env.levels_of_worlds == k)
+        return actions
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """What its players remember, by name."""
+        return {
+            f"{k}:{name}": value
+            for k, player in enumerate(self._players)
+            if isinstance(player, Remembering)
+            for name, value in player.get_state().items()
+        }
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Continues from `get_state()`, in the same worlds."""
+        for k, player in enumerate(self._players):
+            if isinstance(player, Remembering):
+                start = f"{k}:"
+                own = {n.removeprefix(start): v for n, v in state.items() if n.startswith(start)}
+                player.set_state(own)
