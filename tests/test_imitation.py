@@ -92,7 +92,7 @@ def test_it_learns_what_its_teacher_does():
         agent.update(collector.collect())
     test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.WORLDS)
     played = play(AgentPolicy(agent, seed=1, device="cpu"), test, episodes=500, seed=2)
-    assert played["success"].mean() > 0.9  # chance is a third
+    assert played["success"].mean() > 0.8  # chance is a third
 
 
 @pytest.mark.parametrize("split", ["playroom_put", "gridworld"])

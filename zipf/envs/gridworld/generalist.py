@@ -8,6 +8,7 @@ from zipf.envs.gridworld.kernels import COLUMN, MAP, ROW, TARGET
 from zipf.envs.gridworld.looks import FLOOR, WALL
 from zipf.envs.gridworld.maps import MOVES, PAD, VIEW
 from zipf.envs.gridworld.vector import GridworldVectorEnv
+from zipf.envs.players import Remembering
 
 UNSEEN = 255
 """What is known of a cell that has not been in view; no cell code."""
@@ -22,7 +23,7 @@ _SHIFT_1, _SHIFT_2, _SHIFT_3 = np.uint64(30), np.uint64(27), np.uint64(31)
 _HALF, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
 
 
-class Generalist:
+class Generalist(Remembering):
     """Plays all worlds of a batch from what has been in view: `Generalist(env)()` is actions [N].
 
     It knows the cue, the rules of moving, and the cells that have been in its 7 x 7 view in this
@@ -43,6 +44,8 @@ class Generalist:
         memory: False: it knows what is in view now and nothing else, and moves to a random
             neighbouring cell until it sees a way to the cued object.
     """
+
+    remembered = ("_known", "_visits", "_episodes", "_streams", "_lengths")
 
     def __init__(self, env: GridworldVectorEnv, *, seed: int = 0, memory: bool = True) -> None:
         self._env = env

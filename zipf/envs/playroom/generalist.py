@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.players import Remembering
 from zipf.envs.playroom import actions
 from zipf.envs.playroom.constants import AGENT_RADIUS, FURNITURE_SIZE
 from zipf.envs.playroom.expert import LOOK, Expert, around
@@ -37,7 +38,7 @@ _WALK = 60
 """Steps after which it is given up."""
 
 
-class Generalist:
+class Generalist(Remembering):
     """Plays all worlds of a batch from what has been in view: `Generalist(env)()` is actions [N].
 
     It turns to the right until it sees the toy that the instruction names, and then does as the
@@ -58,6 +59,12 @@ class Generalist:
     Args:
         env: the batch.
     """
+
+    remembered = (
+        *("_items", "_supports", "_objects", "_orientation", "_furniture"),
+        *("_sweeps", "_turned", "_spots", "_walked"),
+        *("_scenery", "_ranks", "_lengths", "_yaw"),
+    )
 
     def __init__(self, env: PlayroomVectorEnv) -> None:
         self.env = env
