@@ -276,7 +276,7 @@ def test_in_the_playroom_what_is_unseen_changes_nothing() -> None:
     for others in (((-1.2, 0.2), (-1.2, -0.6)), ((-0.5, 0.1), (-0.5, -0.4))):
         env = playroom(image_size=(3, 4))
         arrange(env, agent, {0: (1.6, 0), 1: others[0], 2: others[1]})
-        made.append(labels(env, 8))
+        made.append(labels(env, 3))
     assert made[0] == made[1]
     assert actions.TURN_RIGHT not in made[0]
 
@@ -289,10 +289,10 @@ def test_in_the_playroom_it_remembers_and_forgets() -> None:
     assert before != actions.TURN_RIGHT
     # Another policy turns away from the toy: it is remembered where it was.
     for _ in range(10):
-        env.step(np.array([actions.TURN_LEFT]))
+        env.step(np.array([actions.TURN_RIGHT]))
         label = player()[0]
     assert not seen(env)[0][0]
-    assert label != actions.TURN_RIGHT
+    assert label == actions.TURN_LEFT  # the short way back
     # It is moved, and its old place comes into view.
     env.worlds.objects[0, 0, :2] = 0.3, -1.6
     assert player()[0] == label
