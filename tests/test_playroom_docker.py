@@ -41,7 +41,7 @@ def served(monkeypatch: pytest.MonkeyPatch) -> Iterator[fake_playroom_server.Ser
 def test_it_keeps_the_contract() -> None:
     short = {**SMALL, "max_steps": 3}
     check_vector_env(
-        partial(make_vec, LIFT, **short), partial(make, LIFT, **short), num_envs=2, steps=10
+        partial(make_vec, LIFT, **short), partial(make, LIFT, **short), num_envs=2, steps=8
     )
 
 
