@@ -276,7 +276,7 @@ def test_in_the_playroom_what_is_unseen_changes_nothing() -> None:
     for others in (((-1.2, 0.2), (-1.2, -0.6)), ((-0.5, 0.1), (-0.5, -0.4))):
         env = playroom(image_size=(3, 4))
         arrange(env, agent, {0: (1.6, 0), 1: others[0], 2: others[1]})
-        made.append(labels(env, 3))
+        made.append(labels(env, 2))
     assert made[0] == made[1]
     assert actions.TURN_RIGHT not in made[0]
 
