@@ -130,7 +130,8 @@ def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path)
     assert [(one["level_kind"], one["level"]) for one in description["levels"]] == scored
     assert description["experiment"] == experiment
     assert description["condition"] == condition
-    assert all("chance" in one["references"] for one in description["levels"])
+    names = [reference.name for reference in envs.REFERENCES]
+    assert all(one["references"].keys() <= set(names) for one in description["levels"])
     assert list((whole.folder / "tensorboard").iterdir())
 
     update, results = evaluate_run(EvaluateOptions(run=str(cut.folder), episodes=2))
