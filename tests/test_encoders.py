@@ -1,5 +1,7 @@
 """Encoders against plain versions of themselves, and that they read every kind of space."""
 
+import itertools
+
 import gymnasium as gym
 import noise
 import numpy as np
@@ -8,8 +10,11 @@ import torch
 import torch.nn.functional as F
 from networks import compact
 
+from zipf import envs
 from zipf.agents.encoders import (
     CodeEncoder,
+    CompactOptions,
+    ComparingOptions,
     Encoder,
     InstructionEncoder,
     ResNet,
@@ -83,6 +88,51 @@ def test_the_shallow_network_is_the_one_of_the_impala_paper():
     torch.testing.assert_close(encoder({"image": image}), expected)
     with pytest.raises(ValueError, match="leaves nothing of an image of 9 x 9"):
         Encoder(gym.spaces.Dict(image=image_space(9, 9)), SHALLOW)
+
+
+def comparing(comparison, **changes):
+    options = COMPACT.model_dump() | {"name": "comparing", "comparison": comparison, "key_size": 8}
+    return ComparingOptions(**options | changes)
+
+
+def test_patches_are_compared_by_the_cosines_of_their_keys():
+    torch.manual_seed(0)
+    image = images(3, 18, 27)
+    image[0, :9, :9] = 200  # of one colour
+    encoder = Encoder(gym.spaces.Dict(image=image_space(18, 27)), comparing("learned"))
+    network = encoder.reader("image")
+    alike = torch.zeros(3, 6, 6)
+    for n in range(3):
+        keys = []
+        for row, column in itertools.product(range(2), range(3)):
+            patch = image[n, 9 * row : 9 * row + 9, 9 * column : 9 * column + 9].flatten() / 255.0
+            key = network.key.weight.detach() @ (patch - patch.mean())
+            keys.append(key / max(float(key.norm()), 0.1))
+        for i, j in itertools.product(range(6), range(6)):
+            alike[n, i, j] = keys[i] @ keys[j]
+    patches = network.cut(image).float()
+    torch.testing.assert_close(network.cosines(patches, network.key), alike, atol=1e-4, rtol=0)
+    torch.testing.assert_close(alike[0, 0], torch.zeros(6), atol=1e-4, rtol=0)
+    assert alike[1, 0, 0] > 0.999
+    above = torch.stack([alike[:, i, j] for i in range(6) for j in range(i + 1, 6)], 1)
+    expected = network.mix(torch.cat([network.embedded(patches), above], 1)).relu()
+    torch.testing.assert_close(encoder({"image": image}), expected, atol=1e-4, rtol=1e-3)
+
+
+def test_the_given_comparison_finds_what_the_cue_shows():
+    """In the gridworld, whose cue has another background; walls and floor show nothing."""
+    env = envs.make_vec("gridworld/uniform", 20)
+    image = torch.from_numpy(env.reset(seed=0)[0]["image"])
+    network = Encoder(env.single_observation_space, comparing("given")).reader("image")
+    same = network.same(network.cut(image))
+    tiles = envs.make_vec("gridworld/uniform", 20, observation="tiles")
+    codes, _ = tiles.reset(seed=0)
+    squares = torch.from_numpy(codes["tiles"].reshape(20, 49).astype(np.int64))
+    cue = torch.from_numpy(codes["cue"].astype(np.int64))
+    expected = squares == cue
+    assert expected[:, 1:].any()
+    assert torch.equal(same[:, 0, 1:], expected[:, 1:])
+    assert torch.equal(same, same.transpose(1, 2))
 
 
 def test_the_resnet_reads_pixels_between_0_and_1():
@@ -197,12 +247,16 @@ def test_the_space_of_a_part_decides_which_encoder_reads_it(space):
     assert each == set(noise.SPACES[space])
 
 
-@pytest.mark.parametrize("options", [RESNET, SHALLOW, COMPACT], ids=lambda options: options.name)
+@pytest.mark.parametrize(
+    "options",
+    [RESNET, SHALLOW, COMPACT, comparing("learned"), comparing("given")],
+    ids=["resnet", "shallow", "compact", "learned", "given"],
+)
 @pytest.mark.parametrize("space", noise.SPACES)
 def test_every_network_reads_every_space(space, options):
     """Every part changes the result, and gradients reach every parameter."""
     torch.manual_seed(0)
-    if options.name == "compact":
+    if isinstance(options, CompactOptions):
         options = options.model_copy(update={"patch": None})
     encoder = Encoder(noise.SPACES[space], options)
     noise.SPACES[space].seed(0)

@@ -70,7 +70,7 @@ class ComparingOptions(CompactOptions):
     """As compact, and every patch is compared with every other.
 
     With `comparison` "learned" by the cosine of two learned keys of `key_size`, with "given" by
-    whether their pixels are the same on another background.
+    whether their coloured pixels are the same.
     """
 
     name: Literal["comparing"]  # type: ignore[assignment]
@@ -204,8 +204,8 @@ class ComparingEncoder(PatchEncoder):
     random rotation, which leaves cosines of pixels nearly as they are. Self-similarities: Shechtman
     and Irani 2007; one metric for both of a pair: Bromley et al. 1993.
 
-    "given": 1 where two patches show the same, else 0. The colour of a patch's first pixel counts
-    as its background, and patches of nothing else show nothing.
+    "given": 1 where two patches show the same, else 0. Grey pixels, whose channels are equal, count
+    as background, and patches of nothing else show nothing.
     """
 
     pairs: Tensor
@@ -220,7 +220,7 @@ class ComparingEncoder(PatchEncoder):
         inputs = self.patches * options.channels + len(self.pairs)
         self.mix = nn.Linear(inputs, options.size)
         self.key: nn.Linear | None = None
-        if options.comparison == "learned":
+        if options.comparison == "learned" and self.patches > 1:
             self.key = nn.Linear(pixels, options.key_size, bias=False)
             nn.init.orthogonal_(self.key.weight)
         else:
@@ -231,28 +231,31 @@ class ComparingEncoder(PatchEncoder):
     def forward(self, image: Tensor) -> Tensor:
         cut = self.cut(image)
         patches = cut.to(_compute_dtype(image))
-        alike = self.same(cut) if self.key is None else self.cosines(patches)
+        alike = self.same(cut) if self.key is None else self.cosines(patches, self.key)
         compared = alike.flatten(1)[:, self.pairs].to(patches.dtype)
         return self.mix(torch.cat([self.embedded(patches), compared], 1)).relu()
 
-    def cosines(self, patches: Tensor) -> Tensor:
+    def cosines(self, patches: Tensor, key: nn.Linear) -> Tensor:
         """The cosines of the keys of any two patches, [N, patches, pixels * C] -> [N, patches,
-        patches]; 0 for patches of one colour."""
-        assert self.key is not None
-        weight = self.key.weight / 255.0
+        patches]; near 0 for patches of one colour."""
+        weight = key.weight / 255.0
         # Without the weights' mean keys do not depend on the patch's mean.
         keys = F.linear(patches, weight - weight.mean(1, keepdim=True))
-        keys = keys / keys.norm(dim=-1, keepdim=True).clamp(min=1e-3)
+        keys = keys / keys.norm(dim=-1, keepdim=True).clamp(min=_FAINT)
         return keys @ keys.transpose(1, 2)
 
     def same(self, cut: Tensor) -> Tensor:
         """Whether any two patches show the same, uint8 [N, patches, pixels * C] -> bool [N,
         patches, patches]."""
         pixels = cut.unflatten(2, (-1, self.channels))
-        background = (pixels == pixels[:, :, :1]).all(-1, keepdim=True)
-        shown = pixels.masked_fill(background, 0).flatten(2)
+        colours = pixels[..., :3]
+        grey = (colours == colours[..., :1]).all(-1, keepdim=True)
+        shown = pixels.masked_fill(grey, 0).flatten(2)
         codes = (shown.long() * self.codes).sum(-1)  # equal for equal patches, and hardly else
         return (codes.unsqueeze(1) == codes.unsqueeze(2)) & (codes != 0).unsqueeze(1)
+
+
+_FAINT = 0.1  # ours: the norm below which keys are taken for shorter; rounding in bfloat16 has 0.01
 
 
 def largest_patch(height: int, width: int) -> int:
