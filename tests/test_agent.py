@@ -45,10 +45,21 @@ def build(name, seed=0, space=SPACE, actions=ACTION_SPACE, network=NETWORK, **ch
     return made
 
 
+class Labels:
+    """A teacher of worlds without a scripted player."""
+
+    def __init__(self):
+        self.rng = np.random.default_rng(0)
+
+    def __call__(self):
+        return self.rng.integers(ACTIONS, size=WORLDS)
+
+
 def unrolls(made, count):
     """Unrolls that the agent, which does not learn meanwhile, collects."""
     env = noise.Noise(WORLDS, made.setting.observation_space)
-    collector = Collector(env, made, unroll_length=STEPS, seed=0)
+    teacher = Labels() if made.teacher else None
+    collector = Collector(env, made, unroll_length=STEPS, seed=0, teacher=teacher)
     for _ in range(count):
         unroll = collector.collect()
         final = None if unroll.final is None else unroll.final.clone()
@@ -77,8 +88,8 @@ def equal(one, other):
 NAMES = sorted(agents())
 
 
-def test_the_registry_has_the_four_agents_by_the_names_of_their_options():
-    assert {"impala", "r2d2", "supervised", "vmpo"} <= set(agents())
+def test_the_registry_has_the_agents_by_the_names_of_their_options():
+    assert {"imitation", "impala", "r2d2", "supervised", "vmpo"} <= set(agents())
     for name, agent in agents().items():
         assert agent.Options.model_fields["name"].annotation == Literal[name]
 
@@ -149,7 +160,7 @@ def test_an_agent_without_auxiliary_losses_refuses_one(name):
     if agents()[name].auxiliary_losses:
         build(name, auxiliary=auxiliary)
     else:
-        with pytest.raises(ValueError, match="choose auxiliary=none, or agent=impala or vmpo"):
+        with pytest.raises(ValueError, match="choose auxiliary=none, or agent=imit"):
             build(name, auxiliary=auxiliary)
 
 

@@ -44,7 +44,7 @@ def test_the_loss_is_its_definition():
     generator = torch.Generator().manual_seed(1)
     data.steps["label"] = torch.randint(ACTIONS, (STEPS + 1, BATCH), generator=generator)
     with torch.no_grad():
-        logits = agent.network(Inputs.of(data.steps), data.memory).logits
+        logits, _, _ = agent.network(Inputs.of(data.steps), data.memory)
     loss, right = 0.0, 0
     for t in range(STEPS):
         for b in range(BATCH):

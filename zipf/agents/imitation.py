@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import gymnasium as gym
 import torch
 import torch.nn.functional as F
 from pydantic import Field
@@ -23,8 +24,9 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
-from zipf.agents.memory import State
-from zipf.agents.network import ActorCritic, Inputs, autocast
+from zipf.agents.encoders import NetworkOptions
+from zipf.agents.memory import MemoryOptions, State
+from zipf.agents.network import Inputs, Torso, autocast, head, in_full
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
 
@@ -49,6 +51,26 @@ class ImitationOptions(Options):
     max_gradient_norm: Positive
 
 
+class Policy(Torso):
+    """The network of an agent that acts, with a head for the policy alone."""
+
+    def __init__(
+        self,
+        observation_space: gym.spaces.Dict,
+        action_space: gym.Space,
+        network: NetworkOptions,
+        memory: MemoryOptions,
+    ):
+        super().__init__(observation_space, action_space, network, memory)
+        self.policy = head(self.memory.size, network.head_size, self.actions)
+
+    def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, Tensor, State]:
+        """Logits float32 [T, B, actions], the memory's outputs [T, B, size], and its state."""
+        _, core, state = self.remember(inputs, state)
+        with in_full(core) as exact:
+            return self.policy(exact), core, state
+
+
 @register
 class Imitation(Agent):
     """The agent: samples actions from its policy and learns its teacher's."""
@@ -57,7 +79,7 @@ class Imitation(Agent):
     auxiliary_losses = True
     largest_lag = 1  # labels do not depend on the weights that acted
     options: ImitationOptions
-    actor: ActorCritic
+    actor: Policy
 
     def __init__(self, options: ImitationOptions, setting: Setting):
         super().__init__(options, setting)
@@ -65,7 +87,7 @@ class Imitation(Agent):
         self.teacher_share = options.teacher_share
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(setting.seed)
-            self.network = ActorCritic(
+            self.network = Policy(
                 setting.observation_space, setting.action_space, setting.network, setting.memory
             )
             self.auxiliary = build_auxiliary(
@@ -97,11 +119,11 @@ class Imitation(Agent):
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
         """Samples an action in each of B worlds, int64 [B], in training and evaluation alike."""
         with autocast(self.device, self.precision):
-            outputs = self.actor(inputs.unsqueeze(), memory)
-        logits = outputs.logits[0]
+            outputs, _, memory = self.actor(inputs.unsqueeze(), memory)
+        logits = outputs[0]
         # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
         noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
-        return (logits + noise.to(logits.device)).argmax(-1), outputs.state, {}
+        return (logits + noise.to(logits.device)).argmax(-1), memory, {}
 
     def update(self, unroll: Unroll) -> dict[str, float]:
         """One optimiser step on the unroll's first T rows.
@@ -114,9 +136,9 @@ class Imitation(Agent):
         steps = unroll.steps
         inputs = Inputs.of(steps)
         with autocast(self.device, self.precision):
-            outputs = self.network(inputs, unroll.memory)
-            auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, outputs.core)
-        logits, label = outputs.logits[:-1], steps["label"][:-1]
+            outputs, core, _ = self.network(inputs, unroll.memory)
+            auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, core)
+        logits, label = outputs[:-1], steps["label"][:-1]
         imitation_loss = F.cross_entropy(logits.flatten(0, 1), label.flatten())
         loss = imitation_loss + auxiliary_loss
 
