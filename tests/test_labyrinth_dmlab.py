@@ -189,10 +189,12 @@ def test_words_that_we_do_not_have(monkeypatch: pytest.MonkeyPatch) -> None:
         env.reset(seed=0)
 
 
-def test_there_is_neither_chance_nor_an_expert() -> None:
+def test_there_are_no_references_and_no_expert() -> None:
     for level in ("labyrinth/rooms_watermaze", "labyrinth/forward_zipf"):
-        assert envs.chance(level, backend="own") == envs.chance(level) is not None
-        assert envs.chance(level, backend="dmlab") is None
+        for name in ("chance", "expert"):
+            known = envs.reference(name, level)
+            assert envs.reference(name, level, backend="own") == known is not None
+            assert envs.reference(name, level, backend="dmlab") is None
         with pytest.raises(ValueError, match="backend='own'"):
             envs.expert(level, make_vec(level, 1, **SMALL))
 
@@ -250,7 +252,7 @@ def test_runs_are_trained_and_resumed(tmp_path: Path, monkeypatch: pytest.Monkey
     description = run_folder.read_description(whole.folder)
     assert description["environment"]["backend"] == "dmlab"
     assert description["paper"] is None
-    assert {one["chance"] for one in description["levels"]} == {None}
+    assert [one["references"] for one in description["levels"]] == [{}] * 66
     assert load("own", "own").what_is_learned != whole.what_is_learned
 
 

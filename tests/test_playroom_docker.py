@@ -214,11 +214,13 @@ def test_what_is_missing_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_there_are_no_references_experts_or_questions() -> None:
-    for reference in (envs.chance, envs.blind):
-        assert reference(LIFT, backend="own") == reference(LIFT) is not None
-        assert reference(LIFT, backend="docker") is None
-    with pytest.raises(ValueError, match="backend='own'"):
-        envs.expert(LIFT, make_vec(LIFT, 1, **SMALL))
+    for one in envs.REFERENCES:
+        known = envs.reference(one.name, LIFT)
+        assert envs.reference(one.name, LIFT, backend="own") == known is not None
+        assert envs.reference(one.name, LIFT, backend="docker") is None
+    for name in envs.SCRIPTED:
+        with pytest.raises(ValueError, match="backend='own'"):
+            envs.scripted(name, LIFT, make_vec(LIFT, 1, **SMALL))
     asked = envs.questions(envs.split("playroom_find")).train[0]
     with pytest.raises(ValueError, match="need backend='own'"):
         make_vec(asked, 1, backend="docker")

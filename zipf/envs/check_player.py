@@ -44,10 +44,10 @@ def check_player(
         AssertionError: saying what is wrong and where.
     """
     for mode in AutoresetMode:
-        rollouts = [
+        one, other = (
             _rollout(player, make_vec(num_envs, autoreset_mode=mode), steps, seed) for _ in range(2)
-        ]
-        _require(np.array_equal(*rollouts), f"a second rollout has other answers ({mode.value})")
+        )
+        _require(np.array_equal(one, other), f"a second rollout has other answers ({mode.value})")
 
 
 def _rollout(

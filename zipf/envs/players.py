@@ -73,12 +73,11 @@ class Teacher:
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """What its players remember, by name."""
-        return {
-            f"{k}:{name}": value
-            for k, player in enumerate(self._players)
-            if isinstance(player, Remembering)
-            for name, value in player.get_state().items()
-        }
+        state: dict[str, NDArray[Any]] = {}
+        for k, player in enumerate(self._players):
+            if isinstance(player, Remembering):
+                state |= {f"{k}:{name}": value for name, value in player.get_state().items()}
+        return state
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continues from `get_state()`, in the same worlds."""

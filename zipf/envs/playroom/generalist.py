@@ -58,6 +58,9 @@ class Generalist(Remembering):
 
     Args:
         env: the batch.
+
+    Raises:
+        ValueError: the worlds are of another engine.
     """
 
     remembered = (
@@ -67,6 +70,8 @@ class Generalist(Remembering):
     )
 
     def __init__(self, env: PlayroomVectorEnv) -> None:
+        if not hasattr(env, "worlds"):
+            raise ValueError("the generalist reads the state of our engine: use backend='own'")
         self.env = env
         worlds, n = env.worlds, env.num_envs
         count = worlds.ranks.shape[1]
