@@ -135,16 +135,21 @@ def test_the_references_come_from_one_command(
         written = json.loads(path.read_text())
         assert list(written) == ["chance", "expert"]
         for of in ("chance", "expert"):
-            ((name, (figure,)),) = written[of].items()
+            ((name, figures),) = written[of].items()
             assert name == level
-            assert (figure["episodes"], figure["seed"], figure["options"]) == (2, 0, {})
+            assert {(one["episodes"], one["seed"]) for one in figures} == {(2, 0)}
+            compact = {"action_repeat": 8, "max_steps": 450}  # as labyrinth_compact has them
+            assert [one["options"] for one in figures] == [{}, compact]
         assert written["expert"][level][0]["score"] == 67
     assert re.search(
         rf"\n\| {level} \| 0.312 \| 65.9 \| .* \| 2 \| 67.00 ± 0.00 \| 2 \|", page.read_text()
     )
     assert "measure_references.py labyrinth --episodes 2\n" in page.read_text()
     assert f"expert, {level} {{}}: 67.0 +- 0.0" in capsys.readouterr().out
+    path.write_text(json.dumps(written | {"chance": {level: written["chance"][level][1:]}}))
+    measure_references.main(["labyrinth", level, "--episodes", "2", "--missing", *files])
+    assert capsys.readouterr().out.count(level) == 1
     for wrong in (["--episodes", "1"], ["rooms_water"], ["--references", "blind"]):
         with pytest.raises(SystemExit):
             measure_references.main(["labyrinth", *wrong, *files])
-    assert measure_references.measurable("gridworld") == []  # all are exact
+    assert measure_references.measurable("gridworld") == ["generalist"]  # the others are exact
