@@ -120,6 +120,36 @@ def test_a_teachers_memory_is_restored(split, options):
             env.step(actions)
 
 
+def test_one_player_labels_all_levels_with_an_engine():
+    """As each level's own player would."""
+    found = envs.split("playroom_put")
+    env = envs.make_train(found, 6, image_size=(3, 4), max_steps=9)
+    teacher = Teacher("generalist", found, env)
+    levels = zip(env.level_names, env.batches, strict=True)
+    own = [envs.generalist(level, batch) for level, batch in levels]
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    for _ in range(12):
+        answers = [player() for player in own]
+        assert teacher().tolist() == [answers[k][i] for i, k in enumerate(env.levels_of_worlds)]
+        env.step(rng.integers(int(env.single_action_space.n), size=6))
+
+
+def test_experts_with_plans_of_their_own_are_asked_once_a_step():
+    """In the labyrinth, where all tasks are on one engine and asking again may change the plan."""
+    found, options = envs.split("labyrinth_forward"), {"image_size": (3, 4), "max_steps": 9}
+    env, twin = (envs.make_train(found, 6, **options) for _ in range(2))
+    teacher, expert = Teacher("expert", found, env), envs.expert("labyrinth/forward_zipf", twin)
+    rng = np.random.default_rng(0)
+    for worlds in (env, twin):
+        worlds.reset(seed=0)
+    for _ in range(30):
+        assert np.array_equal(teacher(), expert())
+        actions = rng.integers(int(env.single_action_space.n), size=6)
+        for worlds in (env, twin):
+            worlds.step(actions)
+
+
 def test_levels_without_such_a_player_are_named():
     found = envs.split("labyrinth_forward")
     env = envs.make_train(found, 1, image_size=(1, 1))

@@ -15,9 +15,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from zipf.envs.random_play import Player
 from zipf.envs.vector import ZipfVectorEnv
-
-Player = Callable[[], NDArray[np.int64]]
 
 
 def check_player(

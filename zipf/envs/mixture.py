@@ -163,6 +163,12 @@ class Mixture(ZipfVectorEnv):
         self._described = [key for key in described[0] if all(key in one for one in described)]
 
     @property
+    def engines(self) -> NDArray[np.int64]:
+        """For each level the place in `batches` of the first one with its engine, int64 [levels].
+        That batch has the state of all worlds on the engine."""
+        return self._engine_of
+
+    @property
     def probabilities(self) -> NDArray[np.float64]:
         """With `draw="resets"`, the probability of each rank, float64 [levels], summing to 1.
 

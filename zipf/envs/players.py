@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -52,36 +52,37 @@ class Teacher:
 
     def __init__(self, name: Scripted, split: Split, env: ZipfVectorEnv):
         self._env = env
-        names: Sequence[str] = [split.train[0].name]
-        batches = [env]
-        if isinstance(env, Mixture):
-            names, batches = env.level_names, env.batches
-        self._players: list[Player] = []
-        for level, batch in zip(names, batches, strict=True):
+        batches = {0: (split.train[0].name, env)}
+        if isinstance(env, Mixture):  # one player for all worlds on an engine
+            firsts = np.unique(env.engines).tolist()
+            batches = {k: (env.level_names[k], env.batches[k]) for k in firsts}
+        self._players: dict[int, Player] = {}
+        for k, (level, batch) in batches.items():
             player = scripted(name, level, batch)
             if player is None:
                 raise ValueError(f"the levels of {split.name} have no {name}")
-            self._players.append(player)
+            self._players[k] = player
 
     def __call__(self) -> NDArray[np.int64]:
         if not isinstance(self._env, Mixture):
             return self._players[0]()
         actions = np.zeros(self._env.num_envs, np.int64)
-        for k in np.unique(self._env.levels_of_worlds).tolist():
-            np.copyto(actions, self._players[k](), where=self._env.levels_of_worlds == k)
+        engines = self._env.engines[self._env.levels_of_worlds]
+        for k in np.unique(engines).tolist():
+            np.copyto(actions, self._players[k](), where=engines == k)
         return actions
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """What its players remember, by name."""
         state: dict[str, NDArray[Any]] = {}
-        for k, player in enumerate(self._players):
+        for k, player in self._players.items():
             if isinstance(player, Remembering):
                 state |= {f"{k}:{name}": value for name, value in player.get_state().items()}
         return state
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continues from `get_state()`, in the same worlds."""
-        for k, player in enumerate(self._players):
+        for k, player in self._players.items():
             if isinstance(player, Remembering):
                 start = f"{k}:"
                 own = {n.removeprefix(start): v for n, v in state.items() if n.startswith(start)}
