@@ -44,7 +44,7 @@ from tensordict import TensorDict
 from torch.utils.flop_counter import FlopCounterMode
 
 from zipf import envs
-from zipf.agents.encoders import ResNet
+from zipf.agents.image_networks import ResNet
 from zipf.agents.impala import Impala
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll

@@ -31,7 +31,7 @@ from zipf.agents.auxiliary.byol import (
     random_shift,
 )
 from zipf.agents.auxiliary.reconstruction import VisionLanguageOptions, VisionOptions
-from zipf.agents.encoders import ResNetOptions, ShallowOptions
+from zipf.agents.image_networks import ResNetOptions, ShallowOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs

@@ -11,16 +11,13 @@ import torch.nn.functional as F
 from networks import compact
 
 from zipf import envs
-from zipf.agents.encoders import (
-    CodeEncoder,
+from zipf.agents.encoders import CodeEncoder, Encoder, InstructionEncoder, VectorEncoder
+from zipf.agents.image_networks import (
     CompactOptions,
     ComparingOptions,
-    Encoder,
-    InstructionEncoder,
     ResNet,
     ResNetOptions,
     ShallowOptions,
-    VectorEncoder,
 )
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs
@@ -91,7 +88,12 @@ def test_the_shallow_network_is_the_one_of_the_impala_paper():
 
 
 def comparing(comparison, **changes):
-    options = COMPACT.model_dump() | {"name": "comparing", "comparison": comparison, "key_size": 8}
+    options = COMPACT.model_dump() | {
+        "name": "comparing",
+        "comparison": comparison,
+        "key_size": 8,
+        "convolutions": 2,
+    }
     return ComparingOptions(**options | changes)
 
 
@@ -114,8 +116,11 @@ def test_patches_are_compared_by_the_cosines_of_their_keys():
     torch.testing.assert_close(network.cosines(patches, network.key), alike, atol=1e-4, rtol=0)
     torch.testing.assert_close(alike[0, 0], torch.zeros(6), atol=1e-4, rtol=0)
     assert alike[1, 0, 0] > 0.999
-    above = torch.stack([alike[:, i, j] for i in range(6) for j in range(i + 1, 6)], 1)
-    expected = network.mix(torch.cat([network.embedded(patches), above], 1)).relu()
+    embedded = network.embedded(patches).unflatten(1, (6, -1))
+    grid = network.describe(torch.cat([embedded, alike], -1)).relu().view(3, 2, 3, -1)
+    for convolution in network.convolutions:
+        grid = convolution(grid.permute(0, 3, 1, 2)).relu().permute(0, 2, 3, 1)
+    expected = network.mix(grid.flatten(1)).relu()
     torch.testing.assert_close(encoder({"image": image}), expected, atol=1e-4, rtol=1e-3)
 
 
@@ -124,7 +129,7 @@ def test_the_given_comparison_finds_what_the_cue_shows():
     env = envs.make_vec("gridworld/uniform", 20)
     image = torch.from_numpy(env.reset(seed=0)[0]["image"])
     network = Encoder(env.single_observation_space, comparing("given")).reader("image")
-    same = network.same(network.cut(image))
+    same = network.same(network.cut(image).float())
     tiles = envs.make_vec("gridworld/uniform", 20, observation="tiles")
     codes, _ = tiles.reset(seed=0)
     squares = torch.from_numpy(codes["tiles"].reshape(20, 49).astype(np.int64))

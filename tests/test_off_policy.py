@@ -9,7 +9,7 @@ import torch
 
 from zipf.agents import impala
 from zipf.agents.agent import Setting
-from zipf.agents.encoders import CompactOptions
+from zipf.agents.image_networks import CompactOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs

@@ -37,7 +37,7 @@ from torch import Tensor, nn
 
 import zipf.options
 from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions
-from zipf.agents.encoders import NetworkOptions
+from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso
 from zipf.agents.unroll import Unroll

@@ -11,7 +11,8 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
-from zipf.agents.encoders import Encoder, NetworkOptions
+from zipf.agents.encoders import Encoder
+from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State, build_memory
 
 

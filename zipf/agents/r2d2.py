@@ -31,7 +31,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
-from zipf.agents.encoders import NetworkOptions
+from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
 from zipf.agents.returns import lambda_returns, rescale, unrescale

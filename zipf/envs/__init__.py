@@ -27,6 +27,7 @@ from zipf.envs.family import (
     register,
     scripted,
     split,
+    symmetries,
 )
 from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
@@ -84,6 +85,7 @@ __all__ = [
     "register",
     "scripted",
     "split",
+    "symmetries",
     "zipfian",
 ]
 

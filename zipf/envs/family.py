@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
 import gymnasium as gym
 
@@ -49,6 +49,26 @@ class EngineError(RuntimeError):
 
 class NoOptions(Options):
     """A family without constructor options."""
+
+
+class Symmetries(Protocol):
+    """Ways to show worlds otherwise, such as turned or in a mirror.
+
+    Attributes:
+        count: how many there are. Number 0 changes nothing.
+        actions: int64 [count, actions], in each row a permutation: what a player who sees a world
+            in this way does by an action, as the action of the world.
+    """
+
+    count: int
+    actions: NDArray[np.int64]
+
+    def __call__(
+        self, observation: dict[str, NDArray], which: NDArray[np.int64], mask: NDArray[np.bool_]
+    ) -> None:
+        """Shows the observations `{name: [N, ...]}` where `mask` [N] is set, in place, in the ways
+        that `which` [N] names."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +107,9 @@ class Family:
         questions: `questions(split)` is a variant of a split whose episodes are questions about
             their first frame, for agents that answer and do not act (raises ValueError where there
             is none); None: there is none.
+        symmetries: `symmetries(observations, actions)`, of the spaces of one world, makes the ways
+            in which all its worlds may be shown otherwise without changing what is right, see
+            `Symmetries`; None: there are none.
     """
 
     name: str
@@ -106,6 +129,7 @@ class Family:
     expert: Callable[[Any], Player] | str | None = None
     generalist: Callable[[Any], Player] | str | None = None
     questions: Callable[[Split], Split] | str | None = None
+    symmetries: Callable[[Any, Any], Symmetries] | str | None = None
 
     @cached_property
     def options_class(self) -> type[Options]:
@@ -392,6 +416,15 @@ def questions(split: Split) -> Split:
     if found.questions is None:
         raise ValueError(f"there are no questions about the first frames of {found.name}")
     return _loaded(found.questions)(split)
+
+
+def symmetries(split: Split, env: ZipfVectorEnv) -> Symmetries | None:
+    """The symmetries that the family of a split declares, for its worlds; None where there are
+    none."""
+    found = family_of_split(split.name)
+    if found.symmetries is None:
+        return None
+    return _loaded(found.symmetries)(env.single_observation_space, env.single_action_space)
 
 
 def _loaded(value: Any) -> Any:

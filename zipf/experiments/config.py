@@ -13,9 +13,10 @@ from pydantic import Field, create_model
 from zipf import envs
 from zipf.agents.agent import agents
 from zipf.agents.auxiliary import auxiliaries
-from zipf.agents.encoders import NetworkOptions
 from zipf.agents.exploration import ExplorationOptions
+from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions
+from zipf.experiments.augmentation import AugmentationOptions
 from zipf.experiments.errors import UserError
 from zipf.options import Options
 
@@ -112,6 +113,7 @@ class Config(Options):
     network: NetworkOptions
     auxiliary: Any
     exploration: ExplorationOptions
+    augmentation: AugmentationOptions
     environment: Any
     collector: CollectorOptions
     evaluation: EvaluationOptions

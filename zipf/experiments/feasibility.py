@@ -13,6 +13,7 @@ from zipf.agents.agent import agents, no_auxiliary_losses
 from zipf.agents.auxiliary import NO_AUXILIARY
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.network import ActorCritic
+from zipf.experiments.augmentation import build_augmentation
 from zipf.experiments.config import Config, find_device, flatten
 from zipf.experiments.errors import UserError
 from zipf.experiments.running.factory import build_agent
@@ -153,6 +154,12 @@ def _try_to_build(config: Config) -> Iterator[str]:
     except UserError as error:
         yield from str(error).splitlines()
         return
+    try:
+        symmetries = envs.symmetries(split, env)
+        space = env.single_observation_space
+        build_augmentation(config.augmentation, space, 1, seed=0, symmetries=symmetries)
+    except ValueError as error:
+        yield str(error)
     family = envs.family_of_split(config.environment.split)
     if agent.teacher and getattr(family, agent.teacher) is None:
         known = [name for name in envs.SCRIPTED if getattr(family, name) is not None]

@@ -22,7 +22,8 @@ import gymnasium as gym
 import torch
 from torch import Tensor, nn
 
-from zipf.agents.encoders import Encoder, NetworkOptions
+from zipf.agents.encoders import Encoder
+from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.network import Inputs, Torso
 from zipf.options import Options, name_of
 

@@ -20,7 +20,8 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
-from zipf.agents.encoders import Encoder, NetworkOptions, is_image
+from zipf.agents.encoders import Encoder, is_image
+from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.network import Inputs, Torso, head
 
 Size = Annotated[int, Field(ge=1)]

@@ -15,15 +15,13 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
-from zipf.agents.encoders import (
+from zipf.agents.encoders import is_image, is_text, vocabulary
+from zipf.agents.image_networks import (
     NetworkOptions,
     ResidualBlock,
     ResNetOptions,
     ShallowOptions,
-    is_image,
-    is_text,
     largest_patch,
-    vocabulary,
 )
 from zipf.agents.network import Inputs, Torso
 

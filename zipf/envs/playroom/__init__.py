@@ -76,5 +76,6 @@ FAMILY = Family(
     keys="zipf.envs.playroom.keys:KEYS",
     expert="zipf.envs.playroom.expert:Expert",
     generalist="zipf.envs.playroom.generalist:Generalist",
+    symmetries="zipf.envs.playroom.symmetries:Symmetries",
     questions="zipf.envs.playroom.first_frame:questions",
 )

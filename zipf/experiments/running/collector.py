@@ -20,6 +20,7 @@ from zipf.agents.unroll import Unroll
 from zipf.envs.mixture import Mixture
 from zipf.envs.players import Teacher
 from zipf.envs.vector import ZipfVectorEnv
+from zipf.experiments.augmentation import Augmentation
 from zipf.experiments.running.checkpoint import arrays
 
 _OUTCOMES = ("return", "length", "success")
@@ -45,7 +46,8 @@ class Collector:
         unroll_length: T.
         seed: of the worlds and of the agent's actions.
         device: where the agent computes. Unrolls are in RAM: pinned, if the device is CUDA.
-        exploration: adds a bonus for the observations that actions lead to.
+        exploration: adds a bonus for the observations that actions lead to, before augmentation.
+        augmentation: changes what the agent sees of the worlds.
         lag: an unroll is overwritten by the call of `collect` after `lag` further ones.
         bootstrap_at_time_limit: whether unrolls tell time limits from the end of the task. If
             not, `terminated` is set in the place of `truncated`.
@@ -67,6 +69,7 @@ class Collector:
         seed: int,
         device: str = "cpu",
         exploration: CountBonus | None = None,
+        augmentation: Augmentation | None = None,
         lag: int = 0,
         bootstrap_at_time_limit: bool = True,
         reward_clipping: str = "none",
@@ -81,6 +84,7 @@ class Collector:
         self.unroll_length = unroll_length
         self.device = device
         self.exploration = exploration
+        self.augmentation = augmentation
         self.bootstrap_at_time_limit = bootstrap_at_time_limit
         self.reward_clipping = reward_clipping
         self.teacher = teacher
@@ -96,6 +100,10 @@ class Collector:
         ]
         self._final = env.allocate()
         env.reset(seed=seed, out=self._buffers[-1].observation_row(-1))
+        if augmentation:
+            all_worlds = np.ones(env.num_envs, np.bool_)
+            augmentation.begin(all_worlds)
+            augmentation.observe(self._buffers[-1].observation_row(-1), all_worlds)
 
     def collect(self) -> Unroll:
         """Plays T steps in every world.
@@ -145,6 +153,7 @@ class Collector:
             "inputs": {name: fields[name][-1].copy() for name in _CARRIED},
             "episodes": dict(self._episodes),
             "exploration": self.exploration.state_dict() if self.exploration else {},
+            "augmentation": self.augmentation.state_dict() if self.augmentation else {},
             "teacher": self.teacher.get_state() if self.teacher else {},
         }
 
@@ -153,6 +162,11 @@ class Collector:
         buffers = self._buffers[-1]
         restarted = self.env.set_state(arrays(state["environment"]))
         self.env.observations(out=buffers.observation_row(-1))
+        if self.augmentation:
+            self.augmentation.load_state_dict(state["augmentation"])
+            self.augmentation.begin(restarted)
+            everywhere = np.ones(self.env.num_envs, np.bool_)
+            self.augmentation.observe(buffers.observation_row(-1), everywhere)
         self._memory = {k: v.to(self.device) for k, v in state["memory"].items()}
         self._generator.set_state(state["generator"])
         self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
@@ -177,14 +191,20 @@ class Collector:
         fields["action"][t] = action.cpu().numpy()  # waits for the copies above, too
         acted = perf_counter()
         if self.teacher is not None:
-            fields["label"][t] = self.teacher()
+            label = self.teacher()
+            if self.augmentation:
+                label = self.augmentation.from_worlds(label)
+            fields["label"][t] = label
             share = torch.rand(self.env.num_envs, generator=self._generator).numpy()
             by_teacher = share < self.agent.teacher_share
             fields["action"][t, by_teacher] = fields["label"][t, by_teacher]
 
         following = buffers.observation_row(t + 1)
+        action_of_worlds = fields["action"][t]
+        if self.augmentation:
+            action_of_worlds = self.augmentation.to_worlds(action_of_worlds)
         _, reward, terminated, truncated, info = self.env.step(
-            fields["action"][t], out=following, final_out=self._final
+            action_of_worlds, out=following, final_out=self._final
         )
         ended = terminated | truncated
         if not self.bootstrap_at_time_limit:
@@ -200,6 +220,10 @@ class Collector:
             fields["bonus"][t] = self.exploration(following, ~ended)
             if ended.any():
                 fields["bonus"][t] += self.exploration(self._final, ended)
+        if self.augmentation:
+            self.augmentation.observe(self._final, ended)
+            self.augmentation.begin(ended)
+            self.augmentation.observe(following, np.ones_like(ended))
         if ended.any():
             self._record(info["final_info"], ended)
         stepped = perf_counter()

@@ -12,6 +12,7 @@ from zipf import envs
 from zipf.agents.exploration import build_exploration
 from zipf.agents.unroll import Unroll
 from zipf.envs.players import Teacher
+from zipf.experiments.augmentation import build_augmentation
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder
@@ -123,6 +124,13 @@ class Run:
             seed=derive_seed(config.seed, "training"),
             device=self.device,
             exploration=build_exploration(config.exploration),
+            augmentation=build_augmentation(
+                config.augmentation,
+                env.single_observation_space,
+                collector.num_envs,
+                seed=derive_seed(config.seed, "augmentation"),
+                symmetries=envs.symmetries(config.split, env),
+            ),
             lag=config.lag,
             bootstrap_at_time_limit=collector.bootstrap_at_time_limit,
             reward_clipping=collector.reward_clipping,

@@ -1,0 +1,289 @@
+"""The networks that read images, uint8 [N, H, W, C] -> [N, F], and their options."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import torch
+import torch.nn.functional as F
+from pydantic import Field
+from torch import Tensor, nn
+
+from zipf.options import Options
+
+Size = Annotated[int, Field(ge=1)]
+
+
+class EncoderOptions(Options):
+    """Options that all networks have.
+
+    `code_channels` is the size of a code's embedding, `code_size` that of the dense layer over all
+    of them; `vector_layers` are the layers of the MLP for vectors; `head_size` is the hidden layer
+    of policy and value, 0 for linear heads.
+    """
+
+    code_channels: Size
+    code_size: Size
+    vector_layers: Annotated[list[Size], Field(min_length=1)]
+    head_size: Annotated[int, Field(ge=0)]
+
+
+class ResNetOptions(EncoderOptions):
+    """The paper's image encoder (its architecture table)."""
+
+    name: Literal["resnet"]
+    channels: Annotated[list[Size], Field(min_length=1)]
+    blocks: Annotated[int, Field(ge=0)]
+
+
+class CompactOptions(EncoderOptions):
+    """One convolution whose patches do not overlap, then a dense layer: made for CPUs.
+
+    `patch` None is the largest common divisor of the image's sides up to 12.
+    """
+
+    name: Literal["compact"]
+    patch: Size | None
+    channels: Size
+    size: Size
+
+
+class ComparingOptions(CompactOptions):
+    """As compact, and every patch is compared with every other before `convolutions` convolutions.
+
+    With `comparison` "learned" by the cosine of two learned keys of `key_size`, with "given" by
+    whether their coloured pixels are the same.
+    """
+
+    name: Literal["comparing"]  # type: ignore[assignment]
+    comparison: Literal["learned", "given"]
+    key_size: Size
+    convolutions: Annotated[int, Field(ge=0)]
+
+
+class ShallowOptions(EncoderOptions):
+    """The shallow network of Espeholt et al. 2018: strided convolutions, then a dense layer."""
+
+    name: Literal["shallow"]
+    channels: Annotated[list[Size], Field(min_length=1)]
+    kernels: Annotated[list[Size], Field(min_length=1)]
+    strides: Annotated[list[Size], Field(min_length=1)]
+    size: Size
+
+
+NetworkOptions = Annotated[
+    ResNetOptions | ShallowOptions | CompactOptions | ComparingOptions, Field(discriminator="name")
+]
+
+
+class ResidualBlock(nn.Module):
+    """ReLU, convolution, ReLU, convolution, add (Espeholt et al. 2018, figure 3)."""
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.ReLU(),
+            nn.Conv2d(channels, channels, 3, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(channels, channels, 3, padding=1),
+        )
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        return inputs + self.layers(inputs)
+
+
+class ResNet(nn.Module):
+    """Sections of convolution, max-pool and residual blocks: uint8 [N, H, W, C] -> [N, F].
+
+    Every section halves the image, rounding up.
+    """
+
+    def __init__(self, shape: tuple[int, ...], options: ResNetOptions):
+        super().__init__()
+        height, width, channels = shape
+        layers: list[nn.Module] = []
+        for outputs in options.channels:
+            layers += [nn.Conv2d(channels, outputs, 3, padding=1), nn.MaxPool2d(3, 2, padding=1)]
+            layers += [ResidualBlock(outputs) for _ in range(options.blocks)]
+            height, width, channels = (height + 1) // 2, (width + 1) // 2, outputs
+        self.layers = nn.Sequential(*layers, nn.ReLU(), nn.Flatten())
+        self.layers.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.size = height * width * channels
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.layers(image.permute(0, 3, 1, 2) / 255.0)
+
+
+class ShallowNet(nn.Module):
+    """Strided convolutions without padding, then a dense layer: uint8 [N, H, W, C] -> [N, F]."""
+
+    def __init__(self, shape: tuple[int, ...], options: ShallowOptions):
+        super().__init__()
+        height, width, channels = shape
+        convolutions = zip(options.channels, options.kernels, options.strides, strict=True)
+        layers: list[nn.Module] = []
+        for outputs, kernel, stride in convolutions:
+            layers += [nn.Conv2d(channels, outputs, kernel, stride), nn.ReLU()]
+            height, width = (height - kernel) // stride + 1, (width - kernel) // stride + 1
+            channels = outputs
+            if min(height, width) < 1:
+                raise ValueError(
+                    f"network=shallow leaves nothing of an image of {shape[0]} x {shape[1]} "
+                    "pixels; choose smaller network.kernels or network.strides, or network=compact"
+                )
+        self.size = options.size
+        dense = nn.Linear(height * width * channels, options.size)
+        self.layers = nn.Sequential(*layers, nn.Flatten(), dense, nn.ReLU())
+        self.layers.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.layers(image.permute(0, 3, 1, 2) / 255.0)
+
+
+class PatchEncoder(nn.Module):
+    """Patches, each embedded alike, then a dense layer: uint8 [N, H, W, C] -> [N, F].
+
+    The stride-`patch` convolution is written as the matrix product it is, which is several times
+    faster on CPUs than the convolution routine.
+    """
+
+    def __init__(self, shape: tuple[int, ...], options: CompactOptions):
+        super().__init__()
+        height, width, channels = shape
+        self.patch = options.patch or largest_patch(height, width)
+        if height % self.patch or width % self.patch:
+            raise ValueError(
+                f"network.patch={self.patch} does not divide the image of {height} x {width} "
+                "pixels; choose a common divisor (null is the largest up to 12), or network=resnet"
+            )
+        self.size = options.size
+        rows, columns = height // self.patch, width // self.patch
+        self.patches = rows * columns
+        self.embed = nn.Linear(self.patch**2 * channels, options.channels)
+        self.mix = nn.Linear(self.patches * options.channels, options.size)
+
+    def forward(self, image: Tensor) -> Tensor:
+        patches = self.cut(image).to(_compute_dtype(image))
+        return self.mix(self.embedded(patches)).relu()
+
+    def cut(self, image: Tensor) -> Tensor:
+        """The patches of images: uint8 [N, H, W, C] -> [N, patches, pixels * C]."""
+        n, height, width, channels = image.shape
+        p = self.patch
+        patches = image.view(n, height // p, p, width // p, p * channels).transpose(2, 3)
+        return patches.reshape(n, -1, p * p * channels)
+
+    def embedded(self, patches: Tensor) -> Tensor:
+        """[N, patches, pixels * C] -> [N, patches * channels]."""
+        # Scaling the weights instead of the pixels saves a pass over the largest tensor there is.
+        embedded = F.linear(patches, self.embed.weight / 255.0, self.embed.bias)
+        return embedded.relu().flatten(1)
+
+
+class ComparingEncoder(PatchEncoder):
+    """Patches that are compared with each other: uint8 [N, H, W, C] -> [N, F].
+
+    What is known of a patch is its embedding and how alike it and each of all patches are. One
+    dense layer for all patches reads this, then 3 x 3 convolutions over the grid of patches, then a
+    dense layer. With a cue among the patches, the convolutions are told where else in view is
+    what the cue shows, whatever that is.
+
+    "learned": the cosine of two patches' keys, k = W (p - mean(p)), one W for all patches. It
+    begins as a random rotation, which leaves cosines of pixels nearly as they are.
+    Self-similarities: Shechtman and Irani 2007; one metric for both of a pair: Bromley et al. 1993.
+
+    "given": 1 where two patches show the same, else 0. Two colours count as the same if they
+    differ by a grey, so that grey pixels are background; patches of nothing else show nothing.
+    """
+
+    codes: Tensor
+
+    def __init__(self, shape: tuple[int, ...], options: ComparingOptions):
+        super().__init__(shape, options)
+        height, width, self.channels = shape
+        self.rows, self.columns = height // self.patch, width // self.patch
+        width = options.channels
+        self.describe = nn.Linear(width + self.patches, width)
+        self.convolutions = nn.ModuleList(
+            nn.Conv2d(width, width, 3, padding=1) for _ in range(options.convolutions)
+        )
+        self.convolutions.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.mix = nn.Linear(self.patches * width, options.size)
+        pixels = self.patch**2 * self.channels
+        self.key: nn.Linear | None = None
+        if options.comparison == "learned":
+            self.key = nn.Linear(pixels, options.key_size, bias=False)
+            nn.init.orthogonal_(self.key.weight)
+        else:
+            self.register_buffer("codes", _codes_of_colours(self.patch, shape[2]), persistent=False)
+
+    def forward(self, image: Tensor) -> Tensor:
+        patches = self.cut(image).to(_compute_dtype(image))
+        alike = self.same(patches) if self.key is None else self.cosines(patches, self.key)
+        embedded = self.embedded(patches).unflatten(1, (self.patches, -1))
+        described = self.describe(torch.cat([embedded, alike.to(embedded.dtype)], -1)).relu()
+        grid = described.unflatten(1, (self.rows, self.columns)).permute(0, 3, 1, 2)
+        for convolution in self.convolutions:
+            grid = convolution(grid).relu()
+        return self.mix(grid.permute(0, 2, 3, 1).flatten(1)).relu()
+
+    def cosines(self, patches: Tensor, key: nn.Linear) -> Tensor:
+        """The cosines of the keys of any two patches, [N, patches, pixels * C] -> [N, patches,
+        patches]; near 0 for patches of one colour."""
+        weight = key.weight / 255.0
+        # Without the weights' mean keys do not depend on the patch's mean.
+        keys = F.linear(patches, weight - weight.mean(1, keepdim=True))
+        scale = keys.float().square().sum(-1, keepdim=True).clamp(min=_FAINT**2).rsqrt()
+        keys = keys * scale.to(keys.dtype)
+        return keys @ keys.transpose(1, 2)
+
+    def same(self, patches: Tensor) -> Tensor:
+        """Whether any two patches show the same, [N, patches, pixels * C] -> bool [N, patches,
+        patches]."""
+        with torch.autocast(patches.device.type, enabled=False):
+            low, high = F.linear(patches.float(), self.codes).double().unbind(-1)
+        codes = low + 2**24 * high  # exact: both are whole numbers below 2^23
+        return (codes.unsqueeze(1) == codes.unsqueeze(2)) & (codes != 0).unsqueeze(1)
+
+
+def _codes_of_colours(patch: int, channels: int) -> Tensor:
+    """Weights float32 [2, pixels * C] of whole numbers, whose sum over a pixel's first three
+    channels is 0: what they make of two patches is hardly ever the same unless their pixels are, up
+    to greys."""
+    random = torch.Generator().manual_seed(0)
+    most = max(1, 2**21 // (255 * patch**2))  # keeps sums below 2^23
+    codes = torch.randint(-most, most + 1, (2, patch**2, channels), generator=random)
+    codes[..., min(channels, 3) - 1] -= codes[..., :3].sum(-1)
+    return codes.flatten(1).float()
+
+
+_FAINT = 0.1  # ours: the norm below which keys are taken for shorter; rounding in bfloat16 has 0.01
+
+
+def largest_patch(height: int, width: int) -> int:
+    """The largest common divisor of an image's sides up to 12."""
+    return max(size for size in range(1, 13) if height % size == 0 and width % size == 0)
+
+
+def _compute_dtype(tensor: Tensor) -> torch.dtype:
+    kind = tensor.device.type
+    return torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else torch.float32
+
+
+def image_network(
+    shape: tuple[int, ...], options: NetworkOptions
+) -> ResNet | ShallowNet | PatchEncoder | ComparingEncoder:
+    """The network that the options name, for images [H, W, C].
+
+    Raises:
+        ValueError: it cannot read images of that size.
+    """
+    match options:
+        case ResNetOptions():
+            return ResNet(shape, options)
+        case ShallowOptions():
+            return ShallowNet(shape, options)
+        case ComparingOptions():
+            return ComparingEncoder(shape, options)
+        case CompactOptions():
+            return PatchEncoder(shape, options)

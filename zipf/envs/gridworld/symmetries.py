@@ -1,0 +1,87 @@
+"""The gridworld's symmetries: the view turned and mirrored, and what cells show likewise."""
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.compiled import compiled
+from zipf.envs.gridworld.looks import CELL
+from zipf.envs.gridworld.maps import MOVES, VIEW
+
+# The eight turns and reflections of a square, as matrices of (row, column); the first changes
+# nothing.
+_TURN = np.array([[0, 1], [-1, 0]])
+_TURNS = [np.linalg.matrix_power(_TURN, k) for k in range(4)]
+SQUARE = np.array(_TURNS + [turn @ np.diag([1, -1]) for turn in _TURNS])
+
+
+class Symmetries:
+    """Shows worlds of another board: the same rules hold there.
+
+    With images there are 32: 8 of the board times 4 turns of the objects' pictures, which are their
+    own mirror images. The board turns about the agent while the cue stays in its corner. What the
+    cue hid remains unknown: where it would come into view there is floor, and another cell is
+    hidden instead. With tiles there are the 8 of the board.
+
+    Args:
+        observations, actions: spaces of one world.
+    """
+
+    def __init__(self, observations: gym.spaces.Dict, actions: gym.Space):
+        pictures = len(_TURNS) if "image" in observations.spaces else 1
+        self.count = 8 * pictures
+        board = np.repeat(np.arange(8), pictures)
+        moves = [tuple(move) for move in MOVES]
+        turned = [[moves.index(tuple(turn @ move)) for move in moves] for turn in SQUARE]
+        self.actions: NDArray[np.int64] = np.array(turned)[board]
+        cells = _sources(VIEW)
+        self._pixels = np.where(np.arange(VIEW**2) == 0, 0, cells)  # the first cell is hidden
+        if pictures > 1:
+            self._pixels = _pixels_of_cells(cells, _sources(CELL)[:pictures])
+
+    def __call__(
+        self, observation: dict[str, NDArray], which: NDArray[np.int64], mask: NDArray[np.bool_]
+    ) -> None:
+        """Changes the observations `{name: [N, ...]}`, in place, where `mask` [N]."""
+        shown = observation["image"] if "image" in observation else observation["tiles"]
+        pixels = shown.reshape(len(shown), self._pixels.shape[1], -1)
+        _turn(pixels, which, mask, self._pixels)
+
+
+def _sources(side: int) -> NDArray[np.int64]:
+    """For each symmetry and each place in a square, the place whose contents it shows, int64 [8,
+    side * side]."""
+    middle = side // 2
+    places = np.indices((side, side)).reshape(2, -1) - middle
+    rows, columns = np.moveaxis(SQUARE @ places, 1, 0) + middle
+    return rows * side + columns
+
+
+def _pixels_of_cells(cells: NDArray[np.int64], pictures: NDArray[np.int64]) -> NDArray[np.int64]:
+    """As `_sources`, for the pixels of the image and each symmetry of cells and pictures, int64
+    [8 * len(pictures), 63 * 63]; -1 where there is floor in the place of the cue."""
+    side = VIEW * CELL
+    rows, columns = np.indices((side, side)).reshape(2, -1)
+    cell, inside = rows // CELL * VIEW + columns // CELL, rows % CELL * CELL + columns % CELL
+    found = []
+    for board in cells:
+        for picture in pictures:
+            source = np.where(cell == 0, 0, board[cell])
+            row = source // VIEW * CELL + picture[inside] // CELL
+            column = source % VIEW * CELL + picture[inside] % CELL
+            hidden = (cell != 0) & (source == 0)
+            found.append(np.where(hidden, -1, row * side + column))
+    return np.array(found)
+
+
+@compiled()
+def _turn(pixels, which, mask, sources):
+    """Moves pixels uint8 [N, pixels, colours] in place; black where the source is -1."""
+    before = np.empty(pixels.shape[1:], np.uint8)
+    for i in range(len(pixels)):
+        if mask[i] and which[i]:
+            before[:] = pixels[i]
+            for j in range(pixels.shape[1]):
+                source = sources[which[i], j]
+                for k in range(pixels.shape[2]):
+                    pixels[i, j, k] = before[source, k] if source >= 0 else 0

@@ -1,0 +1,195 @@
+"""Augmentation: random changes of what an agent sees in training, the same for a whole episode.
+
+The agent acts and learns in worlds that look otherwise: nothing is changed afterwards, so that
+what it remembers, the policy that acted, and what it learns from always agree. Evaluations show the
+worlds as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from zipf.agents.encoders import is_image
+from zipf.compiled import compiled
+from zipf.envs.family import Symmetries
+from zipf.options import Options
+
+
+class NoAugmentationOptions(Options):
+    """Observations as they are, as in the paper."""
+
+    name: Literal["none"]
+
+
+class RandomAugmentationOptions(Options):
+    """What is drawn for every episode.
+
+    `symmetries`: one of those that the worlds' family declares. Images: `channels`: an order of
+    the three colours; `shift`: whole pixels by which the image is moved down and to the right, from
+    -shift to shift, its border repeated (Kostrikov et al. 2021); `cutout`: the side of a black
+    square whose centre is anywhere in the image (DeVries and Taylor 2017).
+    """
+
+    name: Literal["random"]
+    symmetries: bool
+    channels: bool
+    shift: Annotated[int, Field(ge=0, le=255)]
+    cutout: Annotated[int, Field(ge=0, le=255)]
+
+
+AugmentationOptions = Annotated[
+    NoAugmentationOptions | RandomAugmentationOptions, Field(discriminator="name")
+]
+
+
+class Augmentation:
+    """Draws changes of the episodes of N worlds and makes them.
+
+    Args:
+        options: what to draw.
+        space: of the observations of one world.
+        num_envs: N.
+        seed: of the draws.
+        symmetries: of these worlds, where `options.symmetries`.
+
+    Raises:
+        ValueError: there is nothing to change, or no symmetries.
+    """
+
+    def __init__(
+        self,
+        options: RandomAugmentationOptions,
+        space: gym.spaces.Dict,
+        num_envs: int,
+        *,
+        seed: int,
+        symmetries: Symmetries | None = None,
+    ):
+        if options.symmetries and symmetries is None:
+            raise ValueError(
+                "augmentation.symmetries=true: these worlds declare no symmetries; choose "
+                "augmentation.symmetries=false"
+            )
+        self.images = [name for name, part in space.items() if is_image(part)]
+        of_images = {"channels": options.channels, "shift": options.shift, "cutout": options.cutout}
+        chosen = [name for name, value in of_images.items() if value]
+        if chosen and not self.images:
+            raise ValueError(
+                f"augmentation.{chosen[0]}: the observations have no image; choose false or 0"
+            )
+        if not chosen and not options.symmetries:
+            raise ValueError(
+                "augmentation=random: changes nothing with these values; choose augmentation=none"
+            )
+        self.options = options
+        self.symmetries = symmetries if options.symmetries else None
+        self._rng = np.random.default_rng(seed)
+        self._change_images = bool(chosen)
+        self._symmetry = np.zeros(num_envs, np.int64)
+        self._order = np.tile(np.arange(3), (num_envs, 1))
+        self._shift = np.zeros((num_envs, 2), np.int64)
+        self._centre = np.zeros((num_envs, 2))  # of the square, in sides of the image
+
+    def begin(self, mask: NDArray[np.bool_]) -> None:
+        """Draws anew for the worlds of `mask` [N], in which an episode begins."""
+        n, o = int(mask.sum()), self.options
+        if self.symmetries is not None:
+            self._symmetry[mask] = self._rng.integers(self.symmetries.count, size=n)
+        if o.channels:
+            self._order[mask] = self._rng.permuted(np.tile(np.arange(3), (n, 1)), axis=1)
+        if o.shift:
+            self._shift[mask] = self._rng.integers(-o.shift, o.shift + 1, size=(n, 2))
+        if o.cutout:
+            self._centre[mask] = self._rng.random((n, 2))
+
+    def observe(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> None:
+        """Changes the worlds' observations `{name: [N, ...]}`, in place, where `mask` [N]."""
+        if self.symmetries is not None:
+            self.symmetries(observation, self._symmetry, mask)
+        if self._change_images:
+            for name in self.images:
+                image = observation[name]
+                _change(image, mask, self._order, self._shift, self._centre, self.options.cutout)
+
+    def to_worlds(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The worlds' actions for those of the agent, [N] -> [N]."""
+        if self.symmetries is None:
+            return actions
+        return self.symmetries.actions[self._symmetry, actions]
+
+    def from_worlds(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The agent's actions for those of the worlds, [N] -> [N]."""
+        if self.symmetries is None:
+            return actions
+        return self.symmetries.actions.argsort(1)[self._symmetry, actions]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that later calls depend on."""
+        return {
+            "generator": self._rng.bit_generator.state,
+            "symmetry": self._symmetry.copy(),
+            "order": self._order.copy(),
+            "shift": self._shift.copy(),
+            "centre": self._centre.copy(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Continues from `state_dict()`."""
+        self._rng.bit_generator.state = state["generator"]
+        self._symmetry[:] = state["symmetry"]
+        self._order[:] = state["order"]
+        self._shift[:] = state["shift"]
+        self._centre[:] = state["centre"]
+
+
+@compiled()
+def _change(image, mask, orders, shifts, centres, side):
+    """Changes images uint8 [N, H, W, C] in place."""
+    _, height, width, channels = image.shape
+    before = np.empty((height, width, channels), np.uint8)
+    for i in range(len(image)):
+        if not mask[i]:
+            continue
+        down, right = shifts[i]
+        if down or right:
+            before[:] = image[i]
+            for r in range(height):
+                row = min(max(r - down, 0), height - 1)
+                for c in range(width):
+                    image[i, r, c] = before[row, min(max(c - right, 0), width - 1)]
+        first, second, third = orders[i]
+        if channels >= 3 and (first != 0 or second != 1):  # a fourth channel is no colour
+            for r in range(height):
+                for c in range(width):
+                    pixel = image[i, r, c]
+                    pixel[0], pixel[1], pixel[2] = pixel[first], pixel[second], pixel[third]
+        if side:
+            top = int(centres[i, 0] * height) - side // 2
+            left = int(centres[i, 1] * width) - side // 2
+            for r in range(max(top, 0), min(top + side, height)):
+                for c in range(max(left, 0), min(left + side, width)):
+                    image[i, r, c] = 0
+
+
+def build_augmentation(
+    options: NoAugmentationOptions | RandomAugmentationOptions,
+    space: gym.spaces.Dict,
+    num_envs: int,
+    *,
+    seed: int,
+    symmetries: Symmetries | None = None,
+) -> Augmentation | None:
+    """The augmentation that the options name, or None.
+
+    Raises:
+        ValueError: these worlds have nothing that it changes.
+    """
+    if isinstance(options, NoAugmentationOptions):
+        return None
+    return Augmentation(options, space, num_envs, seed=seed, symmetries=symmetries)
