@@ -117,7 +117,8 @@ def test_patches_are_compared_by_the_cosines_of_their_keys():
     torch.testing.assert_close(alike[0, 0], torch.zeros(6), atol=1e-4, rtol=0)
     assert alike[1, 0, 0] > 0.999
     embedded = network.embedded(patches).unflatten(1, (6, -1))
-    grid = network.describe(torch.cat([embedded, alike], -1)).relu().view(3, 2, 3, -1)
+    sharpened = (network.sharpness * (alike - 1)).exp()
+    grid = network.describe(torch.cat([embedded, sharpened], -1)).relu().view(3, 2, 3, -1)
     for convolution in network.convolutions:
         grid = convolution(grid.permute(0, 3, 1, 2)).relu().permute(0, 2, 3, 1)
     expected = network.mix(grid.flatten(1)).relu()

@@ -49,7 +49,8 @@ class CompactOptions(EncoderOptions):
 
 
 class ComparingOptions(CompactOptions):
-    """As compact, and every patch is compared with every other before `convolutions` convolutions.
+    """As compact, and every patch is compared with every other before `convolutions` convolutions
+    of `width` channels.
 
     With `comparison` "learned" by the cosine of two learned keys of `key_size`, with "given" by
     whether their coloured pixels are the same.
@@ -58,6 +59,7 @@ class ComparingOptions(CompactOptions):
     name: Literal["comparing"]  # type: ignore[assignment]
     comparison: Literal["learned", "given"]
     key_size: Size
+    width: Size
     convolutions: Annotated[int, Field(ge=0)]
 
 
@@ -183,14 +185,17 @@ class PatchEncoder(nn.Module):
 class ComparingEncoder(PatchEncoder):
     """Patches that are compared with each other: uint8 [N, H, W, C] -> [N, F].
 
-    What is known of a patch is its embedding and how alike it and each of all patches are. One
+    What is known of a patch is a small embedding, and how alike it and each of all patches are. One
     dense layer for all patches reads this, then 3 x 3 convolutions over the grid of patches, then a
-    dense layer. With a cue among the patches, the convolutions are told where else in view is
-    what the cue shows, whatever that is.
+    dense layer. With a cue among the patches, the convolutions are told where else in view is what
+    the cue shows, whatever that is. The embedding is small so that relations tell more than looks,
+    which would have to be learned anew for everything that is rarely seen: a relational bottleneck
+    (Webb et al. 2024; Kerg et al. 2022).
 
-    "learned": the cosine of two patches' keys, k = W (p - mean(p)), one W for all patches. It
-    begins as a random rotation, which leaves cosines of pixels nearly as they are.
-    Self-similarities: Shechtman and Irani 2007; one metric for both of a pair: Bromley et al. 1993.
+    "learned": exp(s (c - 1)), where c is the cosine of two patches' keys, k = W (p - mean(p)), one
+    W for all patches, and s a learned number. W begins as a random rotation, which leaves cosines
+    of pixels nearly as they are. Self-similarities: Shechtman and Irani 2007; one metric for both
+    of a pair: Bromley et al. 1993.
 
     "given": 1 where two patches show the same, else 0. Two colours count as the same if they
     differ by a grey, so that grey pixels are background; patches of nothing else show nothing.
@@ -202,8 +207,8 @@ class ComparingEncoder(PatchEncoder):
         super().__init__(shape, options)
         height, width, self.channels = shape
         self.rows, self.columns = height // self.patch, width // self.patch
-        width = options.channels
-        self.describe = nn.Linear(width + self.patches, width)
+        width = options.width
+        self.describe = nn.Linear(options.channels + self.patches, width)
         self.convolutions = nn.ModuleList(
             nn.Conv2d(width, width, 3, padding=1) for _ in range(options.convolutions)
         )
@@ -214,12 +219,16 @@ class ComparingEncoder(PatchEncoder):
         if options.comparison == "learned":
             self.key = nn.Linear(pixels, options.key_size, bias=False)
             nn.init.orthogonal_(self.key.weight)
+            self.sharpness = nn.Parameter(torch.tensor(3.0))
         else:
             self.register_buffer("codes", _codes_of_colours(self.patch, shape[2]), persistent=False)
 
     def forward(self, image: Tensor) -> Tensor:
         patches = self.cut(image).to(_compute_dtype(image))
-        alike = self.same(patches) if self.key is None else self.cosines(patches, self.key)
+        if self.key is None:
+            alike = self.same(patches)
+        else:
+            alike = ((self.cosines(patches, self.key) - 1) * self.sharpness).exp()
         embedded = self.embedded(patches).unflatten(1, (self.patches, -1))
         described = self.describe(torch.cat([embedded, alike.to(embedded.dtype)], -1)).relu()
         grid = described.unflatten(1, (self.rows, self.columns)).permute(0, 3, 1, 2)
