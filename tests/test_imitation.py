@@ -155,3 +155,23 @@ def test_levels_without_such_a_player_are_named():
     env = envs.make_train(found, 1, image_size=(1, 1))
     with pytest.raises(ValueError, match="the levels of labyrinth_forward have no generalist"):
         Teacher("generalist", found, env)
+
+
+def test_it_is_scored_by_its_likeliest_actions():
+    env = envs.make_vec("gridworld/zipf_2", 32)
+    agent = build(
+        env.single_observation_space, env.single_action_space, MLPOptions(name="mlp", size=8)
+    )
+    observation, _ = env.reset(seed=0)
+    inputs = Inputs(
+        {name: torch.from_numpy(part) for name, part in observation.items()},
+        torch.full((32,), -1),
+        torch.zeros(32),
+        torch.ones(32, dtype=torch.bool),
+    )
+    logits, _, _ = agent.network(inputs.unsqueeze(), {})
+    generator = torch.Generator().manual_seed(0)
+    scored, _, _ = agent.act(inputs, {}, generator, training=False)
+    assert torch.equal(scored, logits[0].argmax(-1))
+    sampled, _, _ = agent.act(inputs, {}, generator)
+    assert not torch.equal(sampled, scored)

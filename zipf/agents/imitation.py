@@ -73,7 +73,7 @@ class Policy(Torso):
 
 @register
 class Imitation(Agent):
-    """The agent: samples actions from its policy and learns its teacher's."""
+    """The agent: samples actions from its policy in training, and learns its teacher's."""
 
     Options = ImitationOptions
     auxiliary_losses = True
@@ -117,10 +117,13 @@ class Imitation(Agent):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Samples an action in each of B worlds, int64 [B], in training and evaluation alike."""
+        """Actions in each of B worlds, int64 [B]: samples in training, else the likeliest ones,
+        which are what the agent takes for its teacher's (as in Ross et al. 2011)."""
         with autocast(self.device, self.precision):
             outputs, _, memory = self.actor(inputs.unsqueeze(), memory)
         logits = outputs[0]
+        if not training:
+            return logits.argmax(-1), memory, {}
         # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
         noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
         return (logits + noise.to(logits.device)).argmax(-1), memory, {}
