@@ -122,7 +122,11 @@ class Run:
             unroll_length=collector.unroll_length,
             seed=derive_seed(config.seed, "training"),
             device=self.device,
-            exploration=build_exploration(config.exploration),
+            exploration=build_exploration(
+                config.exploration,
+                env.single_observation_space,
+                derive_seed(config.seed, "exploration"),
+            ),
             lag=config.lag,
             bootstrap_at_time_limit=collector.bootstrap_at_time_limit,
             reward_clipping=collector.reward_clipping,
