@@ -24,12 +24,12 @@ from typing import Annotated, Any, Literal
 import gymnasium as gym
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.encoders import is_image
+from zipf.compiled import compiled
 from zipf.options import Options
 
 Size = Annotated[int, Field(ge=1, le=2**16)]
@@ -209,8 +209,11 @@ def _reader(space: gym.Space, side: int, generator: torch.Generator) -> Reader:
         square = math.ceil(max(shape[:2]) / side)
 
         def image(part: NDArray) -> Tensor:
-            pixels = torch.from_numpy(part).permute(0, 3, 1, 2).float() / 255
-            return F.avg_pool2d(pixels, square, ceil_mode=True).flatten(1)
+            rows, height, width, channels = part.shape
+            places = rows, math.ceil(height / square), math.ceil(width / square), channels
+            means = np.empty(places, np.float32)
+            _means_of_squares(part, square, means)
+            return torch.from_numpy(means).flatten(1)
 
         return image
     if np.issubdtype(space.dtype, np.integer) and not isinstance(space, gym.spaces.MultiBinary):
@@ -224,6 +227,25 @@ def _reader(space: gym.Space, side: int, generator: torch.Generator) -> Reader:
 
         return codes
     return lambda part: torch.from_numpy(part.reshape(len(part), -1).astype(np.float32))
+
+
+@compiled()
+def _means_of_squares(images, square, means):
+    """Of images uint8 [M, H, W, C] the means of squares of pixels, smaller ones at the right and at
+    the bottom, 0 to 1."""
+    rows, height, width, channels = images.shape
+    for i in range(rows):
+        for y in range(means.shape[1]):
+            top, bottom = y * square, min((y + 1) * square, height)
+            for x in range(means.shape[2]):
+                left, right = x * square, min((x + 1) * square, width)
+                scale = 1 / (255 * (bottom - top) * (right - left))
+                for c in range(channels):
+                    total = 0
+                    for v in range(top, bottom):
+                        for u in range(left, right):
+                            total += images[i, v, u, c]
+                    means[i, y, x, c] = total * scale
 
 
 def _layers(*sizes: int) -> nn.Sequential:
