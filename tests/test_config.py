@@ -17,7 +17,7 @@ from zipf.experiments import command_line, composing, config
 from zipf.experiments.errors import UserError
 
 EXPERIMENTS = command_line.choices("experiment")
-GROUPS = ("memory", "network", "auxiliary", "exploration", "augmentation")
+GROUPS = [group for group in command_line.parts() if group != "agent"]
 CHOICES = [(group, choice) for group in GROUPS for choice in command_line.choices(group)]
 
 
@@ -238,6 +238,10 @@ MISTAKES = [
     (["experiment=demo", "condition=vmpo", "agent=r2d2", "auxiliary=byol"], ["auxiliary=byol"]),
     (["experiment=demo", "seed=100000000000000000000"], ["seed=1", "less than"]),
     (["experiment=demo", "agent.learning_rate=inf"], ["agent.learning_rate=inf", "finite"]),
+    (["experiment=demo", "critic.risk=averse"], ["critic.risk"]),
+    (["experiment=demo", "critic=quantile", "critic.risk_level=0"], ["critic.risk_level=0"]),
+    (["experiment=demo", "critic=hl_gauss", "critic.bins=70000"], ["critic.bins=70000", "65536"]),
+    (["experiment=demo", "exploration=rnd", "exploration.hidden=70000"], ["exploration.hidden"]),
     (["experiment=demo", "network.patch=8"], ["network.patch=8", "63 x 63", "resnet"]),
     (["experiment=demo", "run_root=/dev/null"], ["run_root=/dev/null", "folder"]),
     (["experiment=demo", "~memory"], ["~memory", "cannot be deleted"]),
@@ -335,6 +339,14 @@ CONDITIONS = [
     (["experiment=gridworld", "condition=r2d2", "name=mine"], "mine"),
     (["experiment=gridworld", "memory=gtrxl"], "impala_transformer"),
     (["experiment=gridworld", "auxiliary=byol_horizon"], "impala_byol_horizon"),
+    (["experiment=gridworld", "critic=hl_gauss"], "impala_hl_gauss"),
+    (
+        ["experiment=gridworld", "critic=quantile", "critic.kappa=1"],
+        "impala_quantile,critic.kappa=1",
+    ),
+    (["experiment=gridworld", "agent=r2d2", "critic=quantile"], "r2d2_quantile"),
+    (["experiment=gridworld", "condition=r2d2", "critic=quantile"], "r2d2,critic=quantile"),
+    (["experiment=gridworld_compact", "condition=impala_rnd"], "impala_rnd"),
     (["experiment=gridworld", "agent=vmpo"], "vmpo,memory.layers=1"),
     (["experiment=gridworld", "agent=vmpo", "memory.layers=2"], "vmpo"),
     (["experiment=gridworld", "condition=r2d2", "agent.epsilon=0.2"], "r2d2,agent.epsilon=0.2"),

@@ -58,7 +58,11 @@ def in_turn(config, updates):
         actor,
         unroll_length=config.collector.unroll_length,
         seed=derive_seed(config.seed, "training"),
-        exploration=build_exploration(config.exploration),
+        exploration=build_exploration(
+            config.exploration,
+            env.single_observation_space,
+            derive_seed(config.seed, "exploration"),
+        ),
     )
     rows = []
     unroll = copied(collector.collect())
@@ -75,6 +79,12 @@ AGENTS = {
     "impala": [],
     "impala in bfloat16": ["precision=bfloat16"],
     "impala with a transformer": ["condition=impala_transformer", "memory.memory_length=6"],
+    "impala with random network distillation": ["exploration=rnd", "exploration.batch_size=4"],
+    "impala with a histogram of returns": ["critic=hl_gauss", "critic.risk=averse"],
+    "r2d2 with quantiles of returns": [
+        *("condition=r2d2", "agent.storage=ram", "critic=quantile"),
+        *("agent.burn_in=2", "agent.replay_min=12", "agent.replay_capacity=24"),
+    ],
     "r2d2": ["condition=r2d2", "agent.storage=ram", *R2D2],
 }
 

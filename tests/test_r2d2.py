@@ -403,9 +403,9 @@ def test_values_at_truncations_follow_the_target_network():
     steps["is_first"][:, BURN_IN + 1 :] = True
     items["final"] = finals_of(steps.transpose(0, 1)[BURN_IN:-1], STEPS).transpose(0, 1)
     with torch.no_grad():
-        before, _ = made._errors(items)
+        _, before, _ = made._losses(items)
         made.target.value[-1].bias += 1.0
-        after, _ = made._errors(items)
+        _, after, _ = made._losses(items)
     assert (after > before + 0.5).all()
 
 

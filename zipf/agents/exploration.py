@@ -6,12 +6,14 @@ returns and the agent's last-reward input are of the task's reward alone.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Protocol
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from zipf.agents.rnd import RNDBonus, RNDOptions
 from zipf.compiled import compiled
 from zipf.options import Options
 
@@ -30,7 +32,23 @@ class CountOptions(Options):
     table_size: Annotated[int, Field(ge=1, le=2**30)]
 
 
-ExplorationOptions = Annotated[NoExplorationOptions | CountOptions, Field(discriminator="name")]
+AnyExploration = NoExplorationOptions | CountOptions | RNDOptions
+ExplorationOptions = Annotated[AnyExploration, Field(discriminator="name")]
+
+
+class Bonus(Protocol):
+    """What every bonus is. It is called with the observations that actions led to, each of them
+    once, by the thread that collects."""
+
+    def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
+        """The bonus of the observations `{name: [N, ...]}` where `mask` [N], elsewhere 0; returns
+        float32 [N]."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that later calls depend on."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continues from `state_dict()`, in which arrays may stand in the place of tensors."""
 
 
 class CountBonus:
@@ -91,6 +109,10 @@ def _count(hashes, mask, visits, scale, bonus):
             bonus[i] = scale / np.sqrt(visits[slot])
 
 
-def build_exploration(options: NoExplorationOptions | CountOptions) -> CountBonus | None:
-    """The bonus that the options name, or None."""
+def build_exploration(
+    options: AnyExploration, observation_space: gym.spaces.Dict, seed: int
+) -> Bonus | None:
+    """The bonus that the options name, for observations of one world in this space, or None."""
+    if isinstance(options, RNDOptions):
+        return RNDBonus(options, observation_space, seed)
     return CountBonus(options) if isinstance(options, CountOptions) else None

@@ -5,6 +5,12 @@ The actor samples from the policy; the learner takes one optimiser step per unro
     mean_{t,b}[ -log pi(a_t|x_t) A_t + c_b/2 (v_t - V(x_t))^2 + c_e sum_a pi log pi ]
 
 with v_t and A_t from V-trace, plus the auxiliary loss (`zipf.agents.auxiliary`).
+
+With a critic that learns a distribution (`zipf.agents.critics`) its loss against v_t takes the
+place of (v_t - V)^2 / 2, and its risk measure that of V: V-trace bootstraps from it and subtracts
+it in A_t. With a risk other than neutral this is ours. The policy gradient is still that of the
+mean of what follows, as any baseline leaves it, but what follows ends in the risk measure of the
+state that is reached, so that states with varied returns are avoided (averse) or sought (seeking).
 """
 
 from __future__ import annotations
@@ -52,6 +58,7 @@ class Impala(Agent):
 
     Options = ImpalaOptions
     auxiliary_losses = True
+    any_critic = True
     largest_lag = 1  # V-trace corrects for it
     options: ImpalaOptions
     actor: ActorCritic
@@ -61,7 +68,11 @@ class Impala(Agent):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(setting.seed)
             self.network = ActorCritic(
-                setting.observation_space, setting.action_space, setting.network, setting.memory
+                setting.observation_space,
+                setting.action_space,
+                setting.network,
+                setting.memory,
+                setting.critic,
             )
             self.auxiliary = build_auxiliary(
                 setting.auxiliary,
@@ -142,7 +153,7 @@ class Impala(Agent):
             lambda_=o.trace_lambda,
         )
         policy_loss = -(log_pi * returns.advantages).mean()
-        baseline_loss = 0.5 * (returns.targets - outputs.value[:-1]).square().mean()
+        baseline_loss = self.network.critic.loss(outputs.baseline[:-1], returns.targets).mean()
         entropy = -(log_policy.exp() * log_policy).sum(-1).mean()
         loss = policy_loss + o.baseline_cost * baseline_loss - o.entropy_cost * entropy
         loss = loss + auxiliary_loss

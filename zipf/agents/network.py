@@ -11,6 +11,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
+from zipf.agents.critics import SCALAR, CriticOptions, build_critic
 from zipf.agents.encoders import Encoder
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State, build_memory
@@ -42,9 +43,10 @@ class Outputs(NamedTuple):
     """The outputs of an actor-critic, with leading axes `[T, B]`; float32."""
 
     logits: Tensor  # [T, B, actions]
-    value: Tensor  # [T, B]
+    value: Tensor  # [T, B], the critic's risk measure of the returns; by default their mean
     core: Tensor  # [T, B, memory size], the memory's output, which auxiliary losses read
     state: State  # {name: [B, ...]} after the last frame
+    baseline: Tensor  # [T, B, critic.size], the outputs that the critic's loss reads
 
 
 def head(inputs: int, hidden: int, outputs: int) -> nn.Module:
@@ -119,7 +121,11 @@ class Torso(nn.Module):
 
 
 class ActorCritic(Torso):
-    """Policy and value of a discrete-action agent with a memory."""
+    """Policy and value of a discrete-action agent with a memory.
+
+    Attributes:
+        critic: turns the outputs of the value's head, `baseline`, into values and losses.
+    """
 
     def __init__(
         self,
@@ -127,13 +133,16 @@ class ActorCritic(Torso):
         action_space: gym.Space,
         network: NetworkOptions,
         memory: MemoryOptions,
+        critic: CriticOptions = SCALAR,
     ):
         super().__init__(observation_space, action_space, network, memory)
+        self.critic = build_critic(critic)
         self.policy = head(self.memory.size, network.head_size, self.actions)
-        self.baseline = head(self.memory.size, network.head_size, 1)
+        self.baseline = head(self.memory.size, network.head_size, self.critic.size)
 
     def forward(self, inputs: Inputs, state: State) -> Outputs:
         """Unrolls `[T, B]` frames from the memory's `state`."""
         _, core, state = self.remember(inputs, state)
         with in_full(core) as exact:
-            return Outputs(self.policy(exact), self.baseline(exact).squeeze(-1), core, state)
+            logits, baseline = self.policy(exact), self.baseline(exact)
+            return Outputs(logits, self.critic.value(baseline), core, state, baseline)

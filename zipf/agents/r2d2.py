@@ -11,6 +11,13 @@ with G_t the lambda-return over h^-1(Q-(x_t+1, argmax_a Q(x_t+1, a))), Q- the ta
 rescaling of values and w_b the importance weight of the sequence. Its next priority is
 eta max_t |h(G_t) - Q| + (1 - eta) mean_t |h(G_t) - Q|.
 
+With a critic that learns a distribution (`zipf.agents.critics`), it is that of the rescaled returns
+h(G_t) of every action. The critic's loss against h(G_t) takes the place of the square, and Q is the
+distribution's mean, in priorities and in G_t. Actions, also those in G_t, are those of the largest
+risk measure: the values are those of the policy that takes this risk, as in Dabney et al. 2018
+(IQN). Note that h^-1 of the mean of rescaled returns is not the mean return: where positive returns
+vary it is below, with the scalar critic as with the others.
+
 Where an episode is truncated after a_t, x_t+1 is the observation that it was cut at, and both
 networks read it with the memory that they have after x_t. A sequence has room for
 `final_observations` of these. A step without one has no error, and the returns of the steps before
@@ -31,6 +38,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
+from zipf.agents.critics import SCALAR, CriticOptions, build_critic
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
@@ -98,7 +106,8 @@ class R2D2Options(Options):
 
 class DuelingQ(Torso):
     """Q of every action (Wang et al. 2016): a state's value plus each action's advantage, less
-    the mean of the advantages."""
+    the mean of the advantages; where a critic has several outputs, each of them so (Hessel et al.
+    2018)."""
 
     def __init__(
         self,
@@ -106,17 +115,27 @@ class DuelingQ(Torso):
         action_space: gym.Space,
         network: NetworkOptions,
         memory: MemoryOptions,
+        critic: CriticOptions = SCALAR,
     ):
         super().__init__(observation_space, action_space, network, memory)
-        self.value = head(self.memory.size, network.head_size, 1)
-        self.advantage = head(self.memory.size, network.head_size, self.actions)
+        self.critic = build_critic(critic)
+        self.value = head(self.memory.size, network.head_size, self.critic.size)
+        self.advantage = head(self.memory.size, network.head_size, self.critic.size * self.actions)
 
-    def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, State]:
-        """Rescaled Q, float32 [T, B, actions], and the memory's state after the last frame."""
+    def outputs(self, inputs: Inputs, state: State) -> tuple[Tensor, State]:
+        """What the critic reads, float32 [T, B, actions, critic.size], and the memory's state after
+        the last frame."""
         _, core, state = self.remember(inputs, state)
         with in_full(core) as exact:
-            value, advantage = self.value(exact), self.advantage(exact)
-        return value + advantage - advantage.mean(-1, keepdim=True), state
+            value = self.value(exact).unsqueeze(-1)
+            advantage = self.advantage(exact).unflatten(-1, (self.critic.size, self.actions))
+        return (value + advantage - advantage.mean(-1, keepdim=True)).transpose(-2, -1), state
+
+    def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, State]:
+        """Rescaled Q, or the critic's risk measure, float32 [T, B, actions], and the memory's state
+        after the last frame."""
+        outputs, state = self.outputs(inputs, state)
+        return self.critic.value(outputs), state
 
 
 @register
@@ -136,6 +155,7 @@ class R2D2(Agent):
     """
 
     Options = R2D2Options
+    any_critic = True
     largest_lag = 1  # replay is off-policy anyway
     options: R2D2Options
     actor: DuelingQ
@@ -179,7 +199,11 @@ class R2D2(Agent):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(setting.seed)
             self.network = DuelingQ(
-                setting.observation_space, setting.action_space, setting.network, setting.memory
+                setting.observation_space,
+                setting.action_space,
+                setting.network,
+                setting.memory,
+                setting.critic,
             )
         self.network.to(self.device)
         self.actor = self.network
@@ -308,14 +332,14 @@ class R2D2(Agent):
         index = self.replay.insert(items)
         if self.options.fresh_priority == "error":
             with torch.no_grad():
-                errors, _ = self._errors(items.to(self.device))
+                _, errors, _ = self._losses(items.to(self.device))
             self.replay.update_priorities(index, self._priorities(errors))
 
     def _learn(self, items: TensorDict, weights: Tensor) -> tuple[dict[str, float], Tensor]:
         """One optimiser step on sequences [B]; the metrics, and new priorities float32 [B]."""
         o = self.options
-        errors, values = self._errors(items)
-        loss = (weights * 0.5 * errors.square()).mean()
+        losses, errors, values = self._losses(items)
+        loss = (weights * losses).mean()
 
         self.optimiser.zero_grad()
         loss.backward()
@@ -329,10 +353,10 @@ class R2D2(Agent):
         if self.steps % o.target_period == 0:
             self.target.load_state_dict(self.network.state_dict())
 
-        priorities = self._priorities(errors.detach())
+        priorities = self._priorities(errors)
         metrics = (
             loss,
-            errors.detach().abs().mean(),
+            errors.abs().mean(),
             gradient_norm,
             values.mean(),
             priorities.mean(),
@@ -341,10 +365,10 @@ class R2D2(Agent):
         named = zip(METRICS, metrics, strict=True)
         return {name: metric.item() for name, metric in named}, priorities
 
-    def _errors(self, items: TensorDict) -> tuple[Tensor, Tensor]:
-        """h(G_t) - Q of sequences [B], float32 [T, B], with the gradient of Q; and the values
-        max_a h^-1(Q) of the rows, float32 [T + 1, B], without."""
-        o = self.options
+    def _losses(self, items: TensorDict) -> tuple[Tensor, Tensor, Tensor]:
+        """Of sequences [B], float32: the critic's loss of h(G_t) [T, B]; and, without gradient,
+        h(G_t) - Q [T, B] and the values h^-1(Q) of the greedy actions of the rows [T + 1, B]."""
+        o, critic = self.options, self.network.critic
         steps = items["steps"].transpose(0, 1)
         memory = {name: items["memory"][name] for name in items["memory"].keys()}
         prefix, steps = steps[: self.burn_in], steps[self.burn_in :]
@@ -357,18 +381,20 @@ class R2D2(Agent):
             if self.burn_in:
                 _, target_memory = self.target(Inputs.of(prefix), memory)
                 _, memory = self.network(Inputs.of(prefix), memory)
-            target_q, _ = self.target(inputs, target_memory)
+            target_outputs, _ = self.target.outputs(inputs, target_memory)
         with autocast(self.device, self.precision):
-            q, _ = self.network(inputs, memory)
+            outputs, _ = self.network.outputs(inputs, memory)
 
-        best, chosen = q.detach().max(-1, keepdim=True)
-        bootstraps = unrescale(target_q.gather(-1, chosen).squeeze(-1))
-        values = unrescale(best.squeeze(-1))
+        chosen = critic.value(outputs.detach()).argmax(-1)
+        bootstraps = unrescale(critic.mean(of_actions(target_outputs, chosen)))
+        values = unrescale(critic.mean(of_actions(outputs.detach(), chosen)))
         unknown, final_values = steps["truncated"][:-1], torch.zeros_like(steps["reward"][:-1])
         if finals is not None:
             known, final_values = finals.by_step(bootstraps)
             unknown = unknown & ~known
-            q, bootstraps, values = (finals.without(rows) for rows in (q, bootstraps, values))
+            outputs, bootstraps, values = (
+                finals.without(rows) for rows in (outputs, bootstraps, values)
+            )
         steps = steps[:-1]
         returns = lambda_returns(
             rewards=torch.where(unknown, bootstraps[:-1], steps["reward"]),
@@ -379,8 +405,9 @@ class R2D2(Agent):
             discount=o.discount,
             lambda_=o.trace_lambda,
         )
-        taken = q[:-1].gather(-1, steps["action"].unsqueeze(-1)).squeeze(-1)
-        return (rescale(returns) - taken).masked_fill(unknown, 0.0), values
+        targets, taken = rescale(returns), of_actions(outputs[:-1], steps["action"])
+        losses, errors = critic.loss(taken, targets), targets - critic.mean(taken.detach())
+        return losses.masked_fill(unknown, 0.0), errors.masked_fill(unknown, 0.0), values
 
     def _priorities(self, errors: Tensor) -> Tensor:
         """The priorities, float32 [B] on the CPU, of sequences with errors [T, B]."""
@@ -435,3 +462,9 @@ class R2D2(Agent):
             memory = state["prefix"]["memory"]
             self._prefix_memory = {k: v.to(self.device) for k, v in memory.items()}
         self.replay.load_state_dict(state["replay"])
+
+
+def of_actions(outputs: Tensor, action: Tensor) -> Tensor:
+    """The outputs for these actions: [T, B, actions, size], int64 [T, B] -> [T, B, size]."""
+    index = action.unsqueeze(-1).unsqueeze(-1).expand(*action.shape, 1, outputs.shape[-1])
+    return outputs.gather(-2, index).squeeze(-2)

@@ -10,7 +10,9 @@ the gradient, the loss is the sum of (their equations 3 to 6)
     L_alpha = mean_D[ alpha (epsilon_alpha - sg(KL)) + sg(alpha) KL ]    KL = KL(pi_target || pi)
     L_V     = mean_D[ (V(x) - G)^2 ] / 2
 
-plus the auxiliary loss (`zipf.agents.auxiliary`). The temperature eta and the multiplier alpha are
+plus the auxiliary loss (`zipf.agents.auxiliary`). With a critic that learns a distribution
+(`zipf.agents.critics`) its loss takes the place of L_V, and its risk measure that of V, in
+advantages and where returns bootstrap. The temperature eta and the multiplier alpha are
 learned by an optimiser of their own, and projected to be positive after each of its steps, as in
 the paper.
 """
@@ -68,6 +70,7 @@ class VMPO(Agent):
 
     Options = VMPOOptions
     auxiliary_losses = True
+    any_critic = True
     options: VMPOOptions
     actor: ActorCritic
 
@@ -77,7 +80,11 @@ class VMPO(Agent):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(setting.seed)
             self.network = ActorCritic(
-                setting.observation_space, setting.action_space, setting.network, setting.memory
+                setting.observation_space,
+                setting.action_space,
+                setting.network,
+                setting.memory,
+                setting.critic,
             )
             self.auxiliary = build_auxiliary(
                 setting.auxiliary,
@@ -162,7 +169,7 @@ class VMPO(Agent):
             log_policy=outputs.logits[:-1].log_softmax(-1),
             log_target=steps["logits"].log_softmax(-1),
             actions=steps["action"],
-            values=outputs.value[:-1],
+            values=outputs.value[:-1].detach(),
             returns=returns,
             eta=self.duals["eta"],
             alpha=self.duals["alpha"],
@@ -170,7 +177,8 @@ class VMPO(Agent):
             epsilon_alpha=o.epsilon_alpha,
             top_fraction=o.top_fraction,
         )
-        loss = losses.policy + losses.eta + losses.alpha + losses.baseline + auxiliary_loss
+        baseline_loss = self.network.critic.loss(outputs.baseline[:-1], returns).mean()
+        loss = losses.policy + losses.eta + losses.alpha + baseline_loss + auxiliary_loss
 
         self.optimiser.zero_grad()
         self.dual_optimiser.zero_grad()
@@ -184,7 +192,7 @@ class VMPO(Agent):
             "policy_loss": losses.policy,
             "eta_loss": losses.eta,
             "alpha_loss": losses.alpha,
-            "baseline_loss": losses.baseline,
+            "baseline_loss": baseline_loss,
             "kl": losses.kl,
             "entropy": losses.entropy,
             "eta": self.duals["eta"],
@@ -230,12 +238,11 @@ class VMPO(Agent):
 
 
 class VMPOLosses(NamedTuple):
-    """The four losses and two metrics; float32 scalars."""
+    """The losses but that of the values, and two metrics; float32 scalars."""
 
     policy: Tensor
     eta: Tensor
     alpha: Tensor
-    baseline: Tensor
     kl: Tensor  # mean over the steps; carries no gradient
     entropy: Tensor  # likewise
 
@@ -253,20 +260,20 @@ def vmpo_losses(
     epsilon_alpha: float,
     top_fraction: float,
 ) -> VMPOLosses:
-    """The losses of Song et al. 2020, equations 3 to 6.
+    """The losses of Song et al. 2020, equations 3 to 5.
 
     Args:
         log_policy: float32 [T, B, actions], log pi of the learned network.
         log_target: float32 [T, B, actions], log pi of the target network, which acted.
         actions: int64 [T, B], its actions.
-        values: float32 [T, B], V of the learned network.
+        values: float32 [T, B], V of the learned network, without gradient.
         returns: float32 [T, B], G.
         eta, alpha: float32 [], the temperature and the multiplier of the bound on KL.
         epsilon_eta: bound on how far the weights psi may be from uniform.
         epsilon_alpha: bound on how far the learned policy may be from the target's.
         top_fraction: the fraction of the steps that the policy is fitted to.
     """
-    advantages = returns - values.detach()
+    advantages = returns - values
     top = is_top(advantages, top_fraction)
     best = advantages[top]
     # Subtracting the maximum keeps the exponentials finite and eta's gradient exact, however
@@ -281,7 +288,6 @@ def vmpo_losses(
         policy=-(weights * log_pi[top]).sum(),
         eta=best.max() + eta * (epsilon_eta + log_mean),
         alpha=alpha * (epsilon_alpha - kl.detach()) + alpha.detach() * kl,
-        baseline=0.5 * (values - returns).square().mean(),
         kl=kl.detach(),
         entropy=-(log_policy.detach().exp() * log_policy.detach()).sum(-1).mean(),
     )

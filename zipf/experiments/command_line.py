@@ -32,7 +32,6 @@ from zipf.options import Options
 
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 MOST_JOBS = 10_000  # ours: all of them are checked before the first one starts
-_GROUPS = ("agent", "memory", "network", "auxiliary", "exploration", "augmentation")
 
 
 def load(overrides: list[str]) -> Config:
@@ -114,6 +113,12 @@ def read_options(options_class: type[AnyOptions], arguments: list[str]) -> AnyOp
     if problems:
         raise UserError("\n".join(problems))
     return options
+
+
+def parts() -> list[str]:
+    """The groups whose choices say how is learned: agent, memory, network and so on."""
+    others = {"experiment", "condition", "environment"}
+    return [name for name in Config.model_fields if name in set(groups()) - others]
 
 
 def nearest(name: str, accepted: list[str]) -> str:
@@ -287,26 +292,26 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
 
 
 def _name(composed: Composed) -> str:
-    """The name of a row: the condition, or agent, memory and auxiliary loss; then all options that
-    differ from theirs.
+    """The name of a row: the condition, or agent, memory, auxiliary loss and critic; then all
+    options that differ from theirs.
 
-    The memory and auxiliary loss of the paper's plain agent, an LSTM and none, are left out.
+    Those of the paper's plain agent (an LSTM, no auxiliary loss, a scalar) are left out.
     """
     chosen = composed.choices
     name = chosen["condition"]
     if name == "None":
         name = chosen["agent"]
-        for group, plain in (("memory", "lstm"), ("auxiliary", "none")):
+        for group, plain in zip(_IN_FRONT[1:], ("lstm", "none", "scalar"), strict=True):
             if chosen[group] != plain:
                 name += f"_{_IN_NAMES.get(chosen[group], chosen[group])}"
     start = [f"experiment={chosen['experiment']}"]
-    groups = ["network", "exploration", "augmentation"]
+    compared = [part for part in parts() if part not in _IN_FRONT]
     if name in choices("condition"):
         start.append(f"condition={name}")
-        groups += ["agent", "memory", "auxiliary"]
+        compared += _IN_FRONT
     usual = _compose_condition(*start).choices
-    base = flatten(_compose_condition(*start, *(f"{g}={chosen[g]}" for g in _GROUPS)).values)
-    for group in groups:
+    base = flatten(_compose_condition(*start, *(f"{g}={chosen[g]}" for g in parts())).values)
+    for group in compared:
         if chosen[group] != usual[group]:
             name += f",{group}={chosen[group]}"
     for option, value in flatten(composed.values).items():
@@ -322,4 +327,5 @@ def _name(composed: Composed) -> str:
     return name
 
 
+_IN_FRONT = ["agent", "memory", "auxiliary", "critic"]  # what names of conditions begin with
 _IN_NAMES = {"gtrxl": "transformer"}  # as the paper calls it

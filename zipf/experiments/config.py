@@ -13,6 +13,7 @@ from pydantic import Field, create_model
 from zipf import envs
 from zipf.agents.agent import agents
 from zipf.agents.auxiliary import auxiliaries
+from zipf.agents.critics import CriticOptions
 from zipf.agents.exploration import ExplorationOptions
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions
@@ -112,6 +113,7 @@ class Config(Options):
     memory: MemoryOptions
     network: NetworkOptions
     auxiliary: Any
+    critic: CriticOptions
     exploration: ExplorationOptions
     augmentation: AugmentationOptions
     environment: Any

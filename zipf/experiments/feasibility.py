@@ -9,8 +9,9 @@ from typing import Any
 import torch
 
 from zipf import envs
-from zipf.agents.agent import agents, no_auxiliary_losses
+from zipf.agents.agent import agents, no_auxiliary_losses, no_other_critic
 from zipf.agents.auxiliary import NO_AUXILIARY
+from zipf.agents.critics import SCALAR
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.network import ActorCritic
 from zipf.experiments.augmentation import build_augmentation
@@ -35,6 +36,8 @@ def problems(config: Config) -> Iterator[str]:
     told = list(agent.problems(config.agent, collector.num_envs, collector.unroll_length))
     if config.auxiliary != NO_AUXILIARY and not agent.auxiliary_losses:
         told.append(no_auxiliary_losses(config.agent.name, config.auxiliary.name))
+    if config.critic != SCALAR and not agent.any_critic:
+        told.append(no_other_critic(config.agent.name, config.critic.name))
     yield from told
     try:
         find_device(config.device)
@@ -184,7 +187,7 @@ def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
         too_many_worlds(config, evaluation.num_envs, evaluation.episodes, "evaluation.num_envs"),
     ]
     yield from filter(None, problems)
-    parts = {name: getattr(config, name).model_dump() for name in ("memory", "network")}
+    parts = {name: getattr(config, name).model_dump() for name in ("memory", "network", "critic")}
     too_large = False
     for name, value in flatten(parts).items():
         numbers = value if isinstance(value, list) else [value]
@@ -209,7 +212,7 @@ def _weight_bytes(config: Config, env: envs.ZipfVectorEnv) -> int | None:
     try:
         with torch.device("meta"):
             spaces = env.single_observation_space, env.single_action_space
-            network = ActorCritic(*spaces, config.network, config.memory)
+            network = ActorCritic(*spaces, config.network, config.memory, config.critic)
     except ValueError:
         return 0  # the agent, which may use neither, will tell
     except (RuntimeError, RecursionError):  # more bytes than an integer holds, or layers

@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.agent import Agent
-from zipf.agents.exploration import CountBonus
+from zipf.agents.exploration import Bonus
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.envs.mixture import Mixture
@@ -68,7 +68,7 @@ class Collector:
         unroll_length: int,
         seed: int,
         device: str = "cpu",
-        exploration: CountBonus | None = None,
+        exploration: Bonus | None = None,
         augmentation: Augmentation | None = None,
         lag: int = 0,
         bootstrap_at_time_limit: bool = True,

@@ -123,13 +123,17 @@ class Run:
             unroll_length=collector.unroll_length,
             seed=derive_seed(config.seed, "training"),
             device=self.device,
-            exploration=build_exploration(config.exploration),
             augmentation=build_augmentation(
                 config.augmentation,
                 env.single_observation_space,
                 collector.num_envs,
                 seed=derive_seed(config.seed, "augmentation"),
                 symmetries=envs.symmetries(config.split, env),
+            ),
+            exploration=build_exploration(
+                config.exploration,
+                env.single_observation_space,
+                derive_seed(config.seed, "exploration"),
             ),
             lag=config.lag,
             bootstrap_at_time_limit=collector.bootstrap_at_time_limit,
