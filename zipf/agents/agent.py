@@ -38,6 +38,7 @@ from torch import Tensor, nn
 import zipf.options
 from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions
 from zipf.agents.encoders import NetworkOptions
+from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso
 from zipf.agents.unroll import Unroll
@@ -49,7 +50,8 @@ class Setting:
 
     Attributes:
         observation_space, action_space: of one world.
-        network, memory, auxiliary: options of the encoder, the memory and the auxiliary loss.
+        network, memory, auxiliary, episodic: options of the encoder, the memory, the auxiliary loss
+            and episodic memory.
         num_envs, unroll_length: B and T of the unrolls that the agent will learn from.
         seed: of the initial weights and of all that an agent draws by itself.
         device: where it computes, as PyTorch names it.
@@ -63,6 +65,7 @@ class Setting:
     network: NetworkOptions
     memory: MemoryOptions
     auxiliary: AuxiliaryOptions = NO_AUXILIARY
+    episodic: EpisodicOptions = NO_EPISODIC
     num_envs: int = 1
     unroll_length: int = 1
     seed: int = 0
@@ -78,6 +81,7 @@ class Agent(ABC):
     Attributes:
         Options: the class of its options; their `name: Literal["..."]` names the agent.
         auxiliary_losses: whether it adds `setting.auxiliary` to its loss.
+        episodic_memory: whether it reads and writes the dictionary of `setting.episodic`.
         largest_lag: how many unrolls collection may run ahead of learning.
         answers_questions: whether it is asked about an episode's first frame instead of acting.
         burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
@@ -96,6 +100,7 @@ class Agent(ABC):
 
     Options: ClassVar[type[zipf.options.Options]]
     auxiliary_losses: ClassVar[bool] = False
+    episodic_memory: ClassVar[bool] = False
     largest_lag: ClassVar[int] = 0
     answers_questions: ClassVar[bool] = False
     burn_in: int = 0
@@ -108,6 +113,8 @@ class Agent(ABC):
         wrong = list(self.problems(options, setting.num_envs, setting.unroll_length))
         if setting.auxiliary.name != NO_AUXILIARY.name and not self.auxiliary_losses:
             wrong.append(no_auxiliary_losses(options.name, setting.auxiliary.name))
+        if setting.episodic != NO_EPISODIC and not self.episodic_memory:
+            wrong.append(no_episodic_memory(options.name, setting.episodic.name))
         if wrong:
             raise ValueError("\n".join(wrong))
         self.options = options
@@ -219,6 +226,15 @@ def no_auxiliary_losses(agent: str, auxiliary: str) -> str:
     others = [name for name, other in agents().items() if other.auxiliary_losses]
     return (
         f"auxiliary={auxiliary}: agent={agent} has no auxiliary losses; choose auxiliary=none, or "
+        f"agent={' or '.join(others)}"
+    )
+
+
+def no_episodic_memory(agent: str, episodic: str) -> str:
+    """The error message where an agent without episodic memory is given one."""
+    others = [name for name, other in agents().items() if other.episodic_memory]
+    return (
+        f"episodic={episodic}: agent={agent} has no episodic memory; choose episodic=none, or "
         f"agent={' or '.join(others)}"
     )
 

@@ -12,6 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from zipf.agents.encoders import Encoder, NetworkOptions
+from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary
 from zipf.agents.memory import MemoryOptions, State, build_memory
 
 
@@ -118,7 +119,10 @@ class Torso(nn.Module):
 
 
 class ActorCritic(Torso):
-    """Policy and value of a discrete-action agent with a memory."""
+    """Policy and value of a discrete-action agent with a memory.
+
+    With episodic memory both read what is found in its `dictionary`, too.
+    """
 
     def __init__(
         self,
@@ -126,13 +130,16 @@ class ActorCritic(Torso):
         action_space: gym.Space,
         network: NetworkOptions,
         memory: MemoryOptions,
+        episodic: EpisodicOptions = NO_EPISODIC,
     ):
         super().__init__(observation_space, action_space, network, memory)
         self.policy = head(self.memory.size, network.head_size, self.actions)
         self.baseline = head(self.memory.size, network.head_size, 1)
+        self.dictionary = build_dictionary(self.memory.size, self.actions, episodic)
 
     def forward(self, inputs: Inputs, state: State) -> Outputs:
         """Unrolls `[T, B]` frames from the memory's `state`."""
         _, core, state = self.remember(inputs, state)
         with in_full(core) as exact:
-            return Outputs(self.policy(exact), self.baseline(exact).squeeze(-1), core, state)
+            read = exact if self.dictionary is None else self.dictionary(exact)
+            return Outputs(self.policy(read), self.baseline(read).squeeze(-1), core, state)

@@ -32,7 +32,7 @@ from zipf.options import Options
 
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 MOST_JOBS = 10_000  # ours: all of them are checked before the first one starts
-_GROUPS = ("agent", "memory", "network", "auxiliary", "exploration")
+_GROUPS = ("agent", "memory", "network", "auxiliary", "episodic", "exploration")
 
 
 def load(overrides: list[str]) -> Config:
@@ -287,23 +287,23 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
 
 
 def _name(composed: Composed) -> str:
-    """The name of a row: the condition, or agent, memory and auxiliary loss; then all options that
-    differ from theirs.
+    """The name of a row: the condition, or agent, memory, auxiliary loss and episodic memory; then
+    all options that differ from theirs.
 
-    The memory and auxiliary loss of the paper's plain agent, an LSTM and none, are left out.
+    Those of the paper's plain agent, an LSTM, none and none, are left out.
     """
     chosen = composed.choices
     name = chosen["condition"]
     if name == "None":
         name = chosen["agent"]
-        for group, plain in (("memory", "lstm"), ("auxiliary", "none")):
+        for group, plain in (("memory", "lstm"), ("auxiliary", "none"), ("episodic", "none")):
             if chosen[group] != plain:
                 name += f"_{_IN_NAMES.get(chosen[group], chosen[group])}"
     start = [f"experiment={chosen['experiment']}"]
     groups = ["network", "exploration"]
     if name in choices("condition"):
         start.append(f"condition={name}")
-        groups += ["agent", "memory", "auxiliary"]
+        groups += ["agent", "memory", "auxiliary", "episodic"]
     usual = _compose_condition(*start).choices
     base = flatten(_compose_condition(*start, *(f"{g}={chosen[g]}" for g in _GROUPS)).values)
     for group in groups:

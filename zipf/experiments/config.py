@@ -14,6 +14,7 @@ from zipf import envs
 from zipf.agents.agent import agents
 from zipf.agents.auxiliary import auxiliaries
 from zipf.agents.encoders import NetworkOptions
+from zipf.agents.episodic import EpisodicOptions
 from zipf.agents.exploration import ExplorationOptions
 from zipf.agents.memory import MemoryOptions
 from zipf.experiments.errors import UserError
@@ -111,6 +112,7 @@ class Config(Options):
     memory: MemoryOptions
     network: NetworkOptions
     auxiliary: Any
+    episodic: EpisodicOptions
     exploration: ExplorationOptions
     environment: Any
     collector: CollectorOptions

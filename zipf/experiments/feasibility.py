@@ -9,8 +9,9 @@ from typing import Any
 import torch
 
 from zipf import envs
-from zipf.agents.agent import agents, no_auxiliary_losses
+from zipf.agents.agent import agents, no_auxiliary_losses, no_episodic_memory
 from zipf.agents.auxiliary import NO_AUXILIARY
+from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.network import ActorCritic
 from zipf.experiments.config import Config, find_device, flatten
@@ -34,6 +35,8 @@ def problems(config: Config) -> Iterator[str]:
     told = list(agent.problems(config.agent, collector.num_envs, collector.unroll_length))
     if config.auxiliary != NO_AUXILIARY and not agent.auxiliary_losses:
         told.append(no_auxiliary_losses(config.agent.name, config.auxiliary.name))
+    if config.episodic != NO_EPISODIC and not agent.episodic_memory:
+        told.append(no_episodic_memory(config.agent.name, config.episodic.name))
     yield from told
     try:
         find_device(config.device)

@@ -23,6 +23,7 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
         config.network,
         config.memory,
         config.auxiliary,
+        config.episodic,
         num_envs=config.collector.num_envs,
         unroll_length=config.collector.unroll_length,
         seed=derive_seed(config.seed, "weights"),
