@@ -1,8 +1,8 @@
 """A world whose situations are new every few episodes: what was learned from one goes to waste.
 
 An episode is one step: the image is one of `CUES` patterns, and one of `ACTIONS` actions is right.
-All worlds have the same patterns and answers in the same episodes; after `LASTS` episodes both are
-drawn anew. Who recalls earlier episodes knows the answers after a few of them. Who does not has to
+All worlds have the same patterns and answers, and begin their episodes together; after `LASTS` of
+them both are drawn anew. Who recalls earlier episodes knows the answers after a few of them. Who does not has to
 learn `CUES` images in `LASTS` episodes of each world.
 """
 
@@ -19,10 +19,11 @@ SIDE = 6
 
 
 @cache
-def rules(generation, cue):
-    """An image and the action that is right there."""
-    rng = np.random.default_rng([generation, cue])
-    return 255 * rng.integers(2, size=(SIDE, SIDE, 1), dtype=np.uint8), rng.integers(ACTIONS)
+def rules(generation):
+    """The images of a generation's cues, and the actions that are right there."""
+    rng = np.random.default_rng(generation)
+    images = 255 * rng.integers(2, size=(CUES, SIDE, SIDE, 1), dtype=np.uint8)
+    return images.repeat(3, -1), rng.integers(ACTIONS, size=CUES)
 
 
 class Renewal(ZipfVectorEnv):
@@ -45,19 +46,15 @@ class Renewal(ZipfVectorEnv):
             self.cue[i] = int(pcg64.next_double(self._streams[i]) * CUES)
         self.played[mask] += 1
 
-    def _rules(self, i):
-        """The image and the right action of world i."""
-        return rules(int(self.played[i]) // LASTS, int(self.cue[i]))
-
     def _advance(self, actions, mask):
-        right = np.array([self._rules(i)[1] for i in range(self.num_envs)])
-        success = actions == right
+        _, right = rules(int(self.played[0]) // LASTS)
+        success = actions == right[self.cue]
         ends = np.ones(self.num_envs, np.bool_)
         return success.astype(np.float64), ends, ~ends, success
 
     def _observe(self, out, mask):
-        for i in np.flatnonzero(mask):
-            out["image"][i] = self._rules(i)[0]
+        images, _ = rules(int(self.played[0]) // LASTS)
+        out["image"][mask] = images[self.cue[mask]]
 
     def _situations(self):
         return {"cue": self.cue.copy()}

@@ -17,7 +17,7 @@ from zipf.experiments import command_line, composing, config
 from zipf.experiments.errors import UserError
 
 EXPERIMENTS = command_line.choices("experiment")
-GROUPS = ("memory", "network", "auxiliary", "exploration")
+GROUPS = ("memory", "network", "auxiliary", "episodic", "exploration")
 CHOICES = [(group, choice) for group in GROUPS for choice in command_line.choices(group)]
 
 
@@ -236,6 +236,7 @@ MISTAKES = [
         ["exploration=count", "exploration=none"],
     ),
     (["experiment=demo", "condition=vmpo", "agent=r2d2", "auxiliary=byol"], ["auxiliary=byol"]),
+    (["experiment=demo", "agent=r2d2", "episodic=mem"], ["episodic=mem", "agent=imitation or imp"]),
     (["experiment=demo", "seed=100000000000000000000"], ["seed=1", "less than"]),
     (["experiment=demo", "agent.learning_rate=inf"], ["agent.learning_rate=inf", "finite"]),
     (["experiment=demo", "network.patch=8"], ["network.patch=8", "63 x 63", "resnet"]),
@@ -335,6 +336,9 @@ CONDITIONS = [
     (["experiment=gridworld", "condition=r2d2", "name=mine"], "mine"),
     (["experiment=gridworld", "memory=gtrxl"], "impala_transformer"),
     (["experiment=gridworld", "auxiliary=byol_horizon"], "impala_byol_horizon"),
+    (["experiment=gridworld", "episodic=dictionary"], "impala_dictionary"),
+    (["experiment=demo", "episodic=mem"], "impala_mlp_mem"),
+    (["experiment=gridworld", "condition=impala_mem", "episodic=none"], "impala_mem,episodic=none"),
     (["experiment=gridworld", "agent=vmpo"], "vmpo,memory.layers=1"),
     (["experiment=gridworld", "agent=vmpo", "memory.layers=2"], "vmpo"),
     (["experiment=gridworld", "condition=r2d2", "agent.epsilon=0.2"], "r2d2,agent.epsilon=0.2"),

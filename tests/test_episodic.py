@@ -19,8 +19,9 @@ from zipf.agents.episodic import (
     DictionaryOptions,
     MemOptions,
     build_recorder,
+    familiarity,
 )
-from zipf.agents.episodic.familiarity import augment, contrastive_losses
+from zipf.agents.episodic.familiarity import alike, augment, contrastive_losses
 from zipf.agents.episodic.recorder import Rows
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs
@@ -134,8 +135,10 @@ def test_an_empty_dictionary_adds_nothing():
     for one, other in zip(made(inputs, state)[:3], plain(inputs, state)[:3], strict=True):
         assert torch.equal(one, other)
     found, nearness = made.dictionary.read(torch.randn(2, 5))
-    assert found.shape == (2, SIZE + 2 * ACTIONS) and nearness.shape == (2, 1)
-    assert not found.any() and not nearness.any()
+    assert found.shape == (2, SIZE + 2 * ACTIONS)
+    assert nearness.shape == (2, 1)
+    assert not found.any()
+    assert not nearness.any()
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -177,7 +180,8 @@ def test_gradients_reach_what_reads_and_no_row():
     for seed in range(3):
         recorded.update(unroll(seed))
     for buffer in (*recorded.network.buffers(), *recorded.recorder.buffers()):
-        assert not buffer.requires_grad and buffer.grad_fn is None
+        assert not buffer.requires_grad
+        assert buffer.grad_fn is None
 
 
 @pytest.mark.parametrize("options", BOTH, ids=lambda o: o.name)
@@ -320,13 +324,68 @@ def test_only_the_rows_of_imitation_have_the_teachers_action():
 def test_the_contrastive_loss_is_its_definition():
     torch.manual_seed(0)
     one, other = torch.randn(6, 4), torch.randn(6, 4)
-    one[4] = one[1]  # the same frame twice: no negative of itself
-    losses = contrastive_losses(one, other, 0.3).numpy()
+    same = torch.zeros(6, 6, dtype=torch.bool)
+    same[1, 4] = same[4, 1] = same[3, 3] = True
+    losses = contrastive_losses(one, other, same, 0.3).numpy()
     a, b = ((x / x.norm(dim=-1, keepdim=True)).double().numpy() for x in (one, other))
     for i in range(6):
         others = [k for k in range(6) if k == i or {i, k} != {1, 4}]
         scores = {k: np.exp((a[i] * b[k]).sum() / 0.3) for k in others}
         assert losses[i] == pytest.approx(-np.log(scores[i] / sum(scores.values())), rel=1e-4)
+
+
+def test_images_are_alike_that_differ_as_noisy_copies_do():
+    rng = np.random.default_rng(0)
+    image = torch.tensor(rng.integers(256, size=(5, 9, 9, 3)), dtype=torch.uint8)
+    image[3] = image[1]
+    image[4] = image[1]
+    image[4, 0, 0, :2] ^= 128  # two of 243 numbers differ by half the range: mean square 0.0021
+    near = {frozenset((1, 3)), frozenset((1, 4)), frozenset((3, 4))}
+    for noise, pairs in ((0.0, {frozenset((1, 3))}), (0.031, {frozenset((1, 3))}), (0.033, near)):
+        same = alike(image, noise)
+        assert same.diagonal().all()
+        assert torch.equal(same, same.T)
+        found = {frozenset(pair) for pair in same.nonzero().tolist() if pair[0] != pair[1]}
+        assert found == pairs, noise
+
+
+def share_of_rare(seed, updates=200, images=20):
+    """Of situations drawn by Zipf's law: the share of the rarer three quarters among the rows of
+    the dictionary, after the encoder has learned from the contrastive loss alone."""
+    options = MEM.model_copy(
+        update={"capacity": 64, "familiarity_capacity": 64, "batch": 16, "longer": 100.0}
+    )
+    options = options.model_copy(update={"weight": 1.0, "outcome": False})
+    generator = torch.Generator().manual_seed(seed)
+    encoder = agent(NO_EPISODIC, seed=seed).network.encoder
+    optimiser = torch.optim.Adam(encoder.parameters(), lr=1e-3)
+    recorder = build_recorder(options, SPACE, BATCH, SIZE, ACTIONS, seed)
+    dictionary = Dictionary(SIZE, ACTIONS, options)
+    frames = torch.randint(256, (images, 9, 9, 3), generator=generator)
+    for _ in range(updates):
+        loss, _ = recorder(encoder)
+        if loss.requires_grad:
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+        drawn = torch.multinomial(1 / torch.arange(1, images + 1), 8, True, generator=generator)
+        noise = 10 * torch.randn(8, 9, 9, 3, generator=generator)
+        seen = (frames[drawn] + noise).clamp(0, 255).to(torch.uint8)
+        cores = drawn.float()[:, None].expand(-1, SIZE)
+        recorder.write(dictionary, Rows(cores, cores, {"image": seen}))
+        recorder.updates += 1
+    kept = dictionary.values[: int(dictionary.filled), 0]
+    return float((kept >= images / 4).float().mean())
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_mem_keeps_what_is_rare(seed, monkeypatch):
+    """The rarer three quarters of situations are 0.37 of what is met. With rows of the same
+    situation as negatives, as the loss is printed, it keeps what is frequent instead."""
+    assert share_of_rare(seed) > 0.55  # seeds 0 to 3: 0.70 to 0.88
+    none = lambda image, noise: torch.zeros(len(image), len(image), dtype=torch.bool)  # noqa: E731
+    monkeypatch.setattr(familiarity, "alike", none)
+    assert share_of_rare(seed) < 0.3  # 0.03 to 0.23
 
 
 def test_copies_have_noise_and_a_square_cut_out():
@@ -358,14 +417,15 @@ def test_the_familiarity_buffer_offers_what_leaves_it():
             rows, losses = (part.tolist() for part in recorder._latest)
             batch = min(options.batch, len(buffer))
             assert rows == [(following + j) % len(buffer) for j in range(batch)]
-            assert float(loss) == pytest.approx(0.5 * np.mean(losses), rel=1e-5)
+            assert loss.item() == pytest.approx(0.5 * np.mean(losses), rel=1e-5)
             assert float(metrics["episodic_contrastive"]) == pytest.approx(np.mean(losses))
             for row, one in zip(rows, losses, strict=True):
                 old = buffer[row][1]
                 buffer[row][1] = one if old is None else 0.9 * old + 0.1 * one
             following = (rows[-1] + 1) % len(buffer)
         else:
-            assert recorder._latest is None and float(loss) == 0
+            assert recorder._latest is None
+            assert loss.item() == 0
         known = [one for _, one in buffer if one is not None]
         offered = []
         values = value + 1 + np.arange(count)
@@ -414,3 +474,28 @@ def test_on_policy_ratios_are_one(options):
     for _ in range(5):
         assert made.update(collector.collect())["importance_ratio"] == pytest.approx(1, abs=1e-5)
     assert int(made.network.dictionary.filled) > 0
+
+
+def score_in_training(episodic, seed, updates=200):
+    """The share of right actions in the last eighth of training."""
+    env = renewal.Renewal(128)
+    spaces = env.single_observation_space, env.single_action_space
+    network = compact(patch=6, channels=32, size=32)
+    memory = MLPOptions(name="mlp", size=32, layers=1)
+    setting = Setting(*spaces, network, memory, episodic=episodic, num_envs=128, seed=seed)
+    options = {"learning_rate": 5e-3, "adam_beta1": 0.9, "entropy_cost": 0.1}
+    made = agents()["impala"](IMPALA.model_copy(update=options), setting)
+    collector = Collector(env, made, unroll_length=4, seed=seed)
+    for update in range(updates):
+        if update == updates - updates // 8:
+            collector.episode_metrics()
+        made.update(collector.collect())
+    return collector.episode_metrics()["episode_success"]
+
+
+def test_what_earlier_episodes_showed_is_used():
+    """Situations that are new every 16 episodes of a world; chance is a quarter. Rows of the first
+    4 are there when the next are played, so that at most 0.81 is possible."""
+    options = {"capacity": 512, "neighbours": 8, "key_size": 16, "kernel_delta": 1e-3}
+    assert score_in_training(DICTIONARY.model_copy(update=options), 0) > 0.5
+    assert score_in_training(NO_EPISODIC, 0) < 0.3

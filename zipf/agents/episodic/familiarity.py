@@ -23,9 +23,9 @@ reading, where we know of no text:
   of the update plus `longer` times the share of the buffer's rows whose momentum loss is lower as
   its priority. Ranks are used because losses fall as the encoder learns. Rows that no update
   learned from yet are dropped.
-- Rows that the encoder cannot tell apart are not each other's negatives. In a world of few
-  situations the frequent ones are several times in a batch; as negatives of themselves their loss
-  would be the highest, and the dictionary would keep what is frequent.
+- Rows whose images differ by no more than two noisy copies of one image would are not each other's
+  negatives. What is frequent is several times in a batch; as a negative of itself its loss would be
+  the highest, and the dictionary would keep what is frequent. `tests/test_episodic.py` shows both.
 - What is reinstated is added behind the memory (`zipf.agents.episodic.dictionary`).
 
 Left out: a memory of trajectories, of which the abstract of 2025 speaks.
@@ -43,8 +43,6 @@ from zipf.agents.encoders import Encoder, is_image
 from zipf.agents.episodic.dictionary import Dictionary
 from zipf.agents.episodic.options import DictionarySizes, EpisodicOptions, MemOptions
 from zipf.agents.episodic.recorder import DictionaryRecorder, Recorder, Rows
-
-_ALIKE = 1 - 1e-6  # the cosine of embeddings that differ by rounding alone
 
 
 class MemRecorder(DictionaryRecorder):
@@ -103,7 +101,8 @@ class MemRecorder(DictionaryRecorder):
             changed = augment(seen["image"], o.noise, o.cutout, self.generator())
             both = {name: torch.cat([part, part]) for name, part in seen.items()}
             both["image"] = torch.cat([seen["image"], changed])
-            losses = contrastive_losses(*encoder(both).float().chunk(2), o.temperature)
+            same = alike(seen["image"], o.noise)
+            losses = contrastive_losses(*encoder(both).float().chunk(2), same, o.temperature)
             self._latest = rows, losses.detach()
             loss = losses.mean()
         return o.weight * loss, {"episodic_contrastive": loss.detach()}
@@ -145,19 +144,28 @@ class MemRecorder(DictionaryRecorder):
         return lower.double() / max(len(known), 1)
 
 
-def contrastive_losses(embedded: Tensor, changed: Tensor, temperature: float) -> Tensor:
+def contrastive_losses(
+    embedded: Tensor, changed: Tensor, same: Tensor, temperature: float
+) -> Tensor:
     """NT-Xent of each row (Chen et al. 2020, from the images to their changed copies): float32 [N].
 
     -log exp(s_ii / temperature) / sum_k exp(s_ik / temperature), s_ik the cosine of embedding i and
-    of changed copy k; k leaves out rows other than i whose embedding is the same as row i's.
+    of changed copy k, where k leaves out the rows that are the `same` as row i, bool [N, N].
     """
-    embedded, changed = F.normalize(embedded, dim=-1), F.normalize(changed, dim=-1)
-    with torch.no_grad():
-        same = embedded @ embedded.T > _ALIKE
-        same.fill_diagonal_(False)
-    scores = (embedded @ changed.T / temperature).masked_fill(same, -torch.inf)
+    scores = F.normalize(embedded, dim=-1) @ F.normalize(changed, dim=-1).T / temperature
     rows = torch.arange(len(scores), device=scores.device)
-    return F.cross_entropy(scores, rows, reduction="none")
+    others = same & (rows != rows[:, None])
+    return F.cross_entropy(scores.masked_fill(others, -torch.inf), rows, reduction="none")
+
+
+def alike(image: Tensor, noise: float) -> Tensor:
+    """Which images, uint8 [N, H, W, C], differ by at most what is expected of two copies of one
+    image with noise of that standard deviation, in the mean over pixels of the squared difference:
+    bool [N, N]."""
+    pixels = image.flatten(1).float() / 255
+    size = pixels.square().mean(1)
+    products = pixels @ pixels.T / pixels.shape[1]
+    return size + size[:, None] - 2 * products <= 2 * noise**2 + 1e-6  # beside rounding
 
 
 def augment(image: Tensor, noise: float, cutout: float, generator: torch.Generator) -> Tensor:

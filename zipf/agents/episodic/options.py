@@ -8,7 +8,8 @@ from pydantic import Field
 
 from zipf.options import Options
 
-Size = Annotated[int, Field(ge=1)]
+Size = Annotated[int, Field(ge=1, le=2**16)]  # ours: as the sizes of networks
+Rows = Annotated[int, Field(ge=1, le=2**20)]  # ours: a gigabyte of the compact network's values
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -29,7 +30,7 @@ class DictionarySizes(Options):
     `discount`.
     """
 
-    capacity: Size
+    capacity: Rows
     neighbours: Size
     key_size: Size
     kernel_delta: Positive
@@ -55,7 +56,7 @@ class MemOptions(DictionarySizes):
 
     name: Literal["mem"]
     familiarity_capacity: Size
-    batch: Annotated[int, Field(ge=2)]
+    batch: Annotated[int, Field(ge=2, le=2**16)]
     weight: NotNegative
     temperature: Positive
     noise: NotNegative
