@@ -2,8 +2,8 @@
 
 An episode is one step: the image is one of `CUES` patterns, and one of `ACTIONS` actions is right.
 All worlds have the same patterns and answers, and begin their episodes together; after `LASTS` of
-them both are drawn anew. Who recalls earlier episodes knows the answers after a few of them. Who does not has to
-learn `CUES` images in `LASTS` episodes of each world.
+them both are drawn anew. Who recalls earlier episodes knows the answers after a few of them. Who
+does not has to learn `CUES` images in `LASTS` episodes of each world.
 """
 
 from functools import cache

@@ -102,7 +102,8 @@ class MemRecorder(DictionaryRecorder):
             both = {name: torch.cat([part, part]) for name, part in seen.items()}
             both["image"] = torch.cat([seen["image"], changed])
             same = alike(seen["image"], o.noise)
-            losses = contrastive_losses(*encoder(both).float().chunk(2), same, o.temperature)
+            embedded, embedded_copies = encoder(both).float().chunk(2)
+            losses = contrastive_losses(embedded, embedded_copies, same, o.temperature)
             self._latest = rows, losses.detach()
             loss = losses.mean()
         return o.weight * loss, {"episodic_contrastive": loss.detach()}
