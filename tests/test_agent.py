@@ -13,6 +13,7 @@ from omegaconf import OmegaConf
 from zipf.agents import agent as registry
 from zipf.agents.agent import Agent, Setting, agents, register
 from zipf.agents.auxiliary.reconstruction import VisionOptions
+from zipf.agents.episodic import DictionaryOptions
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
@@ -162,6 +163,20 @@ def test_an_agent_without_auxiliary_losses_refuses_one(name):
     else:
         with pytest.raises(ValueError, match="choose auxiliary=none, or agent=imit"):
             build(name, auxiliary=auxiliary)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_agent_without_episodic_memory_refuses_one(name):
+    sizes = {"capacity": 8, "neighbours": 2, "key_size": 4, "kernel_delta": 1e-3}
+    options = DictionaryOptions(name="dictionary", **sizes, outcome=True, discount=0.9)
+    if agents()[name].episodic_memory:
+        made = build(name, episodic=options)
+        for unroll in unrolls(made, 3):
+            made.update(unroll)
+        assert int(made.network.dictionary.filled) == options.capacity
+    else:
+        with pytest.raises(ValueError, match="choose episodic=none, or agent=imitation or impala"):
+            build(name, episodic=options)
 
 
 @pytest.mark.parametrize("name", NAMES)

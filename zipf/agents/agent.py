@@ -38,6 +38,7 @@ from torch import Tensor, nn
 import zipf.options
 from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions
 from zipf.agents.critics import SCALAR, CriticOptions
+from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso
@@ -50,8 +51,8 @@ class Setting:
 
     Attributes:
         observation_space, action_space: of one world.
-        network, memory, auxiliary, critic: options of the encoder, the memory, the auxiliary loss
-            and of what is learned about returns.
+        network, memory, auxiliary, critic, episodic: options of the encoder, the memory, the
+            auxiliary loss, what is learned about returns, and episodic memory.
         num_envs, unroll_length: B and T of the unrolls that the agent will learn from.
         seed: of the initial weights and of all that an agent draws by itself.
         device: where it computes, as PyTorch names it.
@@ -66,6 +67,7 @@ class Setting:
     memory: MemoryOptions
     auxiliary: AuxiliaryOptions = NO_AUXILIARY
     critic: CriticOptions = SCALAR
+    episodic: EpisodicOptions = NO_EPISODIC
     num_envs: int = 1
     unroll_length: int = 1
     seed: int = 0
@@ -83,6 +85,7 @@ class Agent(ABC):
         auxiliary_losses: whether it adds `setting.auxiliary` to its loss.
         any_critic: whether it learns returns as `setting.critic` says; if not, as a scalar or not
             at all.
+        episodic_memory: whether it reads and writes the dictionary of `setting.episodic`.
         largest_lag: how many unrolls collection may run ahead of learning.
         answers_questions: whether it is asked about an episode's first frame instead of acting.
         burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
@@ -102,6 +105,7 @@ class Agent(ABC):
     Options: ClassVar[type[zipf.options.Options]]
     auxiliary_losses: ClassVar[bool] = False
     any_critic: ClassVar[bool] = False
+    episodic_memory: ClassVar[bool] = False
     largest_lag: ClassVar[int] = 0
     answers_questions: ClassVar[bool] = False
     burn_in: int = 0
@@ -116,6 +120,8 @@ class Agent(ABC):
             wrong.append(no_auxiliary_losses(options.name, setting.auxiliary.name))
         if setting.critic != SCALAR and not self.any_critic:
             wrong.append(no_other_critic(options.name, setting.critic.name))
+        if setting.episodic != NO_EPISODIC and not self.episodic_memory:
+            wrong.append(no_episodic_memory(options.name, setting.episodic.name))
         if wrong:
             raise ValueError("\n".join(wrong))
         self.options = options
@@ -237,6 +243,15 @@ def no_other_critic(agent: str, critic: str) -> str:
     return (
         f"critic={critic}: agent={agent} learns no distribution of returns; choose critic=scalar, "
         f"or agent={' or '.join(others)}"
+    )
+
+
+def no_episodic_memory(agent: str, episodic: str) -> str:
+    """The error message where an agent without episodic memory is given one."""
+    others = [name for name, other in agents().items() if other.episodic_memory]
+    return (
+        f"episodic={episodic}: agent={agent} has no episodic memory; choose episodic=none, or "
+        f"agent={' or '.join(others)}"
     )
 
 

@@ -5,8 +5,9 @@ optimiser step per unroll on
 
     -mean_{t,b}[ log pi(label_t|x_t) ]
 
-plus the auxiliary loss. The agent is not told of rewards other than by its inputs. Where the
-teacher acts in all steps (`teacher_share` 1) this is behavioural cloning (Pomerleau 1991).
+plus the auxiliary loss and that of episodic memory. The agent is not told of rewards other than by
+its inputs. Where the teacher acts in all steps (`teacher_share` 1) this is behavioural cloning
+(Pomerleau 1991).
 
 Scores show what a long tail costs an agent that need not explore; they are not those of
 reinforcement learning.
@@ -24,6 +25,7 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary, build_recorder
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
@@ -60,15 +62,18 @@ class Policy(Torso):
         action_space: gym.Space,
         network: NetworkOptions,
         memory: MemoryOptions,
+        episodic: EpisodicOptions = NO_EPISODIC,
     ):
         super().__init__(observation_space, action_space, network, memory)
         self.policy = head(self.memory.size, network.head_size, self.actions)
+        self.dictionary = build_dictionary(self.memory.size, self.actions, episodic)
 
     def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, Tensor, State]:
         """Logits float32 [T, B, actions], the memory's outputs [T, B, size], and its state."""
         _, core, state = self.remember(inputs, state)
         with in_full(core) as exact:
-            return self.policy(exact), core, state
+            read = exact if self.dictionary is None else self.dictionary(exact)
+            return self.policy(read), core, state
 
 
 @register
@@ -77,6 +82,7 @@ class Imitation(Agent):
 
     Options = ImitationOptions
     auxiliary_losses = True
+    episodic_memory = True
     largest_lag = 1  # labels do not depend on the weights that acted
     options: ImitationOptions
     actor: Policy
@@ -88,7 +94,11 @@ class Imitation(Agent):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(setting.seed)
             self.network = Policy(
-                setting.observation_space, setting.action_space, setting.network, setting.memory
+                setting.observation_space,
+                setting.action_space,
+                setting.network,
+                setting.memory,
+                setting.episodic,
             )
             self.auxiliary = build_auxiliary(
                 setting.auxiliary,
@@ -97,8 +107,17 @@ class Imitation(Agent):
                 self.network,
                 setting.seed,
             )
+        self.recorder = build_recorder(
+            setting.episodic,
+            setting.observation_space,
+            setting.num_envs,
+            self.network.memory.size,
+            self.network.actions,
+            setting.seed,
+        )
         self.network.to(self.device)
         self.auxiliary.to(self.device)
+        self.recorder.to(self.device)
         self.actor = self.network
         self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
         self.optimiser = torch.optim.Adam(
@@ -141,9 +160,10 @@ class Imitation(Agent):
         with autocast(self.device, self.precision):
             outputs, core, _ = self.network(inputs, unroll.memory)
             auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, core)
+            episodic_loss, episodic_metrics = self.recorder(self.network.encoder)
         logits, label = outputs[:-1], steps["label"][:-1]
         imitation_loss = F.cross_entropy(logits.flatten(0, 1), label.flatten())
-        loss = imitation_loss + auxiliary_loss
+        loss = imitation_loss + auxiliary_loss + episodic_loss
 
         self.optimiser.zero_grad()
         loss.backward()
@@ -152,6 +172,7 @@ class Imitation(Agent):
             raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")
         self.optimiser.step()
         self.auxiliary.after_update(self.network.encoder)
+        self.recorder.record(self.network.dictionary, steps, core, steps["label"])
         log_policy = logits.detach().log_softmax(-1)
         metrics = {
             "loss": loss,
@@ -160,6 +181,7 @@ class Imitation(Agent):
             "entropy": -(log_policy.exp() * log_policy).sum(-1).mean(),
             "gradient_norm": gradient_norm,
             **auxiliary_metrics,
+            **episodic_metrics,
         }
         return {name: metric.item() for name, metric in metrics.items()}
 
@@ -168,6 +190,7 @@ class Imitation(Agent):
         return {
             "network": self.network.state_dict(),
             "auxiliary": self.auxiliary.state_dict(),
+            "recorder": self.recorder.state_dict(),
             "optimiser": self.optimiser.state_dict(),
         }
 
@@ -175,4 +198,5 @@ class Imitation(Agent):
         """Continues from `state_dict()`."""
         self.network.load_state_dict(state["network"])
         self.auxiliary.load_state_dict(state["auxiliary"])
+        self.recorder.load_state_dict(state["recorder"])
         self.optimiser.load_state_dict(state["optimiser"])

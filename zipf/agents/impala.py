@@ -4,7 +4,8 @@ The actor samples from the policy; the learner takes one optimiser step per unro
 
     mean_{t,b}[ -log pi(a_t|x_t) A_t + c_b/2 (v_t - V(x_t))^2 + c_e sum_a pi log pi ]
 
-with v_t and A_t from V-trace, plus the auxiliary loss (`zipf.agents.auxiliary`).
+with v_t and A_t from V-trace, plus the auxiliary loss (`zipf.agents.auxiliary`) and that of
+episodic memory (`zipf.agents.episodic`).
 
 With a critic that learns a distribution (`zipf.agents.critics`) its loss against v_t takes the
 place of (v_t - V)^2 / 2, and its risk measure that of V: V-trace bootstraps from it and subtracts
@@ -23,6 +24,7 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.episodic import build_recorder
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, autocast
 from zipf.agents.returns import vtrace
@@ -59,6 +61,7 @@ class Impala(Agent):
     Options = ImpalaOptions
     auxiliary_losses = True
     any_critic = True
+    episodic_memory = True
     largest_lag = 1  # V-trace corrects for it
     options: ImpalaOptions
     actor: ActorCritic
@@ -73,6 +76,7 @@ class Impala(Agent):
                 setting.network,
                 setting.memory,
                 setting.critic,
+                setting.episodic,
             )
             self.auxiliary = build_auxiliary(
                 setting.auxiliary,
@@ -81,8 +85,17 @@ class Impala(Agent):
                 self.network,
                 setting.seed,
             )
+        self.recorder = build_recorder(
+            setting.episodic,
+            setting.observation_space,
+            setting.num_envs,
+            self.network.memory.size,
+            self.network.actions,
+            setting.seed,
+        )
         self.network.to(self.device)
         self.auxiliary.to(self.device)
+        self.recorder.to(self.device)
         self.actor = self.network
         self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
         self.optimiser = torch.optim.Adam(
@@ -134,6 +147,7 @@ class Impala(Agent):
         with autocast(self.device, self.precision):
             outputs = self.network(inputs, unroll.memory)
             auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, outputs.core)
+            episodic_loss, episodic_metrics = self.recorder(self.network.encoder)
 
         steps = steps[:-1]
         log_policy = outputs.logits[:-1].log_softmax(-1)
@@ -156,7 +170,7 @@ class Impala(Agent):
         baseline_loss = self.network.critic.loss(outputs.baseline[:-1], returns.targets).mean()
         entropy = -(log_policy.exp() * log_policy).sum(-1).mean()
         loss = policy_loss + o.baseline_cost * baseline_loss - o.entropy_cost * entropy
-        loss = loss + auxiliary_loss
+        loss = loss + auxiliary_loss + episodic_loss
 
         self.optimiser.zero_grad()
         loss.backward()
@@ -165,6 +179,9 @@ class Impala(Agent):
             raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")
         self.optimiser.step()
         self.auxiliary.after_update(self.network.encoder)
+        self.recorder.record(
+            self.network.dictionary, unroll.steps, outputs.core, unroll.steps["action"]
+        )
         metrics = {
             "loss": loss,
             "policy_loss": policy_loss,
@@ -174,6 +191,7 @@ class Impala(Agent):
             "value": outputs.value.mean(),
             "importance_ratio": (log_pi - log_mu).exp().mean(),
             **auxiliary_metrics,
+            **episodic_metrics,
         }
         return {name: metric.item() for name, metric in metrics.items()}
 
@@ -182,6 +200,7 @@ class Impala(Agent):
         return {
             "network": self.network.state_dict(),
             "auxiliary": self.auxiliary.state_dict(),
+            "recorder": self.recorder.state_dict(),
             "optimiser": self.optimiser.state_dict(),
         }
 
@@ -189,6 +208,7 @@ class Impala(Agent):
         """Continues from `state_dict()`."""
         self.network.load_state_dict(state["network"])
         self.auxiliary.load_state_dict(state["auxiliary"])
+        self.recorder.load_state_dict(state["recorder"])
         self.optimiser.load_state_dict(state["optimiser"])
 
 

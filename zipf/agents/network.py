@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from zipf.agents.critics import SCALAR, CriticOptions, build_critic
 from zipf.agents.encoders import Encoder
+from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State, build_memory
 
@@ -123,6 +124,8 @@ class Torso(nn.Module):
 class ActorCritic(Torso):
     """Policy and value of a discrete-action agent with a memory.
 
+    With episodic memory both read what is found in its `dictionary`, too.
+
     Attributes:
         critic: turns the outputs of the value's head, `baseline`, into values and losses.
     """
@@ -134,15 +137,18 @@ class ActorCritic(Torso):
         network: NetworkOptions,
         memory: MemoryOptions,
         critic: CriticOptions = SCALAR,
+        episodic: EpisodicOptions = NO_EPISODIC,
     ):
         super().__init__(observation_space, action_space, network, memory)
         self.critic = build_critic(critic)
         self.policy = head(self.memory.size, network.head_size, self.actions)
         self.baseline = head(self.memory.size, network.head_size, self.critic.size)
+        self.dictionary = build_dictionary(self.memory.size, self.actions, episodic)
 
     def forward(self, inputs: Inputs, state: State) -> Outputs:
         """Unrolls `[T, B]` frames from the memory's `state`."""
         _, core, state = self.remember(inputs, state)
         with in_full(core) as exact:
-            logits, baseline = self.policy(exact), self.baseline(exact)
+            read = exact if self.dictionary is None else self.dictionary(exact)
+            logits, baseline = self.policy(read), self.baseline(read)
             return Outputs(logits, self.critic.value(baseline), core, state, baseline)

@@ -292,23 +292,21 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
 
 
 def _name(composed: Composed) -> str:
-    """The name of a row: the condition, or agent, memory, auxiliary loss and critic; then all
-    options that differ from theirs.
-
-    Those of the paper's plain agent (an LSTM, no auxiliary loss, a scalar) are left out.
+    """The name of a row: the condition, or agent, memory, auxiliary loss, critic and episodic
+    memory; then all options that differ from theirs. Those of the paper's plain agent are left out.
     """
     chosen = composed.choices
     name = chosen["condition"]
     if name == "None":
         name = chosen["agent"]
-        for group, plain in zip(_IN_FRONT[1:], ("lstm", "none", "scalar"), strict=True):
+        for group, plain in _PLAIN.items():
             if chosen[group] != plain:
                 name += f"_{_IN_NAMES.get(chosen[group], chosen[group])}"
     start = [f"experiment={chosen['experiment']}"]
-    compared = [part for part in parts() if part not in _IN_FRONT]
+    compared = [part for part in parts() if part not in ("agent", *_PLAIN)]
     if name in choices("condition"):
         start.append(f"condition={name}")
-        compared += _IN_FRONT
+        compared += ["agent", *_PLAIN]
     usual = _compose_condition(*start).choices
     base = flatten(_compose_condition(*start, *(f"{g}={chosen[g]}" for g in parts())).values)
     for group in compared:
@@ -327,5 +325,5 @@ def _name(composed: Composed) -> str:
     return name
 
 
-_IN_FRONT = ["agent", "memory", "auxiliary", "critic"]  # what names of conditions begin with
+_PLAIN = {"memory": "lstm", "auxiliary": "none", "critic": "scalar", "episodic": "none"}  # paper
 _IN_NAMES = {"gtrxl": "transformer"}  # as the paper calls it

@@ -14,6 +14,7 @@ from zipf import envs
 from zipf.agents.agent import agents
 from zipf.agents.auxiliary import auxiliaries
 from zipf.agents.critics import CriticOptions
+from zipf.agents.episodic import EpisodicOptions
 from zipf.agents.exploration import ExplorationOptions
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions
@@ -114,6 +115,7 @@ class Config(Options):
     network: NetworkOptions
     auxiliary: Any
     critic: CriticOptions
+    episodic: EpisodicOptions
     exploration: ExplorationOptions
     augmentation: AugmentationOptions
     environment: Any

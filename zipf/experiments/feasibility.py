@@ -9,9 +9,15 @@ from typing import Any
 import torch
 
 from zipf import envs
-from zipf.agents.agent import agents, no_auxiliary_losses, no_other_critic
+from zipf.agents.agent import (
+    agents,
+    no_auxiliary_losses,
+    no_episodic_memory,
+    no_other_critic,
+)
 from zipf.agents.auxiliary import NO_AUXILIARY
 from zipf.agents.critics import SCALAR
+from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.network import ActorCritic
 from zipf.experiments.augmentation import build_augmentation
@@ -38,6 +44,8 @@ def problems(config: Config) -> Iterator[str]:
         told.append(no_auxiliary_losses(config.agent.name, config.auxiliary.name))
     if config.critic != SCALAR and not agent.any_critic:
         told.append(no_other_critic(config.agent.name, config.critic.name))
+    if config.episodic != NO_EPISODIC and not agent.episodic_memory:
+        told.append(no_episodic_memory(config.agent.name, config.episodic.name))
     yield from told
     try:
         find_device(config.device)

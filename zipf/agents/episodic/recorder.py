@@ -1,0 +1,186 @@
+"""Which rows of past episodes are written: one of each, when it has ended.
+
+The row is of a frame of the episode that is drawn uniformly (reservoir sampling: Vitter 1985), as
+far as an update has learned from the episode's frames. Its key is made of the memory's output
+there, and its value is that output, as in Ritter et al. 2018 and Fernandes et al. 2022. With
+`outcome` it also has, for each action, whether it was taken (1 or 0) and, if so, the discounted
+return that followed, squashed by sign(G) log(1 + |G|); a weighted mean of these over neighbours is
+the return of each action in similar frames, times how often it was taken, as Pritzel et al. 2017
+keep values for each action.
+
+Rows of an episode are read in later episodes only: an unroll never finds its own future.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from tensordict import TensorDict
+from torch import Tensor, nn
+
+from zipf.agents.encoders import Encoder
+from zipf.agents.episodic.dictionary import Dictionary
+from zipf.agents.episodic.options import DictionarySizes
+
+
+class Rows(NamedTuple):
+    """Rows of episodes that have ended."""
+
+    cores: Tensor  # float32 [N, size]
+    values: Tensor  # float32 [N, value size]
+    observations: dict[str, Tensor]  # {name: [N, ...]}
+
+
+class Recorder(nn.Module):
+    """What an agent without episodic memory has: it records nothing, and its loss is 0."""
+
+    def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
+        """The weighted loss of an update, float32 [], and metrics to log, [] each.
+
+        Args:
+            encoder: the agent's; gradients reach it.
+        """
+        return torch.zeros(()), {}
+
+    def record(
+        self, dictionary: Dictionary | None, steps: TensorDict, core: Tensor, action: Tensor
+    ) -> None:
+        """Follows an optimiser step: writes the rows of the unroll's episodes that have ended.
+
+        Args:
+            dictionary: the agent's.
+            steps: of the unroll, [T + 1, B].
+            core: the memory's outputs there, [T + 1, B, size].
+            action: int64 [T + 1, B], what was done, or what a teacher says should have been.
+        """
+
+
+class DictionaryRecorder(Recorder):
+    """Draws a row of every episode and writes it when the episode ends.
+
+    Args:
+        worlds: B of the unrolls.
+        core_size: of the memory's outputs.
+        actions: how many there are.
+        options: of the dictionary.
+        seed: of the draws; with the number of updates, which is saved, all of them follow from it.
+        observations: {name: zeros [B, ...]}, the parts of observations that rows have.
+    """
+
+    updates: Tensor
+    age: Tensor
+    core: Tensor
+    action: Tensor
+    return_: Tensor
+    factor: Tensor
+
+    def __init__(
+        self,
+        worlds: int,
+        core_size: int,
+        actions: int,
+        options: DictionarySizes,
+        seed: int,
+        observations: dict[str, Tensor] | None = None,
+    ):
+        super().__init__()
+        self.options = options
+        self.actions = actions
+        self.seed = seed
+        self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
+        # Of the episode that each world is in: its frames so far, and the row drawn among them.
+        self.register_buffer("age", torch.zeros(worlds, dtype=torch.int64))
+        self.register_buffer("core", torch.zeros(worlds, core_size))
+        self.register_buffer("action", torch.zeros(worlds, dtype=torch.int64))
+        self.register_buffer("return_", torch.zeros(worlds))  # from that row on
+        self.register_buffer("factor", torch.ones(worlds))  # the discount of the next reward
+        self.observations = sorted(observations or {})
+        for name, zeros in (observations or {}).items():
+            self.register_buffer(f"observation_{name}", zeros)
+
+    def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
+        """No loss."""
+        return torch.zeros((), device=self.core.device), {}
+
+    @torch.no_grad()
+    def record(
+        self, dictionary: Dictionary | None, steps: TensorDict, core: Tensor, action: Tensor
+    ) -> None:
+        """Writes the rows of the episodes that have ended, in the order in which they did."""
+        assert dictionary is not None
+        device = self.core.device
+        length, worlds = len(core) - 1, core.shape[1]
+        draws = torch.rand(length, worlds, generator=self.generator()).to(device)
+        ends = (steps["terminated"] | steps["truncated"])[:-1]
+        age, return_, factor = self.age, self.return_, self.factor
+        source = torch.full((worlds,), -1, device=device)  # the row's frame; -1: before the unroll
+        sources, returns = [], []
+        for t in range(length):
+            age = age.masked_fill(steps["is_first"][t], 0) + 1
+            drawn = draws[t] * age < 1  # with probability 1 / age
+            source = torch.where(drawn, t, source)
+            factor = factor.masked_fill(drawn, 1.0)
+            return_ = return_.masked_fill(drawn, 0.0) + factor * steps["reward"][t]
+            factor = factor * self.options.discount
+            sources.append(source)
+            returns.append(return_)
+        t, world = ends.nonzero(as_tuple=True)
+        source_t, return_t = torch.stack(sources)[t, world], torch.stack(returns)[t, world]
+        rows = self._rows(source_t, world, return_t, steps, core, action)
+        self.write(dictionary, rows)
+        everywhere = torch.arange(worlds, device=device)
+        self.core.copy_(pick(self.core, core.float(), source, everywhere))
+        self.action.copy_(pick(self.action, action, source, everywhere))
+        for name in self.observations:
+            pending = getattr(self, f"observation_{name}")
+            pending.copy_(pick(pending, steps["observation", name], source, everywhere))
+        self.age.copy_(age.masked_fill(ends[-1], 0))
+        self.return_.copy_(return_)
+        self.factor.copy_(factor)
+        self.updates += 1
+
+    def write(self, dictionary: Dictionary, rows: Rows) -> None:
+        """Writes rows to the dictionary, which keeps the latest."""
+        priorities = self.updates.double().expand(len(rows.cores))
+        dictionary.write(rows.cores, rows.values, priorities)
+
+    def generator(self) -> torch.Generator:
+        """Of this update's draws; on the CPU, so that a run can move between devices."""
+        return torch.Generator().manual_seed(self.seed + int(self.updates))
+
+    def _rows(
+        self,
+        source: Tensor,
+        world: Tensor,
+        return_: Tensor,
+        steps: TensorDict,
+        core: Tensor,
+        action: Tensor,
+    ) -> Rows:
+        cores = pick(self.core, core, source, world).float()
+        values = cores
+        if self.options.outcome:
+            taken = F.one_hot(pick(self.action, action, source, world), self.actions).float()
+            squashed = return_.sign() * return_.abs().log1p()
+            values = torch.cat([cores, taken, taken * squashed.unsqueeze(-1)], -1)
+        observations = {
+            name: pick(
+                getattr(self, f"observation_{name}"), steps["observation", name], source, world
+            )
+            for name in self.observations
+        }
+        return Rows(cores, values, observations)
+
+
+def pick(before: Tensor, unroll: Tensor, source: Tensor, world: Tensor) -> Tensor:
+    """`unroll[source, world]`, or `before[world]` where `source` is -1.
+
+    Args:
+        before: [B, ...].
+        unroll: [T + 1, B, ...].
+        source, world: int64 [N].
+    """
+    inside = (source >= 0).view(-1, *[1] * (before.ndim - 1))
+    return torch.where(inside, unroll[source.clamp(min=0), world], before[world])
