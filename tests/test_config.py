@@ -29,7 +29,7 @@ CONDITIONS_OF_TABLES = command_line.choices("condition")
 def test_every_choice_goes_with_every_experiment(experiment, group, choice):
     """Its network is built, too, without weights."""
     overrides = [f"experiment={experiment}", f"{group}={choice}"]
-    if lacking := needs(experiment, **({group: choice} if group == "auxiliary" else {})):
+    if lacking := needs(experiment, **{group: choice}):
         with pytest.raises(UserError, match=lacking):
             command_line.load(overrides)
         return
@@ -50,28 +50,25 @@ def test_every_condition_says_how_tables_show_it():
 def test_every_condition_goes_with_every_experiment(experiment, condition):
     """And where it cannot, one line says why and what can be."""
     overrides = [f"experiment={experiment}", f"condition={condition}"]
-    agent, memory, auxiliary = chosen(experiment, condition)
-    if lacking := needs(experiment, agent, auxiliary):
+    parts = chosen(experiment, condition)
+    if lacking := needs(experiment, **parts):
         with pytest.raises(UserError, match=lacking) as error:
             command_line.load(overrides)
         assert len(str(error.value).splitlines()) == 1
         return
     loaded = command_line.load(overrides)
     assert loaded.condition == condition
-    assert (loaded.agent.name, loaded.memory.name, loaded.auxiliary.name) == (
-        agent,
-        memory,
-        auxiliary,
-    )
+    assert {part: getattr(loaded, part).name for part in parts} == parts
     plain = command_line.load([f"experiment={experiment}", "condition=impala"])
-    for part in ("environment", "evaluation", "schedule", "network"):
+    others = set(command_line.parts()) - {"agent", "memory", "auxiliary", *parts}
+    for part in ("environment", "evaluation", "schedule", *others):
         assert getattr(loaded, part) == getattr(plain, part)
     collector = plain.collector.model_dump()
-    for file in (composing.CONFIG_DIR / "values").glob(f"*/{agent}_collector.yaml"):
+    for file in (composing.CONFIG_DIR / "values").glob(f"*/{parts['agent']}_collector.yaml"):
         if experiment.startswith(file.parent.name):  # `demo_conditions` has the values of `demo`
             collector |= OmegaConf.to_container(OmegaConf.load(file))
     assert loaded.collector.model_dump() == collector
-    if agent == "impala":
+    if parts["agent"] == "impala":
         assert loaded.agent == plain.agent
 
 

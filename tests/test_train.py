@@ -44,8 +44,7 @@ def folder_of(arguments: list[str]) -> Path:
 
 
 def possible(experiment: str, condition: str) -> bool:
-    agent, _, auxiliary = chosen(experiment, condition)
-    return needs(experiment, agent, auxiliary) is None
+    return needs(experiment, **chosen(experiment, condition)) is None
 
 
 def trained() -> list[tuple[str, str]]:

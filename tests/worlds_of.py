@@ -27,18 +27,20 @@ def asks(split):
     return True
 
 
-def needs(experiment, agent="impala", auxiliary="none"):
+def needs(experiment, agent="impala", auxiliary="none", augmentation="none", **_):
     """What worlds of this experiment lack for it, in the words of the message; None for nothing."""
     split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
     if agents()[agent].answers_questions and not asks(split):
         return f"splits with such questions: {', '.join(filter(asks, envs.all_splits()))}"
     if auxiliary == "vision_language" and not speaks(experiment):
         return "needs an instruction"
+    if augmentation != "none" and envs.family_of_split(split).symmetries is None:
+        return "declare no symmetries"
     return None
 
 
 def chosen(experiment, condition):
-    """Agent, memory and auxiliary loss that a condition's file chooses for these worlds."""
+    """What a condition's file chooses for these worlds, by group."""
     file = composing.condition_file(condition)
     parts = {
         key.removeprefix("override /"): value
@@ -48,4 +50,4 @@ def chosen(experiment, condition):
     }
     if not speaks(experiment):
         parts |= file.get("without_instruction", {})
-    return parts["agent"], parts["memory"], parts["auxiliary"]
+    return parts
