@@ -52,4 +52,5 @@ FAMILY = Family(
     keys="zipf.envs.gridworld.keys:KEYS",
     expert="zipf.envs.gridworld.expert:Expert",
     generalist="zipf.envs.gridworld.generalist:Generalist",
+    goal="zipf.envs.gridworld.goal:Cue",
 )

@@ -76,5 +76,6 @@ FAMILY = Family(
     keys="zipf.envs.playroom.keys:KEYS",
     expert="zipf.envs.playroom.expert:Expert",
     generalist="zipf.envs.playroom.generalist:Generalist",
+    goal="zipf.envs.goals:Instruction",
     questions="zipf.envs.playroom.first_frame:questions",
 )
