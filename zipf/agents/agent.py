@@ -24,7 +24,7 @@ that was done.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +40,7 @@ from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso
+from zipf.agents.reweighting import NO_REWEIGHTING, ReweightingOptions
 from zipf.agents.unroll import Unroll
 
 
@@ -56,6 +57,7 @@ class Setting:
         precision: "float32", or "bfloat16" for automatic mixed precision.
         folder: where the agent may keep files; None where there is no such place.
         updates_between_checkpoints: at most.
+        reweighting: unrolls have weights of their frames, unless it is "none".
     """
 
     observation_space: gym.spaces.Dict
@@ -70,6 +72,7 @@ class Setting:
     precision: Literal["float32", "bfloat16"] = "float32"
     folder: Path | None = None
     updates_between_checkpoints: int = 0
+    reweighting: ReweightingOptions = NO_REWEIGHTING
 
 
 class Agent(ABC):
@@ -78,6 +81,7 @@ class Agent(ABC):
     Attributes:
         Options: the class of its options; their `name: Literal["..."]` names the agent.
         auxiliary_losses: whether it adds `setting.auxiliary` to its loss.
+        weighted_losses: whether it multiplies the loss of a frame by the unroll's `weight`.
         largest_lag: how many unrolls collection may run ahead of learning.
         answers_questions: whether it is asked about an episode's first frame instead of acting.
         burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
@@ -96,6 +100,7 @@ class Agent(ABC):
 
     Options: ClassVar[type[zipf.options.Options]]
     auxiliary_losses: ClassVar[bool] = False
+    weighted_losses: ClassVar[bool] = False
     largest_lag: ClassVar[int] = 0
     answers_questions: ClassVar[bool] = False
     burn_in: int = 0
@@ -106,8 +111,7 @@ class Agent(ABC):
 
     def __init__(self, options: Any, setting: Setting):
         wrong = list(self.problems(options, setting.num_envs, setting.unroll_length))
-        if setting.auxiliary.name != NO_AUXILIARY.name and not self.auxiliary_losses:
-            wrong.append(no_auxiliary_losses(options.name, setting.auxiliary.name))
+        wrong += self.lacks(options.name, setting)
         if wrong:
             raise ValueError("\n".join(wrong))
         self.options = options
@@ -126,6 +130,26 @@ class Agent(ABC):
             num_envs, unroll_length: B and T of the unrolls that the agent would learn from.
         """
         yield from ()
+
+    @classmethod
+    def lacks(cls, name: str, chosen: Any) -> Iterator[str]:
+        """What an agent of this name cannot do of what was chosen, a line for each.
+
+        Args:
+            chosen: has `auxiliary` and `reweighting`, as a `Setting` does.
+        """
+        if chosen.auxiliary.name != NO_AUXILIARY.name and not cls.auxiliary_losses:
+            others = _which(lambda other: other.auxiliary_losses)
+            yield (
+                f"auxiliary={chosen.auxiliary.name}: agent={name} has no auxiliary losses; choose "
+                f"auxiliary=none, or agent={others}"
+            )
+        if chosen.reweighting.name != NO_REWEIGHTING.name and not cls.weighted_losses:
+            others = _which(lambda other: other.weighted_losses)
+            yield (
+                f"reweighting={chosen.reweighting.name}: agent={name} does not weigh its losses; "
+                f"choose reweighting=none, or agent={others}"
+            )
 
     def initial_memory(self, batch: int) -> State:
         """The memory before the first frame of `batch` worlds, {name: [B, ...]}; empty for an agent
@@ -214,13 +238,9 @@ class Agent(ABC):
             )
 
 
-def no_auxiliary_losses(agent: str, auxiliary: str) -> str:
-    """The error message where an agent that adds no auxiliary losses is given one."""
-    others = [name for name, other in agents().items() if other.auxiliary_losses]
-    return (
-        f"auxiliary={auxiliary}: agent={agent} has no auxiliary losses; choose auxiliary=none, or "
-        f"agent={' or '.join(others)}"
-    )
+def _which(can: Callable[[type[Agent]], bool]) -> str:
+    """The names of the agents that can do something."""
+    return " or ".join(name for name, agent in agents().items() if can(agent))
 
 
 _AGENTS: dict[str, type[Agent]] = {}

@@ -5,8 +5,9 @@ optimiser step per unroll on
 
     -mean_{t,b}[ log pi(label_t|x_t) ]
 
-plus the auxiliary loss. The agent is not told of rewards other than by its inputs. Where the
-teacher acts in all steps (`teacher_share` 1) this is behavioural cloning (Pomerleau 1991).
+each frame's term times its weight if it has one, plus the auxiliary loss. The agent is not told of
+rewards other than by its inputs. Where the teacher acts in all steps (`teacher_share` 1) this is
+behavioural cloning (Pomerleau 1991).
 
 Scores show what a long tail costs an agent that need not explore; they are not those of
 reinforcement learning.
@@ -27,6 +28,7 @@ from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
+from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
 
@@ -77,6 +79,7 @@ class Imitation(Agent):
 
     Options = ImitationOptions
     auxiliary_losses = True
+    weighted_losses = True
     largest_lag = 1  # labels do not depend on the weights that acted
     options: ImitationOptions
     actor: Policy
@@ -139,7 +142,8 @@ class Imitation(Agent):
             outputs, core, _ = self.network(inputs, unroll.memory)
             auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, core)
         logits, label = outputs[:-1], steps["label"][:-1]
-        imitation_loss = F.cross_entropy(logits.flatten(0, 1), label.flatten())
+        losses = F.cross_entropy(logits.flatten(0, 1), label.flatten(), reduction="none")
+        imitation_loss = weighted(losses.view_as(label), steps[:-1]).mean()
         loss = imitation_loss + auxiliary_loss
 
         self.optimiser.zero_grad()

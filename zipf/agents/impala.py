@@ -4,7 +4,8 @@ The actor samples from the policy; the learner takes one optimiser step per unro
 
     mean_{t,b}[ -log pi(a_t|x_t) A_t + c_b/2 (v_t - V(x_t))^2 + c_e sum_a pi log pi ]
 
-with v_t and A_t from V-trace, plus the auxiliary loss (`zipf.agents.auxiliary`).
+with v_t and A_t from V-trace, each frame's terms times its weight if it has one, plus the auxiliary
+loss (`zipf.agents.auxiliary`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, autocast
 from zipf.agents.returns import vtrace
+from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
 
@@ -52,6 +54,7 @@ class Impala(Agent):
 
     Options = ImpalaOptions
     auxiliary_losses = True
+    weighted_losses = True
     largest_lag = 1  # V-trace corrects for it
     options: ImpalaOptions
     actor: ActorCritic
@@ -141,9 +144,10 @@ class Impala(Agent):
             clip_c=o.clip_c,
             lambda_=o.trace_lambda,
         )
-        policy_loss = -(log_pi * returns.advantages).mean()
-        baseline_loss = 0.5 * (returns.targets - outputs.value[:-1]).square().mean()
-        entropy = -(log_policy.exp() * log_policy).sum(-1).mean()
+        policy_loss = -weighted(log_pi * returns.advantages, steps).mean()
+        errors = (returns.targets - outputs.value[:-1]).square()
+        baseline_loss = 0.5 * weighted(errors, steps).mean()
+        entropy = -weighted((log_policy.exp() * log_policy).sum(-1), steps).mean()
         loss = policy_loss + o.baseline_cost * baseline_loss - o.entropy_cost * entropy
         loss = loss + auxiliary_loss
 

@@ -8,7 +8,8 @@ up to date; then, on the T rows of the unroll, the online network takes one opti
     mean_{t,b} w_b 1/2 (h(G_t) - Q(x_t, a_t))^2
 
 with G_t the lambda-return over h^-1(Q-(x_t+1, argmax_a Q(x_t+1, a))), Q- the target network, h the
-rescaling of values and w_b the importance weight of the sequence. Its next priority is
+rescaling of values and w_b the importance weight of the sequence, times the frame's own if it has
+one. The sequence's next priority is
 eta max_t |h(G_t) - Q| + (1 - eta) mean_t |h(G_t) - Q|.
 
 Where an episode is truncated after a_t, x_t+1 is the observation that it was cut at, and both
@@ -35,6 +36,7 @@ from zipf.agents.encoders import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
 from zipf.agents.returns import lambda_returns, rescale, unrescale
+from zipf.agents.reweighting import NO_REWEIGHTING, weighted
 from zipf.agents.truncations import Finals
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
@@ -136,6 +138,7 @@ class R2D2(Agent):
     """
 
     Options = R2D2Options
+    weighted_losses = True
     largest_lag = 1  # replay is off-policy anyway
     options: R2D2Options
     actor: DuelingQ
@@ -195,6 +198,8 @@ class R2D2(Agent):
         self.epsilon = torch.full((self.num_envs,), options.epsilon, dtype=torch.float64)
         if options.epsilon_ladder and self.num_envs > 1:
             self.epsilon **= 1 + LADDER * torch.arange(self.num_envs) / (self.num_envs - 1)
+        weight = {} if setting.reweighting == NO_REWEIGHTING else {"weight": torch.float32}
+        self._fields = STEP | weight
         self.steps = 0  # of the optimiser
         self.replay: Replay | None = None
         self._prefix: TensorDict | None = None  # [burn_in, B], the rows before the next unroll
@@ -236,7 +241,7 @@ class R2D2(Agent):
 
         o = self.options
         rows = self.burn_in + self.unroll_length + 1
-        item = {"steps": self._empty(rows, STEP)}
+        item = {"steps": self._empty(rows, self._fields)}
         if o.final_observations:
             item["final"] = self._empty(o.final_observations, FINAL)
         memory = {name: part[0].cpu() for name, part in self.initial_memory(1).items()}
@@ -289,7 +294,7 @@ class R2D2(Agent):
         if self.final_observations:
             assert unroll.final is not None
             item["final"] = unroll.final.cpu().transpose(0, 1)
-        steps = unroll.steps.select("observation", *STEP)
+        steps = unroll.steps.select("observation", *self._fields)
         steps["reward"] = unroll.steps["reward"] + unroll.steps["bonus"]
         steps = steps.cpu()
         memory = unroll.memory
@@ -315,7 +320,8 @@ class R2D2(Agent):
         """One optimiser step on sequences [B]; the metrics, and new priorities float32 [B]."""
         o = self.options
         errors, values = self._errors(items)
-        loss = (weights * 0.5 * errors.square()).mean()
+        steps = items["steps"].transpose(0, 1)[self.burn_in : -1]
+        loss = weighted(weights * 0.5 * errors.square(), steps).mean()
 
         self.optimiser.zero_grad()
         loss.backward()

@@ -25,6 +25,7 @@ class Unroll:
         terminated: bool, the episode ended for good after the action
         truncated: bool, the episode was cut after the action
         label: int64, the teacher's action; only for agents with a `teacher`
+        weight: float32, of the frame in the loss; only with `reweighting`
         truncation_value: float32, the behaviour's value of the observation it was cut at, else 0
         and what the agent's `act` returned beside the action (IMPALA: `logits` float32 [actions])
     In row T only the first four are valid; the others are in row 0 of the next unroll.

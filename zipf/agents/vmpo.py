@@ -10,7 +10,9 @@ the gradient, the loss is the sum of (their equations 3 to 6)
     L_alpha = mean_D[ alpha (epsilon_alpha - sg(KL)) + sg(alpha) KL ]    KL = KL(pi_target || pi)
     L_V     = mean_D[ (V(x) - G)^2 ] / 2
 
-plus the auxiliary loss (`zipf.agents.auxiliary`). The temperature eta and the multiplier alpha are
+plus the auxiliary loss (`zipf.agents.auxiliary`). Where frames have weights w, all is as if they
+had been drawn w times: sums and means over D and D~ are weighted by w, psi is proportional to
+w exp(A / eta), and D~ is chosen as without them. The temperature eta and the multiplier alpha are
 learned by an optimiser of their own, and projected to be positive after each of its steps, as in
 the paper.
 """
@@ -30,6 +32,7 @@ from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, autocast
 from zipf.agents.returns import bootstrapped_returns
+from zipf.agents.reweighting import NO_REWEIGHTING
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
 
@@ -68,6 +71,7 @@ class VMPO(Agent):
 
     Options = VMPOOptions
     auxiliary_losses = True
+    weighted_losses = True
     options: VMPOOptions
     actor: ActorCritic
 
@@ -164,6 +168,7 @@ class VMPO(Agent):
             actions=steps["action"],
             values=outputs.value[:-1],
             returns=returns,
+            weights=steps["weight"] if self.setting.reweighting != NO_REWEIGHTING else None,
             eta=self.duals["eta"],
             alpha=self.duals["alpha"],
             epsilon_eta=o.epsilon_eta,
@@ -247,6 +252,7 @@ def vmpo_losses(
     actions: Tensor,
     values: Tensor,
     returns: Tensor,
+    weights: Tensor | None = None,
     eta: Tensor,
     alpha: Tensor,
     epsilon_eta: float,
@@ -261,27 +267,34 @@ def vmpo_losses(
         actions: int64 [T, B], its actions.
         values: float32 [T, B], V of the learned network.
         returns: float32 [T, B], G.
+        weights: float32 [T, B], those of the frames; None: all alike.
         eta, alpha: float32 [], the temperature and the multiplier of the bound on KL.
         epsilon_eta: bound on how far the weights psi may be from uniform.
         epsilon_alpha: bound on how far the learned policy may be from the target's.
         top_fraction: the fraction of the steps that the policy is fitted to.
     """
+
+    def mean(frames: Tensor) -> Tensor:
+        return (frames if weights is None else weights * frames).mean()
+
     advantages = returns - values.detach()
     top = is_top(advantages, top_fraction)
     best = advantages[top]
     # Subtracting the maximum keeps the exponentials finite and eta's gradient exact, however
     # small eta is: eta log mean exp(A / eta) = max A + eta log mean exp((A - max A) / eta).
-    scaled = (best - best.max()) / eta
-    weights = scaled.detach().softmax(0)
-    log_mean = scaled.logsumexp(0) - math.log(len(best))
+    scaled, total = (best - best.max()) / eta, float(len(best))
+    if weights is not None:
+        scaled, total = scaled + weights[top].log(), weights[top].sum().item()
+    psi = scaled.detach().softmax(0)
+    log_mean = scaled.logsumexp(0) - math.log(total)
 
     log_pi = log_policy.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
-    kl = (log_target.exp() * (log_target - log_policy)).sum(-1).mean()
+    kl = mean((log_target.exp() * (log_target - log_policy)).sum(-1))
     return VMPOLosses(
-        policy=-(weights * log_pi[top]).sum(),
+        policy=-(psi * log_pi[top]).sum(),
         eta=best.max() + eta * (epsilon_eta + log_mean),
         alpha=alpha * (epsilon_alpha - kl.detach()) + alpha.detach() * kl,
-        baseline=0.5 * (values - returns).square().mean(),
+        baseline=0.5 * mean((values - returns).square()),
         kl=kl.detach(),
         entropy=-(log_policy.detach().exp() * log_policy.detach()).sum(-1).mean(),
     )

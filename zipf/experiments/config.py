@@ -16,6 +16,7 @@ from zipf.agents.auxiliary import auxiliaries
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.exploration import ExplorationOptions
 from zipf.agents.memory import MemoryOptions
+from zipf.agents.reweighting import ReweightingOptions
 from zipf.experiments.errors import UserError
 from zipf.options import Options
 
@@ -112,6 +113,7 @@ class Config(Options):
     network: NetworkOptions
     auxiliary: Any
     exploration: ExplorationOptions
+    reweighting: ReweightingOptions
     environment: Any
     collector: CollectorOptions
     evaluation: EvaluationOptions

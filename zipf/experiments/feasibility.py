@@ -9,8 +9,7 @@ from typing import Any
 import torch
 
 from zipf import envs
-from zipf.agents.agent import agents, no_auxiliary_losses
-from zipf.agents.auxiliary import NO_AUXILIARY
+from zipf.agents.agent import agents
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.network import ActorCritic
 from zipf.experiments.config import Config, find_device, flatten
@@ -32,9 +31,9 @@ def problems(config: Config) -> Iterator[str]:
         )
     agent, collector = agents()[config.agent.name], config.collector
     told = list(agent.problems(config.agent, collector.num_envs, collector.unroll_length))
-    if config.auxiliary != NO_AUXILIARY and not agent.auxiliary_losses:
-        told.append(no_auxiliary_losses(config.agent.name, config.auxiliary.name))
+    told += agent.lacks(config.agent.name, config)
     yield from told
+    yield from _lacks_goals(config)
     try:
         find_device(config.device)
     except UserError as error:
@@ -52,6 +51,16 @@ def problems(config: Config) -> Iterator[str]:
             f"weights; should be at most {agent.largest_lag}"
         )
     yield from (line for line in _cannot_be_built(config) if line not in told)
+
+
+def _lacks_goals(config: Config) -> Iterator[str]:
+    """Options that need to know what an episode asks for, in worlds that do not say."""
+    family = envs.family_of_split(config.environment.split)
+    if config.reweighting.name != "none" and family.goal is None:
+        yield (
+            f"reweighting={config.reweighting.name}: the worlds of {family.name} do not say what "
+            "an episode asks for; choose reweighting=none"
+        )
 
 
 def has_instruction(environment: dict[str, Any]) -> bool:

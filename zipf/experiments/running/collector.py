@@ -16,7 +16,9 @@ from torch import Tensor
 from zipf.agents.agent import Agent
 from zipf.agents.exploration import CountBonus
 from zipf.agents.network import Inputs
+from zipf.agents.reweighting import GoalWeights
 from zipf.agents.unroll import Unroll
+from zipf.envs.goals import Goal
 from zipf.envs.mixture import Mixture
 from zipf.envs.players import Teacher
 from zipf.envs.vector import ZipfVectorEnv
@@ -53,9 +55,12 @@ class Collector:
         reward_clipping: "none", or "soft_asymmetric": learned from are rewards as
             `soft_asymmetric` squashes them. What the agent is told of its last reward, and returns
             of episodes, stay as they are.
+        goal: reads what episodes ask for; needed where something depends on it.
+        reweighting: weighs frames by how rarely what their episode asks for was asked for.
 
     Raises:
-        ValueError: the agent's burn-in is longer than an unroll.
+        ValueError: the agent's burn-in is longer than an unroll, or nothing says what episodes ask
+            for and something depends on it.
     """
 
     def __init__(
@@ -71,11 +76,15 @@ class Collector:
         bootstrap_at_time_limit: bool = True,
         reward_clipping: str = "none",
         teacher: Teacher | None = None,
+        goal: Goal | None = None,
+        reweighting: GoalWeights | None = None,
     ):
         if agent.burn_in > unroll_length:
             raise ValueError(
                 f"a burn-in of {agent.burn_in} rows is longer than an unroll of {unroll_length}"
             )
+        if goal is None and reweighting is not None:
+            raise ValueError("these worlds do not say what an episode asks for")
         self.env = env
         self.agent = agent
         self.unroll_length = unroll_length
@@ -84,18 +93,25 @@ class Collector:
         self.bootstrap_at_time_limit = bootstrap_at_time_limit
         self.reward_clipping = reward_clipping
         self.teacher = teacher
+        self.goal = goal
+        self.reweighting = reweighting
         self.seconds = {"environment": 0.0, "inference": 0.0}
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
         self._memory = agent.initial_memory(env.num_envs)
         self._abandoned = Event()
         pinned = device.startswith("cuda")
+        further = {
+            **({"label": torch.int64} if teacher is not None else {}),
+            **({"weight": torch.float32} if reweighting is not None else {}),
+        }
         self._buffers = [
-            _Buffers(env, unroll_length + 1, agent.final_observations, teacher is not None, pinned)
+            _Buffers(env, unroll_length + 1, agent.final_observations, further, pinned)
             for _ in range(1 + lag)
         ]
         self._final = env.allocate()
         env.reset(seed=seed, out=self._buffers[-1].observation_row(-1))
+        self._count(self._buffers[-1].observation_row(-1), np.ones(env.num_envs, np.bool_))
 
     def collect(self) -> Unroll:
         """Plays T steps in every world.
@@ -110,12 +126,17 @@ class Collector:
         buffers = self._buffers[-1]
         buffers.begin_after(before)
         memory, late_memory = self._memory, None
+        asked = []
         for t in range(self.unroll_length):
             if self._abandoned.is_set():
                 raise Abandoned
             if self.agent.burn_in and t == self.unroll_length - self.agent.burn_in:
                 late_memory = self._memory
+            if self.reweighting is not None:
+                asked.append(self.reweighting.counters.copy())
             self._step(buffers, t)
+        if self.reweighting is not None:
+            buffers.fields["weight"][:-1] = self.reweighting.weights(np.stack(asked))
         return Unroll(buffers.steps, memory, late_memory, buffers.final)
 
     def abandon(self) -> None:
@@ -146,6 +167,7 @@ class Collector:
             "episodes": dict(self._episodes),
             "exploration": self.exploration.state_dict() if self.exploration else {},
             "teacher": self.teacher.get_state() if self.teacher else {},
+            "reweighting": self.reweighting.state_dict() if self.reweighting else {},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -166,6 +188,9 @@ class Collector:
             self.exploration.load_state_dict(arrays(state["exploration"]))
         if self.teacher:
             self.teacher.set_state(arrays(state["teacher"]))
+        if self.reweighting:
+            self.reweighting.load_state_dict(arrays(state["reweighting"]))
+            self._count(buffers.observation_row(-1), restarted)
 
     def _step(self, buffers: _Buffers, t: int) -> None:
         start = perf_counter()
@@ -202,6 +227,7 @@ class Collector:
                 fields["bonus"][t] += self.exploration(self._final, ended)
         if ended.any():
             self._record(info["final_info"], ended)
+            self._count(following, ended)
         stepped = perf_counter()
 
         fields["truncation_value"][t] = 0.0
@@ -214,6 +240,12 @@ class Collector:
             fields["truncation_value"][t, truncated] = values
         self.seconds["inference"] += acted - start + perf_counter() - stepped
         self.seconds["environment"] += stepped - acted
+
+    def _count(self, observation: dict[str, NDArray], begins: NDArray[np.bool_]) -> None:
+        """Counts what the episodes ask for that begin in some worlds, if that is needed."""
+        if self.reweighting is not None and begins.any():
+            assert self.goal is not None
+            self.reweighting.begin(self.goal.read(observation), begins)
 
     def _record(self, final_info: dict[str, NDArray], ended: NDArray[np.bool_]) -> None:
         """Keeps the outcomes of the episodes that ended, for `episode_metrics`."""
@@ -263,13 +295,20 @@ class _Buffers:
 
     Attributes:
         observation: arrays by name.
-        fields: arrays by name, those that every agent needs; see `Unroll`.
+        fields: arrays by name, those that every agent needs and `further` ones; see `Unroll`.
         steps: all of them as tensors, and what the behaviour policy adds.
         inputs: of `steps` the agent's inputs alone.
         final: see `Unroll`; None for an agent that asks for none.
     """
 
-    def __init__(self, env: ZipfVectorEnv, rows: int, finals: int, labels: bool, pinned: bool):
+    def __init__(
+        self,
+        env: ZipfVectorEnv,
+        rows: int,
+        finals: int,
+        further: dict[str, torch.dtype],
+        pinned: bool,
+    ):
         self.pinned = pinned
         shape = rows, env.num_envs
         self.steps = TensorDict(batch_size=shape)
@@ -287,7 +326,7 @@ class _Buffers:
             ("terminated", torch.bool),
             ("truncated", torch.bool),
             ("truncation_value", torch.float32),
-            *((("label", torch.int64),) if labels else ()),
+            *further.items(),
         ):
             self.steps[name] = self._tensor(torch.zeros(shape, dtype=dtype))
             self.fields[name] = self.steps[name].numpy()

@@ -10,6 +10,7 @@ import torch
 
 from zipf import envs
 from zipf.agents.exploration import build_exploration
+from zipf.agents.reweighting import build_reweighting
 from zipf.agents.unroll import Unroll
 from zipf.envs.players import Teacher
 from zipf.experiments.config import Config
@@ -123,6 +124,8 @@ class Run:
             seed=derive_seed(config.seed, "training"),
             device=self.device,
             exploration=build_exploration(config.exploration),
+            goal=envs.family_of_split(config.environment.split).make_goal(env),
+            reweighting=build_reweighting(config.reweighting, env.num_envs),
             lag=config.lag,
             bootstrap_at_time_limit=collector.bootstrap_at_time_limit,
             reward_clipping=collector.reward_clipping,
