@@ -17,7 +17,7 @@ from zipf.experiments import command_line, composing, config
 from zipf.experiments.errors import UserError
 
 EXPERIMENTS = command_line.choices("experiment")
-GROUPS = ("memory", "network", "auxiliary", "exploration", "reweighting")
+GROUPS = ("memory", "network", "auxiliary", "exploration", "reweighting", "hindsight")
 CHOICES = [(group, choice) for group in GROUPS for choice in command_line.choices(group)]
 
 

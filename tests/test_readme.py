@@ -272,7 +272,9 @@ def test_the_options_of_the_table_exist():
             assert name in annotation.model_fields, option
 
 
-@pytest.mark.parametrize("group", ["memory", "network", "auxiliary", "exploration", "reweighting"])
+@pytest.mark.parametrize(
+    "group", ["memory", "network", "auxiliary", "exploration", "reweighting", "hindsight"]
+)
 def test_the_table_explains_every_choice(group):
     row = re.search(rf"^\| `{group}` \| group(.*)$", TEXT["docs/configuration.md"], re.M)
     assert row

@@ -38,6 +38,7 @@ from torch import Tensor, nn
 import zipf.options
 from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions
 from zipf.agents.encoders import NetworkOptions
+from zipf.agents.hindsight import NO_HINDSIGHT, HindsightOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso
 from zipf.agents.reweighting import NO_REWEIGHTING, ReweightingOptions
@@ -58,6 +59,7 @@ class Setting:
         folder: where the agent may keep files; None where there is no such place.
         updates_between_checkpoints: at most.
         reweighting: unrolls have weights of their frames, unless it is "none".
+        hindsight: unrolls have relabelled episodes, unless it is "none".
     """
 
     observation_space: gym.spaces.Dict
@@ -73,6 +75,7 @@ class Setting:
     folder: Path | None = None
     updates_between_checkpoints: int = 0
     reweighting: ReweightingOptions = NO_REWEIGHTING
+    hindsight: HindsightOptions = NO_HINDSIGHT
 
 
 class Agent(ABC):
@@ -82,6 +85,7 @@ class Agent(ABC):
         Options: the class of its options; their `name: Literal["..."]` names the agent.
         auxiliary_losses: whether it adds `setting.auxiliary` to its loss.
         weighted_losses: whether it multiplies the loss of a frame by the unroll's `weight`.
+        learns_from_hindsight: whether it learns from the unroll's relabelled `episodes`.
         largest_lag: how many unrolls collection may run ahead of learning.
         answers_questions: whether it is asked about an episode's first frame instead of acting.
         burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
@@ -101,6 +105,7 @@ class Agent(ABC):
     Options: ClassVar[type[zipf.options.Options]]
     auxiliary_losses: ClassVar[bool] = False
     weighted_losses: ClassVar[bool] = False
+    learns_from_hindsight: ClassVar[bool] = False
     largest_lag: ClassVar[int] = 0
     answers_questions: ClassVar[bool] = False
     burn_in: int = 0
@@ -136,7 +141,7 @@ class Agent(ABC):
         """What an agent of this name cannot do of what was chosen, a line for each.
 
         Args:
-            chosen: has `auxiliary` and `reweighting`, as a `Setting` does.
+            chosen: has `auxiliary`, `reweighting` and `hindsight`, as a `Setting` does.
         """
         if chosen.auxiliary.name != NO_AUXILIARY.name and not cls.auxiliary_losses:
             others = _which(lambda other: other.auxiliary_losses)
@@ -149,6 +154,12 @@ class Agent(ABC):
             yield (
                 f"reweighting={chosen.reweighting.name}: agent={name} does not weigh its losses; "
                 f"choose reweighting=none, or agent={others}"
+            )
+        if chosen.hindsight.name != NO_HINDSIGHT.name and not cls.learns_from_hindsight:
+            others = _which(lambda other: other.learns_from_hindsight)
+            yield (
+                f"hindsight={chosen.hindsight.name}: agent={name} does not learn from relabelled "
+                f"episodes; choose hindsight=none, or agent={others}"
             )
 
     def initial_memory(self, batch: int) -> State:

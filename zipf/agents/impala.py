@@ -5,7 +5,7 @@ The actor samples from the policy; the learner takes one optimiser step per unro
     mean_{t,b}[ -log pi(a_t|x_t) A_t + c_b/2 (v_t - V(x_t))^2 + c_e sum_a pi log pi ]
 
 with v_t and A_t from V-trace, each frame's terms times its weight if it has one, plus the auxiliary
-loss (`zipf.agents.auxiliary`).
+loss (`zipf.agents.auxiliary`) and that of relabelled episodes (`zipf.agents.hindsight`).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, autocast
 from zipf.agents.returns import vtrace
@@ -55,6 +56,7 @@ class Impala(Agent):
     Options = ImpalaOptions
     auxiliary_losses = True
     weighted_losses = True
+    learns_from_hindsight = True
     largest_lag = 1  # V-trace corrects for it
     options: ImpalaOptions
     actor: ActorCritic
@@ -149,7 +151,14 @@ class Impala(Agent):
         baseline_loss = 0.5 * weighted(errors, steps).mean()
         entropy = -weighted((log_policy.exp() * log_policy).sum(-1), steps).mean()
         loss = policy_loss + o.baseline_cost * baseline_loss - o.entropy_cost * entropy
-        loss = loss + auxiliary_loss
+        relabelled_loss, relabelled_metrics = hindsight_loss(
+            self.network,
+            unroll.episodes,
+            self.setting.hindsight,
+            discount=o.discount,
+            precision=self.precision,
+        )
+        loss = loss + auxiliary_loss + relabelled_loss
 
         self.optimiser.zero_grad()
         loss.backward()
@@ -167,6 +176,7 @@ class Impala(Agent):
             "value": outputs.value.mean(),
             "importance_ratio": (log_pi - log_mu).exp().mean(),
             **auxiliary_metrics,
+            **relabelled_metrics,
         }
         return {name: metric.item() for name, metric in metrics.items()}
 

@@ -40,16 +40,26 @@ class Unroll:
         previous_action: int64, the action of that row
         previous_reward: float32, the task reward of that row
         is_first: bool, False
+
+    `episodes`, a TensorDict [L, E] with hindsight, holds whole episodes that ended in the unroll,
+    relabelled with what they achieved; None where there are none. Row 0 is their first frame:
+        observation, previous_action, previous_reward, action, reward, as in `steps`
+        mask: bool, False behind the end of an episode that is shorter than L
+        is_first: bool, row 0 and behind the end
+        terminated: bool, the last step
+        truncated: bool, False
     """
 
     steps: TensorDict
     memory: State
     late_memory: State | None = None
     final: TensorDict | None = None
+    episodes: TensorDict | None = None
 
     def to(self, device: str) -> Unroll:
         """The same on another device."""
         memory: dict[str, Tensor] = {k: v.to(device) for k, v in self.memory.items()}
         late = self.late_memory and {k: v.to(device) for k, v in self.late_memory.items()}
         final = None if self.final is None else self.final.to(device, non_blocking=True)
-        return Unroll(self.steps.to(device, non_blocking=True), memory, late, final)
+        episodes = None if self.episodes is None else self.episodes.to(device)
+        return Unroll(self.steps.to(device, non_blocking=True), memory, late, final, episodes)

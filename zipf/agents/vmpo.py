@@ -10,7 +10,8 @@ the gradient, the loss is the sum of (their equations 3 to 6)
     L_alpha = mean_D[ alpha (epsilon_alpha - sg(KL)) + sg(alpha) KL ]    KL = KL(pi_target || pi)
     L_V     = mean_D[ (V(x) - G)^2 ] / 2
 
-plus the auxiliary loss (`zipf.agents.auxiliary`). Where frames have weights w, all is as if they
+plus the auxiliary loss (`zipf.agents.auxiliary`) and that of relabelled episodes
+(`zipf.agents.hindsight`). Where frames have weights w, all is as if they
 had been drawn w times: sums and means over D and D~ are weighted by w, psi is proportional to
 w exp(A / eta), and D~ is chosen as without them. The temperature eta and the multiplier alpha are
 learned by an optimiser of their own, and projected to be positive after each of its steps, as in
@@ -29,6 +30,7 @@ from torch import Tensor, nn
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, autocast
 from zipf.agents.returns import bootstrapped_returns
@@ -72,6 +74,7 @@ class VMPO(Agent):
     Options = VMPOOptions
     auxiliary_losses = True
     weighted_losses = True
+    learns_from_hindsight = True
     options: VMPOOptions
     actor: ActorCritic
 
@@ -175,7 +178,15 @@ class VMPO(Agent):
             epsilon_alpha=o.epsilon_alpha,
             top_fraction=o.top_fraction,
         )
+        relabelled_loss, relabelled_metrics = hindsight_loss(
+            self.network,
+            unroll.episodes,
+            self.setting.hindsight,
+            discount=o.discount,
+            precision=self.precision,
+        )
         loss = losses.policy + losses.eta + losses.alpha + losses.baseline + auxiliary_loss
+        loss = loss + relabelled_loss
 
         self.optimiser.zero_grad()
         self.dual_optimiser.zero_grad()
@@ -197,6 +208,7 @@ class VMPO(Agent):
             "gradient_norm": gradient_norm,
             "value": outputs.value.mean(),
             **auxiliary_metrics,
+            **relabelled_metrics,
         }
         numbers = {name: metric.item() for name, metric in metrics.items()}
 

@@ -32,7 +32,8 @@ from zipf.options import Options
 
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 MOST_JOBS = 10_000  # ours: all of them are checked before the first one starts
-_GROUPS = ("agent", "memory", "network", "auxiliary", "exploration", "reweighting")
+_BESIDE = ("network", "exploration", "reweighting", "hindsight")
+_GROUPS = ("agent", "memory", "auxiliary", *_BESIDE)
 
 
 def load(overrides: list[str]) -> Config:
@@ -300,7 +301,7 @@ def _name(composed: Composed) -> str:
             if chosen[group] != plain:
                 name += f"_{_IN_NAMES.get(chosen[group], chosen[group])}"
     start = [f"experiment={chosen['experiment']}"]
-    groups = ["network", "exploration", "reweighting"]
+    groups = [*_BESIDE]
     if name in choices("condition"):
         start.append(f"condition={name}")
         groups += ["agent", "memory", "auxiliary"]

@@ -15,6 +15,7 @@ from zipf.agents.agent import agents
 from zipf.agents.auxiliary import auxiliaries
 from zipf.agents.encoders import NetworkOptions
 from zipf.agents.exploration import ExplorationOptions
+from zipf.agents.hindsight import HindsightOptions
 from zipf.agents.memory import MemoryOptions
 from zipf.agents.reweighting import ReweightingOptions
 from zipf.experiments.errors import UserError
@@ -114,6 +115,7 @@ class Config(Options):
     auxiliary: Any
     exploration: ExplorationOptions
     reweighting: ReweightingOptions
+    hindsight: HindsightOptions
     environment: Any
     collector: CollectorOptions
     evaluation: EvaluationOptions

@@ -61,6 +61,11 @@ def _lacks_goals(config: Config) -> Iterator[str]:
             f"reweighting={config.reweighting.name}: the worlds of {family.name} do not say what "
             "an episode asks for; choose reweighting=none"
         )
+    if config.hindsight.name != "none" and family.goal is None:
+        yield (
+            f"hindsight={config.hindsight.name}: the worlds of {family.name} do not say what an "
+            "episode asks for; choose hindsight=none"
+        )
 
 
 def has_instruction(environment: dict[str, Any]) -> bool:
@@ -153,6 +158,12 @@ def _try_to_build(config: Config) -> Iterator[str]:
     except MemoryError as error:
         yield f"environment: one world does not fit into RAM ({error})"
         return
+    family = envs.family_of_split(config.environment.split)
+    if config.hindsight.name != "none" and family.goal is not None and not env.achieves:
+        yield (
+            f"hindsight={config.hindsight.name}: these worlds do not tell what an episode has "
+            "achieved; choose hindsight=none"
+        )
     if lacking := list(_lacking_ram(config, env)):
         yield from lacking
         return
@@ -162,7 +173,6 @@ def _try_to_build(config: Config) -> Iterator[str]:
     except UserError as error:
         yield from str(error).splitlines()
         return
-    family = envs.family_of_split(config.environment.split)
     if agent.teacher and getattr(family, agent.teacher) is None:
         known = [name for name in envs.SCRIPTED if getattr(family, name) is not None]
         yield (

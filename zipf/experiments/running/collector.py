@@ -15,6 +15,7 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent
 from zipf.agents.exploration import CountBonus
+from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions, HindsightOptions
 from zipf.agents.network import Inputs
 from zipf.agents.reweighting import GoalWeights
 from zipf.agents.unroll import Unroll
@@ -23,6 +24,7 @@ from zipf.envs.mixture import Mixture
 from zipf.envs.players import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.running.checkpoint import arrays
+from zipf.experiments.running.hindsight import Hindsight
 
 _OUTCOMES = ("return", "length", "success")
 _CARRIED = ("previous_action", "previous_reward", "is_first")
@@ -57,10 +59,11 @@ class Collector:
             of episodes, stay as they are.
         goal: reads what episodes ask for; needed where something depends on it.
         reweighting: weighs frames by how rarely what their episode asks for was asked for.
+        hindsight: relabels episodes with what they achieved.
 
     Raises:
         ValueError: the agent's burn-in is longer than an unroll, or nothing says what episodes ask
-            for and something depends on it.
+            for, or what they achieve, and something depends on it.
     """
 
     def __init__(
@@ -78,12 +81,14 @@ class Collector:
         teacher: Teacher | None = None,
         goal: Goal | None = None,
         reweighting: GoalWeights | None = None,
+        hindsight: HindsightOptions = NO_HINDSIGHT,
     ):
         if agent.burn_in > unroll_length:
             raise ValueError(
                 f"a burn-in of {agent.burn_in} rows is longer than an unroll of {unroll_length}"
             )
-        if goal is None and reweighting is not None:
+        relabels = isinstance(hindsight, AchievedOptions)
+        if goal is None and (reweighting is not None or relabels):
             raise ValueError("these worlds do not say what an episode asks for")
         self.env = env
         self.agent = agent
@@ -95,6 +100,11 @@ class Collector:
         self.teacher = teacher
         self.goal = goal
         self.reweighting = reweighting
+        self.hindsight: Hindsight | None = None
+        if isinstance(hindsight, AchievedOptions):
+            assert goal is not None
+            success = float(self._learned(np.array([hindsight.reward]))[0])
+            self.hindsight = Hindsight(hindsight, goal, env, reward=success, seed=seed)
         self.seconds = {"environment": 0.0, "inference": 0.0}
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
@@ -137,7 +147,8 @@ class Collector:
             self._step(buffers, t)
         if self.reweighting is not None:
             buffers.fields["weight"][:-1] = self.reweighting.weights(np.stack(asked))
-        return Unroll(buffers.steps, memory, late_memory, buffers.final)
+        episodes = self.hindsight.take() if self.hindsight is not None else None
+        return Unroll(buffers.steps, memory, late_memory, buffers.final, episodes)
 
     def abandon(self) -> None:
         """Makes `collect` raise `Abandoned` at its next step, for good; called by another thread
@@ -168,6 +179,7 @@ class Collector:
             "exploration": self.exploration.state_dict() if self.exploration else {},
             "teacher": self.teacher.get_state() if self.teacher else {},
             "reweighting": self.reweighting.state_dict() if self.reweighting else {},
+            "hindsight": self.hindsight.state_dict() if self.hindsight else {},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -191,6 +203,8 @@ class Collector:
         if self.reweighting:
             self.reweighting.load_state_dict(arrays(state["reweighting"]))
             self._count(buffers.observation_row(-1), restarted)
+        if self.hindsight:
+            self.hindsight.load_state_dict(arrays(state["hindsight"]), restarted)
 
     def _step(self, buffers: _Buffers, t: int) -> None:
         start = perf_counter()
@@ -214,8 +228,7 @@ class Collector:
         ended = terminated | truncated
         if not self.bootstrap_at_time_limit:
             terminated, truncated = ended, np.zeros_like(truncated)
-        clip = self.reward_clipping == "soft_asymmetric"
-        fields["reward"][t] = soft_asymmetric(reward) if clip else reward
+        fields["reward"][t] = self._learned(reward)
         fields["terminated"][t] = terminated
         fields["truncated"][t] = truncated
         fields["previous_action"][t + 1] = np.where(ended, -1, fields["action"][t])
@@ -228,6 +241,11 @@ class Collector:
         if ended.any():
             self._record(info["final_info"], ended)
             self._count(following, ended)
+        if self.hindsight is not None:
+            row = {name: part[t] for name, part in fields.items()}
+            final_info = info.get("final_info", {})
+            seen = buffers.observation_row(t)
+            self.hindsight.add(seen, row, ended, final_info)
         stepped = perf_counter()
 
         fields["truncation_value"][t] = 0.0
@@ -240,6 +258,10 @@ class Collector:
             fields["truncation_value"][t, truncated] = values
         self.seconds["inference"] += acted - start + perf_counter() - stepped
         self.seconds["environment"] += stepped - acted
+
+    def _learned(self, reward: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rewards [N] as the agent learns from them."""
+        return soft_asymmetric(reward) if self.reward_clipping == "soft_asymmetric" else reward
 
     def _count(self, observation: dict[str, NDArray], begins: NDArray[np.bool_]) -> None:
         """Counts what the episodes ask for that begin in some worlds, if that is needed."""

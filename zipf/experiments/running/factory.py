@@ -31,6 +31,7 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
         folder=config.folder,
         updates_between_checkpoints=config.schedule.checkpoint_every,
         reweighting=config.reweighting,
+        hindsight=config.hindsight,
     )
     try:
         agent = agents()[config.agent.name](config.agent, setting)

@@ -126,6 +126,7 @@ class Run:
             exploration=build_exploration(config.exploration),
             goal=envs.family_of_split(config.environment.split).make_goal(env),
             reweighting=build_reweighting(config.reweighting, env.num_envs),
+            hindsight=config.hindsight,
             lag=config.lag,
             bootstrap_at_time_limit=collector.bootstrap_at_time_limit,
             reward_clipping=collector.reward_clipping,
