@@ -98,6 +98,47 @@ def test_a_relabelled_gridworld_is_that_which_asks_for_the_other_object(observat
     assert compared > 5
 
 
+def test_a_relabelled_playroom_is_that_which_asks_for_the_other_toy():
+    """The same scene with both toys' places in the state exchanged, and the other one as target:
+    under the same actions it looks the same, and the relabelled instruction is its own."""
+    level = "playroom/lift/lift_shape_uniform"
+    one, other = (envs.make_vec(level, 1, image_size=(18, 24), max_steps=200) for _ in range(2))
+    one.report_achieved()
+    lifted = 0
+    for seed in range(3):
+        first, _ = one.reset(seed=seed)
+        other.reset(seed=seed)
+        worlds = other.worlds
+        for part in (worlds.ranks, worlds.objects, worlds.orientation, worlds.colours):
+            part[0, [0, 1]] = part[0, [1, 0]]
+        other._furnish(0)
+        other._view.begin(np.ones(1, np.bool_))
+        name = other.object_names[worlds.ranks[0, 0]]
+        other._texts[0] = f"lift a {name}"
+        other._instructions[0] = levels.VOCABULARY.encode(other._texts[0])
+        expert, seen, asked = envs.expert(level, other), [first], [other.observations()]
+        ended = False
+        while not ended:
+            actions = expert()
+            told, reward, terminated, truncated, info = one.step(actions)
+            wanted, gained, _, _, _ = other.step(actions)
+            ended = bool(terminated[0] or truncated[0])
+            seen.append(told)
+            asked.append(wanted)
+        final = info["final_info"]
+        lifted += int(gained[0])
+        assert reward[0] == 0
+        assert final["has_achieved"][0] == (gained[0] == 1)
+        if not gained[0]:
+            continue
+        goal = envs.goal(level, one)
+        for mine, theirs in zip(seen[:-1], asked[:-1], strict=True):
+            goal.write(mine, final["achieved"], np.ones(1, np.bool_))
+            assert mine["instruction"].tolist() == theirs["instruction"].tolist()
+            np.testing.assert_array_equal(mine["image"], theirs["image"])
+    assert lifted
+
+
 def test_what_is_lifted_is_named():
     """Each toy in the hand, against the text of its instruction."""
     env = envs.make_vec("playroom/lift/lift_shape_uniform", 3, image_size=(3, 4))

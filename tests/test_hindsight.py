@@ -364,14 +364,14 @@ def test_a_resumed_run_equals_an_uninterrupted_one(overrides, tmp_path):
         assert one["hindsight_episodes"].max() > 0
 
 
-def rare_success(relabelling, seed, updates=60):
+def rare_success(relabelling, seed, updates=120):
     """In the tiny gridworld: how often the rarest of three objects is reached, after IMPALA."""
-    level = "gridworld/zipf_4"
+    level = "gridworld/zipf_2"
     env = envs.make_vec(level, 32, **tiny_gridworld.WORLDS)
     spaces = env.single_observation_space, env.single_action_space
     memory = MLPOptions(name="mlp", size=32, layers=1)
     options = IMPALA.model_copy(
-        update={"learning_rate": 3e-3, "entropy_cost": 0.01, "max_gradient_norm": 1.0}
+        update={"learning_rate": 5e-3, "entropy_cost": 0.1, "max_gradient_norm": 1.0}
     )
     agent = Impala(options, Setting(*spaces, compact(), memory, seed=seed, hindsight=relabelling))
     goal = envs.goal(level, env)
@@ -381,5 +381,14 @@ def rare_success(relabelling, seed, updates=60):
     for _ in range(updates):
         agent.update(collector.collect())
     test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.WORLDS)
-    played = play(AgentPolicy(agent, seed=1, device="cpu"), test, episodes=600, seed=2)
+    played = play(AgentPolicy(agent, seed=1, device="cpu"), test, episodes=300, seed=2)
     return played["success"][played["target"] == 2].mean()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_rare_goals_are_learned_sooner(seed):
+    """The rarest of the three is asked for in one episode of twelve. Seeds 0 to 2: 0.43, 0.76 and
+    0.61, and 0.06, 0.21 and 0.30 without."""
+    changes = {"advantage": "none", "policy_cost": 0.5, "value_cost": 0.0}
+    relabelling = OPTIONS.model_copy(update=changes)
+    assert rare_success(relabelling, seed) > rare_success(NO_HINDSIGHT, seed) + 0.15
