@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
-from worlds_of import chosen, needs
+from worlds_of import chosen, hindsight_of, needs
 
 import zipf.envs
 from zipf import envs
@@ -29,7 +29,8 @@ CONDITIONS_OF_TABLES = command_line.choices("condition")
 def test_every_choice_goes_with_every_experiment(experiment, group, choice):
     """Its network is built, too, without weights."""
     overrides = [f"experiment={experiment}", f"{group}={choice}"]
-    if lacking := needs(experiment, **({group: choice} if group == "auxiliary" else {})):
+    depends = {group: choice} if group in ("auxiliary", "hindsight") else {}
+    if lacking := needs(experiment, **depends):
         with pytest.raises(UserError, match=lacking):
             command_line.load(overrides)
         return
@@ -51,7 +52,7 @@ def test_every_condition_goes_with_every_experiment(experiment, condition):
     """And where it cannot, one line says why and what can be."""
     overrides = [f"experiment={experiment}", f"condition={condition}"]
     agent, memory, auxiliary = chosen(experiment, condition)
-    if lacking := needs(experiment, agent, auxiliary):
+    if lacking := needs(experiment, agent, auxiliary, hindsight_of(condition)):
         with pytest.raises(UserError, match=lacking) as error:
             command_line.load(overrides)
         assert len(str(error.value).splitlines()) == 1

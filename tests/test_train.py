@@ -27,7 +27,7 @@ from conftest import (
     run,
     untimed,
 )
-from worlds_of import chosen, needs
+from worlds_of import chosen, hindsight_of, needs
 
 import zipf.envs.family
 from zipf import envs, evaluate
@@ -45,7 +45,7 @@ def folder_of(arguments: list[str]) -> Path:
 
 def possible(experiment: str, condition: str) -> bool:
     agent, _, auxiliary = chosen(experiment, condition)
-    return needs(experiment, agent, auxiliary) is None
+    return needs(experiment, agent, auxiliary, hindsight_of(condition)) is None
 
 
 def trained() -> list[tuple[str, str]]:

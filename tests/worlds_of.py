@@ -27,14 +27,32 @@ def asks(split):
     return True
 
 
-def needs(experiment, agent="impala", auxiliary="none"):
+@cache
+def achieves(experiment):
+    """Whether the worlds of an experiment tell what an episode has achieved."""
+    worlds = composing.composed(f"experiment={experiment}").values["environment"]
+    options = {name: value for name, value in worlds.items() if name != "split"}
+    env = envs.make_vec(envs.split(worlds["split"]).uniform[0], 1, **options)
+    env.close()
+    return env.achieves
+
+
+def needs(experiment, agent="impala", auxiliary="none", hindsight="none"):
     """What worlds of this experiment lack for it, in the words of the message; None for nothing."""
     split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
     if agents()[agent].answers_questions and not asks(split):
         return f"splits with such questions: {', '.join(filter(asks, envs.all_splits()))}"
     if auxiliary == "vision_language" and not speaks(experiment):
         return "needs an instruction"
+    if hindsight != "none" and not achieves(experiment):
+        return "do not tell what an episode has achieved"
     return None
+
+
+def hindsight_of(condition):
+    """What a condition's file chooses as hindsight."""
+    entries = composing.condition_file(condition)["defaults"]
+    return next((e["override /hindsight"] for e in entries if "override /hindsight" in e), "none")
 
 
 def chosen(experiment, condition):

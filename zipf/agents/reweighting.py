@@ -73,9 +73,9 @@ class GoalWeights:
         parts = goals[mask].astype(np.int64).view(np.uint64)
         if len(self._factors) != parts.shape[1]:  # the same in every process
             rng = np.random.default_rng(0)
-            self._factors = rng.integers(2**64, size=parts.shape[1], dtype=np.uint64)
+            self._factors = rng.integers(2**64, size=parts.shape[1:], dtype=np.uint64)
         # Multilinear hashing: the high bits of sum_i factor_i * part_i mod 2^64 are universal.
-        hashes = (parts * self._factors).sum(1, dtype=np.uint64) >> np.uint64(32)
+        hashes = np.add.reduce(parts * self._factors, axis=1) >> np.uint64(32)
         size = np.uint64(len(self.counts))
         self.counters[mask] = (hashes * size >> np.uint64(32)).astype(np.int64)
         np.add.at(self.counts, self.counters[mask], 1)
