@@ -21,6 +21,7 @@ from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions, hindsight_loss
 from zipf.agents.impala import Impala
 from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
+from zipf.agents.reweighting import InverseCountOptions
 from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import hindsight, runner
@@ -392,3 +393,17 @@ def test_rare_goals_are_learned_sooner(seed):
     changes = {"advantage": "none", "policy_cost": 0.5, "value_cost": 0.0}
     relabelling = OPTIONS.model_copy(update=changes)
     assert rare_success(relabelling, seed) > rare_success(NO_HINDSIGHT, seed) + 0.15
+
+
+def test_relabelled_episodes_in_replay_have_the_weight_one():
+    """Where the other frames are weighed; with the empty rows, which have no error, at 0."""
+    reweighting = InverseCountOptions(
+        name="inverse_count", power=1.0, largest_weight=9.0, table_size=64
+    )
+    options = OPTIONS.model_copy(update={"length": 13, "episodes": 3})
+    made = build("r2d2", hindsight=options, reweighting=reweighting)
+    made._insert_episodes(episodes_of([4, 2], actions=2))
+    items, _, _ = made.replay.sample(8)
+    inside = (items["steps", "weight"] == 1).sum(1).tolist()
+    assert set(inside) == {4, 2}
+    assert np.isfinite(made._learn(items, torch.ones(8))[0]["loss"])
