@@ -44,7 +44,8 @@ def config_of(folder, *overrides):
 
 def copied(unroll):
     final = None if unroll.final is None else unroll.final.clone()
-    return Unroll(unroll.steps.clone(), unroll.memory, unroll.late_memory, final)
+    rest = unroll.memory, unroll.late_memory, final, unroll.episodes
+    return Unroll(unroll.steps.clone(), *rest)
 
 
 def in_turn(config, updates):
@@ -124,7 +125,8 @@ def test_a_resumed_run_equals_an_uninterrupted_one(stop, tmp_path):
     assert_equal(learned(whole.folder), learned(cut.folder))
     one, other = (untimed(config.folder / "metrics.csv") for config in (whole, cut))
     pd.testing.assert_frame_equal(one, other)
-    assert learned(whole.folder)["overlap"].keys() == {*("steps", "memory", "late_memory", "final")}
+    parts = {*("steps", "memory", "late_memory", "final", "episodes")}
+    assert learned(whole.folder)["overlap"].keys() == parts
 
 
 def test_evaluation_uses_what_was_learned(tmp_path):

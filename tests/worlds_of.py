@@ -27,7 +27,17 @@ def asks(split):
     return True
 
 
-def needs(experiment, agent="impala", auxiliary="none", augmentation="none", **_):
+@cache
+def achieves(experiment):
+    """Whether the worlds of an experiment tell what an episode has achieved."""
+    worlds = composing.composed(f"experiment={experiment}").values["environment"]
+    options = {name: value for name, value in worlds.items() if name != "split"}
+    env = envs.make_vec(envs.split(worlds["split"]).uniform[0], 1, **options)
+    env.close()
+    return env.achieves
+
+
+def needs(experiment, agent="impala", auxiliary="none", augmentation="none", hindsight="none", **_):
     """What worlds of this experiment lack for it, in the words of the message; None for nothing."""
     split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
     if agents()[agent].answers_questions and not asks(split):
@@ -36,6 +46,8 @@ def needs(experiment, agent="impala", auxiliary="none", augmentation="none", **_
         return "needs an instruction"
     if augmentation != "none" and envs.family_of_split(split).symmetries is None:
         return "declare no symmetries"
+    if hindsight != "none" and not achieves(experiment):
+        return "do not tell what an episode has achieved"
     return None
 
 

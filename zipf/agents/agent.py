@@ -39,9 +39,11 @@ import zipf.options
 from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions
 from zipf.agents.critics import SCALAR, CriticOptions
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions
+from zipf.agents.hindsight import NO_HINDSIGHT, HindsightOptions
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso
+from zipf.agents.reweighting import NO_REWEIGHTING, ReweightingOptions
 from zipf.agents.unroll import Unroll
 
 
@@ -59,6 +61,8 @@ class Setting:
         precision: "float32", or "bfloat16" for automatic mixed precision.
         folder: where the agent may keep files; None where there is no such place.
         updates_between_checkpoints: at most.
+        reweighting: unrolls have weights of their frames, unless it is "none".
+        hindsight: unrolls have relabelled episodes, unless it is "none".
     """
 
     observation_space: gym.spaces.Dict
@@ -75,6 +79,8 @@ class Setting:
     precision: Literal["float32", "bfloat16"] = "float32"
     folder: Path | None = None
     updates_between_checkpoints: int = 0
+    reweighting: ReweightingOptions = NO_REWEIGHTING
+    hindsight: HindsightOptions = NO_HINDSIGHT
 
 
 class Agent(ABC):
@@ -86,6 +92,8 @@ class Agent(ABC):
         any_critic: whether it learns returns as `setting.critic` says; if not, as a scalar or not
             at all.
         episodic_memory: whether it reads and writes the dictionary of `setting.episodic`.
+        weighted_losses: whether it multiplies the loss of a frame by the unroll's `weight`.
+        learns_from_hindsight: whether it learns from the unroll's relabelled `episodes`.
         largest_lag: how many unrolls collection may run ahead of learning.
         answers_questions: whether it is asked about an episode's first frame instead of acting.
         burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
@@ -106,6 +114,8 @@ class Agent(ABC):
     auxiliary_losses: ClassVar[bool] = False
     any_critic: ClassVar[bool] = False
     episodic_memory: ClassVar[bool] = False
+    weighted_losses: ClassVar[bool] = False
+    learns_from_hindsight: ClassVar[bool] = False
     largest_lag: ClassVar[int] = 0
     answers_questions: ClassVar[bool] = False
     burn_in: int = 0
@@ -116,12 +126,7 @@ class Agent(ABC):
 
     def __init__(self, options: Any, setting: Setting):
         wrong = list(self.problems(options, setting.num_envs, setting.unroll_length))
-        if setting.auxiliary.name != NO_AUXILIARY.name and not self.auxiliary_losses:
-            wrong.append(no_auxiliary_losses(options.name, setting.auxiliary.name))
-        if setting.critic != SCALAR and not self.any_critic:
-            wrong.append(no_other_critic(options.name, setting.critic.name))
-        if setting.episodic != NO_EPISODIC and not self.episodic_memory:
-            wrong.append(no_episodic_memory(options.name, setting.episodic.name))
+        wrong += self.lacks(options.name, setting)
         if wrong:
             raise ValueError("\n".join(wrong))
         self.options = options
@@ -140,6 +145,28 @@ class Agent(ABC):
             num_envs, unroll_length: B and T of the unrolls that the agent would learn from.
         """
         yield from ()
+
+    @classmethod
+    def lacks(cls, name: str, chosen: Any) -> Iterator[str]:
+        """What an agent of this name cannot do of what was chosen, a line for each.
+
+        Args:
+            chosen: has the options of these parts, as a `Setting` does.
+        """
+        for part, plain, capability, lacking in (
+            ("auxiliary", NO_AUXILIARY, "auxiliary_losses", "has no auxiliary losses"),
+            ("critic", SCALAR, "any_critic", "learns no distribution of returns"),
+            ("episodic", NO_EPISODIC, "episodic_memory", "has no episodic memory"),
+            ("reweighting", NO_REWEIGHTING, "weighted_losses", "does not weigh its losses"),
+            ("hindsight", NO_HINDSIGHT, "learns_from_hindsight", "does not learn from hindsight"),
+        ):
+            choice = getattr(chosen, part)
+            if choice.name != plain.name and not getattr(cls, capability):
+                others = [key for key, other in agents().items() if getattr(other, capability)]
+                yield (
+                    f"{part}={choice.name}: agent={name} {lacking}; choose {part}={plain.name}, or "
+                    f"agent={' or '.join(others)}"
+                )
 
     def initial_memory(self, batch: int) -> State:
         """The memory before the first frame of `batch` worlds, {name: [B, ...]}; empty for an agent
@@ -226,33 +253,6 @@ class Agent(ABC):
                 "compile=true: compiles image encoders, and this agent has none; "
                 "choose compile=false"
             )
-
-
-def no_auxiliary_losses(agent: str, auxiliary: str) -> str:
-    """The error message where an agent that adds no auxiliary losses is given one."""
-    others = [name for name, other in agents().items() if other.auxiliary_losses]
-    return (
-        f"auxiliary={auxiliary}: agent={agent} has no auxiliary losses; choose auxiliary=none, or "
-        f"agent={' or '.join(others)}"
-    )
-
-
-def no_other_critic(agent: str, critic: str) -> str:
-    """The error message where an agent that has a scalar critic, or none, is given another."""
-    others = [name for name, other in agents().items() if other.any_critic]
-    return (
-        f"critic={critic}: agent={agent} learns no distribution of returns; choose critic=scalar, "
-        f"or agent={' or '.join(others)}"
-    )
-
-
-def no_episodic_memory(agent: str, episodic: str) -> str:
-    """The error message where an agent without episodic memory is given one."""
-    others = [name for name, other in agents().items() if other.episodic_memory]
-    return (
-        f"episodic={episodic}: agent={agent} has no episodic memory; choose episodic=none, or "
-        f"agent={' or '.join(others)}"
-    )
 
 
 _AGENTS: dict[str, type[Agent]] = {}

@@ -5,9 +5,9 @@ optimiser step per unroll on
 
     -mean_{t,b}[ log pi(label_t|x_t) ]
 
-plus the auxiliary loss and that of episodic memory. The agent is not told of rewards other than by
-its inputs. Where the teacher acts in all steps (`teacher_share` 1) this is behavioural cloning
-(Pomerleau 1991).
+each frame's term times its weight if it has one, plus the auxiliary loss and that of episodic
+memory. The agent is not told of rewards other than by its inputs. Where the teacher acts in all
+steps (`teacher_share` 1) this is behavioural cloning (Pomerleau 1991).
 
 Scores show what a long tail costs an agent that need not explore; they are not those of
 reinforcement learning.
@@ -29,6 +29,7 @@ from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary,
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
+from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
 
@@ -83,6 +84,7 @@ class Imitation(Agent):
     Options = ImitationOptions
     auxiliary_losses = True
     episodic_memory = True
+    weighted_losses = True
     largest_lag = 1  # labels do not depend on the weights that acted
     options: ImitationOptions
     actor: Policy
@@ -162,7 +164,8 @@ class Imitation(Agent):
             auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, core)
             episodic_loss, episodic_metrics = self.recorder(self.network.encoder)
         logits, label = outputs[:-1], steps["label"][:-1]
-        imitation_loss = F.cross_entropy(logits.flatten(0, 1), label.flatten())
+        losses = F.cross_entropy(logits.flatten(0, 1), label.flatten(), reduction="none")
+        imitation_loss = weighted(losses.view_as(label), steps[:-1]).mean()
         loss = imitation_loss + auxiliary_loss + episodic_loss
 
         self.optimiser.zero_grad()

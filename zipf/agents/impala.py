@@ -4,8 +4,9 @@ The actor samples from the policy; the learner takes one optimiser step per unro
 
     mean_{t,b}[ -log pi(a_t|x_t) A_t + c_b/2 (v_t - V(x_t))^2 + c_e sum_a pi log pi ]
 
-with v_t and A_t from V-trace, plus the auxiliary loss (`zipf.agents.auxiliary`) and that of
-episodic memory (`zipf.agents.episodic`).
+with v_t and A_t from V-trace, each frame's terms times its weight if it has one, plus the losses of
+auxiliary tasks (`zipf.agents.auxiliary`), of episodic memory (`zipf.agents.episodic`) and of
+relabelled episodes (`zipf.agents.hindsight`).
 
 With a critic that learns a distribution (`zipf.agents.critics`) its loss against v_t takes the
 place of (v_t - V)^2 / 2, and its risk measure that of V: V-trace bootstraps from it and subtracts
@@ -25,9 +26,11 @@ from torch import Tensor
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.episodic import build_recorder
+from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, autocast
 from zipf.agents.returns import vtrace
+from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
 
@@ -62,6 +65,8 @@ class Impala(Agent):
     auxiliary_losses = True
     any_critic = True
     episodic_memory = True
+    weighted_losses = True
+    learns_from_hindsight = True
     largest_lag = 1  # V-trace corrects for it
     options: ImpalaOptions
     actor: ActorCritic
@@ -166,11 +171,19 @@ class Impala(Agent):
             clip_c=o.clip_c,
             lambda_=o.trace_lambda,
         )
-        policy_loss = -(log_pi * returns.advantages).mean()
-        baseline_loss = self.network.critic.loss(outputs.baseline[:-1], returns.targets).mean()
-        entropy = -(log_policy.exp() * log_policy).sum(-1).mean()
+        policy_loss = -weighted(log_pi * returns.advantages, steps).mean()
+        errors = self.network.critic.loss(outputs.baseline[:-1], returns.targets)
+        baseline_loss = weighted(errors, steps).mean()
+        entropy = -weighted((log_policy.exp() * log_policy).sum(-1), steps).mean()
         loss = policy_loss + o.baseline_cost * baseline_loss - o.entropy_cost * entropy
-        loss = loss + auxiliary_loss + episodic_loss
+        relabelled_loss, relabelled_metrics = hindsight_loss(
+            self.network,
+            unroll.episodes,
+            self.setting.hindsight,
+            discount=o.discount,
+            precision=self.precision,
+        )
+        loss = loss + auxiliary_loss + episodic_loss + relabelled_loss
 
         self.optimiser.zero_grad()
         loss.backward()
@@ -192,6 +205,7 @@ class Impala(Agent):
             "importance_ratio": (log_pi - log_mu).exp().mean(),
             **auxiliary_metrics,
             **episodic_metrics,
+            **relabelled_metrics,
         }
         return {name: metric.item() for name, metric in metrics.items()}
 

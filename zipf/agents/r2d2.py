@@ -8,7 +8,8 @@ up to date; then, on the T rows of the unroll, the online network takes one opti
     mean_{t,b} w_b 1/2 (h(G_t) - Q(x_t, a_t))^2
 
 with G_t the lambda-return over h^-1(Q-(x_t+1, argmax_a Q(x_t+1, a))), Q- the target network, h the
-rescaling of values and w_b the importance weight of the sequence. Its next priority is
+rescaling of values and w_b the importance weight of the sequence, times the frame's own if it has
+one. The sequence's next priority is
 eta max_t |h(G_t) - Q| + (1 - eta) mean_t |h(G_t) - Q|.
 
 With a critic that learns a distribution (`zipf.agents.critics`), it is that of the rescaled returns
@@ -22,6 +23,9 @@ Where an episode is truncated after a_t, x_t+1 is the observation that it was cu
 networks read it with the memory that they have after x_t. A sequence has room for
 `final_observations` of these. A step without one has no error, and the returns of the steps before
 it bootstrap from x_t.
+
+Relabelled episodes (`zipf.agents.hindsight`) enter replay as sequences, too, cut from their first
+frame on. The memory before a sequence is that of the network as it is when they do.
 """
 
 from __future__ import annotations
@@ -39,10 +43,12 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.critics import SCALAR, CriticOptions, build_critic
+from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
 from zipf.agents.returns import lambda_returns, rescale, unrescale
+from zipf.agents.reweighting import NO_REWEIGHTING, weighted
 from zipf.agents.truncations import Finals
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
@@ -156,6 +162,8 @@ class R2D2(Agent):
 
     Options = R2D2Options
     any_critic = True
+    weighted_losses = True
+    learns_from_hindsight = True
     largest_lag = 1  # replay is off-policy anyway
     options: R2D2Options
     actor: DuelingQ
@@ -184,6 +192,15 @@ class R2D2(Agent):
             yield (
                 f"agent.replay_min={options.replay_min}: should be at most "
                 f"agent.replay_capacity={options.replay_capacity}"
+            )
+
+    @classmethod
+    def lacks(cls, name: str, chosen: Any) -> Iterator[str]:
+        yield from super().lacks(name, chosen)
+        if isinstance(chosen.hindsight, AchievedOptions) and chosen.hindsight.length is None:
+            yield (
+                f"hindsight.length=null: agent={name} needs a whole number, the frames of an "
+                "episode that its replay has room for"
             )
 
     def __init__(self, options: R2D2Options, setting: Setting):
@@ -219,6 +236,17 @@ class R2D2(Agent):
         self.epsilon = torch.full((self.num_envs,), options.epsilon, dtype=torch.float64)
         if options.epsilon_ladder and self.num_envs > 1:
             self.epsilon **= 1 + LADDER * torch.arange(self.num_envs) / (self.num_envs - 1)
+        self._inserts = setting.num_envs  # sequences of an update, at most
+        if isinstance(setting.hindsight, AchievedOptions) and setting.hindsight.length:
+            cuts = -(-setting.hindsight.length // setting.unroll_length)
+            self._inserts += cuts * setting.hindsight.episodes
+            if setting.hindsight.episodes > options.replay_capacity:
+                raise ValueError(
+                    f"hindsight.episodes={setting.hindsight.episodes}: should be at most "
+                    f"agent.replay_capacity={options.replay_capacity}"
+                )
+        weight = {} if setting.reweighting == NO_REWEIGHTING else {"weight": torch.float32}
+        self._fields = STEP | weight
         self.steps = 0  # of the optimiser
         self.replay: Replay | None = None
         self._prefix: TensorDict | None = None  # [burn_in, B], the rows before the next unroll
@@ -260,7 +288,7 @@ class R2D2(Agent):
 
         o = self.options
         rows = self.burn_in + self.unroll_length + 1
-        item = {"steps": self._empty(rows, STEP)}
+        item = {"steps": self._empty(rows, self._fields)}
         if o.final_observations:
             item["final"] = self._empty(o.final_observations, FINAL)
         memory = {name: part[0].cpu() for name, part in self.initial_memory(1).items()}
@@ -270,7 +298,7 @@ class R2D2(Agent):
             priority_exponent=o.priority_exponent,
             importance_exponent=o.importance_exponent,
             folder=self.replay_folder if o.storage == "memmap" else None,
-            spare=self.setting.updates_between_checkpoints * self.num_envs,
+            spare=self.setting.updates_between_checkpoints * self._inserts,
             seed=self.setting.seed,
         )
         if o.storage == "memmap":
@@ -296,6 +324,8 @@ class R2D2(Agent):
         """
         assert self.replay is not None, "begin_learning() comes first"
         self._insert(unroll)
+        if unroll.episodes is not None:
+            self._insert_episodes(unroll.episodes)
         metrics = dict.fromkeys(METRICS, float("nan"))
         if len(self.replay) >= self.options.replay_min:
             items, index, weights = self.replay.sample(self.batch_size)
@@ -313,7 +343,7 @@ class R2D2(Agent):
         if self.final_observations:
             assert unroll.final is not None
             item["final"] = unroll.final.cpu().transpose(0, 1)
-        steps = unroll.steps.select("observation", *STEP)
+        steps = unroll.steps.select("observation", *self._fields)
         steps["reward"] = unroll.steps["reward"] + unroll.steps["bonus"]
         steps = steps.cpu()
         memory = unroll.memory
@@ -328,7 +358,49 @@ class R2D2(Agent):
             steps = torch.cat([prefix, steps])
         item["steps"] = steps.transpose(0, 1)
         item["memory"] = TensorDict({k: v.cpu() for k, v in memory.items()}, self.num_envs)
-        items = TensorDict(item, self.num_envs)
+        self._store(TensorDict(item, self.num_envs))
+
+    def _insert_episodes(self, episodes: TensorDict) -> None:
+        """Puts relabelled episodes [L, E] into replay, as sequences.
+
+        The rows before an episode's first and behind its last are empty: an episode begins and is
+        truncated in each of them, at an observation that is not there, so that they have no error.
+        """
+        rows, count = episodes.shape
+        length, burn_in = self.unroll_length, self.burn_in
+        cuts = -(-rows // length)
+        steps = self._empty(burn_in + cuts * length + 1, self._fields)
+        steps["previous_action"].fill_(-1)
+        steps["is_first"].fill_(True)
+        steps["truncated"].fill_(True)
+        steps = steps.unsqueeze(1).expand(len(steps), count).clone()
+        if "weight" in self._fields:
+            episodes = episodes.clone(recurse=False)
+            episodes["weight"] = episodes["mask"].float()
+        steps[burn_in : burn_in + rows] = episodes.select("observation", *self._fields).cpu()
+        steps["truncated"][burn_in : burn_in + rows] |= ~episodes["mask"].cpu()
+        lengths = episodes["mask"].sum(0).cpu()
+        memory = self.initial_memory(count)
+        for cut in range(cuts):
+            start = cut * length  # of the burn-in's rows, in `steps`
+            there = (lengths > start).nonzero().flatten()
+            item = {"steps": steps[start : start + burn_in + length + 1, there].transpose(0, 1)}
+            before = {name: part.cpu()[there] for name, part in memory.items()}
+            item["memory"] = TensorDict(before, len(there))
+            if self.final_observations:
+                finals = self._empty(self.final_observations, FINAL)
+                finals["step"].fill_(-1)
+                shape = len(there), self.final_observations
+                item["final"] = finals.unsqueeze(0).expand(shape).clone()
+            self._store(TensorDict(item, len(there)))
+            following = steps[max(start, burn_in) : start + length].to(self.device)
+            if cut + 1 < cuts and len(following):  # those until the next sequence's burn-in
+                with torch.no_grad(), autocast(self.device, self.precision):
+                    _, memory = self.network(Inputs.of(following), memory)
+
+    def _store(self, items: TensorDict) -> None:
+        """Puts sequences [N] into replay."""
+        assert self.replay is not None
         index = self.replay.insert(items)
         if self.options.fresh_priority == "error":
             with torch.no_grad():
@@ -339,7 +411,8 @@ class R2D2(Agent):
         """One optimiser step on sequences [B]; the metrics, and new priorities float32 [B]."""
         o = self.options
         losses, errors, values = self._losses(items)
-        loss = (weights * losses).mean()
+        steps = items["steps"].transpose(0, 1)[self.burn_in : -1]
+        loss = weighted(weights * losses, steps).mean()
 
         self.optimiser.zero_grad()
         loss.backward()

@@ -7,7 +7,9 @@ other is right. Where both are right, because the two objects are the same, the 
 
 An update learns from num_envs x unroll_length first frames, each of an episode of its own. That is
 as many images as the agents that act learn from in an update, so that frames, updates and times
-compare; the paper does not give the size of its classifier's batches.
+compare; the paper does not give the size of its classifier's batches. Frames with weights have
+their losses multiplied by them. The two answers are equally likely, whatever is asked for: there is
+no imbalance of labels to correct, as by adjusted logits (Menon et al. 2021).
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
+from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
 
@@ -72,6 +75,7 @@ class Supervised(Agent):
 
     Options = SupervisedOptions
     largest_lag = 1  # its answers in training do not depend on what it has learned
+    weighted_losses = True
     answers_questions = True
     options: SupervisedOptions
     actor: Classifier
@@ -127,7 +131,8 @@ class Supervised(Agent):
         label = torch.where(steps["reward"] > 0, steps["action"], 1 - steps["action"])
         with autocast(self.device, self.precision):
             logits = self.network(Inputs.of(steps), unroll.memory)
-        loss = F.cross_entropy(logits.flatten(0, 1), label.flatten())
+        losses = F.cross_entropy(logits.flatten(0, 1), label.flatten(), reduction="none")
+        loss = weighted(losses.view_as(label), steps).mean()
 
         self.optimiser.zero_grad()
         loss.backward()

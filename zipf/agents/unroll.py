@@ -25,6 +25,7 @@ class Unroll:
         terminated: bool, the episode ended for good after the action
         truncated: bool, the episode was cut after the action
         label: int64, the teacher's action; only for agents with a `teacher`
+        weight: float32, of the frame in the loss; only with `reweighting`
         truncation_value: float32, the behaviour's value of the observation it was cut at, else 0
         and what the agent's `act` returned beside the action (IMPALA: `logits` float32 [actions])
     In row T only the first four are valid; the others are in row 0 of the next unroll.
@@ -39,16 +40,26 @@ class Unroll:
         previous_action: int64, the action of that row
         previous_reward: float32, the task reward of that row
         is_first: bool, False
+
+    `episodes`, a TensorDict [L, E] with hindsight, holds whole episodes that ended in the unroll,
+    relabelled with what they achieved; None where there are none. Row 0 is their first frame:
+        observation, previous_action, previous_reward, action, reward, as in `steps`
+        mask: bool, False behind the end of an episode that is shorter than L
+        is_first: bool, row 0 and behind the end
+        terminated: bool, the last step
+        truncated: bool, False
     """
 
     steps: TensorDict
     memory: State
     late_memory: State | None = None
     final: TensorDict | None = None
+    episodes: TensorDict | None = None
 
     def to(self, device: str) -> Unroll:
         """The same on another device."""
         memory: dict[str, Tensor] = {k: v.to(device) for k, v in self.memory.items()}
         late = self.late_memory and {k: v.to(device) for k, v in self.late_memory.items()}
         final = None if self.final is None else self.final.to(device, non_blocking=True)
-        return Unroll(self.steps.to(device, non_blocking=True), memory, late, final)
+        episodes = None if self.episodes is None else self.episodes.to(device)
+        return Unroll(self.steps.to(device, non_blocking=True), memory, late, final, episodes)

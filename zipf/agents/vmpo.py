@@ -10,9 +10,12 @@ the gradient, the loss is the sum of (their equations 3 to 6)
     L_alpha = mean_D[ alpha (epsilon_alpha - sg(KL)) + sg(alpha) KL ]    KL = KL(pi_target || pi)
     L_V     = mean_D[ (V(x) - G)^2 ] / 2
 
-plus the auxiliary loss (`zipf.agents.auxiliary`). With a critic that learns a distribution
-(`zipf.agents.critics`) its loss takes the place of L_V, and its risk measure that of V, in
-advantages and where returns bootstrap. The temperature eta and the multiplier alpha are
+plus the auxiliary loss (`zipf.agents.auxiliary`) and that of relabelled episodes
+(`zipf.agents.hindsight`). With a critic that learns a distribution (`zipf.agents.critics`) its loss
+takes the place of L_V, and its risk measure that of V, in advantages and where returns bootstrap.
+Where frames have weights w, all is as if they had been drawn w times: sums and means over D and D~
+are weighted by w, psi is proportional to w exp(A / eta), and D~ is chosen as without them. The
+temperature eta and the multiplier alpha are
 learned by an optimiser of their own, and projected to be positive after each of its steps, as in
 the paper.
 """
@@ -29,9 +32,11 @@ from torch import Tensor, nn
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, autocast
 from zipf.agents.returns import bootstrapped_returns
+from zipf.agents.reweighting import NO_REWEIGHTING, weighted
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
 
@@ -71,6 +76,8 @@ class VMPO(Agent):
     Options = VMPOOptions
     auxiliary_losses = True
     any_critic = True
+    weighted_losses = True
+    learns_from_hindsight = True
     options: VMPOOptions
     actor: ActorCritic
 
@@ -171,14 +178,24 @@ class VMPO(Agent):
             actions=steps["action"],
             values=outputs.value[:-1].detach(),
             returns=returns,
+            weights=steps["weight"] if self.setting.reweighting != NO_REWEIGHTING else None,
             eta=self.duals["eta"],
             alpha=self.duals["alpha"],
             epsilon_eta=o.epsilon_eta,
             epsilon_alpha=o.epsilon_alpha,
             top_fraction=o.top_fraction,
         )
-        baseline_loss = self.network.critic.loss(outputs.baseline[:-1], returns).mean()
+        errors = self.network.critic.loss(outputs.baseline[:-1], returns)
+        baseline_loss = weighted(errors, steps).mean()
+        relabelled_loss, relabelled_metrics = hindsight_loss(
+            self.network,
+            unroll.episodes,
+            self.setting.hindsight,
+            discount=o.discount,
+            precision=self.precision,
+        )
         loss = losses.policy + losses.eta + losses.alpha + baseline_loss + auxiliary_loss
+        loss = loss + relabelled_loss
 
         self.optimiser.zero_grad()
         self.dual_optimiser.zero_grad()
@@ -200,6 +217,7 @@ class VMPO(Agent):
             "gradient_norm": gradient_norm,
             "value": outputs.value.mean(),
             **auxiliary_metrics,
+            **relabelled_metrics,
         }
         numbers = {name: metric.item() for name, metric in metrics.items()}
 
@@ -254,6 +272,7 @@ def vmpo_losses(
     actions: Tensor,
     values: Tensor,
     returns: Tensor,
+    weights: Tensor | None = None,
     eta: Tensor,
     alpha: Tensor,
     epsilon_eta: float,
@@ -268,24 +287,31 @@ def vmpo_losses(
         actions: int64 [T, B], its actions.
         values: float32 [T, B], V of the learned network, without gradient.
         returns: float32 [T, B], G.
+        weights: float32 [T, B], those of the frames; None: all alike.
         eta, alpha: float32 [], the temperature and the multiplier of the bound on KL.
         epsilon_eta: bound on how far the weights psi may be from uniform.
         epsilon_alpha: bound on how far the learned policy may be from the target's.
         top_fraction: the fraction of the steps that the policy is fitted to.
     """
+
+    def mean(frames: Tensor) -> Tensor:
+        return (frames if weights is None else weights * frames).mean()
+
     advantages = returns - values
     top = is_top(advantages, top_fraction)
     best = advantages[top]
     # Subtracting the maximum keeps the exponentials finite and eta's gradient exact, however
     # small eta is: eta log mean exp(A / eta) = max A + eta log mean exp((A - max A) / eta).
-    scaled = (best - best.max()) / eta
-    weights = scaled.detach().softmax(0)
-    log_mean = scaled.logsumexp(0) - math.log(len(best))
+    scaled, total = (best - best.max()) / eta, float(len(best))
+    if weights is not None:
+        scaled, total = scaled + weights[top].log(), weights[top].sum().item()
+    psi = scaled.detach().softmax(0)
+    log_mean = scaled.logsumexp(0) - math.log(total)
 
     log_pi = log_policy.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
-    kl = (log_target.exp() * (log_target - log_policy)).sum(-1).mean()
+    kl = mean((log_target.exp() * (log_target - log_policy)).sum(-1))
     return VMPOLosses(
-        policy=-(weights * log_pi[top]).sum(),
+        policy=-(psi * log_pi[top]).sum(),
         eta=best.max() + eta * (epsilon_eta + log_mean),
         alpha=alpha * (epsilon_alpha - kl.detach()) + alpha.detach() * kl,
         kl=kl.detach(),

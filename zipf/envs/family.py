@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from zipf.envs.goals import Goal
     from zipf.envs.keyboard import Keys
     from zipf.envs.vector import ZipfVectorEnv
 
@@ -110,6 +111,8 @@ class Family:
         symmetries: `symmetries(observations, actions)`, of the spaces of one world, makes the ways
             in which all its worlds may be shown otherwise without changing what is right, see
             `Symmetries`; None: there are none.
+        goal: `goal(env)` is the `zipf.envs.goals.Goal` of a batch: it reads from observations what
+            an episode asks for; None: they do not say.
     """
 
     name: str
@@ -130,6 +133,7 @@ class Family:
     generalist: Callable[[Any], Player] | str | None = None
     questions: Callable[[Split], Split] | str | None = None
     symmetries: Callable[[Any, Any], Symmetries] | str | None = None
+    goal: Callable[[Any], Goal] | str | None = None
 
     @cached_property
     def options_class(self) -> type[Options]:
@@ -162,6 +166,10 @@ class Family:
         from zipf.envs.single import SingleWorld
 
         return SingleWorld(_loaded(self.make_vec), level=level, **kwargs)
+
+    def make_goal(self, env: ZipfVectorEnv) -> Goal | None:
+        """What reads the goals of a batch of the family from its observations; None: nothing."""
+        return None if self.goal is None else _loaded(self.goal)(env)
 
     def register_with_gymnasium(self) -> None:
         """Makes `gymnasium.make(id, level=...)` and `gymnasium.make_vec` work."""
@@ -404,6 +412,17 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> Player | None:
     found, _ = find_level(level)
     make = getattr(found, name)
     return None if make is None else _loaded(make)(env)
+
+
+def goal(level: str, env: ZipfVectorEnv) -> Goal | None:
+    """What reads from observations of worlds that `make_vec` made of a level what an episode asks
+    for; None in a family that does not say.
+
+    Raises:
+        ValueError: for an unknown level.
+    """
+    found, _ = find_level(level)
+    return found.make_goal(env)
 
 
 def questions(split: Split) -> Split:

@@ -134,6 +134,7 @@ class Mixture(ZipfVectorEnv):
             situation |= first.situation
         self.metadata = first.metadata
         self.reports_success = all(batch.reports_success for batch in self.batches)
+        self.achieves = all(batch.achieves for batch in self.batches)
         super().__init__(
             num_envs,
             single_observation_space=first.single_observation_space,
@@ -338,6 +339,16 @@ class Mixture(ZipfVectorEnv):
             for own, mask in parts:
                 np.copyto(joined[name], own[name], where=mask)
         return joined
+
+    def _achieved(self, ended: NDArray[np.bool_]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        parts = [(batch._achieved(part), part) for batch, part in self._parts(ended)]
+        if len(parts) == 1:
+            return parts[0][0]
+        goals, has = (np.zeros_like(array) for array in parts[0][0])
+        for (own, own_has), part in parts:
+            np.copyto(goals, own, where=part[:, None])
+            np.copyto(has, own_has, where=part)
+        return goals, has
 
     def _get_worlds(self) -> dict[str, NDArray[Any]]:
         state = {"levels": self.levels_of_worlds} if self.draw == "resets" else {}

@@ -66,6 +66,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     Attributes:
         reports_success: whether episodes end with a success or a failure. Where it is False,
             `success` is left out of all infos.
+        achieves: whether the family tells what an episode has achieved, see `report_achieved`.
 
     Raises:
         ValueError: for an argument out of range, or an action space other than a `Discrete` that
@@ -76,6 +77,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     single_action_space: spaces.Discrete
     situation: dict[str, int]
     reports_success: bool = True
+    achieves: bool = False
 
     def __init__(
         self,
@@ -120,6 +122,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self._returns = np.zeros(num_envs, dtype=np.float64)
         self._restarted = np.zeros(num_envs, dtype=np.bool_)
         self._all_running = False
+        self._reports_achieved = False
         self._everywhere = np.ones(num_envs, dtype=np.bool_)
         self._unforced = np.full((len(self.situation), num_envs), -1, dtype=np.int64)
         self._shapes = {
@@ -186,6 +189,16 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         Their names differ from those of the situation and do not begin with an underscore.
         """
         return {}
+
+    def _achieved(self, ended: NDArray[np.bool_]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """What the episodes have achieved that have just ended in the worlds of `ended`; for
+        families with `achieves`.
+
+        Returns goals [N, K], as the family's `Goal` reads them, fresh, and bool [N], where there is
+        one: an episode that had asked for it would be a success by now. Of an episode that is a
+        success it is what was asked for.
+        """
+        raise NotImplementedError
 
     @abstractmethod
     def _get_worlds(self) -> dict[str, NDArray[Any]]:
@@ -314,6 +327,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             }
             if self.reports_success:
                 outcome["success"] = success
+            if self._reports_achieved:
+                outcome["achieved"], outcome["has_achieved"] = self._achieved(done)
             if same_step:
                 info = {"final_info": {**now, **outcome}, "_final_info": done}
                 if final is not None:
@@ -329,6 +344,18 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 self._all_running = False
         self._observe(observation, self._everywhere)
         return observation, reward, terminated, truncated, info
+
+    def report_achieved(self) -> None:
+        """From now on the outcome of an episode has two entries more: `achieved` [N, K], the goal
+        that it would have been a success for, in the code of the family's `zipf.envs.goals.Goal`,
+        valid where `has_achieved` (bool [N]) is set.
+
+        Raises:
+            ValueError: these worlds do not tell what an episode has achieved.
+        """
+        if not self.achieves:
+            raise ValueError("these worlds do not tell what an episode has achieved")
+        self._reports_achieved = True
 
     def observations(self, out: Observation | None = None) -> Observation:
         """The current observations, written as by `step`; for use after `set_state`."""

@@ -110,12 +110,37 @@ class Augmentation:
 
     def observe(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> None:
         """Changes the worlds' observations `{name: [N, ...]}`, in place, where `mask` [N]."""
+        self._observe(observation, mask, self._symmetry, self._order, self._shift, self._centre)
+
+    def _observe(
+        self,
+        observation: dict[str, NDArray],
+        mask: NDArray[np.bool_],
+        symmetry: NDArray[np.int64],
+        order: NDArray[np.int64],
+        shift: NDArray[np.int64],
+        centre: NDArray[np.float64],
+    ) -> None:
         if self.symmetries is not None:
-            self.symmetries(observation, self._symmetry, mask)
+            self.symmetries(observation, symmetry, mask)
         if self._change_images:
             for name in self.images:
-                image = observation[name]
-                _change(image, mask, self._order, self._shift, self._centre, self.options.cutout)
+                _change(observation[name], mask, order, shift, centre, self.options.cutout)
+
+    def observe_episode(self, observation: dict[str, NDArray], world: int) -> None:
+        """Changes the observations `{name: [frames, ...]}` of the running episode of one world, in
+        place."""
+        frames = len(next(iter(observation.values())))
+        everywhere = np.ones(frames, np.bool_)
+
+        def repeated(drawn: NDArray) -> NDArray:
+            return np.repeat(drawn[world : world + 1], frames, axis=0)
+
+        self._observe(
+            observation,
+            everywhere,
+            *map(repeated, (self._symmetry, self._order, self._shift, self._centre)),
+        )
 
     def to_worlds(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
         """The worlds' actions for those of the agent, [N] -> [N]."""

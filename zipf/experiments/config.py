@@ -16,8 +16,10 @@ from zipf.agents.auxiliary import auxiliaries
 from zipf.agents.critics import CriticOptions
 from zipf.agents.episodic import EpisodicOptions
 from zipf.agents.exploration import ExplorationOptions
+from zipf.agents.hindsight import HindsightOptions
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions
+from zipf.agents.reweighting import ReweightingOptions
 from zipf.experiments.augmentation import AugmentationOptions
 from zipf.experiments.errors import UserError
 from zipf.options import Options
@@ -118,6 +120,8 @@ class Config(Options):
     episodic: EpisodicOptions
     exploration: ExplorationOptions
     augmentation: AugmentationOptions
+    reweighting: ReweightingOptions
+    hindsight: HindsightOptions
     environment: Any
     collector: CollectorOptions
     evaluation: EvaluationOptions

@@ -9,15 +9,7 @@ from typing import Any
 import torch
 
 from zipf import envs
-from zipf.agents.agent import (
-    agents,
-    no_auxiliary_losses,
-    no_episodic_memory,
-    no_other_critic,
-)
-from zipf.agents.auxiliary import NO_AUXILIARY
-from zipf.agents.critics import SCALAR
-from zipf.agents.episodic import NO_EPISODIC
+from zipf.agents.agent import agents
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.network import ActorCritic
 from zipf.experiments.augmentation import build_augmentation
@@ -40,13 +32,9 @@ def problems(config: Config) -> Iterator[str]:
         )
     agent, collector = agents()[config.agent.name], config.collector
     told = list(agent.problems(config.agent, collector.num_envs, collector.unroll_length))
-    if config.auxiliary != NO_AUXILIARY and not agent.auxiliary_losses:
-        told.append(no_auxiliary_losses(config.agent.name, config.auxiliary.name))
-    if config.critic != SCALAR and not agent.any_critic:
-        told.append(no_other_critic(config.agent.name, config.critic.name))
-    if config.episodic != NO_EPISODIC and not agent.episodic_memory:
-        told.append(no_episodic_memory(config.agent.name, config.episodic.name))
+    told += agent.lacks(config.agent.name, config)
     yield from told
+    yield from _lacks_goals(config)
     try:
         find_device(config.device)
     except UserError as error:
@@ -64,6 +52,21 @@ def problems(config: Config) -> Iterator[str]:
             f"weights; should be at most {agent.largest_lag}"
         )
     yield from (line for line in _cannot_be_built(config) if line not in told)
+
+
+def _lacks_goals(config: Config) -> Iterator[str]:
+    """Options that need to know what an episode asks for, in worlds that do not say."""
+    family = envs.family_of_split(config.environment.split)
+    if config.reweighting.name != "none" and family.goal is None:
+        yield (
+            f"reweighting={config.reweighting.name}: the worlds of {family.name} do not say what "
+            "an episode asks for; choose reweighting=none"
+        )
+    if config.hindsight.name != "none" and family.goal is None:
+        yield (
+            f"hindsight={config.hindsight.name}: the worlds of {family.name} do not say what an "
+            "episode asks for; choose hindsight=none"
+        )
 
 
 def has_instruction(environment: dict[str, Any]) -> bool:
@@ -156,6 +159,12 @@ def _try_to_build(config: Config) -> Iterator[str]:
     except MemoryError as error:
         yield f"environment: one world does not fit into RAM ({error})"
         return
+    family = envs.family_of_split(config.environment.split)
+    if config.hindsight.name != "none" and family.goal is not None and not env.achieves:
+        yield (
+            f"hindsight={config.hindsight.name}: these worlds do not tell what an episode has "
+            "achieved; choose hindsight=none"
+        )
     if lacking := list(_lacking_ram(config, env)):
         yield from lacking
         return

@@ -53,4 +53,5 @@ FAMILY = Family(
     expert="zipf.envs.gridworld.expert:Expert",
     generalist="zipf.envs.gridworld.generalist:Generalist",
     symmetries="zipf.envs.gridworld.symmetries:Symmetries",
+    goal="zipf.envs.gridworld.goal:Cue",
 )

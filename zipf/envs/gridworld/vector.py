@@ -8,6 +8,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.gridworld import kernels, looks
+from zipf.envs.gridworld.goal import cues
 from zipf.envs.gridworld.level import Level
 from zipf.envs.gridworld.render import frame
 from zipf.envs.vector import Observation, ZipfVectorEnv
@@ -21,6 +22,7 @@ class GridworldVectorEnv(ZipfVectorEnv):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 8}  # noqa: RUF012
+    achieves = True
 
     def __init__(
         self,
@@ -96,6 +98,15 @@ class GridworldVectorEnv(ZipfVectorEnv):
             "map": self._worlds[:, kernels.MAP].copy(),
             "target": self._worlds[:, kernels.TARGET].copy(),
         }
+
+    def _achieved(self, ended: NDArray[np.bool_]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """The cue of the object that was touched."""
+        map, _, row, column = self._worlds.T
+        codes = self.level.maps.boards[map, row, column]
+        has = ended & (codes >= looks.FIRST_LOOK)
+        goals = cues(codes, self.level.observation)
+        goals[~has] = 0
+        return goals, has
 
     def _engine(self) -> Hashable:
         return self.level.maps, self.level.max_steps, self.level.observation

@@ -37,4 +37,5 @@ FAMILY = Family(
     appearance=frozenset({"image_size"}),
     keys="zipf.envs.labyrinth.keys:KEYS",
     expert="zipf.envs.labyrinth.expert:Expert",
+    goal="zipf.envs.goals:Instruction",
 )

@@ -77,5 +77,6 @@ FAMILY = Family(
     expert="zipf.envs.playroom.expert:Expert",
     generalist="zipf.envs.playroom.generalist:Generalist",
     symmetries="zipf.envs.playroom.symmetries:Symmetries",
+    goal="zipf.envs.goals:Instruction",
     questions="zipf.envs.playroom.first_frame:questions",
 )

@@ -26,6 +26,8 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
         ValueError: the level has no two sides to tell apart.
     """
 
+    achieves = False
+
     def __init__(
         self,
         num_envs: int = 1,

@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.playroom import hand, judgement, layout, levels
+from zipf.envs.playroom.achieved import achieved
 from zipf.envs.playroom.actions import ACTIONS
 from zipf.envs.playroom.constants import EXPONENT_BOUNDS, REACH_BOUNDS
 from zipf.envs.playroom.looks import LOOKS
@@ -32,6 +33,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 7.5}  # noqa: RUF012
+    achieves = True
 
     def __init__(
         self,
@@ -226,6 +228,19 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         if self.level.finding:
             told["side"] = self._side.copy()
         return told
+
+    def _achieved(self, ended: NDArray[np.bool_]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """The instruction to lift, put or approach what was lifted, put or approached."""
+        goals = np.zeros_like(self._instructions)
+        has = np.zeros(self.num_envs, np.bool_)
+        for i in np.flatnonzero(ended).tolist():
+            found = achieved(self.worlds, i)
+            if found is not None:
+                target = self.object_names[self.worlds.ranks[i, found[0]]]
+                text = levels.instruction(self.level, target, found[1])
+                goals[i] = levels.VOCABULARY.encode(text)
+                has[i] = True
+        return goals, has
 
     def _engine(self) -> Hashable:
         level = self.level

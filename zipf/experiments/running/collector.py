@@ -15,13 +15,17 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent
 from zipf.agents.exploration import Bonus
+from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions, HindsightOptions
 from zipf.agents.network import Inputs
+from zipf.agents.reweighting import GoalWeights
 from zipf.agents.unroll import Unroll
+from zipf.envs.goals import Goal
 from zipf.envs.mixture import Mixture
 from zipf.envs.players import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.augmentation import Augmentation
 from zipf.experiments.running.checkpoint import arrays
+from zipf.experiments.running.hindsight import Hindsight
 
 _OUTCOMES = ("return", "length", "success")
 _CARRIED = ("previous_action", "previous_reward", "is_first")
@@ -55,9 +59,13 @@ class Collector:
         reward_clipping: "none", or "soft_asymmetric": learned from are rewards as
             `soft_asymmetric` squashes them. What the agent is told of its last reward, and returns
             of episodes, stay as they are.
+        goal: reads what episodes ask for; needed where something depends on it.
+        reweighting: weighs frames by how rarely what their episode asks for was asked for.
+        hindsight: relabels episodes with what they achieved.
 
     Raises:
-        ValueError: the agent's burn-in is longer than an unroll.
+        ValueError: the agent's burn-in is longer than an unroll, or nothing says what episodes ask
+            for, or what they achieve, and something depends on it.
     """
 
     def __init__(
@@ -74,11 +82,17 @@ class Collector:
         bootstrap_at_time_limit: bool = True,
         reward_clipping: str = "none",
         teacher: Teacher | None = None,
+        goal: Goal | None = None,
+        reweighting: GoalWeights | None = None,
+        hindsight: HindsightOptions = NO_HINDSIGHT,
     ):
         if agent.burn_in > unroll_length:
             raise ValueError(
                 f"a burn-in of {agent.burn_in} rows is longer than an unroll of {unroll_length}"
             )
+        relabels = isinstance(hindsight, AchievedOptions)
+        if goal is None and (reweighting is not None or relabels):
+            raise ValueError("these worlds do not say what an episode asks for")
         self.env = env
         self.agent = agent
         self.unroll_length = unroll_length
@@ -88,22 +102,37 @@ class Collector:
         self.bootstrap_at_time_limit = bootstrap_at_time_limit
         self.reward_clipping = reward_clipping
         self.teacher = teacher
+        self.goal = goal
+        self.reweighting = reweighting
+        self.hindsight: Hindsight | None = None
+        if isinstance(hindsight, AchievedOptions):
+            assert goal is not None
+            success = float(self._learned(np.array([hindsight.reward]))[0])
+            self.hindsight = Hindsight(
+                hindsight, goal, env, reward=success, seed=seed, augmentation=augmentation
+            )
         self.seconds = {"environment": 0.0, "inference": 0.0}
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
         self._memory = agent.initial_memory(env.num_envs)
         self._abandoned = Event()
         pinned = device.startswith("cuda")
+        further = {
+            **({"label": torch.int64} if teacher is not None else {}),
+            **({"weight": torch.float32} if reweighting is not None else {}),
+        }
         self._buffers = [
-            _Buffers(env, unroll_length + 1, agent.final_observations, teacher is not None, pinned)
+            _Buffers(env, unroll_length + 1, agent.final_observations, further, pinned)
             for _ in range(1 + lag)
         ]
         self._final = env.allocate()
         env.reset(seed=seed, out=self._buffers[-1].observation_row(-1))
+        everywhere = np.ones(env.num_envs, np.bool_)
+        self._count(self._buffers[-1].observation_row(-1), everywhere)
+        self._shown: dict[str, NDArray] = {}  # the last observation before augmentation
         if augmentation:
-            all_worlds = np.ones(env.num_envs, np.bool_)
-            augmentation.begin(all_worlds)
-            augmentation.observe(self._buffers[-1].observation_row(-1), all_worlds)
+            augmentation.begin(everywhere)
+            self._change(self._buffers[-1].observation_row(-1))
 
     def collect(self) -> Unroll:
         """Plays T steps in every world.
@@ -118,13 +147,19 @@ class Collector:
         buffers = self._buffers[-1]
         buffers.begin_after(before)
         memory, late_memory = self._memory, None
+        asked = []
         for t in range(self.unroll_length):
             if self._abandoned.is_set():
                 raise Abandoned
             if self.agent.burn_in and t == self.unroll_length - self.agent.burn_in:
                 late_memory = self._memory
+            if self.reweighting is not None:
+                asked.append(self.reweighting.counters.copy())
             self._step(buffers, t)
-        return Unroll(buffers.steps, memory, late_memory, buffers.final)
+        if self.reweighting is not None:
+            buffers.fields["weight"][:-1] = self.reweighting.weights(np.stack(asked))
+        episodes = self.hindsight.take() if self.hindsight is not None else None
+        return Unroll(buffers.steps, memory, late_memory, buffers.final, episodes)
 
     def abandon(self) -> None:
         """Makes `collect` raise `Abandoned` at its next step, for good; called by another thread
@@ -155,6 +190,8 @@ class Collector:
             "exploration": self.exploration.state_dict() if self.exploration else {},
             "augmentation": self.augmentation.state_dict() if self.augmentation else {},
             "teacher": self.teacher.get_state() if self.teacher else {},
+            "reweighting": self.reweighting.state_dict() if self.reweighting else {},
+            "hindsight": self.hindsight.state_dict() if self.hindsight else {},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -162,11 +199,6 @@ class Collector:
         buffers = self._buffers[-1]
         restarted = self.env.set_state(arrays(state["environment"]))
         self.env.observations(out=buffers.observation_row(-1))
-        if self.augmentation:
-            self.augmentation.load_state_dict(state["augmentation"])
-            self.augmentation.begin(restarted)
-            everywhere = np.ones(self.env.num_envs, np.bool_)
-            self.augmentation.observe(buffers.observation_row(-1), everywhere)
         self._memory = {k: v.to(self.device) for k, v in state["memory"].items()}
         self._generator.set_state(state["generator"])
         self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
@@ -180,6 +212,15 @@ class Collector:
             self.exploration.load_state_dict(arrays(state["exploration"]))
         if self.teacher:
             self.teacher.set_state(arrays(state["teacher"]))
+        if self.reweighting:
+            self.reweighting.load_state_dict(arrays(state["reweighting"]))
+            self._count(buffers.observation_row(-1), restarted)
+        if self.hindsight:
+            self.hindsight.load_state_dict(arrays(state["hindsight"]), restarted)
+        if self.augmentation:
+            self.augmentation.load_state_dict(state["augmentation"])
+            self.augmentation.begin(restarted)
+            self._change(buffers.observation_row(-1))
 
     def _step(self, buffers: _Buffers, t: int) -> None:
         start = perf_counter()
@@ -209,8 +250,7 @@ class Collector:
         ended = terminated | truncated
         if not self.bootstrap_at_time_limit:
             terminated, truncated = ended, np.zeros_like(truncated)
-        clip = self.reward_clipping == "soft_asymmetric"
-        fields["reward"][t] = soft_asymmetric(reward) if clip else reward
+        fields["reward"][t] = self._learned(reward)
         fields["terminated"][t] = terminated
         fields["truncated"][t] = truncated
         fields["previous_action"][t + 1] = np.where(ended, -1, fields["action"][t])
@@ -220,12 +260,18 @@ class Collector:
             fields["bonus"][t] = self.exploration(following, ~ended)
             if ended.any():
                 fields["bonus"][t] += self.exploration(self._final, ended)
+        if ended.any():
+            self._record(info["final_info"], ended)
+            self._count(following, ended)
+        if self.hindsight is not None:
+            row = {name: part[t] for name, part in fields.items()}
+            final_info = info.get("final_info", {})
+            seen = self._shown or buffers.observation_row(t)
+            self.hindsight.add(seen, row, ended, final_info)
         if self.augmentation:
             self.augmentation.observe(self._final, ended)
             self.augmentation.begin(ended)
-            self.augmentation.observe(following, np.ones_like(ended))
-        if ended.any():
-            self._record(info["final_info"], ended)
+            self._change(following)
         stepped = perf_counter()
 
         fields["truncation_value"][t] = 0.0
@@ -238,6 +284,23 @@ class Collector:
             fields["truncation_value"][t, truncated] = values
         self.seconds["inference"] += acted - start + perf_counter() - stepped
         self.seconds["environment"] += stepped - acted
+
+    def _learned(self, reward: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rewards [N] as the agent learns from them."""
+        return soft_asymmetric(reward) if self.reward_clipping == "soft_asymmetric" else reward
+
+    def _change(self, observation: dict[str, NDArray]) -> None:
+        """Augments observations, in place; what hindsight relabels is kept as it was."""
+        assert self.augmentation is not None
+        if self.hindsight is not None:
+            self._shown = {name: part.copy() for name, part in observation.items()}
+        self.augmentation.observe(observation, np.ones(self.env.num_envs, np.bool_))
+
+    def _count(self, observation: dict[str, NDArray], begins: NDArray[np.bool_]) -> None:
+        """Counts what the episodes ask for that begin in some worlds, if that is needed."""
+        if self.reweighting is not None and begins.any():
+            assert self.goal is not None
+            self.reweighting.begin(self.goal.read(observation), begins)
 
     def _record(self, final_info: dict[str, NDArray], ended: NDArray[np.bool_]) -> None:
         """Keeps the outcomes of the episodes that ended, for `episode_metrics`."""
@@ -287,13 +350,20 @@ class _Buffers:
 
     Attributes:
         observation: arrays by name.
-        fields: arrays by name, those that every agent needs; see `Unroll`.
+        fields: arrays by name, those that every agent needs and `further` ones; see `Unroll`.
         steps: all of them as tensors, and what the behaviour policy adds.
         inputs: of `steps` the agent's inputs alone.
         final: see `Unroll`; None for an agent that asks for none.
     """
 
-    def __init__(self, env: ZipfVectorEnv, rows: int, finals: int, labels: bool, pinned: bool):
+    def __init__(
+        self,
+        env: ZipfVectorEnv,
+        rows: int,
+        finals: int,
+        further: dict[str, torch.dtype],
+        pinned: bool,
+    ):
         self.pinned = pinned
         shape = rows, env.num_envs
         self.steps = TensorDict(batch_size=shape)
@@ -311,7 +381,7 @@ class _Buffers:
             ("terminated", torch.bool),
             ("truncated", torch.bool),
             ("truncation_value", torch.float32),
-            *((("label", torch.int64),) if labels else ()),
+            *further.items(),
         ):
             self.steps[name] = self._tensor(torch.zeros(shape, dtype=dtype))
             self.fields[name] = self.steps[name].numpy()

@@ -32,6 +32,8 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
         precision=config.precision,
         folder=config.folder,
         updates_between_checkpoints=config.schedule.checkpoint_every,
+        reweighting=config.reweighting,
+        hindsight=config.hindsight,
     )
     try:
         agent = agents()[config.agent.name](config.agent, setting)

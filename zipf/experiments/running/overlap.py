@@ -91,6 +91,7 @@ class Overlap:
             "memory": self._pending.memory,
             "late_memory": self._pending.late_memory,
             "final": {} if self._pending.final is None else self._pending.final.to_dict(),
+            "episodes": {} if self._pending.episodes is None else self._pending.episodes.to_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -102,7 +103,10 @@ class Overlap:
             final = None
             if state["final"]:
                 final = TensorDict(state["final"], state["final"]["step"].shape)
-            unroll = Unroll(steps, state["memory"], state["late_memory"], final)
+            episodes = None
+            if state["episodes"]:
+                episodes = TensorDict(state["episodes"], state["episodes"]["mask"].shape)
+            unroll = Unroll(steps, state["memory"], state["late_memory"], final, episodes)
             self._pending = unroll.to(self.collector.device)
 
 

@@ -10,6 +10,7 @@ import torch
 
 from zipf import envs
 from zipf.agents.exploration import build_exploration
+from zipf.agents.reweighting import build_reweighting
 from zipf.agents.unroll import Unroll
 from zipf.envs.players import Teacher
 from zipf.experiments.augmentation import build_augmentation
@@ -135,6 +136,9 @@ class Run:
                 env.single_observation_space,
                 derive_seed(config.seed, "exploration"),
             ),
+            goal=envs.family_of_split(config.environment.split).make_goal(env),
+            reweighting=build_reweighting(config.reweighting, env.num_envs),
+            hindsight=config.hindsight,
             lag=config.lag,
             bootstrap_at_time_limit=collector.bootstrap_at_time_limit,
             reward_clipping=collector.reward_clipping,

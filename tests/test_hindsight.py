@@ -1,0 +1,409 @@
+"""Hindsight: relabelled episodes against replayed ones, the loss, replay, resume, and learning."""
+
+from copy import deepcopy
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+import tiny_gridworld
+import torch
+from conftest import TINY, assert_equal, learned, untimed
+from networks import compact
+from tensordict import TensorDict
+from test_agent import LSTM, NAMES, build, unrolls
+from test_impala import OPTIONS as IMPALA
+
+from zipf import envs
+from zipf.agents import agents
+from zipf.agents.agent import Setting
+from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions, hindsight_loss
+from zipf.agents.impala import Impala
+from zipf.agents.memory import MLPOptions
+from zipf.agents.network import Inputs
+from zipf.agents.reweighting import InverseCountOptions
+from zipf.experiments import command_line
+from zipf.experiments.errors import UserError
+from zipf.experiments.running import hindsight, runner
+from zipf.experiments.running.agent_policy import AgentPolicy
+from zipf.experiments.running.collector import Collector
+from zipf.experiments.running.evaluator import play
+
+WORLDS, STEPS = 12, 9
+OPTIONS = AchievedOptions(
+    name="achieved",
+    episodes=1000,
+    length=None,
+    reward=1.0,
+    advantage="positive",
+    policy_cost=0.7,
+    value_cost=0.3,
+)
+LEVEL = "gridworld/uniform"
+
+
+def impala_of(env):
+    spaces = env.single_observation_space, env.single_action_space
+    return Impala(IMPALA, Setting(*spaces, compact(), LSTM))
+
+
+def collector_of(options=OPTIONS, seed=0, observation="tiles", **kwargs):
+    worlds = {"observation": observation, "max_steps": 80}
+    env = envs.make_vec(LEVEL, WORLDS, **worlds)
+    goal = envs.goal(LEVEL, env)
+    return Collector(
+        env, impala_of(env), unroll_length=STEPS, seed=seed, goal=goal, hindsight=options, **kwargs
+    )
+
+
+def episode_of(episodes, e):
+    """One episode without the padding, {name: [length, ...]}."""
+    return episodes[: int(episodes["mask"][:, e].sum()), e]
+
+
+def replayed(situation, actions, observation):
+    """Every observation of an episode of one world under these actions, and what ended it."""
+    env = envs.make_vec(LEVEL, 1, observation=observation, max_steps=80)
+    first, _ = env.reset(seed=0, options=situation)
+    seen = [{name: part[0].copy() for name, part in first.items()}]
+    for action in actions:
+        following, reward, terminated, _, _ = env.step(np.array([action]))
+        seen.append({name: part[0].copy() for name, part in following.items()})
+    return seen[:-1], reward[0], terminated[0]
+
+
+@pytest.mark.parametrize("observation", ["tiles", "image"])
+def test_relabelled_episodes_are_those_that_ask_for_what_was_touched(observation, monkeypatch):
+    """Exactly, in worlds in which that object is the target. Episodes span unrolls."""
+    monkeypatch.setattr(hindsight, "_FIRST_ROWS", 8)
+    collector = collector_of(observation=observation)
+    twin = envs.make_vec(LEVEL, WORLDS, observation=observation, max_steps=80)
+    _, info = twin.reset(seed=0)
+    running = [[] for _ in range(WORLDS)]
+    longest = relabelled = 0
+    for _ in range(10):
+        unroll, expected = collector.collect(), []
+        for t in range(STEPS):
+            actions = unroll.steps["action"][t].numpy()
+            map_of = info["map"].copy()
+            for i in range(WORLDS):
+                running[i].append(int(actions[i]))
+            _, reward, terminated, truncated, info = twin.step(actions)
+            for i in np.flatnonzero(terminated | truncated):
+                if terminated[i] and not reward[i]:
+                    expected.append((int(map_of[i]), running[i]))
+                running[i] = []
+        if not expected:
+            assert unroll.episodes is None
+            continue
+        assert unroll.episodes.batch_size[1] == len(expected)
+        for e, (map, actions) in enumerate(expected):
+            episode = episode_of(unroll.episodes, e)
+            relabelled += 1
+            longest = max(longest, len(episode))
+            assert episode["action"].tolist() == actions
+            for target in range(20):
+                seen, reward, terminated = replayed(
+                    {"map": map, "target": target}, actions, observation
+                )
+                if reward:
+                    break
+            assert reward == 1
+            assert terminated
+            for name in seen[0]:
+                np.testing.assert_array_equal(
+                    episode["observation", name].numpy(), np.stack([one[name] for one in seen])
+                )
+            end = [0.0] * (len(actions) - 1)
+            assert episode["reward"].tolist() == [*end, 1.0]
+            assert episode["terminated"].tolist() == [*(bool(zero) for zero in end), True]
+            assert episode["previous_action"].tolist() == [-1, *actions[:-1]]
+            assert episode["is_first"].tolist() == [True, *(bool(zero) for zero in end)]
+            assert not episode["truncated"].any()
+            assert not episode["previous_reward"].any()
+            behind = unroll.episodes[len(actions) :, e]
+            assert not behind["mask"].any()
+            assert behind["is_first"].all()
+    assert relabelled > 10
+    assert longest > 16  # the rows that there is room for at first were doubled twice
+
+
+def test_of_long_episodes_the_last_frames_are_kept():
+    whole, cut = collector_of(), collector_of(OPTIONS.model_copy(update={"length": 5}))
+    cuts = 0
+    for _ in range(12):
+        one, other = whole.collect().episodes, cut.collect().episodes
+        for e in range(0 if one is None else one.shape[1]):
+            long, short = episode_of(one, e), episode_of(other, e)
+            assert len(short) == min(len(long), 5)
+            cuts += len(long) > 5
+            for name in ("action", "reward", "previous_action", "terminated", "observation"):
+                a, b = long[name][-5:], short[name]
+                assert (a == b).all()
+            assert short["is_first"].tolist() == [True] + [False] * (len(short) - 1)
+    assert cuts > 5
+
+
+def test_at_most_so_many_episodes_of_an_unroll_are_drawn():
+    """Each as likely as the others."""
+    places = []
+    for seed in range(40):
+        everything = collector_of(seed=seed)
+        some = collector_of(OPTIONS.model_copy(update={"episodes": 2}), seed=seed)
+        all_of, drawn = everything.collect().episodes, some.collect().episodes
+        count = 0 if all_of is None else all_of.shape[1]
+        assert (0 if drawn is None else drawn.shape[1]) == min(count, 2)
+        if count == 4:
+            for e in range(2):
+                one = episode_of(drawn, e)["action"].tolist()
+                every = [episode_of(all_of, k)["action"].tolist() for k in range(count)]
+                places.append(every.index(one))
+    assert len(set(places)) > 1
+
+
+def test_hindsight_changes_nothing_else_in_an_unroll():
+    plain, relabelling = collector_of(NO_HINDSIGHT), collector_of()
+    for _ in range(3):
+        one, other = plain.collect(), relabelling.collect()
+        assert one.episodes is None
+        for name in one.steps.keys(True, True):
+            assert torch.equal(one.steps[name], other.steps[name]), name
+    assert plain.state_dict()["hindsight"] == {}
+
+
+def test_it_continues_from_its_state():
+    options = OPTIONS.model_copy(update={"episodes": 2})
+    collector, other = collector_of(options), collector_of(options, seed=5)
+    for _ in range(10):
+        collector.collect()
+    other.collect()
+    other.load_state_dict(deepcopy(collector.state_dict()))
+    found = 0
+    for _ in range(10):
+        one, again = collector.collect().episodes, other.collect().episodes
+        assert (one is None) == (again is None)
+        if one is not None:
+            found += one.shape[1]
+            assert_equal(one.to_dict(), again.to_dict())
+    assert found > 5
+
+
+def episodes_of(lengths, seed=0, actions=3):
+    """Relabelled episodes of these lengths, of numbers drawn at random."""
+    rng = np.random.default_rng(seed)
+    shape = max(lengths), len(lengths)
+    inside = torch.arange(shape[0])[:, None] < torch.tensor(lengths)
+
+    def floats():
+        return torch.tensor(rng.normal(size=shape), dtype=torch.float32) * inside
+
+    first = ~inside
+    first[0] = True
+    images = torch.tensor(rng.integers(256, size=(*shape, 9, 9, 3)), dtype=torch.uint8)
+    return TensorDict(
+        {
+            "mask": inside,
+            "is_first": first,
+            "previous_action": torch.where(
+                first, -1, torch.tensor(rng.integers(actions, size=shape))
+            ),
+            "previous_reward": floats(),
+            "action": torch.tensor(rng.integers(actions, size=shape)) * inside,
+            "reward": floats(),
+            "terminated": torch.arange(shape[0])[:, None] == torch.tensor(lengths) - 1,
+            "truncated": torch.zeros(shape, dtype=torch.bool),
+            "observation": TensorDict({"image": images}, shape),
+        },
+        shape,
+    )
+
+
+def space_of(**changes):
+    image = gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)
+    return Setting(gym.spaces.Dict(image=image), gym.spaces.Discrete(3), compact(), LSTM, **changes)
+
+
+@pytest.mark.parametrize("advantage", ["positive", "none"])
+def test_the_loss_is_its_definition(advantage):
+    """One episode after another, with a memory that begins with it."""
+    options = OPTIONS.model_copy(update={"advantage": advantage})
+    network = Impala(IMPALA, space_of()).network
+    lengths = [3, 7, 1, 5]
+    episodes = episodes_of(lengths)
+    policy_loss = value_loss = 0.0
+    for e, length in enumerate(lengths):
+        episode = episodes[:length, e : e + 1]
+        with torch.no_grad():
+            outputs = network(Inputs.of(episode), network.memory.initial_state(1))
+        following = 0.0
+        for t in reversed(range(length)):
+            following = episode["reward"][t, 0].item() + 0.9 * following
+            better = max(following - outputs.value[t, 0].item(), 0.0)
+            log_pi = outputs.logits[t, 0].log_softmax(-1)[episode["action"][t, 0]].item()
+            policy_loss -= log_pi * (better if advantage == "positive" else 1.0)
+            value_loss += 0.5 * better**2
+    loss, metrics = hindsight_loss(network, episodes, options, discount=0.9)
+    assert metrics["hindsight_policy_loss"].item() == pytest.approx(policy_loss / 16, rel=1e-4)
+    assert metrics["hindsight_value_loss"].item() == pytest.approx(value_loss / 16, rel=1e-4)
+    expected = (0.7 * policy_loss + 0.3 * value_loss) / 16
+    assert loss.item() == pytest.approx(expected, rel=1e-4)
+    loss.backward()
+    bias = network.baseline.bias
+    # What is better than expected is the policy's weight and no target of the policy's gradient:
+    # the value learns from its own term alone.
+    assert bias.grad.abs().sum() > 0
+    network.zero_grad()
+    only_policy = options.model_copy(update={"value_cost": 0.0})
+    hindsight_loss(network, episodes, only_policy, discount=0.9)[0].backward()
+    assert not bias.grad.any()
+
+
+@pytest.mark.parametrize("name", ["impala", "vmpo"])
+def test_actor_critics_add_the_loss(name):
+    made, plain = build(name, hindsight=OPTIONS), build(name)
+    for unroll in unrolls(made, 2):
+        episodes = episodes_of([2, 4], actions=2)
+        without = plain.update(unroll)
+        state = deepcopy(made.state_dict())
+        nothing = made.update(unroll)
+        assert nothing["loss"] == without["loss"]
+        assert nothing["hindsight_episodes"] == 0
+        made.load_state_dict(state)
+        unroll.episodes = episodes
+        discount = made.options.discount
+        expected, _ = hindsight_loss(made.network, episodes, OPTIONS, discount=discount)
+        metrics = made.update(unroll)
+        assert metrics["loss"] == pytest.approx(without["loss"] + expected.item(), rel=1e-4)
+        assert metrics["hindsight_episodes"] == 2
+        break
+
+
+LEARNS = [name for name in NAMES if agents()[name].learns_from_hindsight]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_agents_say_whether_they_learn_from_it(name):
+    if name in LEARNS:
+        build(name, hindsight=OPTIONS.model_copy(update={"length": 9, "episodes": 3}))
+    else:
+        with pytest.raises(ValueError, match=r"hindsight=achieved: .* choose hindsight=none, or"):
+            build(name, hindsight=OPTIONS)
+
+
+BURN_IN, LENGTH = 2, 5  # of the R2D2 and the unrolls of `test_agent`
+
+
+def test_replay_has_relabelled_episodes_as_sequences():
+    """Put together again they are the episodes; the memory is that of stepping from their start;
+    only an episode's steps have errors, and they are those of the episode in one piece."""
+    options = OPTIONS.model_copy(update={"length": 13, "episodes": 3})
+    made = build("r2d2", hindsight=options)
+    lengths = [12, 3, 6]
+    episodes = episodes_of(lengths, actions=2)
+    stored = []
+    made._store = stored.append
+    made._insert_episodes(episodes)
+    assert [len(items) for items in stored] == [3, 2, 1]
+    for e, length in enumerate(lengths):
+        for cut, start in enumerate(range(0, length, LENGTH)):
+            row = [k for k in range(3) if lengths[k] > start].index(e)
+            item = stored[cut][row]
+            rows = item["steps"][BURN_IN:]
+            here = episodes[start : min(start + LENGTH, length), e]
+            for name in ("action", "reward", "previous_action", "is_first", "observation"):
+                assert (rows[name][: len(here)] == here[name]).all(), name
+            memory = made.initial_memory(1)
+            before = max(start - BURN_IN, 0)
+            if before:
+                _, memory = made.network(Inputs.of(episodes[:before, e : e + 1]), memory)
+            for name, part in memory.items():
+                torch.testing.assert_close(item["memory", name], part[0])
+            errors, _ = made._errors(stored[cut][row : row + 1])
+            assert not errors[len(here) :].any()
+            assert errors[: len(here)].all()
+    made = build("r2d2", hindsight=options)
+    made._insert_episodes(episodes)
+    assert len(made.replay) == 6
+    with pytest.raises(
+        ValueError, match=r"hindsight\.length=null: agent=r2d2 needs a whole number"
+    ):
+        build("r2d2", hindsight=OPTIONS)
+
+
+def test_such_options_in_worlds_that_cannot_be_relabelled_are_one_clear_line(monkeypatch):
+    with pytest.raises(UserError, match=r"^hindsight=achieved: .*not tell what .*=none") as error:
+        command_line.load(["experiment=labyrinth_compact", "hindsight=achieved"])
+    assert len(str(error.value).splitlines()) == 1
+    monkeypatch.setitem(envs.find_family("gridworld").__dict__, "goal", None)
+    with pytest.raises(UserError, match=r"^hindsight=achieved: .*do not say what .*=none") as error:
+        command_line.load(["experiment=demo", "hindsight=achieved"])
+    assert len(str(error.value).splitlines()) == 1
+
+
+R2D2 = ["agent.burn_in=2", "agent.replay_min=6", "agent.replay_capacity=24", "agent.storage=ram"]
+RUNS = {
+    "impala": ["collector.lag=1"],
+    "vmpo": ["agent=vmpo"],
+    "r2d2": ["condition=r2d2", "collector.lag=1", "hindsight.length=7", *R2D2],
+}
+
+
+@pytest.mark.parametrize("overrides", RUNS.values(), ids=RUNS)
+def test_a_resumed_run_equals_an_uninterrupted_one(overrides, tmp_path):
+    def config_of(folder, updates):
+        options = [*TINY, "hindsight=achieved", *overrides, "name=row", "evaluation.every=6"]
+        return command_line.load([*options, f"run_root={folder}", f"updates={updates}"])
+
+    assert runner.train(config_of(tmp_path / "whole", 6)) == 0
+    for updates in (3, 6):
+        assert runner.train(config_of(tmp_path / "cut", updates)) == 0
+    whole, cut = (config_of(tmp_path / name, 6).folder for name in ("whole", "cut"))
+    assert_equal(learned(whole), learned(cut))
+    one, other = (untimed(folder / "metrics.csv") for folder in (whole, cut))
+    pd.testing.assert_frame_equal(one, other)
+    if "hindsight_episodes" in one:
+        assert one["hindsight_episodes"].max() > 0
+
+
+def rare_success(relabelling, seed, updates=120):
+    """In the tiny gridworld: how often the rarest of three objects is reached, after IMPALA."""
+    level = "gridworld/zipf_2"
+    env = envs.make_vec(level, 32, **tiny_gridworld.WORLDS)
+    spaces = env.single_observation_space, env.single_action_space
+    memory = MLPOptions(name="mlp", size=32, layers=1)
+    options = IMPALA.model_copy(
+        update={"learning_rate": 5e-3, "entropy_cost": 0.1, "max_gradient_norm": 1.0}
+    )
+    agent = Impala(options, Setting(*spaces, compact(), memory, seed=seed, hindsight=relabelling))
+    goal = envs.goal(level, env)
+    collector = Collector(
+        env, agent, unroll_length=8, seed=1000 * seed, goal=goal, hindsight=relabelling
+    )
+    for _ in range(updates):
+        agent.update(collector.collect())
+    test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.WORLDS)
+    played = play(AgentPolicy(agent, seed=1, device="cpu"), test, episodes=300, seed=2)
+    return played["success"][played["target"] == 2].mean()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_rare_goals_are_learned_sooner(seed):
+    """The rarest of the three is asked for in one episode of twelve. Seeds 0 to 2: 0.43, 0.76 and
+    0.61, and 0.06, 0.21 and 0.30 without."""
+    changes = {"advantage": "none", "policy_cost": 0.5, "value_cost": 0.0}
+    relabelling = OPTIONS.model_copy(update=changes)
+    assert rare_success(relabelling, seed) > rare_success(NO_HINDSIGHT, seed) + 0.15
+
+
+def test_relabelled_episodes_in_replay_have_the_weight_one():
+    """Where the other frames are weighed; with the empty rows, which have no error, at 0."""
+    reweighting = InverseCountOptions(
+        name="inverse_count", power=1.0, largest_weight=9.0, table_size=64
+    )
+    options = OPTIONS.model_copy(update={"length": 13, "episodes": 3})
+    made = build("r2d2", hindsight=options, reweighting=reweighting)
+    made._insert_episodes(episodes_of([4, 2], actions=2))
+    items, _, _ = made.replay.sample(8)
+    inside = (items["steps", "weight"] == 1).sum(1).tolist()
+    assert set(inside) == {4, 2}
+    assert np.isfinite(made._learn(items, torch.ones(8))[0]["loss"])

@@ -1,0 +1,105 @@
+"""Hindsight: learning from episodes as if what they achieved had been asked for.
+
+An episode that achieved something else than it was asked for is a success at that (Andrychowicz
+et al. 2017; with language: Chan et al. 2019). Collection relabels whole episodes; replay stores
+them beside the others, and actor-critics imitate them as far as they were better than expected
+(Oh et al. 2018), by
+
+    mean_{t,e}[ -c_p log pi(a_t|x_t) (R_t - V(x_t))_+  +  c_v/2 ((R_t - V(x_t))_+)^2 ]
+
+where R_t is the discounted return to the episode's end and the first factor (R - V)_+ a constant;
+with `advantage=none` that factor is 1 (Ghosh et al. 2021).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import torch
+from pydantic import Field
+from tensordict import TensorDict
+from torch import Tensor
+
+from zipf.agents.network import ActorCritic, Inputs, autocast
+from zipf.options import Options
+
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class NoHindsightOptions(Options):
+    """Episodes are learned from as they were, as in the paper."""
+
+    name: Literal["none"]
+
+
+class AchievedOptions(Options):
+    """Episodes are also learned from as if what they achieved had been asked for.
+
+    At most `episodes` of them an update, drawn at random from those that ended during the unroll,
+    and of each the last `length` frames, None: all. `reward` is what success pays. The others are
+    of actor-critics alone: `policy_cost` and `value_cost` are c_p and c_v.
+    """
+
+    name: Literal["achieved"]
+    episodes: Annotated[int, Field(ge=1)]
+    length: Annotated[int, Field(ge=1)] | None
+    reward: Annotated[float, Field(allow_inf_nan=False)]
+    advantage: Literal["positive", "none"]
+    policy_cost: NotNegative
+    value_cost: NotNegative
+
+
+HindsightOptions = Annotated[NoHindsightOptions | AchievedOptions, Field(discriminator="name")]
+NO_HINDSIGHT = NoHindsightOptions(name="none")
+
+
+def hindsight_loss(
+    network: ActorCritic,
+    episodes: TensorDict | None,
+    options: NoHindsightOptions | AchievedOptions,
+    *,
+    discount: float,
+    precision: Literal["float32", "bfloat16"] = "float32",
+) -> tuple[Tensor | float, dict[str, Tensor]]:
+    """The loss of relabelled episodes [L, E], as `Unroll.episodes` has them, and metrics.
+
+    The memory is unrolled from before each episode's first frame. Without such an episode the loss
+    is 0 and the metrics are NaN; without hindsight there are no metrics.
+    """
+    if isinstance(options, NoHindsightOptions):
+        return 0.0, {}
+    if episodes is None:
+        nothing = torch.tensor(float("nan"))
+        return 0.0, {
+            "hindsight_policy_loss": nothing,
+            "hindsight_value_loss": nothing,
+            "hindsight_episodes": torch.tensor(0.0),
+        }
+    mask = episodes["mask"]
+    with autocast(mask.device.type, precision):
+        outputs = network(Inputs.of(episodes), network.memory.initial_state(mask.shape[1]))
+    returns = discounted_returns(episodes["reward"], discount)
+    better = (returns - outputs.value).clamp(min=0)
+    factor = better.detach() if options.advantage == "positive" else torch.ones_like(returns)
+    chosen = episodes["action"].unsqueeze(-1)
+    log_pi = outputs.logits.log_softmax(-1).gather(-1, chosen).squeeze(-1)
+    frames = mask.sum()
+    policy_loss = -(log_pi * factor * mask).sum() / frames
+    value_loss = 0.5 * (better.square() * mask).sum() / frames
+    loss = options.policy_cost * policy_loss + options.value_cost * value_loss
+    return loss, {
+        "hindsight_policy_loss": policy_loss,
+        "hindsight_value_loss": value_loss,
+        "hindsight_episodes": torch.tensor(float(mask.shape[1])),
+    }
+
+
+def discounted_returns(rewards: Tensor, discount: float) -> Tensor:
+    """R_t = r_t + discount R_t+1 of episodes that end with the last row, [L, E] -> [L, E]; the rows
+    behind a shorter episode's end have no reward."""
+    returns = torch.empty_like(rewards)
+    following = torch.zeros_like(rewards[0])
+    for t in reversed(range(len(rewards))):
+        following = rewards[t] + discount * following
+        returns[t] = following
+    return returns

@@ -1,0 +1,124 @@
+"""Weights of frames in the loss, by how rarely what their episode asks for was asked for.
+
+What episodes ask for, their goals, is read from observations and counted when they begin. An agent
+multiplies the loss of each frame by its weight, so that on average it learns as if goals were
+drawn by another law than they are. Auxiliary losses are not weighted.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from tensordict import TensorDict
+from torch import Tensor
+
+from zipf.options import Options
+
+
+class NoReweightingOptions(Options):
+    """All frames alike, as in the paper."""
+
+    name: Literal["none"]
+
+
+class _Weights(Options):
+    """`largest_weight` bounds a frame's weight; the mean of an unroll's weights is 1. Goals that
+    differ share a counter with probability 1 / table_size."""
+
+    largest_weight: Annotated[float, Field(ge=1, allow_inf_nan=False)]
+    table_size: Annotated[int, Field(ge=1, le=2**30)]
+
+
+class InverseCountOptions(_Weights):
+    """Weights proportional to n^-power of a goal that was asked for n times: 0 leaves frames alike,
+    1 makes all goals count the same."""
+
+    name: Literal["inverse_count"]
+    power: Annotated[float, Field(ge=0, le=1)]
+
+
+class EffectiveNumberOptions(_Weights):
+    """Weights proportional to (1 - beta) / (1 - beta^n) (Cui et al. 2019): as n^-1 while n is small
+    beside 1 / (1 - beta), and alike beyond."""
+
+    name: Literal["effective_number"]
+    beta: Annotated[float, Field(ge=0, lt=1)]
+
+
+ReweightingOptions = Annotated[
+    NoReweightingOptions | InverseCountOptions | EffectiveNumberOptions, Field(discriminator="name")
+]
+NO_REWEIGHTING = NoReweightingOptions(name="none")
+
+
+class GoalWeights:
+    """Counts the goals of N worlds in a table of hashes, and weighs their frames.
+
+    Attributes:
+        counters: the place in `counts` of the goal of each world's episode, int64 [N].
+        counts: how often each goal was asked for, int64 [table_size].
+    """
+
+    def __init__(self, options: InverseCountOptions | EffectiveNumberOptions, num_envs: int):
+        self.options = options
+        self.counts = np.zeros(options.table_size, np.int64)
+        self.counters = np.zeros(num_envs, np.int64)
+        self._factors = np.zeros(0, np.uint64)
+
+    def begin(self, goals: NDArray[Any], mask: NDArray[np.bool_]) -> None:
+        """Counts the goals, integers [N, K], of the episodes that begin where `mask` [N]."""
+        parts = goals[mask].astype(np.int64).view(np.uint64)
+        if len(self._factors) != parts.shape[1]:  # the same in every process
+            rng = np.random.default_rng(0)
+            self._factors = rng.integers(2**64, size=parts.shape[1:], dtype=np.uint64)
+        # Multilinear hashing: the high bits of sum_i factor_i * part_i mod 2^64 are universal.
+        hashes = np.add.reduce(parts * self._factors, axis=1) >> np.uint64(32)
+        size = np.uint64(len(self.counts))
+        self.counters[mask] = (hashes * size >> np.uint64(32)).astype(np.int64)
+        np.add.at(self.counts, self.counters[mask], 1)
+
+    def weights(self, counters: NDArray[np.int64]) -> NDArray[np.float32]:
+        """The weights, float32 [T, N], of frames of episodes with these `counters` [T, N], by the
+        counts as they are now. Their mean is 1."""
+        o, counts = self.options, self.counts[counters].astype(np.float64)
+        if isinstance(o, InverseCountOptions):
+            raw = counts**-o.power
+        else:
+            raw = (1 - o.beta) / (1 - o.beta**counts)
+        return bounded(raw, o.largest_weight).astype(np.float32)
+
+    def state_dict(self) -> dict[str, NDArray[np.int64]]:
+        """The counts, and what each world was asked for."""
+        return {"counts": self.counts, "counters": self.counters.copy()}
+
+    def load_state_dict(self, state: dict[str, NDArray[np.int64]]) -> None:
+        """Continues from `state_dict()`."""
+        self.counts[:] = state["counts"]
+        self.counters[:] = state["counters"]
+
+
+def bounded(raw: NDArray[np.float64], largest: float) -> NDArray[np.float64]:
+    """Weights of mean 1, none above `largest` >= 1: min(c raw, largest) with the c for which they
+    have that mean."""
+    at_bound = np.zeros(raw.shape, np.bool_)
+    while True:
+        rest = raw.size - largest * at_bound.sum()  # for those below the bound
+        below = raw.sum(where=~at_bound)
+        scaled = np.where(at_bound, largest, raw * (rest / below))
+        over = scaled > largest
+        if not over.any() or (at_bound | over).all():
+            return np.minimum(scaled, largest)
+        at_bound |= over
+
+
+def build_reweighting(options: Any, num_envs: int) -> GoalWeights | None:
+    """The weights that the options name, or None."""
+    return None if isinstance(options, NoReweightingOptions) else GoalWeights(options, num_envs)
+
+
+def weighted(losses: Tensor, steps: TensorDict) -> Tensor:
+    """Losses of the frames [T, B] of an unroll's `steps`, times their weights if they have any."""
+    return losses * steps["weight"] if "weight" in steps.keys() else losses

@@ -1,0 +1,55 @@
+"""What the agent of a playroom has done at an episode's end."""
+
+import math
+
+from zipf.envs.playroom.constants import FURNITURE_SIZE, NEAR_DISTANCE
+from zipf.envs.playroom.falling import STILL_STEPS
+from zipf.envs.playroom.geometry import rectangle_gap
+from zipf.envs.playroom.judgement import APPROACH_DISTANCE
+from zipf.envs.playroom.levels import LIFT, NEAR, ON
+from zipf.envs.playroom.state import AX, AY, FLOOR, ON_BED, Worlds, X, Y
+
+Achievement = tuple[int, int]
+"""Which of the world's objects, and the task that was done with it."""
+
+
+def achieved(worlds: Worlds, i: int) -> Achievement | None:
+    """What was done in world `i`, of the kind that its task asks for; None: nothing.
+
+    By the rules of `judgement.py`, with any object and any place in the place of the right ones.
+    Where that was done with several objects, it is with the target if that is one of them.
+    """
+    if worlds.finding:
+        return _approached(worlds, i)
+    if worlds.task[i] != LIFT:
+        return _put(worlds, i)
+    held = int(worlds.hands[i])
+    return (held, LIFT) if held >= 0 and worlds.lifted[i, held] else None
+
+
+def _approached(worlds: Worlds, i: int) -> Achievement | None:
+    agent = worlds.agents[i]
+    for j, place in enumerate(worlds.objects[i]):
+        if math.hypot(place[X] - agent[AX], place[Y] - agent[AY]) < APPROACH_DISTANCE:
+            return j, int(worlds.task[i])
+    return None
+
+
+def _put(worlds: Worlds, i: int) -> Achievement | None:
+    """What was asked for if that was done, else an object on a support, else one near a support."""
+    task = int(worlds.task[i])
+    near = task < ON
+    on_top: list[Achievement] = []
+    beside: list[Achievement] = []
+    for j, place in enumerate(worlds.objects[i]):
+        if not worlds.lifted[i, j] or worlds.still[i, j] < STILL_STEPS:
+            continue
+        for k in range(2):
+            if worlds.status[i, j] == ON_BED + k:
+                on_top.append((j, (NEAR if near else ON) + k))
+            elif near and worlds.status[i, j] == FLOOR:
+                gap = rectangle_gap(worlds.furniture[i, k], FURNITURE_SIZE[k], place[X], place[Y])
+                if gap <= NEAR_DISTANCE:
+                    beside.append((j, NEAR + k))
+    done = on_top + beside
+    return (0, task) if (0, task) in done else next(iter(done), None)

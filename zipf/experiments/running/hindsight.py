@@ -1,0 +1,184 @@
+"""Hindsight: whole episodes, relabelled with what they achieved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict
+
+from zipf.agents.hindsight import AchievedOptions
+from zipf.envs.goals import Goal
+from zipf.envs.vector import ZipfVectorEnv
+from zipf.experiments.augmentation import Augmentation
+
+_FIELDS = {
+    "previous_action": np.dtype(np.int64),
+    "previous_reward": np.dtype(np.float32),
+    "action": np.dtype(np.int64),
+    "reward": np.dtype(np.float32),
+}
+_FIRST_ROWS = 64  # ours: room for short episodes; it doubles where an episode is longer
+
+Parts = dict[str, NDArray[Any]]
+
+
+class Hindsight:
+    """Keeps the running episode of each of N worlds, and those to relabel of an unroll.
+
+    Args:
+        options: how many episodes, and how many of their last frames.
+        goal: reads what episodes ask for and replaces it.
+        env: the worlds; told to report what episodes achieve.
+        reward: of the last step of a relabelled episode.
+        seed: of the draws among more episodes than are asked for.
+        augmentation: what the agent sees of the worlds; `add` is told what they show.
+
+    Raises:
+        ValueError: the worlds do not tell what an episode has achieved.
+    """
+
+    def __init__(
+        self,
+        options: AchievedOptions,
+        goal: Goal,
+        env: ZipfVectorEnv,
+        *,
+        reward: float,
+        seed: int,
+        augmentation: Augmentation | None = None,
+    ):
+        env.report_achieved()
+        self.options = options
+        self.goal = goal
+        self.reward = reward
+        self.augmentation = augmentation
+        # Another stream than that of the agent's actions, which stay as they are.
+        own = np.random.SeedSequence([seed, 1]).generate_state(1)
+        self._generator = torch.Generator().manual_seed(int(own[0]))
+        self._worlds = np.arange(env.num_envs)
+        self._lengths = np.zeros(env.num_envs, np.int64)  # of the running episodes, so far
+        # [rows, N]: frame k of an episode is in row k % rows.
+        self._rows = options.length or _FIRST_ROWS
+        like = {name: (part.shape[1:], part.dtype) for name, part in env.allocate().items()}
+        self._observation = self._zeros(like)
+        self._fields = self._zeros({name: ((), dtype) for name, dtype in _FIELDS.items()})
+        self._chosen: list[tuple[Parts, Parts]] = []  # observations and fields, [length, ...]
+        self._candidates = 0
+
+    def add(
+        self,
+        observation: Parts,
+        fields: Parts,
+        ended: NDArray[np.bool_],
+        final_info: dict[str, NDArray[Any]],
+    ) -> None:
+        """Adds a step of all worlds.
+
+        Args:
+            observation: of this step, {name: [N, ...]}.
+            fields: those of an unroll's row, {name: [N]}.
+            ended: the worlds whose episodes end with this step, bool [N].
+            final_info: the outcome of these; needed where there are any.
+        """
+        if self.options.length is None and self._lengths.max() == self._rows:
+            self._grow(2 * self._rows)
+        rows = self._lengths % self._rows
+        for kept, given in ((self._observation, observation), (self._fields, fields)):
+            for name, part in kept.items():
+                part[rows, self._worlds] = given[name]
+        self._lengths += 1
+        if not ended.any():
+            return
+        goals = final_info["achieved"]
+        other = (goals != self.goal.read(observation)).any(1)
+        for i in np.flatnonzero(ended & final_info["has_achieved"] & other).tolist():
+            self._candidates += 1
+            place = len(self._chosen)
+            if place == self.options.episodes:  # each candidate is as likely to be kept
+                place = int(torch.randint(self._candidates, (), generator=self._generator))
+            if place < self.options.episodes:
+                self._chosen[place : place + 1] = [self._relabelled(i, goals[i])]
+        self._lengths[ended] = 0
+
+    def take(self) -> TensorDict | None:
+        """The relabelled episodes since the last call, [L, E] as in `Unroll.episodes`; None if
+        there are none."""
+        chosen, self._chosen, self._candidates = self._chosen, [], 0
+        if not chosen:
+            return None
+        lengths = torch.tensor([len(fields["reward"]) for _, fields in chosen])
+        shape = int(lengths.max()), len(chosen)
+        row = torch.arange(shape[0])[:, None]
+        inside = row < lengths
+        episodes = TensorDict({"mask": inside}, batch_size=shape)
+        episodes["observation"] = TensorDict(_padded([seen for seen, _ in chosen], shape), shape)
+        episodes.update(_padded([fields for _, fields in chosen], shape))
+        episodes["previous_action"][~inside] = -1
+        episodes["is_first"] = ~inside | (row == 0)
+        episodes["terminated"] = row == lengths - 1
+        episodes["truncated"] = torch.zeros_like(inside)
+        return episodes
+
+    def state_dict(self) -> dict[str, Any]:
+        """The running episodes."""
+        used = min(int(self._lengths.max()), self._rows)
+        return {
+            "generator": self._generator.get_state(),
+            "lengths": self._lengths.copy(),
+            "observation": {name: part[:used].copy() for name, part in self._observation.items()},
+            "fields": {name: part[:used].copy() for name, part in self._fields.items()},
+        }
+
+    def load_state_dict(self, state: dict[str, Any], restarted: NDArray[np.bool_]) -> None:
+        """Continues from `state_dict()`, in worlds of which those of `restarted` [N] have begun
+        another episode."""
+        self._chosen, self._candidates = [], 0
+        self._generator.set_state(torch.as_tensor(state["generator"]))
+        self._lengths[:] = state["lengths"]
+        used = len(state["fields"]["reward"])
+        if used > self._rows:
+            self._grow(used)
+        for name, part in state["observation"].items():
+            self._observation[name][:used] = part
+        for name, part in state["fields"].items():
+            self._fields[name][:used] = part
+        self._lengths[restarted] = 0
+
+    def _relabelled(self, world: int, goal: NDArray[Any]) -> tuple[Parts, Parts]:
+        """The episode of a world that has just ended, as if it had been asked for this goal."""
+        length = int(self._lengths[world])
+        rows = np.arange(max(length - self._rows, 0), length) % self._rows
+        observation = {name: part[rows, world] for name, part in self._observation.items()}
+        everywhere = np.ones(len(rows), np.bool_)
+        self.goal.write(observation, np.repeat(goal[None], len(rows), axis=0), everywhere)
+        if self.augmentation is not None:
+            self.augmentation.observe_episode(observation, world)
+        fields = {name: part[rows, world] for name, part in self._fields.items()}
+        fields["reward"][-1] = self.reward
+        return observation, fields
+
+    def _grow(self, rows: int) -> None:
+        """Makes room for longer episodes; no frame has been overwritten yet."""
+        for kept in (self._observation, self._fields):
+            for name, part in kept.items():
+                kept[name] = np.zeros((rows, *part.shape[1:]), part.dtype)
+                kept[name][: len(part)] = part
+        self._rows = rows
+
+    def _zeros(self, like: dict[str, tuple[tuple[int, ...], Any]]) -> Parts:
+        shape = self._rows, len(self._worlds)
+        return {name: np.zeros((*shape, *tail), dtype) for name, (tail, dtype) in like.items()}
+
+
+def _padded(episodes: list[Parts], shape: tuple[int, int]) -> dict[str, torch.Tensor]:
+    """Episodes {name: [length, ...]} beside each other, with zeros behind the shorter ones."""
+    padded = {}
+    for name, first in episodes[0].items():
+        array = np.zeros((*shape, *first.shape[1:]), first.dtype)
+        for e, episode in enumerate(episodes):
+            array[: len(episode[name]), e] = episode[name]
+        padded[name] = torch.from_numpy(array)
+    return padded
