@@ -9,6 +9,7 @@ import torch
 from test_collector import build
 
 from zipf import envs
+from zipf.agents.hindsight import AchievedOptions
 from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.players import Teacher
 from zipf.envs.playroom.actions import ACTIONS, TURN_LEFT, TURN_RIGHT
@@ -234,3 +235,51 @@ def test_what_cannot_be_augmented_is_refused():
         Augmentation(options(shift=1), codes, 2, seed=0)
     with pytest.raises(ValueError, match="changes nothing"):
         Augmentation(options(), IMAGE, 2, seed=0)
+
+
+def test_hindsight_relabels_what_the_augmentation_shows():
+    """A relabelled episode is what a world that was asked for what it achieved would have shown,
+    through the augmentation of the episode."""
+    n, steps = 6, 40
+    split, env = envs.split("gridworld"), envs.make_vec("gridworld/uniform", n)
+    chosen = options(symmetries=True, channels=True)
+    space, symmetries = env.single_observation_space, envs.symmetries(split, env)
+    augmentation = Augmentation(chosen, space, n, seed=3, symmetries=symmetries)
+    collector = Collector(
+        env,
+        build()[0],
+        unroll_length=steps,
+        seed=0,
+        augmentation=augmentation,
+        goal=envs.goal("gridworld/uniform", env),
+        hindsight=AchievedOptions(
+            name="achieved", episodes=100, length=None, reward=1.0,
+            advantage="none", policy_cost=1.0, value_cost=0.0,
+        ),
+    )  # fmt: skip
+    unroll = collector.collect()
+    episodes = unroll.episodes
+    assert episodes is not None
+    seen = unroll.steps["observation", "image"].numpy()
+    found = 0
+    for e in range(episodes.batch_size[1]):
+        length = int(episodes["mask"][:, e].sum())
+        relabelled = episodes["observation", "image"][:length, e].numpy()
+        for world in range(n):
+            for start in range(steps - length + 1):
+                original = seen[start : start + length, world]
+                same = (relabelled == original).reshape(length, 7, 9, 7, 9, 3)
+                cells = same.all((0, 2, 4, 5))
+                if cells[1:].all() and cells[0, 1:].all():
+                    found += 1
+                    cue = relabelled[0, :9, :9]
+                    assert (cue != original[0, :9, :9]).any()
+                    # What it touched stands in the view before the last step, turned likewise.
+                    shape = (cue != 180).any(-1)
+                    grid = relabelled[-1].reshape(7, 9, 7, 9, 3).swapaxes(1, 2)[2:5, 2:5]
+                    touched = [
+                        np.array_equal(cell[shape], cue[shape]) and not cell[~shape].any()
+                        for cell in grid.reshape(9, 9, 9, 3)
+                    ]
+                    assert any(touched)
+    assert found >= episodes.batch_size[1] > 3

@@ -318,7 +318,7 @@ def test_replay_has_relabelled_episodes_as_sequences():
                 _, memory = made.network(Inputs.of(episodes[:before, e : e + 1]), memory)
             for name, part in memory.items():
                 torch.testing.assert_close(item["memory", name], part[0])
-            errors, _ = made._errors(stored[cut][row : row + 1])
+            _, errors, _ = made._losses(stored[cut][row : row + 1])
             assert not errors[len(here) :].any()
             assert errors[: len(here)].all()
     made = build("r2d2", hindsight=options)
