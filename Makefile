@@ -7,10 +7,13 @@ BIN := $(VENV)/bin
 # Every condition but those that need an instruction or two objects in view.
 CONDITIONS := $(filter-out impala_vision_language supervised,$\
   $(basename $(notdir $(sort $(wildcard configs/condition/*.yaml)))))
+# Those that are not rows of the paper's tables.
+TAIL = $(subst $(EMPTY) $(EMPTY),$(COMMA),$(filter $(basename $(notdir $(shell \
+  grep -l "Not in the paper" configs/condition/*.yaml))),$(CONDITIONS)))
 EMPTY :=
 COMMA := ,
 
-.PHONY: demo conditions test lint types wheel results clean
+.PHONY: demo conditions tail test lint types wheel results clean
 
 demo: $(VENV)/.installed  ## train on a small gridworld for a few minutes, then print the scores
 	$(BIN)/python -m zipf.train experiment=demo
@@ -21,6 +24,15 @@ conditions: $(VENV)/.installed  ## every agent on the same gridworld, three seed
 	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=demo_conditions \
 	  condition=$(subst $(EMPTY) $(EMPTY),$(COMMA),$(CONDITIONS)) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
 	$(BIN)/python -m zipf.report runs/demo_conditions
+
+tail: conditions  ## parts for learning the tail, on the larger worlds, too: some days on 2 cores
+	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=gridworld_compact \
+	  condition=impala,impala_mlp,$(TAIL) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
+	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=playroom_lift_compact \
+	  condition=impala,$(TAIL) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
+	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=playroom_find_compact \
+	  condition=impala,supervised,$(TAIL) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
+	$(BIN)/python -m zipf.report runs/
 
 test: $(VENV)/.installed  ## run all tests
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
