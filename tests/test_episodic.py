@@ -90,7 +90,8 @@ def network(options=DICTIONARY, rows=12):
     """A network with rows drawn at random in its dictionary."""
     torch.manual_seed(0)
     memory = LSTMOptions(name="lstm", size=SIZE, layers=1)
-    made = ActorCritic(SPACE, gym.spaces.Discrete(ACTIONS), compact(), memory, options)
+    actions = gym.spaces.Discrete(ACTIONS)
+    made = ActorCritic(SPACE, actions, compact(), memory, episodic=options)
     priorities = torch.arange(rows).double()
     values = torch.randn(rows, SIZE + 2 * ACTIONS * options.outcome)
     made.dictionary.write(torch.randn(rows, SIZE), values, priorities)
