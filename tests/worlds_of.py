@@ -37,13 +37,23 @@ def achieves(experiment):
     return env.achieves
 
 
-def needs(experiment, agent="impala", auxiliary="none", augmentation="none", hindsight="none", **_):
+def needs(
+    experiment,
+    agent="impala",
+    auxiliary="none",
+    network="compact",
+    augmentation="none",
+    hindsight="none",
+    **_,
+):
     """What worlds of this experiment lack for it, in the words of the message; None for nothing."""
     split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
     if agents()[agent].answers_questions and not asks(split):
         return f"splits with such questions: {', '.join(filter(asks, envs.all_splits()))}"
     if auxiliary == "vision_language" and not speaks(experiment):
         return "needs an instruction"
+    if network in ("film", "attention") and not speaks(experiment):
+        return "reads images by an instruction"
     if augmentation != "none" and envs.family_of_split(split).symmetries is None:
         return "declare no symmetries"
     if hindsight != "none" and not achieves(experiment):

@@ -23,10 +23,9 @@ from torch import Tensor, nn
 
 from zipf.agents.image_networks import (
     EncoderOptions,
+    ImageNetwork,
+    InstructedNet,
     NetworkOptions,
-    PatchEncoder,
-    ResNet,
-    ShallowNet,
     image_network,
 )
 
@@ -121,9 +120,10 @@ class InstructionEncoder(nn.Module):
     padding; a zero before it is a word like any other, whose embedding is zero.
     """
 
+    size = 32
+
     def __init__(self, vocabulary: int):
         super().__init__()
-        self.size = 32
         self.embedding = nn.Embedding(vocabulary, 32, padding_idx=0)
         self.lstm = nn.LSTM(32, self.size, batch_first=True)
 
@@ -134,7 +134,7 @@ class InstructionEncoder(nn.Module):
         return outputs[torch.arange(len(outputs), device=outputs.device), last]
 
 
-PartEncoder = ResNet | ShallowNet | PatchEncoder | CodeEncoder | VectorEncoder | InstructionEncoder
+PartEncoder = ImageNetwork | CodeEncoder | VectorEncoder | InstructionEncoder
 
 
 def is_image(space: gym.Space) -> bool:
@@ -206,8 +206,9 @@ class Encoder(nn.Module):
         self.size = 0
         self.names: list[tuple[str, ...]] = []
         self.encoders = nn.ModuleList()
+        told = InstructionEncoder.size * len(texts)
         for name in images:
-            self._add([name], image_network(space[name].shape or (), options))
+            self._add([name], image_network(space[name].shape or (), options, told))
         if codes:
             self._add(codes, CodeEncoder([space[name] for name in codes], options))
         if vectors:
@@ -228,15 +229,24 @@ class Encoder(nn.Module):
 
     def compile_images(self) -> int:
         """Compiles the networks that read images (`torch.compile`); returns how many there are."""
-        networks = [e for e in self.encoders if isinstance(e, ResNet | ShallowNet | PatchEncoder)]
+        networks = [e for e in self.encoders if isinstance(e, ImageNetwork)]
         for network in networks:
             network.compile()
         return len(networks)
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """`{name: [N, ...]}` -> `[N, size]`."""
-        parts = zip(self.names, self.encoders, strict=True)
-        return torch.cat([encode(*(observation[n] for n in names)) for names, encode in parts], -1)
+        parts = list(zip(self.names, self.encoders, strict=True))
+        encoded = {
+            names: encode(*(observation[n] for n in names))
+            for names, encode in parts
+            if not isinstance(encode, InstructedNet)
+        }
+        for names, encode in parts:
+            if isinstance(encode, InstructedNet):
+                told = [encoded[n] for n, e in parts if isinstance(e, InstructionEncoder)]
+                encoded[names] = encode(observation[names[0]], torch.cat(told, -1))
+        return torch.cat([encoded[names] for names in self.names], -1)
 
 
 def vocabulary(space: gym.Space) -> int:

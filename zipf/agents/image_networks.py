@@ -73,8 +73,29 @@ class ShallowOptions(EncoderOptions):
     size: Size
 
 
+class FiLMOptions(ShallowOptions):
+    """As shallow, and the instruction scales and shifts the channels of every convolution."""
+
+    name: Literal["film"]  # type: ignore[assignment]
+
+
+class AttentionOptions(ShallowOptions):
+    """As shallow, and the instruction attends to places of the image: `heads` heads, whose keys
+    have `key_size` numbers."""
+
+    name: Literal["attention"]  # type: ignore[assignment]
+    heads: Size
+    key_size: Size
+
+
 NetworkOptions = Annotated[
-    ResNetOptions | ShallowOptions | CompactOptions | ComparingOptions, Field(discriminator="name")
+    ResNetOptions
+    | ShallowOptions
+    | FiLMOptions
+    | AttentionOptions
+    | CompactOptions
+    | ComparingOptions,
+    Field(discriminator="name"),
 ]
 
 
@@ -140,6 +161,85 @@ class ShallowNet(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         return self.layers(image.permute(0, 3, 1, 2) / 255.0)
+
+
+class InstructedNet(nn.Module):
+    """The base of networks that read an image by an instruction: strided convolutions, then a dense
+    layer, as `ShallowNet`: uint8 [N, H, W, C], [N, instruction size] -> [N, F].
+
+    Attributes:
+        convolutions: without padding; a ReLU follows each.
+        grid: channels, rows and columns after the last.
+    """
+
+    def __init__(self, shape: tuple[int, ...], options: ShallowOptions):
+        super().__init__()
+        plain = ShallowNet(shape, options)
+        self.convolutions = nn.ModuleList(m for m in plain.layers if isinstance(m, nn.Conv2d))
+        with torch.no_grad():
+            seen = torch.zeros(1, shape[2], *shape[:2])
+            for convolution in self.convolutions:
+                seen = convolution(seen)
+        self.grid = seen.shape[1:]
+        self.size = options.size
+
+
+class FiLMNet(InstructedNet):
+    """Feature-wise linear modulation (Perez et al. 2018): after each convolution, and before its
+    ReLU, channel c becomes (1 + g_c) x_c + b_c, where g and b are linear in the encoded
+    instruction. They begin as zeros, which makes it a `ShallowNet`."""
+
+    def __init__(self, shape: tuple[int, ...], options: FiLMOptions, instruction: int):
+        super().__init__(shape, options)
+        self.modulations = nn.ModuleList(
+            nn.Linear(instruction, 2 * channels) for channels in options.channels
+        )
+        for modulation in self.modulations:
+            nn.init.zeros_(modulation.weight)
+            nn.init.zeros_(modulation.bias)
+        self.dense = nn.Linear(self.grid.numel(), options.size)
+
+    def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
+        seen = image.permute(0, 3, 1, 2) / 255.0
+        for convolution, modulation in zip(self.convolutions, self.modulations, strict=True):
+            scale, shift = modulation(instruction)[:, :, None, None].chunk(2, 1)
+            seen = ((1 + scale) * convolution(seen) + shift).relu()
+        return self.dense(seen.flatten(1)).relu()
+
+
+class AttentionNet(InstructedNet):
+    """Cross-attention (Vaswani et al. 2017) of the instruction over the places of the image.
+
+    Each head has a query, linear in the encoded instruction. Keys are linear in what the
+    convolutions found in a place; weights are softmax_p(q . k_p / sqrt(key size)). The dense layer
+    reads what the convolutions found everywhere, the mean of it under each head's weights, and the
+    weights: what is there, and where. `ShallowNet` is this without heads.
+    """
+
+    def __init__(self, shape: tuple[int, ...], options: AttentionOptions, instruction: int):
+        super().__init__(shape, options)
+        self.heads, self.key_size = options.heads, options.key_size
+        channels, rows, columns = self.grid
+        self.query = nn.Linear(instruction, options.heads * options.key_size)
+        self.key = nn.Linear(channels, options.key_size)
+        read = options.heads * (channels + rows * columns)
+        self.dense = nn.Linear(self.grid.numel() + read, options.size)
+
+    def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
+        seen = image.permute(0, 3, 1, 2) / 255.0
+        for convolution in self.convolutions:
+            seen = convolution(seen).relu()
+        weights = self.weights(seen, instruction)
+        found = weights @ seen.flatten(2).transpose(1, 2).to(weights.dtype)
+        parts = (seen.flatten(1), found.flatten(1), weights.flatten(1))
+        return self.dense(torch.cat([part.to(seen.dtype) for part in parts], 1)).relu()
+
+    def weights(self, seen: Tensor, instruction: Tensor) -> Tensor:
+        """The heads' weights of the places: [N, channels, rows, columns], [N, instruction size] ->
+        [N, heads, rows * columns]."""
+        keys = self.key(seen.flatten(2).transpose(1, 2))
+        queries = self.query(instruction).unflatten(1, (self.heads, self.key_size))
+        return (queries @ keys.transpose(1, 2) / self.key_size**0.5).softmax(-1)
 
 
 class PatchEncoder(nn.Module):
@@ -279,15 +379,32 @@ def _compute_dtype(tensor: Tensor) -> torch.dtype:
     return torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else torch.float32
 
 
+ImageNetwork = ResNet | ShallowNet | InstructedNet | PatchEncoder
+
+
 def image_network(
-    shape: tuple[int, ...], options: NetworkOptions
-) -> ResNet | ShallowNet | PatchEncoder | ComparingEncoder:
+    shape: tuple[int, ...], options: NetworkOptions, instruction: int = 0
+) -> ImageNetwork:
     """The network that the options name, for images [H, W, C].
 
+    Args:
+        shape: of the images.
+        options: which network.
+        instruction: size of the encoded instruction, 0 for none.
+
     Raises:
-        ValueError: it cannot read images of that size.
+        ValueError: it cannot read images of that size, or needs an instruction.
     """
     match options:
+        case FiLMOptions() | AttentionOptions() if not instruction:
+            raise ValueError(
+                f"network={options.name} reads images by an instruction, and the observations have "
+                "none; choose network=shallow"
+            )
+        case FiLMOptions():
+            return FiLMNet(shape, options, instruction)
+        case AttentionOptions():
+            return AttentionNet(shape, options, instruction)
         case ResNetOptions():
             return ResNet(shape, options)
         case ShallowOptions():

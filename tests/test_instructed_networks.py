@@ -1,0 +1,129 @@
+"""Networks that read images by an instruction, against their definitions."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+from zipf.agents.encoders import Encoder
+from zipf.agents.image_networks import AttentionOptions, FiLMOptions, ShallowOptions
+
+VALUES = {
+    "channels": [3, 5],
+    "kernels": [4, 3],
+    "strides": [2, 1],
+    "size": 7,
+    "code_channels": 4,
+    "code_size": 4,
+    "vector_layers": [4],
+    "head_size": 0,
+}
+SHALLOW = ShallowOptions(name="shallow", **VALUES)
+FILM = FiLMOptions(name="film", **VALUES)
+ATTENTION = AttentionOptions(name="attention", heads=2, key_size=3, **VALUES)
+IMAGE = gym.spaces.Box(0, 255, (12, 14, 3), np.uint8)
+TEXT = gym.spaces.Box(0, 9, (4,), np.int64)
+SPACE = gym.spaces.Dict(image=IMAGE, instruction=TEXT)
+
+
+def observations(n=3):
+    SPACE.seed(0)
+    samples = [SPACE.sample() for _ in range(n)]
+    return {name: torch.from_numpy(np.stack([s[name] for s in samples])) for name in SPACE}
+
+
+def built(options):
+    torch.manual_seed(0)
+    encoder = Encoder(SPACE, options)
+    return encoder, encoder.reader("image"), encoder.reader("instruction")
+
+
+def convolved(convolution, seen):
+    """One image [C, H, W] without padding, place by place."""
+    kernel, stride = convolution.weight.shape[-1], convolution.stride[0]
+    rows, columns = ((side - kernel) // stride + 1 for side in seen.shape[1:])
+    out = torch.zeros(convolution.out_channels, rows, columns)
+    for r in range(rows):
+        for c in range(columns):
+            patch = seen[:, r * stride : r * stride + kernel, c * stride : c * stride + kernel]
+            out[:, r, c] = (convolution.weight * patch).sum((1, 2, 3)) + convolution.bias
+    return out
+
+
+@torch.no_grad()
+def test_film_is_its_definition():
+    encoder, network, reader = built(FILM)
+    for modulation in network.modulations:
+        torch.nn.init.normal_(modulation.weight)
+        torch.nn.init.normal_(modulation.bias)
+    given = observations()
+    told, encoded = reader(given["instruction"]), encoder(given)
+    assert encoded.shape == (3, 7 + 32) == (3, encoder.size)
+    for n in range(3):
+        seen = given["image"][n].permute(2, 0, 1) / 255.0
+        for convolution, modulation in zip(network.convolutions, network.modulations, strict=True):
+            numbers = modulation(told[n])
+            seen = convolved(convolution, seen)
+            for channel in range(len(seen)):
+                scale, shift = numbers[channel], numbers[len(seen) + channel]
+                seen[channel] = ((1 + scale) * seen[channel] + shift).clamp(min=0)
+        expected = network.dense(seen.flatten()).relu()
+        torch.testing.assert_close(encoded[n, :7], expected)
+        torch.testing.assert_close(encoded[n, 7:], told[n])
+
+
+@torch.no_grad()
+def test_film_begins_as_the_shallow_network():
+    encoder, network, _ = built(FILM)
+    _, plain, _ = built(SHALLOW)
+    for mine, other in zip(
+        [*network.convolutions, network.dense],
+        [m for m in plain.layers if hasattr(m, "weight")],
+        strict=True,
+    ):
+        mine.load_state_dict(other.state_dict())
+    given = observations()
+    torch.testing.assert_close(encoder(given)[:, :7], plain(given["image"]))
+
+
+@torch.no_grad()
+def test_attention_is_its_definition():
+    encoder, network, reader = built(ATTENTION)
+    given = observations()
+    told, encoded = reader(given["instruction"]), encoder(given)
+    for n in range(3):
+        seen = given["image"][n].permute(2, 0, 1) / 255.0
+        for convolution in network.convolutions:
+            seen = convolved(convolution, seen).clamp(min=0)
+        places = seen.flatten(1).T
+        found, weights = [], []
+        for head in range(2):
+            query = network.query(told[n])[3 * head : 3 * head + 3]
+            scores = torch.stack([query @ network.key(place) / 3**0.5 for place in places])
+            shares = scores.exp() / scores.exp().sum()
+            found.append(sum(share * place for share, place in zip(shares, places, strict=True)))
+            weights.append(shares)
+        parts = torch.cat([seen.flatten(), *found, *weights])
+        expected = network.dense(parts).relu()
+        torch.testing.assert_close(encoded[n, :7], expected, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("options", [FILM, ATTENTION], ids=["film", "attention"])
+def test_the_instruction_changes_what_is_read_of_the_image(options):
+    """Every parameter learns, and in bfloat16, too; without an instruction there is an error."""
+    encoder, network, _ = built(options)
+    given = observations()
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, std=0.5)
+    with torch.autocast("cpu", torch.bfloat16, enabled=options is FILM):
+        encoded = encoder(given)
+    encoded.float().square().sum().backward()
+    for name, parameter in encoder.named_parameters():
+        assert parameter.grad is not None, name
+        assert parameter.grad.any(), name
+    others = given | {"instruction": given["instruction"].flip(0)}
+    changed = encoder(others)[0, :7]
+    assert not torch.equal(changed, encoder(given)[0, :7])
+    with pytest.raises(ValueError, match="by an instruction, and the observations have none"):
+        Encoder(gym.spaces.Dict(image=IMAGE), options)
+    assert encoder.compile_images() == 1
