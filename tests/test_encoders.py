@@ -92,6 +92,7 @@ def comparing(comparison, **changes):
         "name": "comparing",
         "comparison": comparison,
         "key_size": 8,
+        "width": 6,
         "convolutions": 2,
     }
     return ComparingOptions(**options | changes)

@@ -160,7 +160,9 @@ def test_levels_without_such_a_player_are_named():
 def test_it_is_scored_by_its_likeliest_actions():
     env = envs.make_vec("gridworld/zipf_2", 32)
     agent = build(
-        env.single_observation_space, env.single_action_space, MLPOptions(name="mlp", size=8)
+        env.single_observation_space,
+        env.single_action_space,
+        MLPOptions(name="mlp", size=8, layers=1),
     )
     observation, _ = env.reset(seed=0)
     inputs = Inputs(
