@@ -191,12 +191,11 @@ class FiLMNet(InstructedNet):
 
     def __init__(self, shape: tuple[int, ...], options: FiLMOptions, instruction: int):
         super().__init__(shape, options)
-        self.modulations = nn.ModuleList(
-            nn.Linear(instruction, 2 * channels) for channels in options.channels
-        )
-        for modulation in self.modulations:
+        modulations = [nn.Linear(instruction, 2 * channels) for channels in options.channels]
+        for modulation in modulations:
             nn.init.zeros_(modulation.weight)
             nn.init.zeros_(modulation.bias)
+        self.modulations = nn.ModuleList(modulations)
         self.dense = nn.Linear(self.grid.numel(), options.size)
 
     def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
