@@ -8,13 +8,18 @@ from zipf.experiments import composing
 
 
 @cache
-def speaks(experiment):
-    """Whether the worlds of an experiment have an instruction."""
+def world_of(experiment):
+    """One world of an experiment, closed."""
     worlds = composing.composed(f"experiment={experiment}").values["environment"]
     options = {name: value for name, value in worlds.items() if name != "split"}
     env = envs.make_vec(envs.split(worlds["split"]).uniform[0], 1, **options)
     env.close()
-    return "instruction" in env.single_observation_space.spaces
+    return env
+
+
+def speaks(experiment):
+    """Whether the worlds of an experiment have an instruction."""
+    return "instruction" in world_of(experiment).single_observation_space.spaces
 
 
 @cache
@@ -27,14 +32,9 @@ def asks(split):
     return True
 
 
-@cache
 def achieves(experiment):
     """Whether the worlds of an experiment tell what an episode has achieved."""
-    worlds = composing.composed(f"experiment={experiment}").values["environment"]
-    options = {name: value for name, value in worlds.items() if name != "split"}
-    env = envs.make_vec(envs.split(worlds["split"]).uniform[0], 1, **options)
-    env.close()
-    return env.achieves
+    return world_of(experiment).achieves
 
 
 def needs(

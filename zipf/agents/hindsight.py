@@ -20,7 +20,7 @@ from pydantic import Field
 from tensordict import TensorDict
 from torch import Tensor
 
-from zipf.agents.network import ActorCritic, Inputs, autocast
+from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast
 from zipf.options import Options
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -81,8 +81,7 @@ def hindsight_loss(
     returns = discounted_returns(episodes["reward"], discount)
     better = (returns - outputs.value).clamp(min=0)
     factor = better.detach() if options.advantage == "positive" else torch.ones_like(returns)
-    chosen = episodes["action"].unsqueeze(-1)
-    log_pi = outputs.logits.log_softmax(-1).gather(-1, chosen).squeeze(-1)
+    log_pi = action_log_probability(outputs.logits.log_softmax(-1), episodes["action"])
     frames = mask.sum()
     policy_loss = -(log_pi * factor * mask).sum() / frames
     value_loss = 0.5 * (better.square() * mask).sum() / frames

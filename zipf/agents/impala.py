@@ -28,7 +28,7 @@ from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.episodic import build_recorder
 from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.memory import State
-from zipf.agents.network import ActorCritic, Inputs, autocast
+from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast
 from zipf.agents.returns import vtrace
 from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
@@ -224,8 +224,3 @@ class Impala(Agent):
         self.auxiliary.load_state_dict(state["auxiliary"])
         self.recorder.load_state_dict(state["recorder"])
         self.optimiser.load_state_dict(state["optimiser"])
-
-
-def action_log_probability(log_policy: Tensor, action: Tensor) -> Tensor:
-    """log pi(a|x) of the actions taken: [T, B, actions], [T, B] -> [T, B]."""
-    return log_policy.gather(-1, action.unsqueeze(-1)).squeeze(-1)

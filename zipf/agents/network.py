@@ -57,6 +57,11 @@ def head(inputs: int, hidden: int, outputs: int) -> nn.Module:
     return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, outputs))
 
 
+def action_log_probability(log_policy: Tensor, action: Tensor) -> Tensor:
+    """log pi(a|x) of the actions taken: [T, B, actions], [T, B] -> [T, B]."""
+    return log_policy.gather(-1, action.unsqueeze(-1)).squeeze(-1)
+
+
 def autocast(device: str, precision: str) -> torch.autocast:
     """Automatic mixed precision where `precision` is "bfloat16"; with "float32" nothing changes."""
     kind = torch.device(device).type

@@ -34,7 +34,7 @@ from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.memory import State
-from zipf.agents.network import ActorCritic, Inputs, autocast
+from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast
 from zipf.agents.returns import bootstrapped_returns
 from zipf.agents.reweighting import NO_REWEIGHTING, weighted
 from zipf.agents.unroll import Unroll
@@ -308,7 +308,7 @@ def vmpo_losses(
     psi = scaled.detach().softmax(0)
     log_mean = scaled.logsumexp(0) - math.log(total)
 
-    log_pi = log_policy.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
+    log_pi = action_log_probability(log_policy, actions)
     kl = mean((log_target.exp() * (log_target - log_policy)).sum(-1))
     return VMPOLosses(
         policy=-(psi * log_pi[top]).sum(),

@@ -89,28 +89,32 @@ class Augmentation:
             )
         self.options = options
         self.symmetries = symmetries if options.symmetries else None
+        if self.symmetries is not None:
+            self._inverse = self.symmetries.actions.argsort(1)
         self._rng = np.random.default_rng(seed)
         self._change_images = bool(chosen)
-        self._symmetry = np.zeros(num_envs, np.int64)
-        self._order = np.tile(np.arange(3), (num_envs, 1))
-        self._shift = np.zeros((num_envs, 2), np.int64)
-        self._centre = np.zeros((num_envs, 2))  # of the square, in sides of the image
+        self._drawn: dict[str, NDArray] = {
+            "symmetry": np.zeros(num_envs, np.int64),
+            "order": np.tile(np.arange(3), (num_envs, 1)),
+            "shift": np.zeros((num_envs, 2), np.int64),
+            "centre": np.zeros((num_envs, 2)),  # of the square, in sides of the image
+        }
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
         """Draws anew for the worlds of `mask` [N], in which an episode begins."""
-        n, o = int(mask.sum()), self.options
+        n, o, drawn = int(mask.sum()), self.options, self._drawn
         if self.symmetries is not None:
-            self._symmetry[mask] = self._rng.integers(self.symmetries.count, size=n)
+            drawn["symmetry"][mask] = self._rng.integers(self.symmetries.count, size=n)
         if o.channels:
-            self._order[mask] = self._rng.permuted(np.tile(np.arange(3), (n, 1)), axis=1)
+            drawn["order"][mask] = self._rng.permuted(np.tile(np.arange(3), (n, 1)), axis=1)
         if o.shift:
-            self._shift[mask] = self._rng.integers(-o.shift, o.shift + 1, size=(n, 2))
+            drawn["shift"][mask] = self._rng.integers(-o.shift, o.shift + 1, size=(n, 2))
         if o.cutout:
-            self._centre[mask] = self._rng.random((n, 2))
+            drawn["centre"][mask] = self._rng.random((n, 2))
 
     def observe(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> None:
         """Changes the worlds' observations `{name: [N, ...]}`, in place, where `mask` [N]."""
-        self._observe(observation, mask, self._symmetry, self._order, self._shift, self._centre)
+        self._observe(observation, mask, **self._drawn)
 
     def _observe(
         self,
@@ -131,46 +135,36 @@ class Augmentation:
         """Changes the observations `{name: [frames, ...]}` of the running episode of one world, in
         place."""
         frames = len(next(iter(observation.values())))
-        everywhere = np.ones(frames, np.bool_)
-
-        def repeated(drawn: NDArray) -> NDArray:
-            return np.repeat(drawn[world : world + 1], frames, axis=0)
-
-        self._observe(
-            observation,
-            everywhere,
-            *map(repeated, (self._symmetry, self._order, self._shift, self._centre)),
-        )
+        repeated = {
+            name: np.repeat(drawn[world : world + 1], frames, axis=0)
+            for name, drawn in self._drawn.items()
+        }
+        self._observe(observation, np.ones(frames, np.bool_), **repeated)
 
     def to_worlds(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
         """The worlds' actions for those of the agent, [N] -> [N]."""
         if self.symmetries is None:
             return actions
-        return self.symmetries.actions[self._symmetry, actions]
+        return self.symmetries.actions[self._drawn["symmetry"], actions]
 
     def from_worlds(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
         """The agent's actions for those of the worlds, [N] -> [N]."""
         if self.symmetries is None:
             return actions
-        return self.symmetries.actions.argsort(1)[self._symmetry, actions]
+        return self._inverse[self._drawn["symmetry"], actions]
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that later calls depend on."""
         return {
             "generator": self._rng.bit_generator.state,
-            "symmetry": self._symmetry.copy(),
-            "order": self._order.copy(),
-            "shift": self._shift.copy(),
-            "centre": self._centre.copy(),
+            **{name: drawn.copy() for name, drawn in self._drawn.items()},
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continues from `state_dict()`."""
         self._rng.bit_generator.state = state["generator"]
-        self._symmetry[:] = state["symmetry"]
-        self._order[:] = state["order"]
-        self._shift[:] = state["shift"]
-        self._centre[:] = state["centre"]
+        for name, drawn in self._drawn.items():
+            drawn[:] = state[name]
 
 
 @compiled()
