@@ -1,4 +1,4 @@
-"""The cache of compiled code: it notices every change to the package, and does without a folder."""
+"""The cache of compiled code: it notices every change that matters, and does without a folder."""
 
 import os
 import shutil
@@ -79,6 +79,36 @@ def test_a_changed_imported_constant_is_noticed(small: Path) -> None:
     # Code that was compiled from the old sources has been deleted.
     assert len(saved(small)) == 2
     assert saved(small).isdisjoint(before)
+
+
+def test_the_laboratory_can_change_without_compiling_again(small: Path) -> None:
+    program = f"print(kernel(5)){HITS}"
+    finish(start(small, program))
+    (small / "experiments").mkdir()
+    (small / "experiments" / "tables.py").write_text("WIDTH = 80\n")
+    os.utime(small / "kernels.py")  # as a fresh clone has other times
+    assert finish(start(small, program))[0] == "11\n1"
+
+
+def test_code_outside_the_package_is_compiled_again_when_its_file_changes(small: Path) -> None:
+    own = small.parent / "own.py"
+    program = "from own import doubled; print(doubled(5), sum(doubled.stats.cache_hits.values()))"
+    source = "from small.compiled import compiled\n@compiled()\ndef doubled(x): return 2 * x\n"
+    own.write_text(source)
+    assert finish(start(small, program))[0] == "10 0"
+    assert finish(start(small, program))[0] == "10 1"
+    own.write_text(source.replace("2 *", "20 *"))
+    assert finish(start(small, program))[0] == "100 0"
+
+
+def test_compiled_code_depends_on_no_file_of_the_laboratory_but_its_own() -> None:
+    package = Path(compiled.__file__).parent
+    for path in package.rglob("*.py"):
+        source = path.read_text()
+        in_laboratory = package / "experiments" in path.parents
+        if not in_laboratory or "zipf.compiled" in source:
+            commands = path.parent == package  # they start the laboratory, and compile nothing
+            assert commands or "zipf.experiments" not in source, path
 
 
 def test_where_no_folder_can_be_written_there_is_one_warning_and_no_cache(small: Path) -> None:

@@ -2,7 +2,8 @@
 
 Compiled code contains the constants and functions that the function's module imports, but numba's
 own cache only notices changes to the file of the function itself. Here compiled code is valid for
-one state of all source files of the package.
+one state of all source files of the package. Those of `zipf/experiments`, which the rest of the
+package does not import, count for their own functions alone.
 """
 
 import contextlib
@@ -49,10 +50,11 @@ def compiled(**options: Any) -> Callable[[Function], Any]:
 
 @cache
 def fingerprint() -> str:
-    """A hash of the package's source files and of numba's version, hexadecimal."""
+    """A hash of the source files that compiled code can depend on and of numba's version,
+    hexadecimal."""
     package = Path(__file__).parent
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(package.rglob("*.py")):
+    for path in sorted(set(package.rglob("*.py")) - set(package.glob("experiments/**/*.py"))):
         source = path.read_bytes()
         digest.update(f"\n{path.relative_to(package).as_posix()} {len(source)}\n".encode())
         digest.update(source)
@@ -79,8 +81,11 @@ class _Cache(FunctionCache):
 
     def __init__(self, function: Function) -> None:
         super().__init__(function)
-        # The function's own file is outside the package where a third party uses the decorator.
-        sources = fingerprint(), self._impl.locator.get_source_stamp()
+        own = Path(function.__code__.co_filename)
+        stamp = self._impl.locator.get_source_stamp()
+        if Path(__file__).parent in own.parents:  # the same in every clone, as times are not
+            stamp = hashlib.sha256(own.read_bytes()).hexdigest()
+        sources = fingerprint(), stamp
         name = f"{function.__module__}.{function.__qualname__}".replace("<locals>", "locals")
         self._cache_file = _Files(
             self._cache_path, f"{name}.{sys.implementation.cache_tag}", sources
