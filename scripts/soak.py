@@ -402,7 +402,14 @@ def _says(overrides: list[str], printed: str) -> bool:
         return value in command_line.choices(name)
     taken = flatten(values).get(name, values.get(name))
     same = taken == told or str(taken) == value.strip("'\"")
-    return bool(equals) and (same or float(taken) == float(value))
+    return bool(equals) and (same or _number(taken) == _number(value) is not None)
+
+
+def _number(value: Any) -> float | None:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return None
 
 
 SOAKS = {"kills": soak_kills, "damages": soak_damages, "lines": soak_lines}
