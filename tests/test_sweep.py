@@ -18,7 +18,7 @@ from zipf.experiments import command_line, composing, sweeps
 from zipf.experiments.catalogue import help_text
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting.paper import paper_table
-from zipf.experiments.running import checkpoint, run_folder, runner, sweep
+from zipf.experiments.running import checkpoint, job, run_folder, runner, sweep
 from zipf.experiments.running.signals import SWEEP_PIPE, StopSignals
 
 SWEEPS = composing.choices("sweep")
@@ -31,7 +31,7 @@ def expanded(*overrides):
 
 
 def pairs(jobs):
-    return {(job["experiment"], job["condition"]) for job in jobs}
+    return {(one["experiment"], one["condition"]) for one in jobs}
 
 
 def split_of(experiment):
@@ -47,16 +47,16 @@ PAPERS = [name for name in SWEEPS if name.startswith("paper_")]
 @pytest.mark.parametrize("name", PAPERS)
 def test_the_papers_sweeps_have_every_row_of_its_tables(name):
     jobs = expanded(f"sweep={name}")
-    for experiment in {job["experiment"] for job in jobs}:
+    for experiment in {one["experiment"] for one in jobs}:
         rows = {condition for one, condition in pairs(jobs) if one == experiment}
         assert rows == set(paper_table(split_of(experiment).paper).rows)
         assert all(needs(experiment, **chosen(experiment, row)) is None for row in rows)
     assert len(jobs) == 3 * len(pairs(jobs))
-    assert {job["seed"] for job in jobs} == {"0", "1", "2"}
+    assert {one["seed"] for one in jobs} == {"0", "1", "2"}
 
 
 def test_the_papers_sweeps_have_all_its_experiments():
-    swept = {job["experiment"] for name in PAPERS for job in expanded(f"sweep={name}")}
+    swept = {one["experiment"] for name in PAPERS for one in expanded(f"sweep={name}")}
     every = composing.choices("experiment")
     assert swept == {one for one in every if split_of(one).name == one}
 
@@ -78,7 +78,7 @@ def test_the_tail_is_what_the_paper_has_not():
 def test_conditions_of_a_set_that_do_not_fit_are_left_out():
     words = ["sweep=demo", "condition=impala,supervised,vmpo", "seed=0"]
     found = sweeps.check(words)
-    assert [job.config.condition for job in found.jobs] == ["impala", "vmpo"]
+    assert [one.config.condition for one in found.jobs] == ["impala", "vmpo"]
     (why,) = found.left_out
     assert "condition=supervised: agent=supervised" in why
     with pytest.raises(UserError, match="updates=many"):  # a mistake is not a misfit
@@ -87,7 +87,7 @@ def test_conditions_of_a_set_that_do_not_fit_are_left_out():
 
 def test_overrides_apply_to_all_jobs_of_a_sweep():
     jobs = expanded("sweep=tail", "condition=impala", "seed=7", "updates=9", "run_root=x")
-    assert {(job["seed"], job["updates"], job["run_root"]) for job in jobs} == {("7", "9", "x")}
+    assert {(one["seed"], one["updates"], one["run_root"]) for one in jobs} == {("7", "9", "x")}
     assert len(jobs) == 3
     assert len(expanded("sweep=tail", "experiment=gridworld_compact", "condition=impala")) == 3
     both = pairs(expanded("sweep=paper_gridworld,paper_labyrinth", "condition=r2d2", "seed=0"))
@@ -216,7 +216,7 @@ if seed in ("seed=5", "seed=6"):  # stops when it is told to, or later
 @pytest.fixture
 def scripted(tmp_path, monkeypatch, capsys):
     """A function that runs a sweep over seeds; returns the exit code and the lines shown."""
-    monkeypatch.setattr("zipf.experiments.running.job.TRAIN", (sys.executable, "-c", SCRIPT))
+    monkeypatch.setattr(job, "TRAIN", (sys.executable, "-c", SCRIPT))
 
     def run(seeds):
         code = sweep.run([*TINY, "name=x", f"seed={seeds}", f"run_root={tmp_path}"])
@@ -261,6 +261,27 @@ def test_a_second_signal_stops_at_once(scripted):
     code, lines = scripted("6,7")
     assert code == 128 + signal.SIGTERM
     assert "2 jobs: 1 stopped, 1 not begun" in lines
+
+
+def test_a_launcher_that_breaks_is_told(scripted, monkeypatch):
+    """As joblib does when one of its workers is killed: it returns nothing of any job."""
+
+    class Broken:
+        def __init__(self, task):
+            self.task = task
+
+        def launch(self, overrides, first):
+            self.task.board.tell(self.task.jobs[0], job.Outcome("finished", "finished"))
+            self.task.board.tell(self.task.jobs[1], job.Outcome("begun", "begins"))
+            raise RuntimeError("a worker\nwas killed")
+
+    monkeypatch.setattr(sweep, "_launcher", lambda overrides, root, task: Broken(task))
+    code, lines = scripted("0,7,8")
+    assert code == 2
+    failure = "failed: the launcher failed: RuntimeError: a worker was killed"
+    assert f"2/3 demo x seed 7: {failure}" in lines
+    assert f"3/3 demo x seed 8: {failure}" in lines
+    assert "3 jobs: 1 finished, 2 failed" in lines
 
 
 def test_a_job_stops_when_its_sweep_has_gone(monkeypatch):
