@@ -115,6 +115,7 @@ def test_a_sweep_of_ones_own(own):
         "# Mine.\n"
         "- {experiments: demo, conditions: impala, seeds: [3, 4], overrides: ['memory=mlp,lstm']}\n"
         "- {experiments: [demo, gridworld], seeds: [3]}\n"
+        "- {experiments: demo, conditions: impala, seeds: [4, 5], overrides: [memory=lstm]}\n"
     )
     jobs = everything("sweep=mine")
     assert [(j.config.experiment, j.config.condition, j.config.seed) for j in jobs] == [
@@ -124,6 +125,7 @@ def test_a_sweep_of_ones_own(own):
         ("demo", "impala", 4),
         ("demo", "impala_mlp", 3),
         ("gridworld", "impala", 3),
+        ("demo", "impala", 5),
     ]
     assert len(expanded("sweep=mine", "memory=lstm", "seed=1")) == 3
     assert "mine             Mine." in help_text()

@@ -130,37 +130,34 @@ def expand(
     if not names:
         yield from ((tuple(job), None) for job in _combinations(words))
         return
-    given = {one.key_or_group: one for one in parsed}
-    wanted = {
-        group: _values(given[group]) for group in ("experiment", "condition") if group in given
-    }
-    rest = [one for one in parsed if one.key_or_group not in ("sweep", "experiment", "condition")]
-    blocks = [(name, block) for name in names for block in read_blocks(name)]
-    pairs = {
-        (name, experiment, condition): (block, optional)
-        for name, block in blocks
+    narrowing = ("experiment", "condition")
+    rest = [one for one in parsed if one.key_or_group not in ("sweep", *narrowing)]
+    pairs = [
+        (block, {"experiment": experiment, "condition": condition}, optional)
+        for name in names
+        for block in read_blocks(name)
         for experiment in _as_list(block.experiments)
         for condition, optional in _conditions(name, block, experiment).items()
-    }
-    for place, group in enumerate(("experiment", "condition"), start=1):
-        known = sorted({key[place] for key in pairs if key[place]})
-        for value in wanted.get(group, ()):
+    ]
+    for one in parsed:
+        if (group := one.key_or_group) not in narrowing:
+            continue
+        known = sorted({pair[group] for _, pair, _ in pairs if pair[group]})
+        for value in _values(one):
             if value not in known:
                 told = command_line.nearest(value, known)
                 raise UserError(f"{group}={value}: is not in sweep={','.join(names)}; {told}")
+        pairs = [entry for entry in pairs if entry[1][group] in _values(one)]
     planned: dict[tuple[str, ...], tuple[str, str] | None] = {}
-    for (_, experiment, condition), (block, optional) in pairs.items():
-        if experiment not in wanted.get("experiment", [experiment]):
-            continue
-        if condition not in wanted.get("condition", [condition]):
-            continue
+    for block, pair, optional in pairs:
         own = [f"seed={','.join(map(str, block.seeds))}", *block.overrides]
         changed = {one.get_key_element() for one in rest}
         kept = [one for one in command_line.parse(own) if one.get_key_element() not in changed]
-        chosen = [f"experiment={experiment}", *([f"condition={condition}"] if condition else [])]
+        chosen = [f"{group}={name}" for group, name in pair.items() if name]
         lines = [*chosen, *(str(one.input_line) for one in [*kept, *rest])]
         for job in _combinations(lines):
-            planned.setdefault(tuple(job), (experiment, condition) if optional else None)
+            left_out = (pair["experiment"], pair["condition"]) if optional else None
+            planned.setdefault(tuple(job), left_out)
     yield from planned.items()
 
 
