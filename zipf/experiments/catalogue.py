@@ -57,10 +57,10 @@ def help_text() -> str:
             for family in envs.families().values()
             if family.splits
         ],
-        "Sweeps, with -m and lists of values or sweep=": [
+        "-m sweep= (a sweep; or -m and lists of values)": [
             (name, summary("sweep", name)) for name in composing.choices("sweep")
         ],
-        "What starts the jobs of a sweep, hydra/launcher=": list(LAUNCHERS.items()),
+        "hydra/launcher= (what starts the jobs of a sweep)": list(LAUNCHERS.items()),
         "Other groups:": [
             (f"{group}=", ", ".join(composing.choices(group)))
             for group in composing.groups()
