@@ -4,14 +4,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-# Every condition but those that need an instruction or two objects in view.
-CONDITIONS := $(filter-out impala_vision_language supervised,$\
-  $(basename $(notdir $(sort $(wildcard configs/condition/*.yaml)))))
-# Those that are not rows of the paper's tables.
-TAIL = $(subst $(EMPTY) $(EMPTY),$(COMMA),$(filter $(basename $(notdir $(shell \
-  grep -l "Not in the paper" configs/condition/*.yaml))),$(CONDITIONS)))
-EMPTY :=
-COMMA := ,
+# Two jobs at a time, one core each.
+BESIDE := hydra/launcher=joblib hydra.launcher.n_jobs=2
 
 .PHONY: demo conditions tail test lint types wheel results clean
 
@@ -19,19 +13,12 @@ demo: $(VENV)/.installed  ## train on a small gridworld for a few minutes, then 
 	$(BIN)/python -m zipf.train experiment=demo
 	$(BIN)/python -m zipf.report runs/demo
 
-conditions: $(VENV)/.installed  ## every agent on the same gridworld, three seeds each: an hour on 2 cores
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[sweep]"
-	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=demo_conditions \
-	  condition=$(subst $(EMPTY) $(EMPTY),$(COMMA),$(CONDITIONS)) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
+conditions: $(VENV)/.installed  ## every agent on the same gridworld, three seeds each: about two hours on 2 cores
+	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m sweep=demo $(BESIDE)
 	$(BIN)/python -m zipf.report runs/demo_conditions
 
 tail: conditions  ## parts for learning the tail, on the larger worlds, too: some days on 2 cores
-	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=gridworld_compact \
-	  condition=impala,impala_mlp,$(TAIL) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
-	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=playroom_lift_compact \
-	  condition=impala,$(TAIL) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
-	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=playroom_find_compact \
-	  condition=impala,supervised,$(TAIL) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
+	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m sweep=tail $(BESIDE)
 	$(BIN)/python -m zipf.report runs/
 
 test: $(VENV)/.installed  ## run all tests

@@ -158,6 +158,13 @@ def conditions() -> list[str]:
     )
 
 
+def sweeps() -> list[str]:
+    return markdown(
+        ("Sweep", "What it is"),
+        ((code(name), catalogue.summary("sweep", name)) for name in composing.choices("sweep")),
+    )
+
+
 def choices() -> list[str]:
     groups = [group for group in composing.groups() if group not in ("experiment", "condition")]
     return markdown(
@@ -193,6 +200,7 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "splits": splits,
     "experiments": experiments,
     "conditions": conditions,
+    "sweeps": sweeps,
     "choices": choices,
     "modules": modules,
     "file": file,

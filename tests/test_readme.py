@@ -15,7 +15,7 @@ from zipf import envs, plugins
 from zipf.agents import agent
 from zipf.agents.auxiliary import base
 from zipf.envs import family
-from zipf.experiments import command_line, composing
+from zipf.experiments import command_line, composing, sweeps
 from zipf.experiments.config import Config, EvaluateOptions
 from zipf.experiments.playing.playing import PlayOptions
 from zipf.experiments.reporting.windows import parse_window
@@ -126,7 +126,7 @@ def overrides_of(arguments: list[str]) -> list[str]:
         i = words.index("--config-dir")
         composing.add_folder(words[i + 1])
         del words[i : i + 2]
-    # Launchers belong to the extra `sweep`, which the tests do not install.
+    # Launchers are of the command, not of its jobs.
     return [word for word in words if not word.startswith("hydra")]
 
 
@@ -137,7 +137,8 @@ def test_train_commands_are_accepted(page, arguments, in_folder):
     overrides = overrides_of(arguments)
     if not overrides:
         return
-    jobs = command_line.check_command_line(overrides)
+    ready_made = sweeps.named(overrides)  # test_config.py checks what they choose
+    jobs = sweeps.check(overrides, is_finished=lambda _: ready_made).jobs
     assert (len(jobs) > 1) == ("-m" in arguments)
     if files(page):
         short = ["updates=1", "schedule.window=[0,1]", "collector.num_envs=8"]

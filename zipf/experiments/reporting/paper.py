@@ -113,6 +113,11 @@ def paper_table(experiment: str) -> PaperTable:
     return tables[experiment]
 
 
+def conditions_of_the_paper() -> set[str]:
+    """The conditions that are a row of any of the paper's tables."""
+    return {condition for table in _tables().values() for condition in table.rows}
+
+
 @functools.cache
 def paper_layouts() -> tuple[PaperLayout, ...]:
     """The paper's tables of several experiments."""

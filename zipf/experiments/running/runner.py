@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -26,30 +27,26 @@ from zipf.experiments.running.factory import build_agent
 from zipf.experiments.running.logger import Logger
 from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.overlap import Overlap
-from zipf.experiments.running.signals import StopSignals
+from zipf.experiments.running.signals import StopSignals, sweep_has_ended
 from zipf.experiments.running.trained import evaluate_agent
 
 
-def train(config: Config, *, alone: bool = True) -> int:
+def train(config: Config) -> int:
     """Trains until `config.updates`, or until a signal asks to stop; the same command resumes.
 
     A run that is finished is left as it is.
-
-    Args:
-        alone: False in a process that is given one run after another, beside others that print to
-            the same terminal. After a signal it begins no further run.
 
     Returns the number of the signal that stopped it, 0 for none.
 
     Raises:
         UserError: the run cannot begin, go on or be written; the last checkpoint is kept.
     """
-    if StopSignals.received and not alone:
-        return StopSignals.received
+    if sweep_has_ended():
+        return signal.SIGTERM
     keep_freed_ram()
     schedule = config.schedule
     with run_folder.lock(config.folder), _as_user_errors(config):
-        run = Run(config, alone=alone)
+        run = Run(config)
         if run.is_finished:
             run.close()
             run.display.say(f"{run.name}: is finished at update {run.update}, in {run.folder}")
@@ -106,7 +103,7 @@ class Run:
         UserError: the run cannot begin, go on or be written.
     """
 
-    def __init__(self, config: Config, *, alone: bool = True):
+    def __init__(self, config: Config):
         self.config = config
         self.folder = config.folder
         self.device = config.torch_device
@@ -159,13 +156,12 @@ class Run:
             assert self._tables is not None
             run_folder.check_description(config, env.situation)
             Logger.check(self.folder, self.update, self._tables)
-        self.name = f"{config.experiment} {config.condition} seed {config.seed}"
+        self.name = config.run_name
         self.display = Display(
             self.name,
             config.updates,
             self.update,
             frames_per_update=self.frames_per_update,
-            alone=alone,
         )
 
     def __enter__(self) -> Run:
