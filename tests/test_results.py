@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from zipf.experiments.reporting.tables import CSV_COLUMNS
+from zipf.experiments.reporting.scores import CSV_COLUMNS
 from zipf.report import report
 
 ROOT = Path(__file__).parent.parent
