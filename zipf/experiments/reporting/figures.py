@@ -80,8 +80,9 @@ def learning_curves(
     numbers of frames in an update, and with an external agent, whose updates are not ours, the
     scores are drawn against frames: at one place of the axis all have had the same experience.
 
-    In hours, or minutes below two hours, a point of the line is at the median time of the seeds at an update, training and
-    evaluation together, each on its own machine; without external agents, whose time is not known.
+    In hours, or minutes below two hours, a point of the line is at the median time of the seeds at
+    an update, training and evaluation together, each on its own machine; without external agents,
+    whose time is not known.
     """
     rows = [row for row in table.rows if not (in_hours and row.external)]
     scores = {

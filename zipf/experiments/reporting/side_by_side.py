@@ -59,7 +59,7 @@ def side_by_side(tables: Sequence[ScoreTable]) -> list[SideBySide]:
             if _published_rows(table) > _published_rows(other):
                 of_variant[description.paper] = table
     return [
-        _arrange(f"{layout.name}{variant}", layout, by_key)
+        _arrange(layout, variant, by_key)
         for variant, by_key in found.items()
         for layout in paper_layouts()
         if by_key.keys() & set(layout.experiments)
@@ -71,7 +71,8 @@ def _published_rows(table: ScoreTable) -> int:
     return int(scored["row"].nunique())
 
 
-def _arrange(name: str, layout: PaperLayout, by_key: dict[str, ScoreTable]) -> SideBySide:
+def _arrange(layout: PaperLayout, variant: str, by_key: dict[str, ScoreTable]) -> SideBySide:
+    marked = f" ({variant.strip('_')})" if variant else ""
     used = [by_key[experiment] for experiment in layout.experiments if experiment in by_key]
     by_row = {row.key: row for table in used for row in table.rows}
     published = {key for one in layout.experiments for key in paper_table(one).rows}
@@ -88,10 +89,11 @@ def _arrange(name: str, layout: PaperLayout, by_key: dict[str, ScoreTable]) -> S
             for heading, column in columns.items()
         ]
         part = pd.concat([one for one in chosen if len(one)])
+        part = part.astype({**dict.fromkeys(_NUMBERS, float), "seeds": "Int64"})
         if part[["score", "paper_value"]].notna().any(axis=None):
-            parts.append((title, tuple(columns), part))
+            parts.append((title + marked, tuple(columns), part))
     return SideBySide(
-        name=name,
+        name=f"{layout.name}{variant}",
         rows=tuple(rows),
         parts=tuple(parts),
         tables=tuple(used),
@@ -116,11 +118,19 @@ def _scores(
         published = paper_table(column.experiment).score(row.key, column.column)
         if row.key not in known and published is not None and column.statistic == "score":
             error = np.nan if published.error is None else published.error
+            # A row with runs has its seeds in the columns of its experiment.
+            seeds = 0 if isinstance(row, PaperRow) else pd.NA
             lines.append(
-                {"row": row.key, "seeds": 0, "paper_value": published.value, "paper_error": error}
+                {
+                    **dict.fromkeys(_NUMBERS, np.nan),
+                    "row": row.key,
+                    "seeds": seeds,
+                    "paper_value": published.value,
+                    "paper_error": error,
+                }
             )
-    more = pd.DataFrame(lines).reindex(columns=found.columns if len(found) else _COLUMNS)
-    return pd.concat([one.astype(object) for one in (found, more) if len(one)] or [more])
+    known_and_more = [one.astype(object) for one in (found, pd.DataFrame(lines)) if len(one)]
+    return pd.concat(known_and_more) if known_and_more else found
 
 
-_COLUMNS = ["row", "seeds", "score", "error", "paper_value", "paper_error", *REFERENCE_NAMES]
+_NUMBERS = ("score", "error", "paper_value", "paper_error", *REFERENCE_NAMES)
