@@ -20,15 +20,24 @@ from zipf.experiments.reporting.wording import PLOT_FORMATS, PlotFormat
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from zipf.experiments.reporting.claim_results import ClaimLine
+    from zipf.experiments.reporting.seed_statistics import SeedStatistics
     from zipf.experiments.reporting.tables import ScoreTable
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a report holds, and its files in the order in which they should be shown."""
+    """What a report holds, and its files in the order in which they should be shown.
+
+    Attributes:
+        claims: of the paper, with what the tables say about each.
+        statistics: across seeds, of each table.
+    """
 
     tables: tuple[ScoreTable, ...]
     files: tuple[Path, ...]
+    claims: tuple[ClaimLine, ...]
+    statistics: tuple[SeedStatistics, ...]
 
 
 def report(
@@ -111,7 +120,7 @@ def report(
     files = (*texts, *(path for paths in drawn.values() for path in paths))
     for path in files:
         console.print(f"Wrote {path.as_posix()}", highlight=False, markup=False, soft_wrap=True)
-    return Report(tuple(found), files)
+    return Report(tuple(found), files, tuple(claims), tuple(statistics))
 
 
 def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str]:
