@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from zipf.experiments.reporting.claim_results import ClaimLine
+from zipf.experiments.reporting.claims import published_window
 from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
@@ -52,11 +53,19 @@ def caption(table: ScoreTable) -> str:
 
 def side_by_side_caption(beside: SideBySide) -> str:
     """Where the columns come from."""
-    titles = "; ".join(f"{table.title}: {window_text(table.window)}" for table in beside.tables)
     sentences = [
-        f"Laid out as in the paper; the columns are those of the tables above ({titles}), where "
-        f"episodes and notes stand."
+        "Laid out as in the paper; the columns are those of the tables above, where episodes and "
+        "notes stand."
     ]
+    for table in beside.tables:
+        assert table.description.paper is not None  # a layout has no others
+        published = UpdateWindow(*published_window(table.description.paper))
+        of_paper = (
+            "as in the paper"
+            if table.window == published
+            else (f"in the paper {window_text(published)}")
+        )
+        sentences.append(f"{table.title}: {window_text(table.window)}, {of_paper}.")
     if beside.missing:
         sentences.append(f"There is no run of {', '.join(beside.missing)}.")
     if any(isinstance(row, Row) and row.external for row in beside.rows):

@@ -176,6 +176,17 @@ def claims() -> tuple[Claim, ...]:
     return tuple(Claim.model_validate(one) for one in json.loads(file.read_text("utf-8"))["claims"])
 
 
+def published_window(experiment: str) -> tuple[int, int]:
+    """The window, in updates, from which the paper takes the scores of one of its experiments."""
+    (window,) = (
+        check.window
+        for claim in claims()
+        for check in claim.checks
+        if isinstance(check, WindowCheck) and check.experiment == experiment
+    )
+    return window
+
+
 def judge(check: Check, results: Results) -> Verdict:
     """Whether a check holds.
 
@@ -227,7 +238,7 @@ def _judge_scores(check: ScoreCheck, results: Results) -> Verdict:
         held = sum(outcome == "holds" for outcome, _ in parts)
         failing = [f"not {text}" for outcome, text in parts if outcome == "fails"]
         few = sum(outcome == "not enough data" and text != "" for outcome, text in parts)
-        short = f", of {few} the data are not enough" if few else ""
+        short = f", {few} undecided" if few else ""
         numbers = (f"{held} of {len(chosen)} rows hold{short}", *failing)
         known = any(text for _, text in parts)
         return Verdict(together([outcome for outcome, _ in parts]), bounds, numbers, known)

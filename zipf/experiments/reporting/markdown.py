@@ -101,7 +101,14 @@ def _after_tables(
 
 
 def _claims(lines: Sequence[ClaimLine]) -> str:
-    header = ["Claim of the paper", "Table", "Holds if", "Numbers", "Outcome", "On its numbers"]
+    header = [
+        "Claim of the paper",
+        "Table",
+        "Holds if",
+        "Numbers",
+        "Outcome",
+        "On the paper's numbers",
+    ]
     cells = [
         [
             line.claim.statement,
