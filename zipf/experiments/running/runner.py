@@ -265,7 +265,7 @@ class Run:
             "frames": self.update * self.frames_per_update,
             "seconds": self.clock.total,
         }
-        self.logger.evaluation(when, results)
+        self.logger.evaluation(when, results, self.collector.visits)
         self.evaluated = self.update
         self.display.show_scores(results)
         shown = "  ".join(f"{kind} {score:.3f}" for kind, score in scores(results).items())
