@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,7 @@ from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.wording import KIND_NAMES
 from zipf.references import REFERENCES
 
-KIND_STYLES: Mapping[str, Mapping[str, str]] = {
+KIND_STYLES: Mapping[str, Mapping[str, Any]] = {
     "train": {"color": "#0072B2", "marker": "o"},
     "uniform": {"color": "#999933", "marker": "s"},
     "rare": {"color": RARE_COLOUR, "marker": "D"},
@@ -35,11 +36,11 @@ def averages(table: ScoreTable) -> Figure | None:
     if not rows:
         return None
     names = [row.title for row in rows]
-    points = [scores.loc[row.key] for row in rows]
+    points = [pd.Series(scores.loc[row.key]) for row in rows]
     for one in REFERENCES:
-        if known := table.reference(one.name):
+        if reference := table.reference(one.name):
             names.append(one.title)
-            points.append(pd.Series(known).reindex(scores.columns))
+            points.append(pd.Series(reference).reindex(scores.columns))
     figure = Figure(figsize=(7.4, 1.5 + 0.34 * len(names)), layout="constrained")
     axis = figure.subplots()
     for place, of_kinds in enumerate(points):
@@ -59,7 +60,8 @@ def averages(table: ScoreTable) -> Figure | None:
                 axis.plot([known[kind]], [place], markersize=6.5, linestyle="none", **colours)
     axis.set_yticks(range(len(names)), [textwrap.fill(name, 34) for name in names])
     axis.set_ylim(len(names) - 0.5, -0.5)
-    low, high = min(point.min() for point in points), max(point.max() for point in points)
+    low = float(min(point.min() for point in points))
+    high = float(max(point.max() for point in points))
     axis.set_xlim(min(-0.02, low - 0.02), max(1.02, high + 0.02))
     axis.set_xlabel("Score")
     handles = [

@@ -141,7 +141,7 @@ AXES: Mapping[str, str] = {
 
 def _count_frames_above(axis: Axes, every: pd.DataFrame) -> None:
     """An axis above that counts frames, where an update has the same number of them everywhere."""
-    last = every.loc[every["update"].idxmax()]
+    last = every.iloc[int(every["update"].to_numpy().argmax())]
     if not last["update"]:
         return
     frames = last["frames"] / last["update"]

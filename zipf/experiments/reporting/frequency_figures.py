@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -34,7 +35,7 @@ def frequencies(table: ScoreTable) -> Figure | None:
     found = {name: of_rank for name, of_rank in found.items() if len(of_rank)}
     if not found:
         return None
-    handles = [
+    handles: list[Artist] = [
         Line2D([], [], label=KIND_NAMES[kind], markersize=3.5, **style)
         for kind, style in KIND_STYLES.items()
     ]

@@ -77,11 +77,12 @@ def _arrange(layout: PaperLayout, variant: str, by_key: dict[str, ScoreTable]) -
     by_row = {row.key: row for table in used for row in table.rows}
     published = {key for one in layout.experiments for key in paper_table(one).rows}
     rows: list[Row | PaperRow] = [
-        by_row.pop(key, None) or PaperRow(key, title)
+        by_row.pop(key) if key in by_row else PaperRow(key, title)
         for key, title in paper_titles().items()
         if key in published
     ]
-    rows += sorted(by_row.values(), key=lambda row: row.runs[0].description.row_order)
+    others = sorted(by_row.values(), key=lambda row: row.runs[0].description.row_order)
+    rows += others
     parts = []
     for title, columns in layout.tables:
         chosen = [

@@ -168,7 +168,8 @@ def shares(table: ScoreTable, rank: str) -> pd.DataFrame:
             runs = [run for run in table.runs if rank in run.situation_names]
             rows = [_on_kind(run.situations, levels.level_kind) for run in runs]
             episodes = pd.concat(rows).groupby(rank)["episodes"].sum() if rows else pd.Series()
-            found = (episodes[episodes > 0] / max(episodes.sum(), 1)).to_dict()
+            met = episodes[episodes > 0] / max(episodes.sum(), 1)
+            found = dict(zip(met.index.astype(int), met.tolist(), strict=True))
         lines += [(levels.level_kind, int(value), found[value]) for value in sorted(found)]
     return pd.DataFrame(lines, columns=["level_kind", rank, "share"])
 
