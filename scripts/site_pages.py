@@ -1,8 +1,8 @@
 """What MkDocs asks of us when it builds the documentation: a hook of mkdocs.yml.
 
-The pages in docs/ are read in the repository as well as on the site. So the site's own pages are made
-here (those of the API, and those that stand at the top of the repository), and links are turned into
-the site's. A site that would fetch anything from the network is an error.
+The pages in docs/ are read in the repository as well as on the site. So the site's own pages (those
+of the API, and those that stand at the top of the repository) are made here, and links are turned
+into the site's. A site that would fetch anything from the network is an error.
 """
 
 import os
@@ -87,7 +87,8 @@ def remote(text: str, suffix: str) -> list[str]:
         return STYLES.findall(text)
     sources = _Sources()
     sources.feed(text)
-    return sources.found + STYLES.findall("".join(re.findall(r"<style.*?</style>", text, re.DOTALL)))
+    styles = "".join(re.findall(r"<style.*?</style>", text, re.DOTALL))
+    return sources.found + STYLES.findall(styles)
 
 
 def on_post_build(config: Any) -> None:
