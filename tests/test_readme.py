@@ -197,6 +197,11 @@ def test_tables_are_up_to_date(path):
     assert write_tables.rewritten(text) == text
 
 
+def test_families_and_parts_of_agents_have_pages():
+    """If this fails: python scripts/write_tables.py"""
+    assert write_tables.new_pages() == {}
+
+
 def test_every_package_is_in_the_map_of_the_code():
     packages = {path.parent.relative_to(ROOT).as_posix() for path in ROOT.glob("zipf/**/*.py")}
     assert packages == set(re.findall(r"<!-- modules (\S+) -->", TEXT["docs/design.md"]))
