@@ -35,13 +35,14 @@ def family(name: str) -> list[str]:
     assert isinstance(found.make, str)
     single = _attribute(found.make)
     batch = envs.make_train(found.splits[0], 1)
+    of_a_level = type(envs.make_vec(f"{name}/{found.levels[0]}", 1))
     facts = [
         ("Gymnasium id", code(str(found.id))),
         ("Splits", ", ".join(code(split.name) for split in found.splits)),
         ("Observations", "; ".join(_spaces(batch.single_observation_space))),
         ("Actions", code(str(batch.single_action_space))),
         ("Situation", _situation(batch.situation)),
-        ("One world, a batch", f"{_path(single)}, {_path(type(batch))}"),
+        ("One world, a batch", f"{_path(single)}, {_path(of_a_level)}"),
         ("Scripted players", ", ".join(code(one) for one in envs.SCRIPTED if getattr(found, one))),
         ("Says what an episode asks for", _yes(found.goal is not None)),
         ("Tells what an episode achieved", _yes(batch.achieves)),
