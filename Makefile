@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # Two jobs at a time, one core each.
 BESIDE := hydra/launcher=joblib hydra.launcher.n_jobs=2
 
-.PHONY: demo conditions tail test lint types wheel results clean
+.PHONY: demo conditions tail test lint types docs wheel results clean
 
 demo: $(VENV)/.installed  ## train on a small gridworld for a few minutes, then print the scores
 	$(BIN)/python -m zipf.train experiment=demo
@@ -31,6 +31,9 @@ lint: $(VENV)/.installed  ## check style and formatting
 types: $(VENV)/.installed  ## check types
 	$(BIN)/mypy
 
+docs: $(VENV)/.installed  ## build the documentation into site/; open site/index.html
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 wheel: $(VENV)/.installed  ## build the wheel into dist/
 	$(BIN)/python -m build --wheel
 
@@ -38,7 +41,7 @@ results: $(VENV)/.installed  ## write RESULTS.md from the files in results/
 	$(BIN)/python -m zipf.report results --record RESULTS.md
 
 clean:  ## remove the virtual environment and what was built; runs are kept
-	rm -rf $(VENV) dist build
+	rm -rf $(VENV) dist build site
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -25,6 +25,12 @@ if TYPE_CHECKING:
     from zipf.experiments.reporting.tables import ScoreTable
 
 
+EXAMPLES = """examples:
+  python -m zipf.report runs/
+  python -m zipf.report runs/demo --window last
+  python -m zipf.report runs/gridworld --window 2M:3M --output tables --format pdf"""
+
+
 @dataclass(frozen=True)
 class Report:
     """What a report holds, and its files in the order in which they should be shown.
@@ -159,28 +165,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     keep_going()
     parser = argparse.ArgumentParser(
         prog="python -m zipf.report",
-        description="Print and write the paper's tables and plots for the runs found in folders.",
+        description="Reads the result files of all runs under folders (no checkpoints), prints\n"
+        "the paper's tables of them, and writes these and plots to files.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("folders", nargs="+", metavar="FOLDER", help="searched at any depth")
+    parser.add_argument(
+        "folders", nargs="+", metavar="FOLDER", help="a run's folder, or one with runs at any depth"
+    )
     parser.add_argument(
         "--output",
         metavar="DIR",
-        help="folder for report.md, report.tex, CSV files and the plots (<first folder>/report)",
+        help="folder for report.md, report.tex, CSV files and the plots; default: the folder "
+        "report in the first FOLDER",
     )
     parser.add_argument(
         "--window",
         metavar="WINDOW",
-        help="interval to take scores from, instead of the experiment's: START:END in updates "
-        "(2000000:3000000 or 2M:3M), last, last:N for the last N evaluations of each run, or "
-        "scaled for the experiment's own at the same fractions of a shorter run",
+        help="which evaluations scores are taken from: START:END in updates (2000000:3000000 or "
+        "2M:3M), last, last:N for the last N of each run, or scaled: the window of the experiment "
+        "at the same fractions of a shorter run; default: the window of the experiment",
     )
     parser.add_argument(
         "--record",
         metavar="FILE",
-        help="also write all tables, and a description of each run, to this Markdown file",
+        help="also write all tables, a description of each run, and the Markdown files of the "
+        "folders to this Markdown file; default: no such file",
     )
     parser.add_argument(
-        "--format", choices=PLOT_FORMATS, default="png", help="of the plots (%(default)s)"
+        "--format", choices=PLOT_FORMATS, default="png", help="of the plots; default: %(default)s"
     )
     chosen = parser.parse_args(arguments)
     try:
