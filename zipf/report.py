@@ -38,6 +38,7 @@ def report(
     *,
     record: str | Path | None = None,
     format: PlotFormat = "png",
+    html: str | Path | None = None,
     console: Console | None = None,
 ) -> Report:
     """Print the tables of all runs under `folders` and write them, with plots, to files.
@@ -49,10 +50,13 @@ def report(
         record: also write all tables, and what each run was, to this Markdown file; and after them
             the Markdown files in `folders` themselves, not further down.
         format: of the plots.
+        html: also write everything, with interactive plots, to this file, a page that needs no
+            other; "" is `report.html` in `output`.
         console: where to print; standard output if None.
 
     Raises:
-        UserError: no run there, a damaged file, an unknown window, or a file cannot be written.
+        UserError: no run there, a damaged file, an unknown window, a page whose name does not end
+            in .html, or a file cannot be written.
     """
     from rich.console import Console
 
@@ -60,6 +64,8 @@ def report(
     from zipf.experiments.reporting.side_by_side import side_by_side
     from zipf.experiments.reporting.windows import parse_window
 
+    if html and Path(html).suffix != ".html":
+        raise UserError(f"--html {html}: should end in .html")
     chosen = parse_window(window) if window is not None else None
     found = tables.score_tables(results.load_runs(folders), chosen)
     if console is None:
@@ -88,6 +94,11 @@ def report(
             written = {path.resolve() for path in (*texts, Path(record))}
             pages = _pages(folders, written)
             texts[Path(record)] = markdown.record(found, command, pages)
+        if html is not None:
+            from zipf.experiments.reporting.html import page, report_sections
+
+            place = Path(html) if html != "" else target / "report.html"
+            texts[place] = page(report_sections(found))
         for path, text in texts.items():
             path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -157,6 +168,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--format", choices=PLOT_FORMATS, default="png", help="of the plots (%(default)s)"
     )
+    parser.add_argument(
+        "--html",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="also write tables, interactive plots, options and videos to one page of about 5 MB, "
+        "which needs no other file and no network (without FILE: report.html beside report.md)",
+    )
     chosen = parser.parse_args(arguments)
     try:
         report(
@@ -165,6 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             chosen.window,
             record=chosen.record,
             format=chosen.format,
+            html=chosen.html,
         )
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)

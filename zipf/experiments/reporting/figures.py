@@ -71,8 +71,8 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figur
     every = pd.concat(list(scores.values()))
     if not len(every):
         return None
-    time = "update" if _frames_follow_updates(table) else "frames"
-    window = _window_ends(table, time)
+    time = "update" if frames_follow_updates(table) else "frames"
+    window = window_ends(table, time)
     handles = row_handles(table.rows, styles)
     handles += [reference_handle(name) for name in REFERENCE_LINES if table.reference(name)]
     if window:
@@ -100,7 +100,7 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figur
     return figure
 
 
-def _frames_follow_updates(table: ScoreTable) -> bool:
+def frames_follow_updates(table: ScoreTable) -> bool:
     """Whether all rows learn from the same number of frames in an update."""
     if any(row.external for row in table.rows):
         return False
@@ -115,7 +115,7 @@ def _draw_curve(axis: Axes, seeds: Any, style: LineStyle) -> None:
     axis.fill_between(middle.index, seeds.min(), seeds.max(), color=style.color, **BAND)
 
 
-def _window_ends(table: ScoreTable, time: str) -> tuple[float, float] | None:
+def window_ends(table: ScoreTable, time: str) -> tuple[float, float] | None:
     """Between which updates or frames the window lies; None if there is none to show, or in frames
     if it is not the same for all rows."""
     if not isinstance(table.window, UpdateWindow):

@@ -56,3 +56,8 @@ def duration_text(seconds: float) -> str:
 def short_name(level: str) -> str:
     """A level's name without the names before its last: `put_on_bed_tray_all`."""
     return level.rpartition("/")[2]
+
+
+def seeds_list(seeds: Sequence[int]) -> str:
+    """`seed 0` or `seeds 0, 1, 2`."""
+    return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}"
