@@ -1,6 +1,6 @@
 """`python -m zipf.report FOLDER...`: the paper's tables and plots of the runs in these folders.
 
-Reads result files only, no checkpoints.
+Reads result files only, no checkpoints, but for `--videos`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zipf.experiments.errors import UserError
+from zipf.experiments.errors import TOLD, UserError
 from zipf.experiments.output import keep_going
-from zipf.experiments.reporting.wording import PLOT_FORMATS, PlotFormat
+from zipf.experiments.reporting.wording import PLOT_FORMATS, VIDEO_FORMATS, PlotFormat
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -176,8 +176,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="also write tables, interactive plots, options and videos to one page of about 5 MB, "
         "which needs no other file and no network (without FILE: report.html beside report.md)",
     )
+    parser.add_argument(
+        "--videos",
+        nargs="?",
+        const="gif",
+        choices=VIDEO_FORMATS,
+        help="before, let the agent of each run's checkpoint play, and record a success and a "
+        "failure in its most frequent situation and in its rarest, into the run's folder; the page "
+        "of --html, which it implies, shows the videos that there are (%(const)s)",
+    )
+    parser.add_argument(
+        "--plugins",
+        metavar="NAMES",
+        default="",
+        help="with --videos: modules to import, for worlds and agents from outside the package",
+    )
     chosen = parser.parse_args(arguments)
     try:
+        if chosen.videos:
+            from zipf.experiments.config import module_names
+            from zipf.experiments.playing.videos import record_videos
+
+            record_videos(chosen.folders, chosen.videos, module_names(chosen.plugins), print)
+            chosen.html = chosen.html or ""
+        elif chosen.plugins:
+            raise UserError(f"--plugins {chosen.plugins}: goes with --videos only")
         report(
             chosen.folders,
             chosen.output,
@@ -186,7 +209,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             format=chosen.format,
             html=chosen.html,
         )
-    except UserError as error:
+    except TOLD as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

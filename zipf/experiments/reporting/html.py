@@ -84,6 +84,7 @@ class Figures:
     """Panels with one legend.
 
     Attributes:
+        name: unique in a page.
         groups: a title, a caption and panels each.
         legend: its lines; a reader can hide them one by one.
         axes: the choices of the horizontal axis by their key; empty where there is none.
@@ -91,6 +92,7 @@ class Figures:
     """
 
     kind: ClassVar[str] = "figures"
+    name: str
     groups: Sequence[tuple[str, str, Sequence[Panel]]]
     legend: Sequence[LegendEntry]
     axes: Mapping[str, str]
@@ -248,7 +250,8 @@ def _figures(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Figures
     if not found:
         return []
     axes = html_learning.AXES if curves else {}
-    return [Figures(found, legend(table, styles), axes, html_learning.default_axis(table))]
+    axis = html_learning.default_axis(table)
+    return [Figures(f"{table.name}-axis", found, legend(table, styles), axes, axis)]
 
 
 def _differences(runs: Sequence[Run], title: str, with_experiment: bool) -> list[Block]:
@@ -312,7 +315,7 @@ def _clip(run: Run, situation: videos.VideosOfSituation, outcome: videos.Outcome
         return Clip(f"No {outcome} in {count_text(situation.episodes)} episodes.", None)
     text = (
         f"{outcome.capitalize()}: seed {video.seed}, return {video.episode_return:g}, "
-        f"{video.length} frames" + (f", every {video.every}th shown" if video.every > 1 else "")
+        f"{video.length} frames" + (f", one in {video.every} shown" if video.every > 1 else "")
     )
     address = videos.data_address(run.folder, video)
     return Clip(text, address, is_film=address.startswith("data:video"))

@@ -7,6 +7,7 @@ traces or another horizontal axis as the reader chooses.
 from __future__ import annotations
 
 import html
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -201,6 +202,16 @@ def reference_line(name: str) -> dict[str, str]:
     """How a reference's line looks."""
     drawn = REFERENCE_LINES[name]
     return {"color": to_hex(drawn["color"]), "dash": dash(drawn["linestyle"])}
+
+
+def log_ticks(values: Sequence[float]) -> dict[str, Any]:
+    """A logarithmic axis for these values, which are positive: ticks at 1, 2 and 5 times the powers
+    of ten, or at these alone over more than three of them."""
+    low, high = min(values), max(values)
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    steps = (1, 2, 5) if high < 1000 * low else (1,)
+    ticks = [float(f"{step}e{power}") for power in powers for step in steps]
+    return {"type": "log", "tickmode": "array", "tickvals": ticks}
 
 
 def spoken(name: str) -> str:

@@ -15,6 +15,7 @@ from zipf.experiments.reporting.html_panels import (
     layout,
     level_line,
     line,
+    log_ticks,
     numbers,
     panel,
     plain,
@@ -106,12 +107,11 @@ def frequencies(table: ScoreTable) -> list[Panel]:
             [curve],
             layout(
                 spoken(name),
-                x={"title": f"{spoken(name)} rank + 1", "type": "log", "dtick": "D1"},
+                x={"title": f"{spoken(name)} rank + 1", **log_ticks(curve.x)},
                 y={
                     "title": "Share of episodes",
-                    "type": "log",
+                    **log_ticks(curve.y),
                     "tickformat": "~%",
-                    "dtick": 1,
                 },
             ),
         )
@@ -133,6 +133,8 @@ def by_times_met(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Pan
                 continue
             points = of_row.assign(times=of_row[name].map(times)).sort_values("times")
             points = points[points["times"] > 0]
+            if not len(points):
+                continue
             hover = "rank %{customdata}, met %{x:.3s} times: %{y:.3f}"
             trace = line(row, styles[row.key], hover, symbol=table.rows.index(row))
             trace.update(
@@ -157,8 +159,8 @@ def by_times_met(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Pan
                 spoken(name),
                 x={
                     "title": f"Training episodes with the {spoken(name).lower()}",
-                    "type": "log",
-                    "dtick": 1,
+                    **log_ticks([x for trace in traces for x in trace.x]),
+                    "tickformat": "~s",
                 },
                 y=_measure_axis(measure),
             ),

@@ -19,8 +19,6 @@ FOLDER = "videos"
 NAME = "videos.json"
 Outcome = Literal["success", "failure"]
 OUTCOMES: tuple[Outcome, ...] = ("success", "failure")
-VideoFormat = Literal["gif", "mp4"]
-VIDEO_FORMATS: tuple[VideoFormat, ...] = ("gif", "mp4")
 Count = Annotated[int, Field(ge=0, lt=10**15)]
 
 _MEDIA: Mapping[str, str] = {".gif": "image/gif", ".mp4": "video/mp4"}

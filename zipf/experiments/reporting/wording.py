@@ -11,6 +11,8 @@ PROTOCOL_SEEDS = 3  # the paper trains three replicas of each condition
 KIND_NAMES: Mapping[str, str] = {"train": "Train (Zipfian)", "uniform": "Uniform", "rare": "Rare"}
 PlotFormat = Literal["png", "pdf", "svg"]
 PLOT_FORMATS: tuple[PlotFormat, ...] = get_args(PlotFormat)
+VideoFormat = Literal["gif", "mp4"]
+VIDEO_FORMATS: tuple[VideoFormat, ...] = get_args(VideoFormat)
 EXTERNAL_MARK = "†"
 NONE = "–"
 

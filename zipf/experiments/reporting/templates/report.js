@@ -3,7 +3,7 @@
 // Draws every figure as the choices of its block say: which lines, and which horizontal axis.
 
 const touched = matchMedia("(pointer: coarse)").matches;
-const config = {displaylogo: false, responsive: true,
+const config = {displaylogo: false, responsive: true, showSendToCloud: false, plotlyServerURL: "",
                 modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"]};
 const specifications = new Map();
 
