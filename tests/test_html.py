@@ -330,6 +330,18 @@ def test_videos_are_in_the_page(written: tuple[Path, str]) -> None:
     assert "rank: map 19, target 18" in everything
 
 
+def test_a_film_can_be_stopped(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, constant(0.5))
+    add_videos(folder)
+    described = folder / "videos" / videos.NAME
+    described.write_text(described.read_text().replace(".gif", ".mp4"))
+    (folder / "videos/rarest_success.mp4").write_bytes(b"\0\0\0\x18ftypisom")
+    (film,) = (given for tag, given in Page(made(tmp_path)).tags if tag == "video")
+    assert film["src"] == "data:video/mp4;base64,AAAAGGZ0eXBpc29t"
+    assert "controls" in film
+    assert "autoplay" not in film
+
+
 def test_videos_are_videos(tmp_path: Path) -> None:
     folder = write_run(tmp_path, constant(0.5))
     add_videos(folder)
