@@ -243,7 +243,8 @@ def _record(trained: Trained, situation: Situation, episode: Episode, path: Path
 def _picture(env: ZipfVectorEnv) -> NDArray[np.uint8]:
     frames = env.render()
     assert frames is not None
-    return enlarge(frames[0], ceil(HEIGHT / len(frames[0])))
+    picture = np.asarray(frames[0], np.uint8)
+    return enlarge(picture, ceil(HEIGHT / len(picture)))
 
 
 def _playable(folder: Path, trained: Trained) -> None:

@@ -17,7 +17,8 @@ class Differences:
 
     Attributes:
         columns: for each set of options that several runs may share, its runs.
-        lines: for each option that differs its name and its value in every column.
+        lines: for each option that differs its name and its value in every column, those of a
+            group together.
     """
 
     columns: tuple[tuple[Run, ...], ...]
@@ -34,9 +35,10 @@ def differences(runs: Sequence[Run]) -> Differences:
         if not run.description.external:
             shared.setdefault(json.dumps(run.settings, sort_keys=True, default=str), []).append(run)
     columns = tuple(tuple(of_column) for of_column in shared.values())
-    names = dict.fromkeys(name for column in columns for name in column[0].settings)
+    names = list(dict.fromkeys(name for column in columns for name in column[0].settings))
+    groups = list(dict.fromkeys(name.split(".")[0] for name in names))
     lines = []
-    for name in names:
+    for name in sorted(names, key=lambda name: groups.index(name.split(".")[0])):
         texts = tuple(_text(column[0], name) for column in columns)
         if len(set(texts)) > 1:
             lines.append((name, texts))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import pandas as pd
 from plotly import graph_objects as go
@@ -60,7 +61,7 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[
             if kind in known:
                 ends_of = pd.DataFrame({time: [0.0, end] for time, end in ends.items()})
                 traces.append((level_line(one.name, known[kind]), ends_of))
-        axes = {}
+        axes: dict[str, dict[str, Any]] = {}
         for time, title in AXES.items():
             window = windows[time]
             axes[time] = {
