@@ -274,8 +274,7 @@ def test_the_times_that_situations_were_met_by_hand(tmp_path: Path) -> None:
         0: pytest.approx(0.9),
         1: pytest.approx(0.1),
     }
-    met = frequencies.times_met(table.rows[0], table, "map")
-    assert met is not None
+    met = frequencies.times_met(table, "map")["impala"]
     assert met[:2].tolist() == pytest.approx([360, 40])
     (panel, _) = html_situations.by_times_met(table, styles.line_styles(table.rows))
     (trace,) = panel.data
@@ -292,8 +291,7 @@ def test_counted_visits_are_taken_where_there_are_any(tmp_path: Path) -> None:
     counted = run.situations.assign(visits_map=run.situations["map"].map({0: 1000, 1: 7}))
     row = dataclasses.replace(table.rows[0], runs=(dataclasses.replace(run, situations=counted),))
     changed = dataclasses.replace(table, rows=(row,))
-    met = frequencies.times_met(row, changed, "map")
-    assert met is not None
+    met = frequencies.times_met(changed, "map")["impala"]
     assert met.to_dict() == {0: 1000, 1: 7}
 
 

@@ -55,4 +55,4 @@ def value_text(value: Any) -> str:
         return json.dumps(value)
     if isinstance(value, list | tuple):
         return f"[{','.join(value_text(item) for item in value)}]"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return str(value)

@@ -13,7 +13,7 @@ import pandas as pd
 from zipf.experiments.reporting.csv_files import read_table
 from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.situations import rank_counts
-from zipf.experiments.reporting.tables import Row, ScoreTable
+from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside
 
 LEVEL_RANK = "level"  # the rank of a level drawn at a reset; see docs/results.md
@@ -46,20 +46,24 @@ def episodes_behind(table: ScoreTable) -> int:
     return int(sum(rows["episodes"].sum() for rows in train))
 
 
-def times_met(row: Row, table: ScoreTable, name: str) -> pd.Series | None:
-    """How often an agent of a row has met each value of a rank until its last evaluation.
+def times_met(table: ScoreTable, name: str) -> dict[str, pd.Series]:
+    """How often the agents of a table have met each value of a rank until their last evaluation.
 
     Returns:
-        float64 by rank, the mean over seeds, without ranks of which it is not known; None where it
-        is known of none, as for external agents.
+        By row float64 by rank, the mean over seeds, without ranks of which it is not known; without
+        rows of which nothing is known, as of external agents.
     """
-    of_seeds = [counted_visits(run, table, name) for run in row.runs]
-    if any(visits is None for visits in of_seeds):
-        shares = rank_shares(table, name)
-        episodes = [training_episodes(run, table) for run in row.runs]
-        of_seeds = [None if count is None else shares * count for count in episodes]
-    known = [visits for visits in of_seeds if visits is not None and len(visits)]
-    return pd.concat(known, axis=1).mean(axis=1) if known else None
+    shares = rank_shares(table, name)
+    found = {}
+    for row in table.rows:
+        of_seeds = [counted_visits(run, table, name) for run in row.runs]
+        if any(visits is None for visits in of_seeds):
+            episodes = [training_episodes(run, table) for run in row.runs]
+            of_seeds = [None if count is None else shares * count for count in episodes]
+        known = [visits for visits in of_seeds if visits is not None and len(visits)]
+        if known:
+            found[row.key] = pd.concat(known, axis=1).mean(axis=1)
+    return found
 
 
 def counted_visits(run: Run, table: ScoreTable, name: str) -> pd.Series | None:

@@ -126,12 +126,12 @@ def by_times_met(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Pan
     measure = measure_of(table)
     panels = []
     for number, (name, of_rank) in enumerate(_measured(table, measure)):
+        times = times_met(table, name)
         traces = []
         for row, of_row in _of_rows(table, of_rank):
-            times = times_met(row, table, name)
-            if times is None:
+            if row.key not in times:
                 continue
-            points = of_row.assign(times=of_row[name].map(times)).sort_values("times")
+            points = of_row.assign(times=of_row[name].map(times[row.key])).sort_values("times")
             points = points[points["times"] > 0]
             if not len(points):
                 continue
