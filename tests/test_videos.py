@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -166,3 +167,12 @@ def test_a_damaged_checkpoint_is_not_loaded(run: Path, capsys: pytest.CaptureFix
     with (run / "checkpoint.pt").open("ab") as file:
         file.write(b"more")
     assert "checkpoint.pt: is damaged" in refusal(capsys, str(run), "--videos")
+
+
+def test_objects_drawn_without_replacement_are_not_forced_to_be_the_same() -> None:
+    config = command_line.load(["experiment=playroom_lift"])
+    trained = SimpleNamespace(config=config)
+    often = recorder.find_situation(trained, lambda ranks: int(ranks.min()))
+    rarest = recorder.find_situation(trained, lambda ranks: int(ranks.max()))
+    assert often.ranks == {"target": 0, "other_1": 1, "other_2": 2}
+    assert rarest.ranks == {"target": 49, "other_1": 48, "other_2": 47}
