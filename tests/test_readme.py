@@ -19,6 +19,7 @@ from zipf.agents.auxiliary import base
 from zipf.envs import family
 from zipf.experiments import command_line, composing, sweeps
 from zipf.experiments.config import Config, EvaluateOptions
+from zipf.experiments.playing import videos
 from zipf.experiments.playing.playing import PlayOptions
 from zipf.experiments.reporting.windows import parse_window
 from zipf.experiments.running import runner
@@ -138,10 +139,11 @@ def test_play_commands_are_accepted(page, arguments):
 def test_report_commands_are_accepted(page, arguments, monkeypatch):
     calls = []
 
-    def report(folders, output, window, *, record, format):
-        calls.append((folders, output, window and parse_window(window), record, format))
+    def report(folders, output, window, *, record, format, html):
+        calls.append((folders, output, window and parse_window(window), record, format, html))
 
     monkeypatch.setattr(zipf.report, "report", report)
+    monkeypatch.setattr(videos, "record_videos", lambda *given: None)
     assert zipf.report.main(arguments) == 0
     assert len(calls) == 1
 

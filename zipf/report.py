@@ -1,6 +1,6 @@
 """`python -m zipf.report FOLDER...`: the paper's tables and plots of the runs in these folders.
 
-Reads result files only, no checkpoints.
+Reads result files only, no checkpoints, but for `--videos`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zipf.experiments.errors import UserError
+from zipf.experiments.errors import TOLD, UserError
 from zipf.experiments.output import keep_going
-from zipf.experiments.reporting.wording import PLOT_FORMATS, PlotFormat
+from zipf.experiments.reporting.wording import PLOT_FORMATS, VIDEO_FORMATS, PlotFormat
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """examples:
   python -m zipf.report runs/
+  python -m zipf.report runs/demo --html
   python -m zipf.report runs/demo --window last
   python -m zipf.report runs/gridworld --window 2M:3M --output tables --format pdf"""
 
@@ -53,6 +54,7 @@ def report(
     *,
     record: str | Path | None = None,
     format: PlotFormat = "png",
+    html: str | Path | None = None,
     console: Console | None = None,
 ) -> Report:
     """Print the tables of all runs under `folders` and write them, with plots, to files.
@@ -66,10 +68,13 @@ def report(
         record: also write all tables, and what each run was, to this Markdown file; and after them
             the Markdown files in `folders` themselves, not further down.
         format: of the plots.
+        html: also write everything, with interactive plots, to this file, a page that needs no
+            other; "" is `report.html` in `output`.
         console: where to print; standard output if None.
 
     Raises:
-        UserError: no run there, a damaged file, an unknown window, or a file cannot be written.
+        UserError: no run there, a damaged file, an unknown window, a page whose name does not end
+            in .html, or a file cannot be written.
     """
     from rich.console import Console
 
@@ -83,6 +88,8 @@ def report(
     from zipf.experiments.reporting.side_by_side import side_by_side
     from zipf.experiments.reporting.windows import parse_window
 
+    if html and Path(html).suffix != ".html":
+        raise UserError(f"--html {html}: should end in .html")
     chosen = parse_window(window) if window is not None else None
     found = tables.score_tables(results.load_runs(folders), chosen)
     if console is None:
@@ -118,6 +125,11 @@ def report(
             written = {path.resolve() for path in (*texts, Path(record))}
             pages = _pages(folders, written)
             texts[Path(record)] = markdown.record(found, command, pages, claims, statistics)
+        if html is not None:
+            from zipf.experiments.reporting.html import page, report_sections
+
+            place = Path(html) if html != "" else target / "report.html"
+            texts[place] = page(report_sections(found, claims, statistics))
         for path, text in texts.items():
             path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -195,16 +207,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--format", choices=PLOT_FORMATS, default="png", help="of the plots; default: %(default)s"
     )
+    parser.add_argument(
+        "--html",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="also write tables, interactive plots, options and videos to one page of about 5 MB, "
+        "which needs no other file and no network; without FILE: report.html beside report.md; "
+        "default: no page",
+    )
+    parser.add_argument(
+        "--videos",
+        nargs="?",
+        const="gif",
+        choices=VIDEO_FORMATS,
+        help="before, let the agent of each run's checkpoint play, and record a success and a "
+        "failure in its most frequent situation and in its rarest, into the run's folder; the page "
+        "of --html, which it implies, shows the videos that there are; without a format: %(const)s; "
+        "default: no videos",
+    )
+    parser.add_argument(
+        "--plugins",
+        metavar="NAMES",
+        default="",
+        help="with --videos: modules to import, for worlds and agents from outside the package; "
+        "default: none",
+    )
     chosen = parser.parse_args(arguments)
     try:
+        if chosen.videos:
+            from zipf.experiments.config import module_names
+            from zipf.experiments.playing.videos import record_videos
+
+            record_videos(chosen.folders, chosen.videos, module_names(chosen.plugins), print)
+            chosen.html = chosen.html or ""
+        elif chosen.plugins:
+            raise UserError(f"--plugins {chosen.plugins}: goes with --videos only")
         report(
             chosen.folders,
             chosen.output,
             chosen.window,
             record=chosen.record,
             format=chosen.format,
+            html=chosen.html,
         )
-    except UserError as error:
+    except TOLD as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

@@ -96,9 +96,9 @@ def learning_curves(
     unit = "hours" if every["seconds"].max() >= 2 * 3600 else "minutes"
     length = {"hours": 3600, "minutes": 60}[unit]
     every = every.assign(**{unit: every["seconds"] / length})
-    time = "update" if _frames_follow_updates(table) else "frames"
+    time = "update" if frames_follow_updates(table) else "frames"
     shown = unit if in_hours else time
-    window = None if in_hours else _window_ends(table, time)
+    window = None if in_hours else window_ends(table, time)
     handles = row_handles(rows, styles)
     handles += [reference_handle(name) for name in REFERENCE_LINES if table.reference(name)]
     if window:
@@ -152,7 +152,7 @@ def _count_frames_above(axis: Axes, every: pd.DataFrame) -> None:
     above.tick_params(direction="in")
 
 
-def _frames_follow_updates(table: ScoreTable) -> bool:
+def frames_follow_updates(table: ScoreTable) -> bool:
     """Whether all rows learn from the same number of frames in an update."""
     if any(row.external for row in table.rows):
         return False
@@ -169,7 +169,7 @@ def _draw_curve(axis: Axes, seeds: Any, style: LineStyle, places: pd.Series | No
     axis.fill_between(x, seeds.min(), seeds.max(), color=style.color, **BAND)
 
 
-def _window_ends(table: ScoreTable, time: str) -> tuple[float, float] | None:
+def window_ends(table: ScoreTable, time: str) -> tuple[float, float] | None:
     """Between which updates or frames the window lies; None if there is none to show, or in frames
     if it is not the same for all rows."""
     if isinstance(table.window, LastEvaluations):

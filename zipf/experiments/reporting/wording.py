@@ -11,6 +11,8 @@ PROTOCOL_SEEDS = 3  # the paper trains three replicas of each condition
 KIND_NAMES: Mapping[str, str] = {"train": "Train (Zipfian)", "uniform": "Uniform", "rare": "Rare"}
 PlotFormat = Literal["png", "pdf", "svg"]
 PLOT_FORMATS: tuple[PlotFormat, ...] = get_args(PlotFormat)
+VideoFormat = Literal["gif", "mp4"]
+VIDEO_FORMATS: tuple[VideoFormat, ...] = get_args(VideoFormat)
 EXTERNAL_MARK = "†"
 NONE = "–"
 
@@ -56,3 +58,8 @@ def duration_text(seconds: float) -> str:
 def short_name(level: str) -> str:
     """A level's name without the names before its last: `put_on_bed_tray_all`."""
     return level.rpartition("/")[2]
+
+
+def seeds_list(seeds: Sequence[int]) -> str:
+    """`seed 0` or `seeds 0, 1, 2`."""
+    return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}"

@@ -1,0 +1,279 @@
+"""Videos of a run for its report: a success and a failure in the most frequent situation and in the
+rarest.
+
+Episodes are played in a batch of worlds, without drawing them. Those that are wanted are played
+again, action by action, in a single world with the same seed, which equals its world of the batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from zipf import envs
+from zipf.envs.vector import ZipfVectorEnv
+from zipf.experiments.errors import UserError
+from zipf.experiments.playing.recording import Recording
+from zipf.experiments.playing.screens import enlarge
+from zipf.experiments.reporting import videos
+from zipf.experiments.reporting.replacing import replace_text
+from zipf.experiments.reporting.results import load_runs
+from zipf.experiments.reporting.videos import OUTCOMES, Video, VideosOfSituation
+from zipf.experiments.reporting.wording import VIDEO_FORMATS, VideoFormat
+from zipf.experiments.running.agent_policy import AgentPolicy
+from zipf.experiments.running.evaluator import derive_seed
+from zipf.experiments.running.trained import Trained, load_agent
+
+EPISODES = 200  # tried in a situation
+AT_A_TIME = 50  # worlds that play them; as many draws find every value of a rank, ten times over
+MOST_FRAMES = 150  # in a file; of longer episodes every so many-th frame is shown
+HEIGHT = 192  # pixels; pictures of a smaller height are enlarged
+PAUSE = 1.0  # seconds on the last frame
+
+Extreme = Callable[[NDArray[np.int64]], int]
+SITUATIONS: tuple[tuple[str, str, Extreme], ...] = (
+    ("most_frequent", "most frequent situation", lambda ranks: int(ranks.min())),
+    ("rarest", "rarest situation", lambda ranks: int(ranks.max())),
+)
+
+
+@dataclass(frozen=True)
+class Situation:
+    """A situation to play: a level and its ranks there."""
+
+    level: envs.SplitLevel
+    ranks: dict[str, int]
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode that was played; `actions` is int64 [length]."""
+
+    seed: int
+    success: bool
+    episode_return: float
+    actions: NDArray[np.int64]
+
+    @property
+    def outcome(self) -> videos.Outcome:
+        return "success" if self.success else "failure"
+
+
+def record_videos(
+    folders: Sequence[str | Path],
+    format: VideoFormat,
+    plugins: Sequence[str],
+    say: Callable[[str], None],
+) -> None:
+    """Records videos of every run under `folders`, each into a folder `videos` in the run's.
+
+    Args:
+        folders: run folders, or folders with runs at any depth.
+        format: of the files.
+        plugins: modules to import first, see `zipf.plugins`.
+        say: prints a line about each run.
+
+    Raises:
+        UserError: there is no run, or, before anything is recorded, a run has no checkpoint that
+            can be loaded, an agent that does not act, or worlds that report no success.
+    """
+    found = [run.folder for run in load_runs(folders)]
+    for folder in found:
+        if not (folder / "checkpoint.pt").is_file():
+            raise UserError(
+                f"--videos: {folder.as_posix()} has no checkpoint.pt, and so no agent to play; "
+                "give folders of runs with a checkpoint (kept results have none)"
+            )
+    for folder in found:
+        _playable(folder, load_agent(folder, "cpu", plugins))
+    for folder in found:
+        made = record_run(folder, load_agent(folder, "cpu", plugins), format)
+        counts = ", ".join(
+            f"{one.title} {one.successes} of {one.episodes} episodes" for one in made.situations
+        )
+        say(f"Wrote {(folder / videos.FOLDER).as_posix()} (successes: {counts})")
+
+
+def record_run(folder: Path, trained: Trained, format: VideoFormat) -> videos.Videos:
+    """Records the videos of a run in the place of those that it may have.
+
+    Raises:
+        UserError: the worlds do not play the same actions alike, or a file cannot be written.
+    """
+    target = folder / videos.FOLDER
+    try:
+        target.mkdir(exist_ok=True)
+        for path in sorted(target.iterdir()):
+            if path.name == videos.NAME or path.suffix[1:] in VIDEO_FORMATS:
+                path.unlink()
+        parts = []
+        for name, title, extreme in SITUATIONS:
+            situation = find_situation(trained, extreme)
+            episodes, tried, successes = play(trained, situation, name)
+            recorded = [
+                _record(trained, situation, one, target / f"{name}_{one.outcome}.{format}")
+                for one in episodes
+            ]
+            parts.append(
+                VideosOfSituation(
+                    title=title,
+                    level=situation.level.name,
+                    ranks=situation.ranks,
+                    episodes=tried,
+                    successes=successes,
+                    videos=tuple(recorded),
+                )
+            )
+        made = videos.Videos(update=trained.update, situations=tuple(parts))
+        replace_text(target / videos.NAME, made.model_dump_json(indent=2) + "\n")
+    except OSError as error:
+        raise UserError(f"{target.as_posix()}: cannot be written: {error.strerror}") from None
+    return made
+
+
+def find_situation(trained: Trained, extreme: Extreme) -> Situation:
+    """The most frequent situation of the uniform levels, or the rarest.
+
+    The first rank takes its extreme value, then the next rank its own among situations with that
+    one, and so on: where objects are drawn without replacement the second is not that of the first.
+    """
+    found = []
+    for level in trained.config.split.uniform:
+        with closing(_worlds(trained, level, AT_A_TIME)) as env:
+            ranks: dict[str, int] = {}
+            for name in env.situation:
+                drawn = [
+                    env.reset(seed=seed, options=ranks)[1][name]
+                    for seed in range(0, 10 * AT_A_TIME, AT_A_TIME)
+                ]
+                ranks[name] = extreme(np.concatenate(drawn))
+            found.append(Situation(level, ranks))
+    best = extreme(np.array([next(iter(one.ranks.values())) for one in found]))
+    return next(one for one in found if next(iter(one.ranks.values())) == best)
+
+
+def play(trained: Trained, situation: Situation, name: str) -> tuple[list[Episode], int, int]:
+    """Plays a situation until it has had both outcomes, `EPISODES` at most.
+
+    Args:
+        name: from which the agent's draws are seeded.
+
+    Returns:
+        The first success and the first failure, without an outcome that there was not; how many
+        episodes were played, and how many of them succeeded.
+    """
+    first: dict[videos.Outcome, Episode] = {}
+    tried = successes = 0
+    policy = AgentPolicy(
+        trained.agent, seed=derive_seed(0, "videos", name), device=trained.config.torch_device
+    )
+    with closing(_worlds(trained, situation.level, AT_A_TIME)) as env:
+        while tried < EPISODES and len(first) < len(OUTCOMES):
+            for episode in _batch(env, policy, situation, seed=tried):
+                first.setdefault(episode.outcome, episode)
+                successes += episode.success
+            tried += env.num_envs
+    return [first[outcome] for outcome in OUTCOMES if outcome in first], tried, successes
+
+
+def _batch(
+    env: ZipfVectorEnv, policy: AgentPolicy, situation: Situation, seed: int
+) -> Iterator[Episode]:
+    """One episode in every world, in the order of worlds."""
+    policy.start(env.num_envs)
+    observation, _ = env.reset(seed=seed, options=situation.ranks)
+    reward = np.zeros(env.num_envs, np.float32)
+    is_first = np.ones(env.num_envs, np.bool_)
+    taken: list[NDArray[np.int64]] = []
+    ended: dict[int, Episode] = {}
+    while len(ended) < env.num_envs:
+        actions = policy(observation, reward, is_first)
+        taken.append(np.asarray(actions, np.int64))
+        observation, rewards, terminated, truncated, info = env.step(actions)
+        reward, is_first = rewards.astype(np.float32), terminated | truncated
+        for world in np.flatnonzero(is_first).tolist():
+            if world not in ended:
+                outcome = info["final_info"]
+                ended[world] = Episode(
+                    seed=seed + world,
+                    success=bool(outcome["success"][world]),
+                    episode_return=float(outcome["return"][world]),
+                    actions=np.array([each[world] for each in taken]),
+                )
+    yield from (ended[world] for world in range(env.num_envs))
+
+
+def _record(trained: Trained, situation: Situation, episode: Episode, path: Path) -> Video:
+    """Plays an episode again and records it."""
+    length = len(episode.actions)
+    every = ceil((length + 1) / MOST_FRAMES)
+    drawn = {"autoreset_mode": AutoresetMode.DISABLED, "render_mode": "rgb_array"}
+    with closing(_worlds(trained, situation.level, 1, **drawn)) as env:
+        env.reset(seed=episode.seed, options=situation.ranks)
+        info: dict[str, Any] = {}
+        with Recording(path, env.metadata["render_fps"]) as recording:
+            recording.add(_picture(env))
+            for step, action in enumerate(episode.actions, 1):
+                _, _, terminated, truncated, info = env.step(np.array([action]))
+                if step % every == 0 or step == length:
+                    recording.add(_picture(env))
+                if (terminated | truncated).any() != (step == length):
+                    raise _not_alike(situation)
+            recording.hold(PAUSE)
+    if bool(info["success"][0]) != episode.success:
+        raise _not_alike(situation)
+    return Video(
+        file=path.name,
+        outcome=episode.outcome,
+        seed=episode.seed,
+        episode_return=episode.episode_return,
+        length=length,
+        every=every,
+    )
+
+
+def _picture(env: ZipfVectorEnv) -> NDArray[np.uint8]:
+    frames = env.render()
+    assert frames is not None
+    picture = np.asarray(frames[0], np.uint8)
+    return enlarge(picture, ceil(HEIGHT / len(picture)))
+
+
+def _playable(folder: Path, trained: Trained) -> None:
+    """Raises `UserError` where there is nothing to show."""
+    if trained.agent.answers_questions:
+        raise UserError(
+            f"--videos: {folder.as_posix()} is of a classifier, which answers questions and does "
+            "not act"
+        )
+    with closing(_worlds(trained, trained.config.split.uniform[0], 1)) as env:
+        if not env.reports_success:
+            raise UserError(
+                f"--videos: the worlds of {folder.as_posix()} report no success; give runs of "
+                "worlds that do"
+            )
+        if not env.situation:
+            raise UserError(
+                f"--videos: the worlds of {folder.as_posix()} report no situation; give runs of "
+                "worlds that do"
+            )
+
+
+def _worlds(trained: Trained, level: envs.SplitLevel, count: int, **kwargs: Any) -> ZipfVectorEnv:
+    options = {**trained.config.level_options, **kwargs}
+    return envs.make_scored(trained.config.split, level, count, **options)
+
+
+def _not_alike(situation: Situation) -> UserError:
+    return UserError(
+        f"--videos: level {situation.level.name} does not play the same actions alike twice, and "
+        "so an episode cannot be recorded after it was played"
+    )
