@@ -223,8 +223,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         choices=VIDEO_FORMATS,
         help="before, let the agent of each run's checkpoint play, and record a success and a "
         "failure in its most frequent situation and in its rarest, into the run's folder; the page "
-        "of --html, which it implies, shows the videos that there are; without a format: %(const)s; "
-        "default: no videos",
+        "of --html, which it implies, shows the videos that there are; without a format: "
+        "%(const)s; default: no videos",
     )
     parser.add_argument(
         "--plugins",
