@@ -19,6 +19,7 @@ from zipf.experiments import command_line, runtime
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import run_folder, runner
 from zipf.experiments.running.factory import build_agent, build_collector
+from zipf.experiments.running.ray_actors import RayActors
 
 OPTIONS = [*TINY, "exploration=none", "schedule.checkpoint_every=2", "name=row"]
 FRAMES = 6 * 5  # of an update
@@ -73,6 +74,26 @@ def test_a_run_in_a_cluster_is_a_row_of_its_own(tmp_path):
         for more in ([], ["runtime=ray"], ["runtime=ray", "runtime.address=auto"])
     )
     assert local != cluster == elsewhere
+
+
+def test_an_actor_that_never_plays_ends_the_run(tmp_path, monkeypatch):
+    """But not one that dies now and then after it has played."""
+    config = load(tmp_path, "runtime=ray", "runtime.actors=1")
+    env = envs.make_train(config.split, 6, **config.level_options)
+    source = RayActors(config, config.runtime, build_agent(config, env))
+    monkeypatch.setattr(source, "_tell", lambda line: None)
+    begun = []
+    monkeypatch.setattr(source, "_begin", begun.append)
+    (actor,) = source.actors
+    for _ in range(5):
+        actor.has_played = True
+        source._replace(actor, RuntimeError("gone. See the manual"))
+    actor.has_played = False
+    for _ in range(2):
+        source._replace(actor, RuntimeError("gone. See the manual"))
+    with pytest.raises(UserError, match=r"^runtime=ray: actor 0 died 3 times .*: gone$"):
+        source._replace(actor, RuntimeError("gone. See the manual"))
+    assert len(begun) == 7
 
 
 # What agents carry from an unroll to the next of the same worlds

@@ -26,6 +26,7 @@ What is not promised:
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections import defaultdict
@@ -33,6 +34,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 import zipf
 from zipf import envs
@@ -100,7 +103,8 @@ class _Actor:
         on_their_way: unrolls that it was asked for and that have not been taken.
         learned: number of the last unroll of this incarnation that was learned from; 0 for none.
         carried: what the agent keeps for its next unroll.
-        deaths: in a row, none of which had played an unroll.
+        has_played: whether an unroll of this incarnation has been taken.
+        deaths: in a row, of incarnations that had not played.
     """
 
     number: int
@@ -111,6 +115,7 @@ class _Actor:
     on_their_way: int = 0
     learned: int = 0
     carried: dict[str, Any] = field(default_factory=dict)
+    has_played: bool = False
     deaths: int = 0
 
 
@@ -144,7 +149,7 @@ class RayActors:
         self._config = config.model_copy(update={"device": "cpu"}).model_dump()
         self._calls: dict[Any, _Call] = {}  # by the reference of what they return, oldest first
         self._published: tuple[int, Any] = (-1, None)  # a version and its weights' reference
-        self._lags: list[int] = []
+        self._lags: list[float] = []
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._discarded = self._replaced = 0
         self._connected = False
@@ -193,13 +198,13 @@ class RayActors:
         """Of the unrolls that were learned from since the last call: those of the episodes that
         ended in them, and the mean and the largest lag; how many were discarded, and how many
         actors replaced."""
-        lags = self._lags or [float("nan")]
+        lags = np.array(self._lags or [np.nan])
         metrics = {
             **episode_metrics(self._episodes),
-            "lag_mean": sum(lags) / len(lags),
-            "lag_max": max(lags),
-            "unrolls_discarded": self._discarded,
-            "actors_replaced": self._replaced,
+            "lag_mean": float(lags.mean()),
+            "lag_max": float(lags.max()),
+            "unrolls_discarded": float(self._discarded),
+            "actors_replaced": float(self._replaced),
         }
         self._episodes.clear()
         self._lags, self._discarded, self._replaced = [], 0, 0
@@ -243,9 +248,12 @@ class RayActors:
 
         count, address = self.options.actors, self.options.address
         if not ray.is_initialized():
-            own = {"num_cpus": count, "include_dashboard": False} if address is None else {}
+            own: dict[str, Any] = {}
+            if address is None:
+                own = {"num_cpus": count, "include_dashboard": False}
+            quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
             try:
-                ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
+                ray.init(address or "local", **quiet, **own)
             except (ConnectionError, RuntimeError, ValueError, OSError) as error:
                 reason = " ".join(str(error).split())
                 raise UserError(f"runtime.address={address}: no cluster there: {reason}") from None
@@ -262,7 +270,8 @@ class RayActors:
         import ray
 
         actor.incarnation += 1
-        actor.begun, actor.given, actor.on_their_way = False, -1, 0
+        actor.begun, actor.has_played = False, False
+        actor.given, actor.on_their_way = -1, 0
         actor.learned, actor.carried = 0, {}
         actor.handle = ray.remote(Player).options(num_cpus=1).remote()
         reference = actor.handle.begin.remote(self._config, actor.number, actor.incarnation)
@@ -299,7 +308,7 @@ class RayActors:
                 self._ask()
                 continue
             actor.on_their_way -= 1
-            actor.deaths = 0
+            actor.has_played = True
             lag = self.version - call.version
             if lag <= self.options.lag_bound:
                 self._lags.append(lag)
@@ -354,8 +363,9 @@ class RayActors:
         import ray
 
         # Ray's errors are of many lines, the first of them of many sentences.
-        reason = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0]}".split(". ")[0]
-        actor.deaths += 1
+        told = str(error).strip().splitlines() or [""]
+        reason = f"{type(error).__name__}: {told[0].split('. ')[0]}"
+        actor.deaths = 0 if actor.has_played else actor.deaths + 1
         if actor.deaths == MOST_DEATHS:
             raise UserError(
                 f"runtime=ray: actor {actor.number} died {MOST_DEATHS} times before it had played "
