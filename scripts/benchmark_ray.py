@@ -4,9 +4,11 @@
     python scripts/benchmark_ray.py --training --seconds 20
 
 For each experiment: bytes of an unroll and of its weights; frames per second that one process plays
-(the actor), and that pass from another process through the object store into the learner's tensors.
-Figures of the actor are from a few steps with as many worlds as the experiment has. The object
-store is measured with arrays of the unroll's size, and by calls that carry nothing.
+(the actor), from a few steps with as many worlds as the experiment has; and what passes from
+another process through the object store into the learner's tensors, with arrays of the unroll's
+size. Of the latter the first figure is by the clock on the wall, with both processes in turn, the
+second by the learner's processor time alone. The actor's is by processor time: what a core of its
+own would give.
 
 With `--training` whole training of one experiment is measured, in turn with `runtime=local` and
 with 1 and 2 actors: frames per second, the mean and the largest lag, and how busy the learner was.
@@ -18,6 +20,7 @@ import os
 import statistics
 import tempfile
 import time
+from collections.abc import Callable
 
 import numpy as np
 from rich.console import Console
@@ -48,24 +51,25 @@ def main() -> None:
 
 
 def sizes() -> Table:
-    table = Table("Experiment", "frames", "unroll MB", "weights MB", "actor", "through the store")
+    columns = "frames", "unroll MB", "weights MB", "actor", "store", "learner's part"
+    table = Table("Experiment", *columns)
     import ray
 
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     own = {"include_dashboard": False, "log_to_driver": False, "logging_level": "ERROR"}
     ray.init("local", num_cpus=1, **own)
     actor = ray.remote(Sender).remote()
-    calls = timed(lambda: ray.get(actor.send.remote(0)), 200)
+    calls, _ = timed(lambda: ray.get(actor.send.remote(0)), 200)
     for name in EXPERIMENTS:
         frames, unroll, weights, speed = measured(name)
-        seconds = timed(lambda unroll=unroll: tensors(ray.get(actor.send.remote(unroll))), 5)
+        passes = timed(lambda unroll=unroll: tensors(ray.get(actor.send.remote(unroll))), 5)
         table.add_row(
             name,
             f"{frames:,}",
             f"{unroll / 1e6:.1f}",
             f"{weights / 1e6:.1f}",
             f"{speed:,.0f}/s",
-            f"{frames / seconds:,.0f}/s, {unroll / seconds / 1e9:.2f} GB/s",
+            *(f"{frames / one:,.0f}/s, {unroll / one / 1e9:.2f} GB/s" for one in passes),
         )
     table.caption = f"a call that carries nothing: {calls * 1e3:.2f} ms"
     ray.shutdown()
@@ -82,15 +86,16 @@ class Sender:
         return {"observation": self.content, "rest": np.ones(16)}
 
 
-def timed(call, times: int) -> float:
-    """The median of its seconds."""
+def timed(call: Callable[[], object], times: int) -> tuple[float, float]:
+    """The medians of its seconds, on the wall and of this process."""
     call()
-    seconds = []
+    wall, own = [], []
     for _ in range(times):
-        start = time.perf_counter()
+        starts = time.perf_counter(), time.process_time()
         call()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
+        wall.append(time.perf_counter() - starts[0])
+        own.append(time.process_time() - starts[1])
+    return statistics.median(wall), statistics.median(own)
 
 
 def measured(experiment: str) -> tuple[int, int, int, float]:
@@ -103,7 +108,7 @@ def measured(experiment: str) -> tuple[int, int, int, float]:
     agent = build_agent(config, env)
     collector = build_collector(config, env, agent)
     state = arrays(collector.collect().state_dict())
-    seconds = timed(collector.collect, 3)
+    _, seconds = timed(collector.collect, 3)
     row = count(state["steps"]) / (STEPS + 1)
     unroll = round(row * (length + 1)) + count(state["memory"])
     weights = count(arrays(dict(agent.actor.state_dict())))
@@ -123,7 +128,6 @@ def trainings(experiment: str, seconds: float) -> Table:
     for runtime in (
         ["runtime=local"],
         ["runtime=ray", "runtime.actors=1"],
-        ["runtime=ray", "runtime.actors=1", "runtime.ahead=2"],
         ["runtime=ray", "runtime.actors=2"],
     ):
         with tempfile.TemporaryDirectory() as folder:

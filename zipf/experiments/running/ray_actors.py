@@ -5,10 +5,11 @@ weights, and it plays one unroll with them, which it puts into Ray's object stor
 learns from unrolls as they arrive, the longest asked for first, one update from each.
 
 Weights have a version: the number of updates that made them. The *lag* of an unroll is the version
-that learns from it less the version that played it. An actor has at most `runtime.ahead` unrolls on
-their way, and is asked for another only when there are newer weights than it was last given. With
-equally fast actors the lag is therefore at most actors x ahead. A slow actor does not hold up the
-others; an unroll whose lag has come to exceed `RayOptions.lag_bound` is discarded.
+that learns from it less the version that played it. An actor has `runtime.ahead` unrolls on their
+way, and is asked for another when one is taken, with the weights as they are then: it plays while
+the learner learns. If unrolls are taken in the order in which they were asked for, as with equally
+fast actors, the lag is at most actors x ahead. A slow actor does not hold up the others; an unroll
+whose lag has come to exceed `RayOptions.lag_bound` is discarded.
 
 A frame counts when it is learned from, so that every update counts num_envs x unroll_length of
 them, as in other runtimes. Unrolls are numbered by the process that plays them, and the learner
@@ -99,8 +100,6 @@ class _Actor:
         incarnation: counts the processes that were this actor; -1 before the first.
         handle: Ray's, of the process.
         begun: whether it has worlds.
-        given: version of the weights that it was last given; -1 for none.
-        on_their_way: unrolls that it was asked for and that have not been taken.
         learned: number of the last unroll of this incarnation that was learned from; 0 for none.
         carried: what the agent keeps for its next unroll.
         has_played: whether an unroll of this incarnation has been taken.
@@ -111,8 +110,6 @@ class _Actor:
     incarnation: int = -1
     handle: Any = None
     begun: bool = False
-    given: int = -1
-    on_their_way: int = 0
     learned: int = 0
     carried: dict[str, Any] = field(default_factory=dict)
     has_played: bool = False
@@ -179,7 +176,6 @@ class RayActors:
         actor, played = self._take()
         if played["number"] <= actor.learned:
             raise RuntimeError(f"actor {actor.number}: unroll {played['number']} arrived twice")
-        self._ask()  # with the weights as they are: it need not wait for this update
         follows = actor.learned == played["number"] - 1
         self.agent.carry(actor.carried if follows else {})
         unroll = Unroll.of_state(tensors(played["unroll"]))
@@ -187,7 +183,6 @@ class RayActors:
         actor.carried = self.agent.carried()
         actor.learned = played["number"]
         self.version += 1
-        self._ask()
         for name, values in played["episodes"].items():
             self._episodes[name].extend(values)
         for part, seconds in played["seconds"].items():
@@ -271,21 +266,15 @@ class RayActors:
 
         actor.incarnation += 1
         actor.begun, actor.has_played = False, False
-        actor.given, actor.on_their_way = -1, 0
         actor.learned, actor.carried = 0, {}
         actor.handle = ray.remote(Player).options(num_cpus=1).remote()
         reference = actor.handle.begin.remote(self._config, actor.number, actor.incarnation)
         self._calls[reference] = _Call(actor, None)
 
-    def _ask(self) -> None:
-        """Asks for an unroll of every actor that has room for one and older weights than these."""
-        for actor in self.actors:
-            has_room = actor.begun and actor.on_their_way < self.options.ahead
-            if has_room and actor.given < self.version:
-                reference = actor.handle.play.remote(self._publish())
-                self._calls[reference] = _Call(actor, self.version)
-                actor.given = self.version
-                actor.on_their_way += 1
+    def _ask(self, actor: _Actor) -> None:
+        """Asks an actor for an unroll by the weights as they are."""
+        reference = actor.handle.play.remote(self._publish())
+        self._calls[reference] = _Call(actor, self.version)
 
     def _publish(self) -> Any:
         """A reference of the weights as they are."""
@@ -305,16 +294,16 @@ class RayActors:
             if call.version is None:
                 self._check_version(actor, result)
                 actor.begun = True
-                self._ask()
+                for _ in range(self.options.ahead):
+                    self._ask(actor)
                 continue
-            actor.on_their_way -= 1
+            self._ask(actor)
             actor.has_played = True
             lag = self.version - call.version
             if lag <= self.options.lag_bound:
                 self._lags.append(lag)
                 return actor, result
             self._discarded += 1
-            self._ask()
 
     def _next_result(self) -> tuple[_Call, Any]:
         """Of those calls that have returned the oldest, and what it returned; replaces actors that
