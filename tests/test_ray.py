@@ -84,6 +84,7 @@ def test_an_actor_that_never_plays_ends_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(source, "_tell", lambda line: None)
     begun = []
     monkeypatch.setattr(source, "_begin", begun.append)
+    monkeypatch.setattr("ray.kill", lambda handle: None)
     (actor,) = source.actors
     for _ in range(5):
         actor.has_played = True
@@ -200,7 +201,7 @@ def watched(cluster, patch, tmp_path_factory):
 
 def step(run, until):
     """Steps until something holds; the metrics of each step."""
-    rows, end = [], time.monotonic() + 200
+    rows, end = [], time.monotonic() + 600
     while not until(rows):
         assert time.monotonic() < end
         run.step()
@@ -289,10 +290,13 @@ def test_actors_of_a_node_that_is_lost_go_on_elsewhere(watched, cluster):
     assert sum(row["actors_replaced"] for row in rows) == 1
 
 
-def test_more_actors_than_cores_are_refused(watched, cluster, tmp_path):
+def test_more_actors_than_cores_and_another_cluster_are_refused(watched, cluster, tmp_path):
     address = f"runtime.address={cluster.address}"
     config = load(tmp_path, "runtime=ray", "runtime.actors=9", address)
     with pytest.raises(UserError, match=r"^runtime\.actors=9: the cluster has 2 cores, .*most 2$"):
+        runner.train(config)
+    config = load(tmp_path, "runtime=ray", "runtime.address=127.0.0.1:1")
+    with pytest.raises(UserError, match=rf"^runtime\.address=127\.0\.0\.1:1: .*{cluster.address}"):
         runner.train(config)
 
 
@@ -329,7 +333,7 @@ def processes(marker):
     return found
 
 
-def wait(condition, seconds=200):
+def wait(condition, seconds=400):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end

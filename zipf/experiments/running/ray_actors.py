@@ -32,7 +32,6 @@ import os
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -156,7 +155,8 @@ class RayActors:
         """Connects to the cluster, or starts one, and begins the actors.
 
         Raises:
-            UserError: there is no such cluster, or it has too few cores.
+            UserError: there is no such cluster, it has too few cores, or this process belongs to
+                another.
         """
         self._tell = tell
         try:
@@ -226,7 +226,7 @@ class RayActors:
         import ray
 
         for actor in begun:
-            with suppress(Exception):  # it has ended, or Ray has
+            if ray.is_initialized():  # otherwise they have ended with it
                 ray.kill(actor.handle)
             actor.handle = None
         self._calls.clear()
@@ -253,6 +253,11 @@ class RayActors:
                 reason = " ".join(str(error).split())
                 raise UserError(f"runtime.address={address}: no cluster there: {reason}") from None
             self._connected = True
+        elif address not in (None, "auto", there := ray.get_runtime_context().gcs_address):
+            raise UserError(
+                f"runtime.address={address}: this process belongs to the cluster {there}; should "
+                "be that, auto or null"
+            )
         cores = int(ray.cluster_resources().get("CPU", 0))
         if cores < count:
             raise UserError(
@@ -362,8 +367,7 @@ class RayActors:
             ) from None
         self._tell(f"actor {actor.number} is lost and replaced: {reason}")
         self._replaced += 1
-        with suppress(Exception):
-            ray.kill(actor.handle)  # it may be out of reach only
+        ray.kill(actor.handle)  # it may be out of reach only
         self._calls = {ref: call for ref, call in self._calls.items() if call.actor is not actor}
         self._begin(actor)
 
