@@ -48,6 +48,13 @@ def test_what_cannot_be_is_refused_in_a_line(overrides, told, tmp_path):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "nonsense"])
+def test_a_cluster_that_is_not_there_is_told_at_once(address, tmp_path):
+    config = load(tmp_path, "runtime=ray", f"runtime.address={address}")
+    with pytest.raises(UserError, match=rf"^runtime\.address={address}: no cluster there: "):
+        runner.train(config)
+
+
 def test_without_ray_it_is_said_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setattr(runtime, "find_spec", lambda name: None)
     with pytest.raises(UserError, match=r'^runtime=ray: needs Ray: pip install "zipf-rl\[ray\]"$'):

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -248,6 +249,9 @@ class RayActors:
                 own = {"num_cpus": count, "include_dashboard": False}
             quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
             try:
+                if address not in (None, "auto"):  # where nobody listens, Ray tries for minutes
+                    host, _, port = str(address).rpartition(":")
+                    socket.create_connection((host, int(port)), timeout=10).close()
                 ray.init(address or "local", **quiet, **own)
             except (ConnectionError, RuntimeError, ValueError, OSError) as error:
                 reason = " ".join(str(error).split())
