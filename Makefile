@@ -4,34 +4,21 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-# Every condition but those that need an instruction or two objects in view.
-CONDITIONS := $(filter-out impala_vision_language supervised,$\
-  $(basename $(notdir $(sort $(wildcard configs/condition/*.yaml)))))
-# Those that are not rows of the paper's tables.
-TAIL = $(subst $(EMPTY) $(EMPTY),$(COMMA),$(filter $(basename $(notdir $(shell \
-  grep -l "Not in the paper" configs/condition/*.yaml))),$(CONDITIONS)))
-EMPTY :=
-COMMA := ,
+# Two jobs at a time, one core each.
+BESIDE := hydra/launcher=joblib hydra.launcher.n_jobs=2
 
-.PHONY: demo conditions tail test lint types wheel results clean
+.PHONY: demo conditions tail test lint types docs wheel results clean
 
 demo: $(VENV)/.installed  ## train on a small gridworld for a few minutes, then print the scores
 	$(BIN)/python -m zipf.train experiment=demo
 	$(BIN)/python -m zipf.report runs/demo
 
-conditions: $(VENV)/.installed  ## every agent on the same gridworld, three seeds each: an hour on 2 cores
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[sweep]"
-	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=demo_conditions \
-	  condition=$(subst $(EMPTY) $(EMPTY),$(COMMA),$(CONDITIONS)) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
+conditions: $(VENV)/.installed  ## every agent on the same gridworld, three seeds each: about two hours on 2 cores
+	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m sweep=demo $(BESIDE)
 	$(BIN)/python -m zipf.report runs/demo_conditions
 
 tail: conditions  ## parts for learning the tail, on the larger worlds, too: some days on 2 cores
-	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=gridworld_compact \
-	  condition=impala,impala_mlp,$(TAIL) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
-	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=playroom_lift_compact \
-	  condition=impala,$(TAIL) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
-	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m experiment=playroom_find_compact \
-	  condition=impala,supervised,$(TAIL) seed=0,1,2 hydra/launcher=joblib hydra.launcher.n_jobs=2
+	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m sweep=tail $(BESIDE)
 	$(BIN)/python -m zipf.report runs/
 
 test: $(VENV)/.installed  ## run all tests
@@ -44,6 +31,9 @@ lint: $(VENV)/.installed  ## check style and formatting
 types: $(VENV)/.installed  ## check types
 	$(BIN)/mypy
 
+docs: $(VENV)/.installed  ## build the documentation into site/; open site/index.html
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 wheel: $(VENV)/.installed  ## build the wheel into dist/
 	$(BIN)/python -m build --wheel
 
@@ -51,7 +41,7 @@ results: $(VENV)/.installed  ## write RESULTS.md from the files in results/
 	$(BIN)/python -m zipf.report results --record RESULTS.md
 
 clean:  ## remove the virtual environment and what was built; runs are kept
-	rm -rf $(VENV) dist build
+	rm -rf $(VENV) dist build site
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -12,14 +12,16 @@ page is out of date.
 """
 
 import ast
-import inspect
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
+import agent_tables
+import family_tables
+from tables import code, markdown
+
 from zipf import envs
-from zipf.envs.labyrinth.levels import LEVELS
-from zipf.experiments import catalogue, composing
+from zipf.experiments import catalogue, command_line, composing
 
 ROOT = Path(__file__).parent.parent
 MARKS = re.compile(
@@ -29,7 +31,7 @@ MARKS = re.compile(
 
 def pages() -> list[Path]:
     """The pages that may have tables."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def rewritten(text: str) -> str:
@@ -46,73 +48,6 @@ def rewritten(text: str) -> str:
         return "\n".join([f"<!-- {opening} -->", "", *rows, "", f"<!-- /{name} -->"])
 
     return MARKS.sub(block, text)
-
-
-def families() -> list[str]:
-    return markdown(
-        ("Family", "Task", "Gymnasium id", "Splits"),
-        (
-            (
-                code(family.name),
-                family.summary,
-                code(family.id) if family.id else "",
-                ", ".join(code(split.name) for split in family.splits),
-            )
-            for family in envs.families().values()
-        ),
-    )
-
-
-def levels(family: str) -> list[str]:
-    found = envs.find_family(family)
-    uses: dict[str, list[str]] = {}
-    for split in found.splits:
-        for kind in envs.KINDS:
-            for level in split.levels(kind):
-                uses.setdefault(level.name, []).append(f"{code(split.name)} ({kind})")
-    known = [one for one in envs.REFERENCES if one.name in found.references]
-    rows = []
-    for name in (f"{family}/{level}" for level in found.levels):
-        scores = (envs.reference(one.name, name) for one in known)
-        texts = ("" if score is None else f"{score.score:.3f}" for score in scores)
-        rows.append((code(name), ", ".join(uses.get(name, [])), *texts))
-    return markdown(("Level", "Used by split", *(one.title for one in known)), rows)
-
-
-def labyrinth() -> list[str]:
-    """The labyrinth's levels: length and, from the docstrings of their rules, goal and rewards."""
-    rows = []
-    for name, level in LEVELS.items():
-        text = inspect.getdoc(level.load()) or ""
-        goal = re.search(r"Goal: (.*?)\n\n", text, re.DOTALL)
-        rewards = re.search(r"\nRewards: (.*?)(?:\n\w[\w ,]*:|$)", text, re.DOTALL)
-        assert goal is not None, name
-        told = " ".join(rewards[1].split()) if rewards else "+1 for a mushroom."
-        rows.append((code(name), " ".join(goal[1].split()), told, f"{level.seconds} s"))
-    return markdown(("Level", "Goal", "Rewards", "Length"), rows)
-
-
-def labyrinth_references() -> list[str]:
-    """What players that do not learn, and people, score in the labyrinth."""
-    known = [one for one in envs.REFERENCES if one.name in envs.find_family("labyrinth").references]
-    rows = []
-    for name, level in LEVELS.items():
-        scores = (envs.reference(one.name, f"labyrinth/{name}") for one in known)
-        texts = ("" if one is None else f"{one.score:.1f} ± {one.error:.1f}" for one in scores)
-        rows.append((code(name), f"{level.random:g}", f"{level.human:g}", *texts))
-    titles = (one.title for one in known)
-    return markdown(("Level", "Random, published", "Human, published", *titles), rows)
-
-
-def constructor_options(family: str) -> list[str]:
-    fields = envs.find_family(family).options_class.model_fields
-    return markdown(
-        ("Option", "Default"),
-        (
-            (code(name), code(str(field.get_default(call_default_factory=True))))
-            for name, field in fields.items()
-        ),
-    )
 
 
 def splits() -> list[str]:
@@ -158,6 +93,13 @@ def conditions() -> list[str]:
     )
 
 
+def sweeps() -> list[str]:
+    return markdown(
+        ("Sweep", "What it is"),
+        ((code(name), catalogue.summary("sweep", name)) for name in composing.choices("sweep")),
+    )
+
+
 def choices() -> list[str]:
     groups = [group for group in composing.groups() if group not in ("experiment", "condition")]
     return markdown(
@@ -185,31 +127,43 @@ def file(path: str) -> list[str]:
 
 
 BLOCKS: dict[str, Callable[..., list[str]]] = {
-    "families": families,
-    "levels": levels,
-    "constructor_options": constructor_options,
-    "labyrinth": labyrinth,
-    "labyrinth_references": labyrinth_references,
+    "families": family_tables.families,
+    "family": family_tables.family,
+    "levels": family_tables.levels,
+    "constructor_options": family_tables.constructor_options,
+    "labyrinth": family_tables.labyrinth,
+    "labyrinth_references": family_tables.labyrinth_references,
+    "groups": agent_tables.groups,
+    "parts": agent_tables.parts,
     "splits": splits,
     "experiments": experiments,
     "conditions": conditions,
+    "sweeps": sweeps,
     "choices": choices,
     "modules": modules,
     "file": file,
 }
 
 
-def code(text: str) -> str:
-    return f"`{text}`"
-
-
-def markdown(heading: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
-    """A table's lines."""
-    dashes = tuple(":--" for _ in heading)
-    return [f"| {' | '.join(cells)} |" for cells in (heading, dashes, *rows)]
+def new_pages() -> dict[Path, str]:
+    """The pages that families and parts of agents still lack, with the places of their tables."""
+    found = {}
+    for name in envs.families():
+        blocks = (f"family {name}", f"levels {name}", f"constructor_options {name}")
+        found[ROOT / "docs" / "environments" / f"{name}.md"] = (name.capitalize(), blocks)
+    for group in command_line.parts():
+        found[ROOT / "docs" / "agents" / f"{group}.md"] = (group.capitalize(), (f"parts {group}",))
+    places = "<!-- {} -->\n<!-- /{} -->\n"
+    return {
+        path: "\n".join([f"# {title}\n", *(places.format(one, one.split()[0]) for one in blocks)])
+        for path, (title, blocks) in found.items()
+        if not path.exists()
+    }
 
 
 def main() -> None:
+    for page, text in new_pages().items():
+        page.write_text(text, encoding="utf-8")
     for page in pages():
         text = page.read_text(encoding="utf-8")
         new = rewritten(text)

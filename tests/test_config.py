@@ -13,7 +13,7 @@ from zipf.agents import Agent
 from zipf.agents.encoders import Encoder
 from zipf.agents.impala import Impala
 from zipf.envs.gridworld import GridworldOptions
-from zipf.experiments import command_line, composing, config
+from zipf.experiments import command_line, composing, config, sweeps
 from zipf.experiments.errors import UserError
 
 EXPERIMENTS = command_line.choices("experiment")
@@ -287,7 +287,7 @@ def test_a_mistake_is_one_clear_line(overrides, told):
 )
 def test_a_sweep_is_over_lists_that_are_not_endless(override, told):
     with pytest.raises(UserError, match=told):
-        command_line.check_command_line(["experiment=demo", override])
+        sweeps.check(["experiment=demo", override])
 
 
 def test_the_agent_that_was_chosen_is_tried(monkeypatch):
@@ -313,11 +313,11 @@ def test_all_mistakes_are_told_at_once():
 
 def test_a_sweep_is_checked_before_it_starts():
     six = ["experiment=demo", "seed=0,1,2", "memory=mlp,lstm"]
-    assert len(command_line.check_command_line(six)) == 6
-    jobs = command_line.check_command_line(["experiment=demo", "seed=range(4)"])
-    assert [job.seed for job in jobs] == [0, 1, 2, 3]
+    assert len(sweeps.check(six).jobs) == 6
+    jobs = sweeps.check(["experiment=demo", "seed=range(4)"]).jobs
+    assert [job.config.seed for job in jobs] == [0, 1, 2, 3]
     with pytest.raises(UserError) as error:
-        command_line.check_command_line(["experiment=demo,gridwrld", "seed=0,-1"])
+        sweeps.check(["experiment=demo,gridwrld", "seed=0,-1"])
     lines = str(error.value).splitlines()
     assert any("seed=-1" in line for line in lines)
     assert any("gridwrld" in line for line in lines)

@@ -94,12 +94,10 @@ METRICS = {"frames": 20.0, "frames_per_second": 5.0, "seconds": 4.0} | {
 }
 
 
-def shown(
-    update: int, *, alone: bool = True, terminal: bool = False
-) -> tuple[Display, io.StringIO]:
+def shown(update: int, *, terminal: bool = False) -> tuple[Display, io.StringIO]:
     file = io.StringIO()
     console = Console(file=file, force_terminal=terminal, width=100, no_color=True)
-    display = Display("demo x", 8, update, frames_per_update=4, alone=alone, console=console)
+    display = Display("demo x", 8, update, frames_per_update=4, console=console)
     return display, file
 
 
@@ -129,19 +127,11 @@ def test_a_resumed_run_does_not_claim_to_be_at_its_beginning() -> None:
     assert "before the first update" not in panel(shown(5, terminal=True)[0])
 
 
-def test_runs_that_share_a_terminal_print_lines_with_their_name() -> None:
-    display, file = shown(0, alone=False, terminal=True)
-    assert not display.live
-    display.say("stopping")
-    display.say("demo x: a new run")
-    assert file.getvalue() == "demo x: stopping\ndemo x: a new run\n"
-
-
 def test_ctrl_c_while_options_are_checked_is_no_traceback(tmp_path: Path) -> None:
     """The signal comes as soon as the first of many jobs is being checked."""
     program = (
         "import os, signal, sys; from zipf import train; from zipf.experiments import command_line;"
-        "command_line.load = lambda job: os.kill(os.getpid(), signal.SIGINT);"
+        "command_line.read = lambda job: os.kill(os.getpid(), signal.SIGINT);"
         "sys.argv = ['zipf.train', 'experiment=demo']; train.main()"
     )
     process = subprocess.run([sys.executable, "-c", program], capture_output=True, cwd=tmp_path)

@@ -723,7 +723,7 @@ def test_the_command_says_what_there_is(arguments, monkeypatch, capsys):
     assert left.value.code == (0 if arguments else 2)
     told = capsys.readouterr().out
     for option in PlayOptions.model_fields:
-        assert re.search(rf"^{option}=", told, re.MULTILINE), option
+        assert re.search(rf"^ +{option}=", told, re.MULTILINE), option
 
 
 def test_the_command_ends_with_2_after_a_mistake(monkeypatch, capsys):

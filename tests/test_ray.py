@@ -87,7 +87,7 @@ def test_an_actor_that_never_plays_ends_the_run(tmp_path, monkeypatch):
     """But not one that dies now and then after it has played."""
     config = load(tmp_path, "runtime=ray", "runtime.actors=1")
     env = envs.make_train(config.split, 6, **config.level_options)
-    source = RayActors(config, config.runtime, build_agent(config, env))
+    source = RayActors(config, config.runtime, env, build_agent(config, env))
     monkeypatch.setattr(source, "_tell", lambda line: None)
     begun = []
     monkeypatch.setattr(source, "_begin", begun.append)
@@ -162,9 +162,10 @@ class Learned:
             content = (steps["observation", "image"], steps["action"], steps["logits"])
             self.unrolls[b"".join(part.numpy().tobytes() for part in content)] += 1
             self.frames += steps.numel()
+            self.episodes += int((steps["terminated"] | steps["truncated"]).sum())
             return learn(run, unroll)
 
-        self.frames = 0
+        self.frames = self.episodes = 0
         monkeypatch.setattr(runner.Run, "_learn", watched)
 
 
@@ -246,6 +247,8 @@ def test_actors_play_other_worlds_and_nothing_is_learned_from_twice(watched):
     check(run, learned_from, rows)
     assert any(row["lag_max"] > 0 for row in rows)
     assert all(row["actors_replaced"] == 0 for row in rows)
+    visits = run.source.visits.state_dict()["episodes"].sum()
+    assert visits == learned_from.episodes > 0
 
 
 def test_a_slow_actor_holds_nobody_up(watched):
@@ -367,7 +370,7 @@ def test_the_driver_is_killed_and_the_same_command_goes_on(tmp_path, monkeypatch
             else:
                 os.killpg(driver.pid, number)
             output, _ = driver.communicate(timeout=100)
-            wait(lambda: not processes(marker), seconds=60)
+            wait(lambda: not processes(marker))
         finally:
             driver.kill()
         assert len(output.splitlines()) < 8, output
@@ -377,7 +380,8 @@ def test_the_driver_is_killed_and_the_same_command_goes_on(tmp_path, monkeypatch
     update = saved[1]["update"]
     assert update > saved[0]["update"] >= 4
     for incarnation, state in enumerate(saved):
-        assert state["source"] == {"version": state["update"], "incarnations": [incarnation]}
+        source = state["source"]
+        assert (source["version"], source["incarnations"]) == (state["update"], [incarnation])
     metrics = pd.read_csv(config.folder / "metrics.csv")
     assert list(metrics["update"]) == list(range(1, update + 1))
     assert list(metrics["frames"]) == [FRAMES * one for one in range(1, update + 1)]

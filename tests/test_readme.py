@@ -4,59 +4,33 @@ import ast
 import importlib
 import re
 import runpy
-import shlex
 import sys
 from pathlib import Path
 
+import fake_deepmind_lab
 import pytest
+import write_tables
+from pages import DOCS, PAGES, ROOT, TEXT, blocks, commands, files
 
 import zipf.report
 from zipf import envs, plugins
 from zipf.agents import agent
 from zipf.agents.auxiliary import base
 from zipf.envs import family
-from zipf.experiments import command_line, composing
+from zipf.experiments import command_line, composing, sweeps
 from zipf.experiments.config import Config, EvaluateOptions
 from zipf.experiments.playing.playing import PlayOptions
 from zipf.experiments.reporting.windows import parse_window
 from zipf.experiments.running import runner
 
-ROOT = Path(__file__).parent.parent
-DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md"))
-PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", *DOCS)
-TEXT = {page: (ROOT / page).read_text(encoding="utf-8") for page in PAGES}
 FOLDERS = ("configs/", "docs/", "examples/", "scripts/", "tests/", "zipf/")
 NOT_PATHS = {family.id for family in family.families().values()}
-PLACEHOLDER = re.compile(r"<|\.\.\.|[A-Z]{4}")  # as in run=<folder>, which is no command to try
 FLAGS = {"-m", "--multirun", "--help"}
-write_tables = runpy.run_path(str(ROOT / "scripts" / "write_tables.py"))
 
 
-def blocks(language: str, page: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", TEXT[page], re.MULTILINE | re.DOTALL)
-
-
-def files(page: str) -> dict[str, str]:
-    """The blocks of a page that begin with a file's name in a comment, by that name."""
-    named = {}
-    for block in (*blocks("python", page), *blocks("yaml", page)):
-        first, _, rest = block.partition("\n")
-        if match := re.fullmatch(r"# ([\w/]+\.(?:py|yaml))", first):
-            named[match[1]] = rest
-    return named
-
-
-def commands(module: str) -> list:
-    """Page and arguments of every `python -m <module>` line, each once."""
-    found = {}
-    for page in PAGES:
-        lines = [line for block in blocks("sh", page) for line in block.splitlines()]
-        spans = re.findall(r"`(python -m [^`\n]+)`", TEXT[page])
-        for words in (shlex.split(line, comments=True) for line in lines + spans):
-            arguments = " ".join(words[3:])
-            if words[:3] == ["python", "-m", module] and not PLACEHOLDER.search(arguments or "<"):
-                found.setdefault(arguments, (page, words[3:]))
-    return [pytest.param(*command, id=name) for name, command in found.items()]
+def parameters(module: str) -> list:
+    """The commands of the pages that call a module, for `pytest.mark.parametrize`."""
+    return [pytest.param(*found, id=name) for name, found in commands(module).items()]
 
 
 def section(page: str, heading: str) -> str:
@@ -126,18 +100,20 @@ def overrides_of(arguments: list[str]) -> list[str]:
         i = words.index("--config-dir")
         composing.add_folder(words[i + 1])
         del words[i : i + 2]
-    # Launchers belong to the extra `sweep`, which the tests do not install.
+    # Launchers are of the command, not of its jobs.
     return [word for word in words if not word.startswith("hydra")]
 
 
-@pytest.mark.parametrize(("page", "arguments"), commands("zipf.train"))
-def test_train_commands_are_accepted(page, arguments, in_folder):
+@pytest.mark.parametrize(("page", "arguments"), parameters("zipf.train"))
+def test_train_commands_are_accepted(page, arguments, in_folder, monkeypatch):
     """Those with files of the page train, too, for one update."""
     in_folder(page)
+    monkeypatch.setitem(sys.modules, "deepmind_lab", fake_deepmind_lab)
     overrides = overrides_of(arguments)
     if not overrides:
         return
-    jobs = command_line.check_command_line(overrides)
+    ready_made = sweeps.named(overrides)  # test_config.py checks what they choose
+    jobs = sweeps.check(overrides, is_finished=lambda _: ready_made).jobs
     assert (len(jobs) > 1) == ("-m" in arguments)
     if files(page):
         short = ["updates=1", "schedule.window=[0,1]", "collector.num_envs=8"]
@@ -145,19 +121,20 @@ def test_train_commands_are_accepted(page, arguments, in_folder):
         assert runner.train(command_line.load([*overrides, *short])) == 0
 
 
-@pytest.mark.parametrize(("page", "arguments"), commands("zipf.evaluate"))
+@pytest.mark.parametrize(("page", "arguments"), parameters("zipf.evaluate"))
 def test_evaluate_commands_are_accepted(page, arguments):
-    command_line.read_options(EvaluateOptions, arguments)
+    options = command_line.read_options(EvaluateOptions, arguments)
+    assert options.run or (options.policy and envs.split(str(options.split)))
 
 
-@pytest.mark.parametrize(("page", "arguments"), commands("zipf.play"))
+@pytest.mark.parametrize(("page", "arguments"), parameters("zipf.play"))
 def test_play_commands_are_accepted(page, arguments):
     if arguments != ["--help"]:
         options = command_line.read_options(PlayOptions, arguments)
         assert options.run or envs.keys(options.level)
 
 
-@pytest.mark.parametrize(("page", "arguments"), commands("zipf.report"))
+@pytest.mark.parametrize(("page", "arguments"), parameters("zipf.report"))
 def test_report_commands_are_accepted(page, arguments, monkeypatch):
     calls = []
 
@@ -214,11 +191,16 @@ def test_names_in_the_code_exist(page):
             found = getattr(found, part)
 
 
-@pytest.mark.parametrize("path", write_tables["pages"](), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", write_tables.pages(), ids=lambda path: path.name)
 def test_tables_are_up_to_date(path):
     """If this fails: python scripts/write_tables.py"""
     text = path.read_text(encoding="utf-8")
-    assert write_tables["rewritten"](text) == text
+    assert write_tables.rewritten(text) == text
+
+
+def test_families_and_parts_of_agents_have_pages():
+    """If this fails: python scripts/write_tables.py"""
+    assert write_tables.new_pages() == {}
 
 
 def test_every_package_is_in_the_map_of_the_code():
@@ -281,8 +263,19 @@ def test_the_table_explains_every_choice(group):
 
 def test_the_readme_is_short():
     assert len(TEXT["README.md"].splitlines()) <= 250
-    linked = set(re.findall(r"\]\(docs/([\w-]+\.md)\)", TEXT["README.md"]))
-    assert linked == {Path(page).name for page in DOCS}
+    linked = set(re.findall(r"\]\((docs/[\w/-]+\.md)\)", TEXT["README.md"]))
+    families = {f"docs/environments/{name}.md" for name in envs.families()}
+    assert linked == {page for page in DOCS if page.count("/") == 1} | families
+
+
+def test_the_demo_has_one_table():
+    """The README and the documentation's first page show the same."""
+    tables = [
+        re.findall(r"^┏.*?┛$|^┏.*?┘$", TEXT[page], re.M | re.S)
+        for page in ("README.md", "docs/index.md")
+    ]
+    assert tables[0]
+    assert tables[0] == tables[1]
 
 
 def test_the_picture_is_small():

@@ -44,6 +44,7 @@ from zipf.experiments.reporting import (
     markdown,
     paper,
     results,
+    scores,
     statistics,
     tables,
     terminal,
@@ -232,7 +233,7 @@ def test_a_run_that_did_not_reach_its_window_has_no_score(runs: Path) -> None:
     assert np.isnan(byol["score"])
     assert (
         "runs/gridworld/impala_byol/seed0: no evaluation at updates 100 to 300 (the last is at "
-        "update 80); not counted. --window last shows it."
+        "update 80); not counted. --window scaled or --window last shows it."
     ) in table.notes
     assert "| IMPALA + BYOL | 0/3 | – | 0.75 | – |" in markdown.markdown(table)
 
@@ -276,10 +277,34 @@ def test_a_window_that_is_not_over_yet_is_noted(tmp_path: Path) -> None:
         ("2000000:3000000", windows.UpdateWindow(2_000_000, 3_000_000)),
         ("last", windows.LastEvaluations(1)),
         ("last:10", windows.LastEvaluations(10)),
+        ("scaled", "scaled"),
     ],
 )
 def test_windows(text: str, window: windows.Window) -> None:
     assert windows.parse_window(text) == window
+
+
+def test_a_scaled_window_has_the_same_fractions_of_a_shorter_run(tmp_path: Path) -> None:
+    # Of the window 200 to 300, updates 80 to 120 of a run that ends at 120, and 200 to 300 of one
+    # that goes on to 400.
+    short = {60: (0.9,) * 3, 80: (0.1,) * 3, 100: (0.2,) * 3, 120: (0.3,) * 3}
+    folder = write_run(tmp_path, short, window=[200, 300])
+    long = {100: (0.9,) * 3, 200: (0.5,) * 3, 300: (0.7,) * 3, 400: (0.9,) * 3}
+    write_run(tmp_path, long, condition="r2d2", window=[200, 300])
+    assert np.isnan(line(only_table(tmp_path), "impala", "rare")["score"])  # unless asked for
+    table = only_table(tmp_path, "scaled")
+    assert line(table, "impala", "rare")["score"] == pytest.approx(0.2)
+    assert line(table, "impala", "rare")["window"] == "scaled:200:300"
+    assert line(table, "r2d2", "rare")["score"] == pytest.approx(0.6)
+    assert not table.own_window
+    assert table.notes == (
+        f"{folder.as_posix()}: ends at update 120, before update 300: scored over updates 80 to "
+        f"120, a scaled window.",
+    )
+    assert captions.caption(table).startswith(
+        "Median over the evaluations at 66.7 to 100 % of each run, which are the fractions of "
+        "updates 200 to 300 of the median seed (not the experiment's own window)"
+    )
 
 
 @pytest.mark.parametrize("text", ["", "5", "3:2", "-1:2", "a:b", "last:0", "last:25%", "1.5:2"])
@@ -364,7 +389,7 @@ def test_the_record_ends_with_the_pages_beside_the_runs(tmp_path: Path) -> None:
         report.report([tmp_path], tmp_path, record=record)
         text = record.read_text("utf-8")
         assert text.endswith("\n## References\n\n± 0.1\n")
-        assert text.count("## ") == 2
+        assert text.count("\n## ") == 6  # the table, the paper's two, claims, statistics, the page
         assert "Not this." not in text
 
 
@@ -478,7 +503,11 @@ def test_it_prints_the_table_and_says_where_the_files_are(
 
 def test_it_needs_neither_torch_nor_a_display(runs: Path) -> None:
     code = (
-        "import sys; sys.modules['torch'] = None\n"
+        "import sys\n"
+        "class Refusal:\n"  # scipy looks torch up in sys.modules, where None would be found
+        "    def find_spec(self, name, *_):\n"
+        "        if name.split('.')[0] == 'torch': raise ImportError(name)\n"
+        "sys.meta_path.insert(0, Refusal())\n"
         "from zipf import report\n"
         "assert 'matplotlib' not in sys.modules and 'pandas' not in sys.modules\n"
         "sys.exit(report.main(['runs']))"
@@ -600,8 +629,23 @@ def test_the_papers_tables_name_known_conditions_and_levels() -> None:
 
 
 def test_the_papers_layouts_have_columns_of_its_tables() -> None:
-    assert [layout.name for layout in paper.paper_layouts()] == ["playroom", "labyrinth"]
-    for layout in paper.paper_layouts():
+    layouts = paper.paper_layouts()
+    assert {name for one in layouts for name in one.experiments} == {
+        split.paper for split in envs.all_splits().values() if split.paper
+    }
+    for layout in layouts:
         for _, columns in layout.tables:
-            for experiment, column in columns.values():
-                assert paper.paper_table(experiment).score("impala", column) is not None
+            for one in columns.values():
+                assert paper.paper_table(one.experiment).score("impala", one.column) is not None
+                assert one.statistic in scores.CSV_COLUMNS
+
+
+def test_the_papers_titles_are_those_of_the_conditions() -> None:
+    published = {name for split in envs.all_splits().values() for name in rows_of_paper(split)}
+    assert set(paper.paper_titles()) == published
+    for condition, title in paper.paper_titles().items():
+        assert title == row_of(condition)["title"]
+
+
+def rows_of_paper(split: envs.Split) -> set[str]:
+    return set(paper.paper_table(split.paper).rows) if split.paper else set()

@@ -25,7 +25,7 @@ from run_folders import (
 )
 
 from zipf import report
-from zipf.experiments.reporting import situation_figures, statistics
+from zipf.experiments.reporting import markdown, situation_figures, statistics
 from zipf.experiments.reporting.figures import learning_curves
 from zipf.experiments.reporting.situations import (
     measure_of,
@@ -375,9 +375,10 @@ def test_situations_with_other_ranks(tmp_path: Path) -> None:
     sizes = {"row": 3, "run": 3, "task": 3}
     write_run(tmp_path, constant(0.5), situations=rows, situation=sizes)
     made = report.report([tmp_path], tmp_path / "out")
-    assert sorted(path.name for path in made.files if path.suffix == ".png") == [
-        "gridworld_learning.png",
-        "gridworld_ranks.png",
+    assert [path.name for path in made.files if path.suffix == ".png"] == [
+        f"gridworld_{kind}.png"
+        for kind in markdown.PLOT_KINDS
+        if kind not in ("situations", "visits")
     ]
 
 
@@ -396,7 +397,8 @@ def test_plots_in_vector_formats(tmp_path: Path, format: Literal["pdf", "svg"]) 
     assert contents[0].startswith({"pdf": b"%PDF", "svg": b"<?xml"}[format])
     assert f"[gridworld_learning]({name})" in (first[0] / "report.md").read_text()
     report.report([tmp_path / "run"], first[0])
-    assert sorted(path.suffix for path in first[0].iterdir()) == [".csv", ".md", ".png", ".tex"]
+    suffixes = {path.suffix for path in first[0].iterdir()}
+    assert suffixes == {".csv", ".md", ".png", ".tex"}
 
 
 def test_a_figure_without_data_does_not_stay_behind(tmp_path: Path) -> None:
@@ -418,6 +420,8 @@ def test_only_the_plots_of_the_earlier_report_are_removed(tmp_path: Path) -> Non
     (output / "my_learning.png").write_text("")
     report.report([tmp_path / "b"], output)
     assert sorted(path.name for path in output.glob("*.png")) == [
+        "gridworld_averages.png",
+        "gridworld_hours.png",
         "gridworld_learning.png",
         "my_learning.png",
     ]

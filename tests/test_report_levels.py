@@ -151,19 +151,25 @@ def test_lifting_and_putting_stand_side_by_side_as_in_the_paper(
     write_playroom(tmp_path, PUTTING, {100: (0.9, 0.6, 0.3, 0.2, 0.1)})
     write_playroom(tmp_path, PUTTING, {100: (0.1, 0.1, 0.1, 0.1, 0.1)}, variant="_compact")
     assert report.main([str(tmp_path)]) == 0
-    assert capsys.readouterr().out.count("Zipf's Playroom, training performance") == 1
+    assert capsys.readouterr().out.count("training performance") == 1
     text = (tmp_path / "report/report.md").read_text(encoding="utf-8")
-    assert text.count("## Zipf's Playroom\n") == 1  # there is no compact lifting beside it
+    assert text.count("## Zipf's Playroom\n") == 1
+    # There is no compact lifting beside the compact putting.
+    compact = text[text.index("## Zipf's Playroom (compact)\n") :]
+    assert "| IMPALA | 1/3 | – | 0.65 ± 0.02 | – | 0.59 ± 0.02 | 0.10 | 0.62" in compact
+    assert "There is no run of playroom\\_lifting." in compact
     start = text.index("## Zipf's Playroom\n")
-    assert text[start:].splitlines()[2:7] == [
+    assert text[start:].splitlines()[2:6] == [
         "| Condition | Seeds | Lifting: uniform | paper | Lifting: rare | paper "
         "| Putting: uniform | paper | Putting: rare | paper |",
         "| :-- | --: | --: | --: | --: | --: | --: | --: | --: | --: |",
         "| IMPALA | 1/3 | 0.60 | 0.65 ± 0.02 | 0.50 | 0.59 ± 0.02 "
         "| 0.20 | 0.62 ± 0.02 | 0.10 | 0.49 ± 0.04 |",
-        "| V-MPO | 1/3 | 0.40 | 0.39 ± 0.01 | 0.40 | 0.40 ± 0.03 | – | – | – | – |",
-        "| Chance |  | 0.30 |  | 0.30 |  | 0.01 |  | 0.01 |  |",
+        "| V-MPO | 1/3 | 0.40 | 0.39 ± 0.01 | 0.40 | 0.40 ± 0.03 "
+        "| – | 0.00 ± 0.00 | – | 0.00 ± 0.00 |",
     ]
+    assert "| R2D2 | 0/3 | – | 0.57 ± 0.00 | – | 0.51 ± 0.00 | – | 0.61 ± 0.05 |" in text[start:]
+    assert "| Chance |  | 0.30 |  | 0.30 |  | 0.01 |  | 0.01 |  |" in text[start:]
     train = text[text.index("## Zipf's Playroom, training performance") :].splitlines()
     assert train[4].startswith("| IMPALA | 1/3 | 0.99 | 1.00 | 0.90 | 0.99 | 0.45 | 0.99 |")
 

@@ -5,7 +5,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from zipf.experiments.reporting.tables import CSV_COLUMNS
+from zipf.experiments.reporting.claim_results import CLAIM_COLUMNS
+from zipf.experiments.reporting.scores import CSV_COLUMNS
+from zipf.experiments.reporting.seed_statistics import STATISTICS_COLUMNS
+from zipf.experiments.running.visits import Visits
 from zipf.report import report
 
 ROOT = Path(__file__).parent.parent
@@ -33,10 +36,14 @@ def test_every_column_is_documented():
     evaluations = pd.read_csv(RUN / "evaluations.csv")
     assert documented("evaluations.csv") == list(evaluations.columns)
     situations = pd.read_csv(RUN / "situations.csv")
+    visits = Visits(("map", "target")).beside(situations[["map", "target"]])
     assert documented("situations.csv") == [
-        name for name in situations.columns if name not in ("map", "target")
+        *(name for name in situations.columns if name not in ("map", "target")),
+        *(name for name in visits.columns if name == "visits"),
     ]
     assert documented("report.csv") == list(CSV_COLUMNS)
+    assert documented("claims.csv") == list(CLAIM_COLUMNS)
+    assert documented("statistics.csv") == list(STATISTICS_COLUMNS)
     metrics = pd.read_csv(RUN / "metrics.csv")
     common = list(metrics.columns).index("exploration_bonus") + 1
     assert documented("metrics.csv")[:common] == list(metrics.columns)[:common]

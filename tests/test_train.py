@@ -2,8 +2,6 @@
 
 import dataclasses
 import importlib
-import json
-import os
 import re
 import shutil
 import signal
@@ -18,7 +16,6 @@ import pytest
 import torch
 from conftest import (
     ANNOUNCED,
-    PACKAGE,
     TINY,
     assert_equal,
     command,
@@ -441,54 +438,6 @@ def test_a_mistake_shows_no_traceback(tmp_path):
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_sweep_makes_a_run_per_job(tmp_path):
-    sweep = [argument for argument in TINY if not argument.startswith("memory=")]
-    result = run(
-        "-m",
-        *sweep,
-        "memory=mlp,lstm",
-        "seed=0,1",
-        "updates=1",
-        f"run_root={tmp_path}",
-        folder=tmp_path,
-    )
-    assert result.returncode == 0, result.stderr
-    descriptions = [json.loads(path.read_text()) for path in tmp_path.glob("demo/*/*/run.json")]
-    assert len(descriptions) == 4
-    assert len({description["condition"] for description in descriptions}) == 2
-    assert {description["seed"] for description in descriptions} == {0, 1}
-
-
-def test_ctrl_c_in_a_parallel_sweep_stops_every_job_with_a_checkpoint(tmp_path):
-    """Each line of the jobs, which share the terminal, says whose it is."""
-    arguments = [*TINY, "updates=100000", "schedule.checkpoint_every=99999", "name=x"]
-    arguments += ["evaluation.every=99999", f"run_root={tmp_path}", "seed=0,1,2"]
-    sweep = command("-m", *arguments, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
-    process = subprocess.Popen(
-        sweep,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(PACKAGE)},
-    )
-    begun = []
-    while len(begun) < 2:
-        assert process.poll() is None
-        begun = [p for p in tmp_path.glob("demo/x/*/metrics.csv") if p.read_text().count("\n") > 2]
-        time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)
-    output, errors = process.communicate(timeout=60)
-    assert process.returncode == 128 + signal.SIGINT, errors
-    assert "Traceback" not in errors
-    assert all(line.startswith("demo x seed ") for line in output.splitlines())
-    assert output.count("stopped at update") == 2
-    for path in begun:
-        update = checkpoint.load(path.parent / "checkpoint.pt")["update"]
-        assert len(pd.read_csv(path)) == update > 1
 
 
 def test_a_run_whose_checkpoint_is_gone_is_not_written_over(trained):

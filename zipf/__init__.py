@@ -3,6 +3,6 @@
 Importing this registers the environments with Gymnasium: `gymnasium.make("zipf/Gridworld-v0")`.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 import zipf.envs  # noqa: F401

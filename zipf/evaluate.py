@@ -17,23 +17,32 @@ if TYPE_CHECKING:
 
 __all__ = ["Evaluation", "geometry", "main", "record", "score"]
 
-USAGE = """Scores the agent of a run's checkpoint, or a script, on train, uniform and rare levels.
+USAGE = """usage: python -m zipf.evaluate run=FOLDER [option=value ...]
+       python -m zipf.evaluate policy=NAME split=NAME [option=value ...]
+
+Plays the agent of a run's last checkpoint, or a scripted player, on the train, uniform and rare
+levels of a split, and prints its scores beside those of chance and other references.
+
+Examples:
 
     python -m zipf.evaluate run=runs/demo/impala_mlp/seed0
+    python -m zipf.evaluate run=runs/demo/impala_mlp/seed0 episodes=10000 seed=1
     python -m zipf.evaluate policy=generalist split=gridworld
 
-run=FOLDER      a run's folder with a checkpoint
-policy=NAME     in the place of a run, a scripted player of the split's family: expert, which reads
-                the state of the worlds, or generalist, which knows what has been in view
-split=NAME      with policy=, whose levels to play
-episodes=N      episodes per level; default: those of the split (1000 in the paper's splits)
-num_envs=250    worlds played at a time
-seed=0          of the worlds and the agent's actions
-device=auto     auto, cpu, cuda or cuda:<number>; with run=
-plugins=NAMES   modules to import, for worlds and agents from outside the package
+Options:
 
-Writes the scores of a run to evaluation-<update>-episodes<N>-seed<seed>.csv in its folder (without
--episodes<N> for the default), and the situations to a second file beside it."""
+    run=FOLDER      a run's folder with a checkpoint
+    policy=NAME     in the place of a run, a scripted player of the split's family: expert, which
+                    reads the state of the worlds, or generalist, which knows what has been in view
+    split=NAME      with policy=, whose levels to play, for instance gridworld or playroom_lift
+    episodes=N      episodes of each level; default: as many as the split says (1000 in the paper's)
+    num_envs=N      worlds played at a time; default: 250
+    seed=N          of the worlds and the agent's actions; default: 0
+    device=NAME     with run=: auto, cpu, cuda or cuda:<number>; default: auto, CUDA if there is one
+    plugins=NAMES   modules to import, for worlds and agents from outside the package; default: none
+
+The scores of a run are also written to its folder, as evaluation-<update>-seed<seed>.csv (with
+-episodes<N> after the update where episodes= is given), and the situations to a file beside it."""
 
 
 def main() -> None:

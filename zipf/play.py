@@ -12,26 +12,39 @@ from zipf.experiments.playing.playing import PlayOptions, play
 
 __all__ = ["main"]
 
-USAGE = """Plays a level by hand, or shows or records episodes of a script or an agent.
+USAGE = """usage: python -m zipf.play level=NAME [option=value ...]
+       python -m zipf.play run=FOLDER [option=value ...]
+
+Opens a window, or the terminal, in which you play a level by hand or watch a scripted player or a
+trained agent; or records episodes to a file. The screen lists the keys; q leaves.
+
+Examples:
 
     python -m zipf.play level=gridworld/zipf_2
     python -m zipf.play level=gridworld/rare policy=expert record=expert.mp4 episodes=3
     python -m zipf.play run=runs/demo/impala_mlp/seed0 level=rare record=agent.gif
 
-level=NAME        a level; with run=, also train, uniform or rare: the run's levels of that kind
-run=FOLDER        a run's folder with a checkpoint: its agent plays, in the worlds of the run
-policy=NAME       keyboard, random, agent (of the run), or a script: expert, which reads the state
-                  of the world, or generalist, which knows what has been in view
-record=FILE       a .gif, for short recordings, or an .mp4; opens no screen unless you play
-episodes=N        default: 1 without a screen, otherwise until you leave
-plugins=NAMES     modules to import, for worlds and agents from outside the package
-seed=N            of the worlds and the actions; default: a new one each time, which is printed
-fps=N             frames per second; default: those of the family
-scale=N           side of a pixel in windows and recordings, in pixels of the screen
-view=NAME         world (drawn for people) or agent (its image); default: agent in a terminal
-screen=auto       window, terminal, or auto: a window if possible
+Options:
 
-The screen lists the keys; q leaves."""
+    level=NAME      a level; with run=: also train, uniform or rare, the run's levels of that kind;
+                    default with run=: train
+    run=FOLDER      a run's folder with a checkpoint: its agent plays, in the worlds of the run
+    policy=NAME     keyboard, random, agent (of the run), or a script: expert, which reads the state
+                    of the world, or generalist, which knows what has been in view;
+                    default: agent with run=, otherwise keyboard
+    record=FILE     a .gif, for short recordings, or an .mp4 (pip install "zipf-rl[video]"); no
+                    screen opens unless you play; default: nothing is recorded
+    episodes=N      default: 1 without a screen, otherwise until you leave
+    seed=N          of the worlds and the actions; default: a new one each time, which is printed
+    fps=N           frames per second, 1 to 120; default: those of the family
+    scale=N         side of a pixel in windows and recordings, in pixels of the screen, 1 to 16;
+                    default: what makes a picture 288 pixels high, or more
+    view=NAME       world (drawn for people) or agent (its image); default: world, agent in a
+                    terminal
+    screen=NAME     window (pip install "zipf-rl[human]"), terminal, or auto: a window if possible;
+                    default: auto
+    plugins=NAMES   modules to import, for worlds and agents from outside the package; default: none
+"""
 
 
 def main() -> None:

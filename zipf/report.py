@@ -20,15 +20,30 @@ from zipf.experiments.reporting.wording import PLOT_FORMATS, PlotFormat
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from zipf.experiments.reporting.claim_results import ClaimLine
+    from zipf.experiments.reporting.seed_statistics import SeedStatistics
     from zipf.experiments.reporting.tables import ScoreTable
+
+
+EXAMPLES = """examples:
+  python -m zipf.report runs/
+  python -m zipf.report runs/demo --window last
+  python -m zipf.report runs/gridworld --window 2M:3M --output tables --format pdf"""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a report holds, and its files in the order in which they should be shown."""
+    """What a report holds, and its files in the order in which they should be shown.
+
+    Attributes:
+        claims: of the paper, with what the tables say about each.
+        statistics: across seeds, of each table.
+    """
 
     tables: tuple[ScoreTable, ...]
     files: tuple[Path, ...]
+    claims: tuple[ClaimLine, ...]
+    statistics: tuple[SeedStatistics, ...]
 
 
 def report(
@@ -44,8 +59,10 @@ def report(
 
     Args:
         folders: run folders, or folders with runs at any depth.
-        output: where `report.md`, `.tex`, `.csv` and the plots go; `<first folder>/report` if None.
-        window: `START:END` in updates, `last` or `last:N`; each experiment's own if None.
+        output: where `report.md`, `.tex`, the CSV files and the plots go; `<first folder>/report`
+            if None.
+        window: `START:END` in updates, `last`, `last:N` or `scaled`; each experiment's own if
+            None.
         record: also write all tables, and what each run was, to this Markdown file; and after them
             the Markdown files in `folders` themselves, not further down.
         format: of the plots.
@@ -57,6 +74,12 @@ def report(
     from rich.console import Console
 
     from zipf.experiments.reporting import figures, latex, markdown, results, tables, terminal
+    from zipf.experiments.reporting.claim_results import check_claims, csv_claims
+    from zipf.experiments.reporting.seed_statistics import (
+        csv_statistics,
+        seed_statistics,
+        statistics_frame,
+    )
     from zipf.experiments.reporting.side_by_side import side_by_side
     from zipf.experiments.reporting.windows import parse_window
 
@@ -70,8 +93,13 @@ def report(
         terminal.print_table(table, console)
         console.print()
     for beside in side_by_side(found):
-        terminal.print_side_by_side(beside, console)
-        console.print()
+        if len(beside.tables) > 1:  # the others would be printed a second time
+            terminal.print_side_by_side(beside, console)
+            console.print()
+    claims = check_claims(found)
+    terminal.print_claims(claims, console)
+    frames = [statistics_frame(table) for table in found]
+    statistics = [seed_statistics(table, frame) for table, frame in zip(found, frames, strict=True)]
 
     target = Path(output) if output is not None else Path(folders[0]) / "report"
     try:
@@ -79,15 +107,17 @@ def report(
         _remove_earlier_plots(target)
         drawn = figures.draw(found, target, format)
         texts = {
-            target / "report.md": markdown.markdown_report(found, drawn),
-            target / "report.tex": latex.latex_report(found),
+            target / "report.md": markdown.markdown_report(found, drawn, claims, statistics),
+            target / "report.tex": latex.latex_report(found, statistics),
             target / "report.csv": tables.csv_report(found),
+            target / "claims.csv": csv_claims(claims),
+            target / "statistics.csv": csv_statistics(frames),
         }
         if record is not None:
             command = _command(folders, output, window, record)
             written = {path.resolve() for path in (*texts, Path(record))}
             pages = _pages(folders, written)
-            texts[Path(record)] = markdown.record(found, command, pages)
+            texts[Path(record)] = markdown.record(found, command, pages, claims, statistics)
         for path, text in texts.items():
             path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -96,7 +126,7 @@ def report(
     files = (*texts, *(path for paths in drawn.values() for path in paths))
     for path in files:
         console.print(f"Wrote {path.as_posix()}", highlight=False, markup=False, soft_wrap=True)
-    return Report(tuple(found), files)
+    return Report(tuple(found), files, tuple(claims), tuple(statistics))
 
 
 def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str]:
@@ -135,27 +165,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     keep_going()
     parser = argparse.ArgumentParser(
         prog="python -m zipf.report",
-        description="Print and write the paper's tables and plots for the runs found in folders.",
+        description="Reads the result files of all runs under folders (no checkpoints), prints\n"
+        "the paper's tables of them, and writes these and plots to files.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("folders", nargs="+", metavar="FOLDER", help="searched at any depth")
+    parser.add_argument(
+        "folders", nargs="+", metavar="FOLDER", help="a run's folder, or one with runs at any depth"
+    )
     parser.add_argument(
         "--output",
         metavar="DIR",
-        help="folder for report.md, report.tex, report.csv and the plots (<first folder>/report)",
+        help="folder for report.md, report.tex, CSV files and the plots; default: the folder "
+        "report in the first FOLDER",
     )
     parser.add_argument(
         "--window",
         metavar="WINDOW",
-        help="interval to take scores from, instead of the experiment's: START:END in updates "
-        "(2000000:3000000 or 2M:3M), last, or last:N for the last N evaluations of each run",
+        help="which evaluations scores are taken from: START:END in updates (2000000:3000000 or "
+        "2M:3M), last, last:N for the last N of each run, or scaled: the window of the experiment "
+        "at the same fractions of a shorter run; default: the window of the experiment",
     )
     parser.add_argument(
         "--record",
         metavar="FILE",
-        help="also write all tables, and a description of each run, to this Markdown file",
+        help="also write all tables, a description of each run, and the Markdown files of the "
+        "folders to this Markdown file; default: no such file",
     )
     parser.add_argument(
-        "--format", choices=PLOT_FORMATS, default="png", help="of the plots (%(default)s)"
+        "--format", choices=PLOT_FORMATS, default="png", help="of the plots; default: %(default)s"
     )
     chosen = parser.parse_args(arguments)
     try:

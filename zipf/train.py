@@ -14,37 +14,26 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from zipf.experiments import catalogue, command_line, composing
+from zipf.experiments import catalogue, command_line, composing, sweeps
 from zipf.experiments.errors import TOLD, UserError
 from zipf.experiments.output import keep_going
-from zipf.experiments.running import run_folder, runner
-
-_command_process = os.getpid()
-_failed: list[Exception] = []
+from zipf.experiments.running import runner, sweep
 
 # For the help text in configs/train.yaml.
 OmegaConf.register_new_resolver("zipf_choices", catalogue.help_text, replace=True)
 
 
 @hydra.main(version_base="1.3", config_path=str(composing.CONFIG_DIR), config_name="train")
-def _job(_: DictConfig) -> None:
-    keep_going()
-    alone = os.getpid() == _command_process
+def _run(_: DictConfig) -> None:
     try:
-        for source in HydraConfig.get().runtime.config_sources:
-            if source.schema == "file" and source.path != str(composing.CONFIG_DIR):
-                composing.add_folder(source.path)  # in a sweep's worker process
         config = command_line.load(list(HydraConfig.get().overrides.task))
-        stopped = runner.train(config, alone=alone)
+        stopped = runner.train(config)
     except TOLD as error:
-        if not alone:  # a sweep's worker: the launcher raises it in `main`
-            raise
         _tell(error)
-        _failed.append(error)
-        return
+        sys.exit(2)
     except KeyboardInterrupt:
         stopped = signal.SIGINT
-    if stopped and alone:
+    if stopped:
         sys.exit(128 + stopped)
 
 
@@ -54,25 +43,21 @@ def _tell(error: Exception) -> None:
 
 
 def main() -> None:
-    """The command: checks every job first, then runs one after another."""
+    """The command: a run, or with `-m` a sweep."""
     keep_going()
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # otherwise Hydra prints a worker's error and exits
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # otherwise Hydra shortens the traceback of a run
     try:
-        _main()
+        sys.exit(_main())
     except TOLD as error:
         _tell(error)
-        _failed.append(error)
     except (HydraException, OmegaConfBaseException) as error:
-        told = UserError(" ".join(str(error).split()))
-        _tell(told)
-        _failed.append(told)
+        _tell(UserError(composing.told(error)))
     except KeyboardInterrupt:
         sys.exit(128 + signal.SIGINT)
-    if _failed:
-        sys.exit(2)
+    sys.exit(2)
 
 
-def _main() -> None:
+def _main() -> int:
     arguments = get_args_parser().parse_intermixed_args()
     flags = [word for word in sys.argv[1:] if word not in arguments.overrides]
     sys.argv[1:] = [*flags, *arguments.overrides]  # Hydra wants all overrides together
@@ -82,38 +67,14 @@ def _main() -> None:
         composing.add_folder(arguments.config_dir)
     composing.load_plugins(command_line.plugins_of(arguments.overrides))
     if not any(getattr(arguments, name, None) for name in asks):
-        jobs = command_line.check_command_line(arguments.overrides)
-        if len(jobs) > 1 and not arguments.multirun:
-            raise UserError(f"lists of values make a sweep of {len(jobs)} jobs: add -m")
-        for job in jobs if arguments.multirun else ():
-            run_folder.make(job.folder)  # gives our error message, not Hydra's
+        if arguments.multirun:
+            return sweep.run(arguments.overrides, arguments.config_dir)
+        jobs = sweeps.check(arguments.overrides).jobs
+        if len(jobs) > 1 or sweeps.named(arguments.overrides):
+            raise UserError(f"this is a sweep of {len(jobs)} jobs: add -m")
     sys.argv += [path for path in [composing.search_path()] if path]
-    launchers = [word for word in arguments.overrides if word.startswith("hydra/launcher=")]
-    if arguments.multirun and launchers and launchers[-1] != "hydra/launcher=basic":
-        _run_beside()
-    else:
-        _job()
-
-
-def _run_beside() -> None:
-    """Runs a sweep whose jobs are processes of their own. Ctrl-C on the terminal reaches them, too:
-    they stop with checkpoints, which is waited for; a second one stops all at once."""
-    interrupted = False
-
-    def note(number: int, frame: object) -> None:
-        nonlocal interrupted
-        if interrupted:
-            raise KeyboardInterrupt
-        interrupted = True
-
-    signal.signal(signal.SIGINT, note)
-    try:
-        _job()
-    except Exception:  # a process that Ctrl-C met between two jobs
-        if not interrupted:
-            raise
-    if interrupted:
-        raise KeyboardInterrupt
+    _run()
+    return 0
 
 
 def _check_flags(arguments: argparse.Namespace) -> None:

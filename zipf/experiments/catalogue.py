@@ -11,6 +11,15 @@ from zipf.experiments.config import RowOptions
 EXPLAINED = ("experiment", "condition", "environment")
 """Groups that are listed with a line about each choice."""
 
+LAUNCHERS = {
+    "basic": "one job after another; the default",
+    "joblib": 'hydra.launcher.n_jobs=<number> jobs at a time on this machine; "zipf-rl[sweep]"',
+    "submitit_slurm": 'jobs of a Slurm cluster; "zipf-rl[sweep]"',
+    "submitit_local": 'as submitit_slurm, all at once on this machine; "zipf-rl[sweep]"',
+    "ray": 'tasks of Ray, here or (hydra.launcher.address=auto) on a cluster; "zipf-rl[ray]"',
+}
+"""What starts the jobs of a sweep, and the extra of the package that has it."""
+
 
 def conditions() -> dict[str, RowOptions]:
     """How tables show each condition, in their order."""
@@ -48,6 +57,10 @@ def help_text() -> str:
             for family in envs.families().values()
             if family.splits
         ],
+        "-m sweep= (a sweep; or -m and lists of values)": [
+            (name, summary("sweep", name)) for name in composing.choices("sweep")
+        ],
+        "hydra/launcher= (what starts the jobs of a sweep)": list(LAUNCHERS.items()),
         "Other groups:": [
             (f"{group}=", ", ".join(composing.choices(group)))
             for group in composing.groups()

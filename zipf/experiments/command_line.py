@@ -1,14 +1,12 @@
 """From a command line to a checked configuration.
 
-`load` composes `configs/` with Hydra's overrides and checks the result. `check_command_line` does
-so for every job of a sweep before the first one starts. Both report all mistakes at once.
+`load` composes `configs/` with Hydra's overrides and checks the result; it reports all mistakes at
+once. `sweeps.py` does so for every job of a sweep.
 """
 
 from __future__ import annotations
 
 import difflib
-import itertools
-import math
 from collections.abc import Iterator
 from typing import Any, TypeVar
 
@@ -31,16 +29,33 @@ from zipf.experiments.errors import UserError
 from zipf.options import Options
 
 AnyOptions = TypeVar("AnyOptions", bound=Options)
-MOST_JOBS = 10_000  # ours: all of them are checked before the first one starts
 
 
 def load(overrides: list[str]) -> Config:
-    """The configuration of these overrides.
+    """The configuration of these overrides, checked.
 
     Raises:
         UserError: with one line for every unknown, mistyped or impossible option.
     """
-    parsed = _parse(overrides)
+    config = read(overrides)
+    check(config)
+    return config
+
+
+def check(config: Config) -> None:
+    """Raises `UserError` where options do not fit each other, the worlds or this machine."""
+    if problems := list(feasibility.problems(config)):
+        raise UserError("\n".join(problems))
+
+
+def read(overrides: list[str]) -> Config:
+    """The configuration of these overrides; whether they fit each other is left to `check`.
+
+    Raises:
+        UserError: with one line for every unknown or mistyped option; where there are any, also
+            for those that do not fit each other.
+    """
+    parsed = parse(overrides)
     composing.load_plugins(_plugins(parsed))
     known, problems = _known(parsed)
     if not any(override.startswith("experiment=") for override in known):
@@ -57,7 +72,7 @@ def load(overrides: list[str]) -> Config:
     except ValidationError as error:
         problems += _explain(error, values)
     else:
-        problems += feasibility.problems(config)
+        problems += feasibility.problems(config) if problems else ()
     if problems:
         raise UserError("\n".join(problems))
     return config
@@ -69,25 +84,25 @@ def plugins_of(overrides: list[str]) -> list[str]:
     Raises:
         UserError: an override cannot be parsed, or `plugins` is not a list of names.
     """
-    return _plugins(_parse(overrides))
+    return _plugins(parse(overrides))
 
 
-def check_command_line(overrides: list[str]) -> list[Config]:
-    """The configurations of all jobs of a sweep, checked.
+def parse(overrides: list[str]) -> list[Override]:
+    """Overrides as Hydra reads them.
 
     Raises:
-        UserError: as `load`, for all jobs together.
+        UserError: with one line for each that cannot be read.
     """
-    problems: dict[str, None] = {}
-    jobs = []
-    for job in _jobs(overrides):
+    parser = OverridesParser.create()
+    parsed, problems = [], []
+    for text in overrides:
         try:
-            jobs.append(load(job))
-        except UserError as error:
-            problems.update(dict.fromkeys(str(error).splitlines()))
+            parsed.append(parser.parse_override(text))
+        except HydraException:
+            problems.append(_advice(parser, text))
     if problems:
         raise UserError("\n".join(problems))
-    return jobs
+    return parsed
 
 
 def read_options(options_class: type[AnyOptions], arguments: list[str]) -> AnyOptions:
@@ -164,19 +179,6 @@ def _row(condition: str) -> dict[str, Any]:
     return {**row, "title": ", ".join([row.get("title", base), *changes])}
 
 
-def _parse(overrides: list[str]) -> list[Override]:
-    parser = OverridesParser.create()
-    parsed, problems = [], []
-    for text in overrides:
-        try:
-            parsed.append(parser.parse_override(text))
-        except HydraException:
-            problems.append(_advice(parser, text))
-    if problems:
-        raise UserError("\n".join(problems))
-    return parsed
-
-
 def _advice(parser: OverridesParser, text: str) -> str:
     """What to write in the place of an override that cannot be parsed."""
     name, equals, value = text.partition("=")
@@ -190,30 +192,6 @@ def _advice(parser: OverridesParser, text: str) -> str:
     except HydraException:
         pass
     return f"{shown}: cannot be read; check its quotes and brackets"
-
-
-def _jobs(overrides: list[str]) -> Iterator[list[str]]:
-    """Every combination of the listed values.
-
-    Raises:
-        UserError: there are too many, or what should be a list is none.
-    """
-    alternatives = []
-    for override in _parse(overrides):
-        if not override.is_sweep_override():
-            alternatives.append([str(override.input_line)])
-            continue
-        prefix, text = override.get_key_element(), override.input_line
-        try:
-            values = list(itertools.islice(override.sweep_string_iterator(), MOST_JOBS + 1))
-        except HydraException:  # glob, and intervals of a sweeper that draws from them
-            raise UserError(f"{text}: list the values, as in {prefix}=a,b") from None
-        alternatives.append([f"{prefix}={value}" for value in values])
-    count = math.prod(map(len, alternatives))
-    if count > MOST_JOBS:
-        raise UserError(f"the lists of values make a sweep of more than {MOST_JOBS:,} jobs")
-    for job in itertools.product(*alternatives):
-        yield list(job)
 
 
 def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
@@ -253,7 +231,8 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
         if key in accepted or key in parents or key.startswith(("hydra.", "hydra/")):
             known.append(str(override.input_line))
         else:
-            problems.append(f"{key}: no such option; {nearest(key, accepted)}")
+            told = nearest(key, [*accepted, "sweep"])
+            problems.append(f"{key}: no such option; {told}")
     return known, problems
 
 

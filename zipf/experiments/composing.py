@@ -90,7 +90,8 @@ def search_path() -> str:
 def groups() -> list[str]:
     """The groups that have choices."""
     found = {path.name for folder in _folders() for path in folder.iterdir() if path.is_dir()}
-    return sorted((found | _registered().keys()) - {"values"})  # chosen by the others
+    others = {"values", "sweep", "hydra"}  # values are chosen by the other groups
+    return sorted((found | _registered().keys()) - others)
 
 
 def choices(group: str) -> list[str]:
@@ -122,14 +123,19 @@ def _composed(search_path: str, *overrides: str) -> Composed:
         del config["hydra"]
         values = OmegaConf.to_container(config, resolve=True)
     except (HydraException, OmegaConfBaseException) as error:
-        message = " ".join(str(error).split())
-        if "hydra/launcher" in message:
-            message += ' (joblib and submitit come with the extra: pip install "zipf-rl[sweep]")'
-        raise UserError(message) from None
+        raise UserError(told(error)) from None
     finally:
         GlobalHydra.instance().hydra = backup
     assert isinstance(values, dict)
     return Composed({str(k): v for k, v in values.items()}, choices)
+
+
+def told(error: Exception) -> str:
+    """What Hydra has to say, on one line."""
+    message = " ".join(str(error).split())
+    if "hydra/launcher" in message:
+        message += ' (joblib and submitit come with the extra: pip install "zipf-rl[sweep]")'
+    return message
 
 
 def find_file(group: str, name: str) -> Path | None:

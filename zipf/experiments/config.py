@@ -142,6 +142,11 @@ class Config(Options):
         )
 
     @property
+    def run_name(self) -> str:
+        """The run's name for people."""
+        return f"{self.experiment} {self.condition} seed {self.seed}"
+
+    @property
     def split(self) -> envs.Split:
         """The levels to play. For an agent that answers questions these are the variants with
         questions.

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from zipf.experiments.reporting.claim_results import ClaimLine
+from zipf.experiments.reporting.claims import published_window
+from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.experiments.reporting.windows import UpdateWindow, window_text
+from zipf.experiments.reporting.windows import ScaledWindow, UpdateWindow, window_text
 from zipf.experiments.reporting.wording import EXTERNAL_MARK, PROTOCOL_SEEDS, range_text
 from zipf.references import REFERENCES
 
@@ -48,19 +53,47 @@ def caption(table: ScoreTable) -> str:
 
 def side_by_side_caption(beside: SideBySide) -> str:
     """Where the columns come from."""
-    titles = " and ".join(table.title for table in beside.tables)
-    text = (
-        f"Columns of {titles} side by side, as the paper prints them; windows, episodes and notes "
-        f"stand there."
-    )
-    marked = any(row.external for row in beside.rows)
-    return f"{text} {EXTERNAL_MARK}: recorded from outside this package." if marked else text
+    sentences = [
+        "Laid out as in the paper; the columns are those of the tables above, where episodes and "
+        "notes stand."
+    ]
+    for table in beside.tables:
+        assert table.description.paper is not None  # a layout has no others
+        published = UpdateWindow(*published_window(table.description.paper))
+        of_paper = (
+            "as in the paper"
+            if table.window == published
+            else (f"in the paper {window_text(published)}")
+        )
+        sentences.append(f"{table.title}: {window_text(table.window)}, {of_paper}.")
+    if beside.missing:
+        sentences.append(f"There is no run of {', '.join(beside.missing)}.")
+    if any(isinstance(row, Row) and row.external for row in beside.rows):
+        sentences.append(f"{EXTERNAL_MARK}: recorded from outside this package.")
+    return " ".join(sentences)
+
+
+def claims_caption(lines: Sequence[ClaimLine]) -> str:
+    """How to read the claims, and which have no scores."""
+    sentences = [
+        f"A claim holds if its measure lies within bounds, which are ours; a score of fewer than "
+        f"{PROTOCOL_SEEDS} seeds decides nothing. Last column: the same check of the numbers that "
+        f"the paper prints."
+    ]
+    missing = [line for line in lines if not line.at_hand]
+    without = dict.fromkeys(line.claim.id for line in missing)
+    for line in lines:
+        if line.at_hand:
+            without.pop(line.claim.id, None)
+    if without:
+        sentences.append(f"Not enough data, with no score at hand: {', '.join(without)}.")
+    return " ".join(sentences)
 
 
 def _statistics(table: ScoreTable) -> list[str]:
     window = table.window
     what = window_text(window)
-    if isinstance(window, UpdateWindow):
+    if isinstance(window, UpdateWindow | ScaledWindow):
         what = f"Median over the evaluations at {what}"
     elif window.count > 1:
         what = f"Median over {what}"

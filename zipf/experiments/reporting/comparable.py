@@ -19,7 +19,7 @@ from typing import Any
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting.paper import LEVEL_KINDS, PaperTable, paper_table
 from zipf.experiments.reporting.results import Run
-from zipf.experiments.reporting.windows import UpdateWindow, Window
+from zipf.experiments.reporting.windows import Asked, used_window
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class RunGroup:
     runs: tuple[Run, ...]
 
 
-def group_runs(runs: Sequence[Run], window: Window | None) -> list[RunGroup]:
+def group_runs(runs: Sequence[Run], window: Asked | None) -> list[RunGroup]:
     """The runs of each table, in the order of tables.
 
     Args:
@@ -109,16 +109,16 @@ def _worlds(run: Run) -> dict[str, Any]:
     }
 
 
-def _identity(run: Run, window: Window | None) -> dict[str, Any]:
+def _identity(run: Run, window: Asked | None) -> dict[str, Any]:
     """What the runs of a group have in common, beside the experiment."""
     description = run.description
     if description.external or description.window is None:
         return _worlds(run)
-    used = window or UpdateWindow(*description.window)
+    used = used_window(description.window, window)
     return {"paper": description.paper, "window": str(used), **_worlds(run)}
 
 
-def _key(run: Run, window: Window | None) -> str:
+def _key(run: Run, window: Asked | None) -> str:
     return _text([run.description.experiment, _identity(run, window)])
 
 

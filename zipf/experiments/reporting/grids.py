@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import pandas as pd
 
 from zipf.experiments.reporting.captions import PLAIN_MEAN
-from zipf.experiments.reporting.results import LevelGroup
+from zipf.experiments.reporting.descriptions import LevelGroup
+from zipf.experiments.reporting.rows import PaperRow, Row
+from zipf.experiments.reporting.scores import other_statistic
 from zipf.experiments.reporting.side_by_side import SideBySide
-from zipf.experiments.reporting.tables import Row, ScoreTable
+from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.wording import (
     KIND_NAMES,
     NONE,
@@ -83,7 +83,9 @@ def lower_grids(table: ScoreTable) -> Iterator[Grid]:
     kind that has several, as columns, or as lines if they are too many."""
     if table.is_capped:
         columns = {levels.column: KIND_NAMES[levels.level_kind] for levels in table.kinds}
-        parts = _by_row(table.rows, _other_mean(table.scores, "capped"), columns, _frames(table))
+        parts = _by_row(
+            table.rows, other_statistic(table.scores, "capped"), columns, _frames(table)
+        )
         name = f"{table.name}-capped"
         yield Grid("capped scores", name, _leading(table), list(columns.values()), *parts)
     for levels in table.kinds:
@@ -128,18 +130,8 @@ def _with_plain_means(table: ScoreTable) -> tuple[dict[str, str], pd.DataFrame]:
             column = f"{kind}, {PLAIN_MEAN}"
             columns[column] = column.capitalize()
             of_kind = table.scores[table.scores["level_kind"] == kind]
-            parts.append(_other_mean(of_kind, "plain").assign(column=column))
+            parts.append(other_statistic(of_kind, "plain").assign(column=column))
     return columns, pd.concat(parts)
-
-
-def _other_mean(scores: pd.DataFrame, mean: Literal["plain", "capped"]) -> pd.DataFrame:
-    """The scores with another mean over the levels in the place of the weighted one."""
-    names = ["score", "error", *(one.name for one in REFERENCES)]
-    return scores.assign(
-        **{name: scores[f"{mean}_{name}"] for name in names},
-        paper_value=math.nan,
-        paper_error=math.nan,
-    )
 
 
 def _frames(table: ScoreTable) -> dict[str, int]:
@@ -152,7 +144,7 @@ def _leading(table: ScoreTable) -> list[str]:
 
 
 def _by_row(
-    rows: Sequence[Row],
+    rows: Sequence[Row | PaperRow],
     frame: pd.DataFrame,
     columns: Mapping[str, str],
     frames: Mapping[str, int],

@@ -8,14 +8,16 @@ from collections.abc import Sequence
 
 from zipf.experiments.reporting.captions import caption, side_by_side_caption
 from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
+from zipf.experiments.reporting.seed_statistics import SeedStatistics
 from zipf.experiments.reporting.side_by_side import side_by_side
 from zipf.experiments.reporting.tables import ScoreTable
 
 LINE_BREAK = r" \\ "
 
 
-def latex_report(tables: Sequence[ScoreTable]) -> str:
-    """`report.tex`: a document that compiles by itself, booktabs tables for each experiment."""
+def latex_report(tables: Sequence[ScoreTable], statistics: Sequence[SeedStatistics] = ()) -> str:
+    """`report.tex`: a document that compiles by itself, booktabs tables for each experiment, those
+    of the paper, and further statistics."""
     parts = []
     for table in tables:
         text = caption(table) + "".join(f" {note}" for note in table.notes)
@@ -24,6 +26,10 @@ def latex_report(tables: Sequence[ScoreTable]) -> str:
     for beside in side_by_side(tables):
         text = side_by_side_caption(beside)
         parts += [_grid(grid, grid.title, text) for grid in side_by_side_grids(beside)]
+    for one in statistics:
+        of_table = [_grid(grid, f"{one.table.title}: {grid.title}", "") for grid in one.grids]
+        if of_table:
+            parts += [*of_table, f"\\noindent {_escape(one.text)}\n\n"]
     return _HEAD + "\n".join(parts) + "\\end{document}\n"
 
 
@@ -43,7 +49,7 @@ _SPECIAL = {
     "†": r"\dag{}",
     "–": "--",
     **{character: "\\" + character for character in "&%$#_{}"},
-    **{character: f"${character}$" for character in "<>|"},
+    **{character: f"${character}$" for character in "<>|[]"},
 }
 
 

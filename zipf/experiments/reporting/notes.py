@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from zipf.experiments.reporting.paper import LEVEL_KINDS
 from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.windows import (
+    ScaledWindow,
     UpdateWindow,
     Window,
     evaluations_inside,
@@ -38,13 +39,20 @@ def _window_notes(run: Run, window: Window) -> list[str]:
         last = count_text(int(run.evaluations["update"].max()))
         return [
             f"{run.label}: no evaluation at {window_text(window)} (the last is at update {last}); "
-            f"not counted. --window last shows it."
+            f"not counted. --window scaled or --window last shows it."
         ]
     found = []
     missing = set(LEVEL_KINDS) - set(inside["level_kind"])
     if missing:
         found.append(
             f"{run.label}: no evaluation of {', '.join(sorted(missing))}; not counted there."
+        )
+    if isinstance(window, ScaledWindow) and inside["update"].max() < window.end:
+        start, end = window.inside(int(inside["update"].max()))
+        found.append(
+            f"{run.label}: ends at update {count_text(end)}, before update "
+            f"{count_text(window.end)}: scored over updates {count_text(math.ceil(start))} to "
+            f"{count_text(end)}, a scaled window."
         )
     if isinstance(window, UpdateWindow) and run.updates < window.end:
         found.append(

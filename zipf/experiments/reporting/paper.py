@@ -2,8 +2,8 @@
 
 Source: Chan, Lampinen, Richemond and Hill (2022), "Zipfian environments for reinforcement
 learning". ``paper_tables.json`` beside this file copies the tables whose LaTeX labels it lists,
-``paper_layouts.json`` says which of them the paper prints side by side. What the copy leaves out or
-adds:
+``paper_layouts.json`` declares the paper's result tables, column by column: of which experiment, on
+which level kind or group of train levels, and which statistic. What the copy leaves out or adds:
 
 - "IMPALA + LSTM memory" repeats the numbers of "IMPALA" (the same runs): one condition here.
 - "R2D2 without prioritised replay" stands in the text only, on putting, without an error.
@@ -18,7 +18,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any
+from typing import Any, Literal
 
 from zipf.experiments.errors import UserError
 
@@ -53,21 +53,39 @@ class PaperTable:
         return self.rows.get(condition, {}).get(column)
 
 
+Statistic = Literal["score", "capped_score"]
+
+
+@dataclass(frozen=True)
+class PaperColumn:
+    """A column of one of the paper's tables.
+
+    Attributes:
+        experiment: by our key.
+        column: a level kind, or a group of train levels.
+        statistic: the column of `zipf.experiments.reporting.scores.score_frame` that it shows.
+            Published scores are beside `score` only.
+    """
+
+    experiment: str
+    column: str
+    statistic: Statistic
+
+
 @dataclass(frozen=True)
 class PaperLayout:
-    """Tables that have the columns of several of the paper's experiments side by side.
+    """One of the paper's tables of results, and those that go with it.
 
-    `tables` are titles and, for each heading, the experiment by our key and its level kind or group
-    of train levels.
+    `tables` are titles and, by heading, columns.
     """
 
     name: str
-    tables: tuple[tuple[str, Mapping[str, tuple[str, str]]], ...]
+    tables: tuple[tuple[str, Mapping[str, PaperColumn]], ...]
 
     @property
     def experiments(self) -> tuple[str, ...]:
         """The experiments whose columns it has, in order."""
-        used = [experiment for _, columns in self.tables for experiment, _ in columns.values()]
+        used = [one.experiment for _, columns in self.tables for one in columns.values()]
         return tuple(dict.fromkeys(used))
 
 
@@ -99,6 +117,12 @@ def _tables() -> Mapping[str, PaperTable]:
     }
 
 
+@functools.cache
+def paper_titles() -> Mapping[str, str]:
+    """The title of every condition for which the paper has a row, in the order of its tables."""
+    return _read("paper_tables.json")["titles"]
+
+
 def paper_table(experiment: str) -> PaperTable:
     """The paper's numbers for one of its experiments, by our key (for instance ``gridworld``).
 
@@ -113,14 +137,19 @@ def paper_table(experiment: str) -> PaperTable:
     return tables[experiment]
 
 
+def conditions_of_the_paper() -> set[str]:
+    """The conditions that are a row of any of the paper's tables."""
+    return {condition for table in _tables().values() for condition in table.rows}
+
+
 @functools.cache
 def paper_layouts() -> tuple[PaperLayout, ...]:
-    """The paper's tables of several experiments."""
+    """The paper's tables of results."""
     return tuple(
         PaperLayout(
             name,
             tuple(
-                (title, {heading: (key, column) for heading, (key, column) in columns.items()})
+                (title, {heading: PaperColumn(*column) for heading, column in columns.items()})
                 for title, columns in tables.items()
             ),
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import matplotlib
 import numpy as np
@@ -22,6 +22,7 @@ from zipf.experiments.reporting.situations import (
     reference_by_rank,
     reference_on_uniform,
     situation_names,
+    spans,
 )
 from zipf.experiments.reporting.styles import (
     BAND,
@@ -90,7 +91,7 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None
         axis.set_xlim(-0.5, rank_counts(table)[name] - 0.5)
     if measure == "success":
         axes[0].set_ylim(0, 1.02)
-    axes[0].set_ylabel(_label(table, measure))
+    axes[0].set_ylabel(success_label(table, measure))
     return figure
 
 
@@ -149,26 +150,16 @@ def by_situation(table: ScoreTable) -> Figure | None:
         axes[lowest, column].set_xlabel(f"{column_name.capitalize()} rank")
         axes[lowest, column].tick_params(labelbottom=True)
     assert image is not None
-    figure.colorbar(image, ax=axes, label=_label(table, measure), shrink=0.9)
+    figure.colorbar(image, ax=axes, label=success_label(table, measure), shrink=0.9)
     key = "rank 0: most frequent; framed: rare" + ("; grey: no episode" if gaps else "")
     set_title(figure, f"{table.title}: {NAMES[measure].lower()} by situation ({key})")
     return figure
 
 
-def _label(table: ScoreTable, measure: Measure) -> str:
+def success_label(table: ScoreTable, measure: Measure) -> str:
+    """What an axis of success, or of the mean return, on the uniform levels is called."""
     several = any(levels.level_kind == "uniform" for levels in table.groups)
     return f"{NAMES[measure]} on the uniform {'levels' if several else 'level'}"
-
-
-def spans(ranks: Sequence[int]) -> list[tuple[int, int]]:
-    """The first and the last rank of each stretch of ascending ranks without a gap."""
-    found: list[tuple[int, int]] = []
-    for rank in ranks:
-        if found and found[-1][1] == rank - 1:
-            found[-1] = found[-1][0], rank
-        else:
-            found.append((rank, rank))
-    return found
 
 
 def _frame(down: tuple[int, int], across: tuple[int, int]) -> Rectangle:

@@ -61,7 +61,16 @@ def rates(
     pooled = (
         pd.concat([part[columns] for part in parts]) if parts else pd.DataFrame(columns=columns)
     )
-    pooled = pooled[pooled["episodes"] > 0]
+    return pool(pooled[pooled["episodes"] > 0], keys, measure)
+
+
+def pool(pooled: pd.DataFrame, keys: list[str], measure: Measure) -> pd.DataFrame:
+    """Success or mean return by `keys` with 95 % intervals; see `rates`.
+
+    Args:
+        pooled: lines of situations with `run_number`.
+    """
+    summed = "successes" if measure == "success" else "return_sum"
     found = pooled.groupby(keys, as_index=False)[["episodes", summed]].sum()
     found["value"] = found[summed] / found["episodes"]
     if measure == "success":
@@ -122,6 +131,87 @@ def rare_ranks(table: ScoreTable, name: str) -> list[int]:
 
     rare = visited("rare")
     return sorted(rare) if visited("uniform") - rare else []
+
+
+def spans(ranks: Sequence[int]) -> list[tuple[int, int]]:
+    """The first and the last rank of each stretch of ascending ranks without a gap."""
+    found: list[tuple[int, int]] = []
+    for rank in ranks:
+        if found and found[-1][1] == rank - 1:
+            found[-1] = found[-1][0], rank
+        else:
+            found.append((rank, rank))
+    return found
+
+
+def shares(table: ScoreTable, rank: str) -> pd.DataFrame:
+    """Of the episodes of a level kind, the share at each value of a rank.
+
+    As the evaluations of all runs met them; where the rank is that of a level, of which evaluations
+    play each equally often, the level's weight. Without kinds of other levels with unequal weights.
+
+    Returns:
+        One line per level kind and value: `level_kind`, the rank, `share`.
+    """
+    (train,) = (levels for levels in table.kinds if levels.level_kind == "train")
+    places = {name: place for place, name in enumerate(train.weights)}
+    counts = rank_counts(table)
+    by_level = len(places) > 1 and len(places) == counts.get(rank) and rank == next(iter(counts))
+    lines: list[tuple[str, int, float]] = []
+    for levels in table.kinds:
+        if by_level and levels.weights.keys() <= places.keys():
+            total = sum(levels.weights.values())
+            found = {places[name]: weight / total for name, weight in levels.weights.items()}
+        elif levels.is_weighted:
+            continue
+        else:
+            runs = [run for run in table.runs if rank in run.situation_names]
+            rows = [_on_kind(run.situations, levels.level_kind) for run in runs]
+            episodes = pd.concat(rows).groupby(rank)["episodes"].sum() if rows else pd.Series()
+            met = episodes[episodes > 0] / max(episodes.sum(), 1)
+            found = dict(zip(met.index.astype(int), met.tolist(), strict=True))
+        lines += [(levels.level_kind, int(value), found[value]) for value in sorted(found)]
+    return pd.DataFrame(lines, columns=["level_kind", rank, "share"])
+
+
+def visit_names(table: ScoreTable) -> list[str]:
+    """The columns in which runs have counted how often training met a situation."""
+    names = [name for run in table.runs for name in run.situations.columns]
+    return [name for name in dict.fromkeys(names) if name.split("_")[0] == "visits"]
+
+
+def rates_by_visits(table: ScoreTable, visits: str, measure: Measure = "success") -> pd.DataFrame:
+    """Success or mean return on the uniform levels by how often training had met the situation.
+
+    Numbers of times are taken together by powers of two: 0, 1, 2 to 3, 4 to 7 and so on.
+
+    Args:
+        visits: one of `visit_names`.
+
+    Returns:
+        One line per row of the table and group: `row_key`, `met` (the mean over its episodes),
+        `episodes`, `value`, and `low` and `high`, as `rates` has them.
+    """
+    parts = []
+    for number, run in enumerate(table.runs):
+        rows = _on_kind(situations_inside(run, table.window), "uniform")
+        if visits in rows and len(rows):
+            group = np.ceil(np.log2(rows[visits].to_numpy(float) + 1))
+            parts.append(
+                rows.assign(
+                    row_key=run.description.row_key,
+                    run_number=number,
+                    group=group,
+                    met=rows[visits] * rows["episodes"],
+                )
+            )
+    if not parts:
+        return pd.DataFrame(columns=["row_key", "met", "episodes", "value", "low", "high"])
+    pooled = pd.concat(parts)
+    pooled = pooled[pooled["episodes"] > 0]
+    found = pool(pooled, ["row_key", "group"], measure)
+    met = pooled.groupby(["row_key", "group"])["met"].sum().to_numpy() / found["episodes"]
+    return found.assign(met=met).drop(columns="group")
 
 
 def _on_kind(rows: pd.DataFrame, level_kind: str) -> pd.DataFrame:

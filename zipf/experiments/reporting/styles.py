@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from zipf.experiments.reporting.tables import Row
+from zipf.experiments.reporting.rows import Row
 from zipf.references import REFERENCES
 
 # Okabe and Ito (2008): told apart with any colour vision. Yellow is left out (too light for lines),

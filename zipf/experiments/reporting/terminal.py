@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from zipf.experiments.reporting.captions import caption, side_by_side_caption
+from zipf.experiments.reporting.captions import caption, claims_caption, side_by_side_caption
+from zipf.experiments.reporting.claim_results import ClaimLine
+from zipf.experiments.reporting.claims import Outcome
 from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
@@ -28,6 +32,29 @@ def print_side_by_side(beside: SideBySide, console: Console) -> None:
     for grid in side_by_side_grids(beside):
         _print_grid(grid, grid.title, console)
     console.print(f"[dim]{escape(side_by_side_caption(beside))}[/dim]", highlight=False)
+
+
+def print_claims(lines: Sequence[ClaimLine], console: Console) -> None:
+    """Print the claims for which there are scores; nothing if there are none."""
+    known = [line for line in lines if line.at_hand]
+    if not known:
+        return
+    shown = Table(title="Claims of the paper", title_style="bold", title_justify="left")
+    for heading in ("Claim", "Table", "Numbers", "Outcome"):
+        shown.add_column(heading, overflow="fold", no_wrap=heading == "Outcome")
+    for line in known:
+        cells = (line.claim.statement, line.table, line.numbers)
+        colour = OUTCOME_STYLES[line.outcome]
+        shown.add_row(*(escape(cell) for cell in cells), f"[{colour}]{line.outcome}[/{colour}]")
+    console.print(shown)
+    console.print(f"[dim]{escape(claims_caption(lines))}[/dim]", highlight=False)
+
+
+OUTCOME_STYLES: Mapping[Outcome, str] = {
+    "holds": "green",
+    "fails": "red",
+    "not enough data": "dim",
+}
 
 
 def _print_grid(grid: Grid, title: str, console: Console) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -42,15 +43,49 @@ class LastEvaluations:
         return "last" if self.count == 1 else f"last:{self.count}"
 
 
-Window = UpdateWindow | LastEvaluations
+@dataclass(frozen=True)
+class ScaledWindow:
+    """Updates `start` to `end`, at the same fractions of each run that is shorter than `end`.
+
+    A run whose last evaluation is at update `u < end` is scored over updates `start * u / end` to
+    `u`, both included; a longer one over `start` to `end`.
+    """
+
+    start: int
+    end: int
+
+    def inside(self, last: int) -> tuple[float, int]:
+        """The first and the last update of the window in a run whose last evaluation is `last`."""
+        return (self.start * last / self.end, last) if last < self.end else (self.start, self.end)
+
+    def select(self, updates: pd.Series) -> pd.Series:
+        """Mask of the updates inside."""
+        return updates.between(*self.inside(int(updates.max()))) if len(updates) else updates > 0
+
+    def __str__(self) -> str:
+        return f"scaled:{self.start}:{self.end}"
 
 
-def parse_window(text: str) -> Window:
-    """The window that `text` names: `2000000:3000000`, `2M:3M`, `last` or `last:10`.
+Window = UpdateWindow | LastEvaluations | ScaledWindow
+Asked = UpdateWindow | LastEvaluations | Literal["scaled"]
+"""What a reader may ask for: a window, or each experiment's own, scaled to each run."""
+
+
+def used_window(own: tuple[int, int], asked: Asked | None) -> Window:
+    """The window of an experiment whose own is `own`, in updates; None asks for that."""
+    if asked == "scaled":
+        return ScaledWindow(*own)
+    return asked or UpdateWindow(*own)
+
+
+def parse_window(text: str) -> Asked:
+    """The window that `text` names: `2000000:3000000`, `2M:3M`, `last`, `last:10` or `scaled`.
 
     Raises:
         UserError: none of these.
     """
+    if text == "scaled":
+        return "scaled"
     if match := re.fullmatch(r"last(?::([1-9][0-9]{0,8}))?", text):
         return LastEvaluations(int(match[1] or 1))
     if match := re.fullmatch(r"([0-9]{1,12})([kM]?):([0-9]{1,12})([kM]?)", text):
@@ -60,8 +95,9 @@ def parse_window(text: str) -> Window:
             return UpdateWindow(start, end)
         raise UserError(f"window {text!r} ends before it starts")
     raise UserError(
-        f"window {text!r} is neither START:END in updates (2000000:3000000, 2M:3M) "
-        f"nor last or last:N (the last N evaluations of each run)"
+        f"window {text!r} is neither START:END in updates (2000000:3000000, 2M:3M), nor last or "
+        f"last:N (the last N evaluations of each run), nor scaled (the experiment's own window, at "
+        f"the same fractions of a shorter run)"
     )
 
 
@@ -69,6 +105,12 @@ def window_text(window: Window) -> str:
     """The window in words."""
     if isinstance(window, UpdateWindow):
         return f"updates {count_text(window.start)} to {count_text(window.end)}"
+    if isinstance(window, ScaledWindow):
+        share = 100 * window.start / max(window.end, 1)
+        return (
+            f"{share:.3g} to 100 % of each run, which are the fractions of updates "
+            f"{count_text(window.start)} to {count_text(window.end)}"
+        )
     return f"the last {window.count} evaluations" if window.count > 1 else "the last evaluation"
 
 

@@ -27,6 +27,7 @@ from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.augmentation import Augmentation
 from zipf.experiments.running.checkpoint import arrays
 from zipf.experiments.running.hindsight import Hindsight
+from zipf.experiments.running.visits import Visits
 
 _OUTCOMES = ("return", "length", "success")
 _CARRIED = ("previous_action", "previous_reward", "is_first")
@@ -44,6 +45,7 @@ class Collector:
 
     Attributes:
         seconds: spent in `environment` (stepping the worlds) and `inference` (the agent acts).
+        visits: how often each situation was met.
 
     Args:
         env: a batch in SAME_STEP autoreset mode; reset here, with `seed`.
@@ -113,6 +115,7 @@ class Collector:
                 hindsight, goal, env, reward=success, seed=seed, augmentation=augmentation
             )
         self.seconds = {"environment": 0.0, "inference": 0.0}
+        self.visits = Visits(tuple(env.situation))
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
         self._memory = agent.initial_memory(env.num_envs)
@@ -191,6 +194,7 @@ class Collector:
             "generator": self._generator.get_state(),
             "inputs": {name: fields[name][-1].copy() for name in _CARRIED},
             "episodes": dict(self._episodes),
+            "visits": self.visits.state_dict(),
             "exploration": self.exploration.state_dict() if self.exploration else {},
             "augmentation": self.augmentation.state_dict() if self.augmentation else {},
             "teacher": self.teacher.get_state() if self.teacher else {},
@@ -206,6 +210,7 @@ class Collector:
         self._memory = {k: v.to(self.device) for k, v in state["memory"].items()}
         self._generator.set_state(state["generator"])
         self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
+        self.visits.load_state_dict(arrays(state["visits"]))
         for name, value in state["inputs"].items():
             buffers.fields[name][-1] = value
         # Worlds that could not be restored have begun another episode.
@@ -266,6 +271,7 @@ class Collector:
                 fields["bonus"][t] += self.exploration(self._final, ended)
         if ended.any():
             self._record(info["final_info"], ended)
+            self.visits.add(info["final_info"], ended)
             self._count(following, ended)
         if self.hindsight is not None:
             row = {name: part[t] for name, part in fields.items()}

@@ -25,7 +25,6 @@ class Display:
         updates: to reach.
         update: those made already.
         frames_per_update: frames that one consumes.
-        alone: False where other runs print to the same terminal: lines only, each with the name.
         console: where to print; standard output by default.
     """
 
@@ -36,7 +35,6 @@ class Display:
         update: int,
         *,
         frames_per_update: int,
-        alone: bool = True,
         console: Console | None = None,
     ):
         self.console = console or Console(highlight=False)
@@ -44,8 +42,7 @@ class Display:
         self.updates = updates
         self.update = update
         self.frames_per_update = frames_per_update
-        self.alone = alone
-        self.live = alone and self.console.is_terminal
+        self.live = self.console.is_terminal
         self.scores: dict[str, float] = {}
         self.metrics: dict[str, float] = {}
         self.progress = Progress(
@@ -70,8 +67,6 @@ class Display:
 
     def say(self, line: str) -> None:
         """Prints a line, above the panel on a terminal."""
-        if not self.alone and not line.startswith(self.name):
-            line = f"{self.name}: {line}"
         self.console.print(line, soft_wrap=True, markup=False)
 
     def advance(self, update: int) -> None:

@@ -18,6 +18,7 @@ from zipf.experiments.reporting import checksums
 from zipf.experiments.reporting.checksums import TABLES
 from zipf.experiments.running.evaluator import Result, scores, situations
 from zipf.experiments.running.result_table import ResultTable
+from zipf.experiments.running.visits import Visits
 
 
 class Logger:
@@ -91,11 +92,12 @@ class Logger:
         self._append("metrics.csv", [{"update": update, **metrics}])
         self._scalars(update, {f"train/{name}": value for name, value in metrics.items()})
 
-    def evaluation(self, when: Mapping[str, float], results: list[Result]) -> None:
-        """The rows of an evaluation, and of the situations in it."""
+    def evaluation(self, when: Mapping[str, float], results: list[Result], visits: Visits) -> None:
+        """The rows of an evaluation, and of the situations in it with how often training has met
+        them."""
         update = int(when["update"])
         closing = update % self.every != 0
-        met = situations(results)
+        met = visits.beside(situations(results))
         met.insert(0, "update", update)
         rows = [{**when, **result.row()} for result in results]
         self._append("situations.csv", met.to_dict("records"), closing=closing)

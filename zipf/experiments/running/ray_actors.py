@@ -42,6 +42,7 @@ import zipf
 from zipf import envs
 from zipf.agents.agent import Agent
 from zipf.agents.unroll import Unroll
+from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments import composing
 from zipf.experiments.config import Config, schema
 from zipf.experiments.errors import TOLD, UserError
@@ -49,6 +50,7 @@ from zipf.experiments.running.checkpoint import arrays, tensors
 from zipf.experiments.running.collector import episode_metrics
 from zipf.experiments.running.factory import build_agent, build_collector
 from zipf.experiments.running.sources import Learned
+from zipf.experiments.running.visits import Visits
 from zipf.experiments.runtime import RayOptions
 
 MOST_DEATHS = 3  # ours: of an actor in a row, none of which has played an unroll
@@ -84,10 +86,12 @@ class Player:
         self.played += 1
         seconds = dict(self.collector.seconds)
         self.collector.seconds.update(dict.fromkeys(seconds, 0.0))
+        visits, self.collector.visits = self.collector.visits, Visits(self.collector.visits.ranks)
         return {
             "number": self.played,
             "unroll": arrays(unroll.state_dict()),
             "episodes": self.collector.take_episodes(),
+            "visits": visits.state_dict(),
             "seconds": seconds,
         }
 
@@ -130,18 +134,21 @@ class RayActors:
     Attributes:
         version: of the weights: updates made.
         actors: of this run, in the order of their numbers.
+        visits: how often each situation was met in the unrolls that were learned from.
 
     Args:
         config: of the run.
         options: `config.runtime`.
+        env: worlds like those of the actors.
         agent: learns.
     """
 
-    def __init__(self, config: Config, options: RayOptions, agent: Agent):
+    def __init__(self, config: Config, options: RayOptions, env: ZipfVectorEnv, agent: Agent):
         self.options = options
         self.agent = agent
         self.version = 0
         self.actors = [_Actor(number) for number in range(options.actors)]
+        self.visits = Visits(tuple(env.situation))
         self.seconds = {"environment": 0.0, "inference": 0.0}
         self._config = config.model_copy(update={"device": "cpu"}).model_dump()
         self._calls: dict[Any, _Call] = {}  # by the reference of what they return, oldest first
@@ -186,6 +193,7 @@ class RayActors:
         self.version += 1
         for name, values in played["episodes"].items():
             self._episodes[name].extend(values)
+        self.visits.add_those(played["visits"])
         for part, seconds in played["seconds"].items():
             self.seconds[part] += seconds / len(self.actors)
         return unroll, learned
@@ -211,11 +219,13 @@ class RayActors:
         return {
             "version": self.version,
             "incarnations": [actor.incarnation for actor in self.actors],
+            "visits": self.visits.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Actors that begin after this are the next incarnations."""
         self.version = state["version"]
+        self.visits.load_state_dict(arrays(state["visits"]))
         for actor, incarnation in zip(self.actors, state["incarnations"], strict=True):
             actor.incarnation = incarnation
 

@@ -24,9 +24,10 @@ from zipf import envs
 from zipf.experiments.config import Config, schema
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import results
+from zipf.experiments.reporting.checksums import TABLES
 from zipf.experiments.reporting.replacing import replace_text
 from zipf.experiments.running import checkpoint
-from zipf.experiments.running.result_table import last_update
+from zipf.experiments.running.result_table import ResultTable, last_update
 
 
 def find_checkpoint(config: Config) -> dict[str, Any] | None:
@@ -59,6 +60,31 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
     if saved["update"] > config.updates:
         raise UserError(f"{path}: is at update {saved['update']}, past updates={config.updates}")
     return saved
+
+
+def is_finished(config: Config) -> bool:
+    """Whether a run has nothing left to do, by its files alone: no worlds or networks are made.
+
+    False also where something is wrong, such as a damaged file: the run itself will tell.
+    """
+    folder = config.folder
+    reached = str(config.updates)
+    try:
+        if config.resume == "never" or last_update(folder / "evaluations.csv") != reached:
+            return False
+        saved = find_checkpoint(config)
+        if saved is None:
+            return False
+        with fits(folder / "checkpoint.pt"):
+            done = saved["evaluated"] == saved["update"] == config.updates
+            tables = {name: saved["tables"][name] for name in TABLES}
+        if done:
+            check_description(config)
+            for name, table in tables.items():
+                ResultTable.check(folder / name, config.updates, table)
+        return done
+    except UserError:
+        return False
 
 
 def check_options(path: Path, saved: dict[str, Any], config: Config) -> None:
@@ -245,14 +271,18 @@ def read_config(folder: Path, plugins: Collection[str] = ()) -> Config:
     return config
 
 
-def check_description(config: Config, situation: dict[str, int]) -> dict[str, Any]:
+def check_description(config: Config, situation: dict[str, int] | None = None) -> dict[str, Any]:
     """The contents of `run.json`, in the folder of a run that there is.
+
+    Args:
+        situation: of the worlds; None: not compared.
 
     Raises:
         UserError: `run.json` or `config.yaml` is gone, damaged or another run's.
     """
     description = read_description(config.folder)
-    _check_same(config.folder, description, config, situation=situation)
+    known = {} if situation is None else {"situation": situation}
+    _check_same(config.folder, description, config, **known)
     there = _read_options(config.folder, config.plugins)
     if there.what_is_learned != config.what_is_learned:
         raise UserError(

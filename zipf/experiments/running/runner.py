@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -24,32 +25,28 @@ from zipf.experiments.running.logger import Logger
 from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.overlap import Overlap
 from zipf.experiments.running.ray_actors import RayActors
-from zipf.experiments.running.signals import StopSignals
+from zipf.experiments.running.signals import StopSignals, sweep_has_ended
 from zipf.experiments.running.sources import InTurn, Source
 from zipf.experiments.running.trained import evaluate_agent
 from zipf.experiments.runtime import RayOptions
 
 
-def train(config: Config, *, alone: bool = True) -> int:
+def train(config: Config) -> int:
     """Trains until `config.updates`, or until a signal asks to stop; the same command resumes.
 
     A run that is finished is left as it is.
-
-    Args:
-        alone: False in a process that is given one run after another, beside others that print to
-            the same terminal. After a signal it begins no further run.
 
     Returns the number of the signal that stopped it, 0 for none.
 
     Raises:
         UserError: the run cannot begin, go on or be written; the last checkpoint is kept.
     """
-    if StopSignals.received and not alone:
-        return StopSignals.received
+    if sweep_has_ended():
+        return signal.SIGTERM
     keep_freed_ram()
     schedule = config.schedule
     with run_folder.lock(config.folder), _as_user_errors(config):
-        run = Run(config, alone=alone)
+        run = Run(config)
         if run.is_finished:
             run.close()
             run.display.say(f"{run.name}: is finished at update {run.update}, in {run.folder}")
@@ -92,7 +89,7 @@ def _as_user_errors(config: Config) -> Iterator[None]:
 
 def _build_source(config: Config, env: ZipfVectorEnv, agent: Agent) -> Source:
     if isinstance(config.runtime, RayOptions):
-        return RayActors(config, config.runtime, agent)
+        return RayActors(config, config.runtime, env, agent)
     collector = build_collector(config, env, agent)
     return Overlap(collector, agent) if config.lag else InTurn(collector, agent)
 
@@ -113,7 +110,7 @@ class Run:
         UserError: the run cannot begin, go on or be written.
     """
 
-    def __init__(self, config: Config, *, alone: bool = True):
+    def __init__(self, config: Config):
         self.config = config
         self.folder = config.folder
         self.device = config.torch_device
@@ -140,13 +137,12 @@ class Run:
             assert self._tables is not None
             run_folder.check_description(config, self.env.situation)
             Logger.check(self.folder, self.update, self._tables)
-        self.name = f"{config.experiment} {config.condition} seed {config.seed}"
+        self.name = config.run_name
         self.display = Display(
             self.name,
             config.updates,
             self.update,
             frames_per_update=self.frames_per_update,
-            alone=alone,
         )
 
     def __enter__(self) -> Run:
@@ -256,7 +252,7 @@ class Run:
             "frames": self.update * self.frames_per_update,
             "seconds": self.clock.total,
         }
-        self.logger.evaluation(when, results)
+        self.logger.evaluation(when, results, self.source.visits)
         self.evaluated = self.update
         self.display.show_scores(results)
         shown = "  ".join(f"{kind} {score:.3f}" for kind, score in scores(results).items())

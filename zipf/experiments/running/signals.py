@@ -1,11 +1,16 @@
-"""What signals do to a run: Ctrl-C and SIGTERM stop it, a closed terminal does not."""
+"""What stops a run: Ctrl-C, SIGTERM, and the end of the sweep that it is a job of."""
 
 from __future__ import annotations
 
+import os
+import select
 import signal
 from collections.abc import Callable
 from types import FrameType
-from typing import ClassVar
+
+SWEEP_PIPE = "ZIPF_SWEEP_PIPE"
+"""The environment variable by which a sweep gives a job of its the reading end of a pipe. The job
+has to stop when the other end is closed, on purpose or because the sweep is gone."""
 
 
 class StopSignals:
@@ -15,16 +20,19 @@ class StopSignals:
 
     Args:
         say: told, at the first signal, what will happen.
-
-    Attributes:
-        received: of the class: the number of the first signal in this process, 0 before.
     """
-
-    received: ClassVar[int] = 0
 
     def __init__(self, say: Callable[[str], None]):
         self.say = say
-        self.requested = 0
+        self._received = 0
+
+    @property
+    def requested(self) -> int:
+        """The number of the first signal; SIGTERM's where the sweep has ended; 0 for neither."""
+        if not self._received and sweep_has_ended():
+            self._received = signal.SIGTERM
+            self.say("stopping with a checkpoint: the sweep has ended")
+        return self._received
 
     def __enter__(self) -> StopSignals:
         self._before = {s: signal.signal(s, self._stop) for s in (signal.SIGINT, signal.SIGTERM)}
@@ -36,7 +44,13 @@ class StopSignals:
             signal.signal(number, handler)
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
+        if self._received:
             raise KeyboardInterrupt
-        self.requested = StopSignals.received = number
+        self._received = number
         self.say("stopping after this update, with a checkpoint; a second signal stops at once")
+
+
+def sweep_has_ended() -> bool:
+    """Whether this process is a job of a sweep that stops, or was killed."""
+    pipe = os.environ.get(SWEEP_PIPE)
+    return pipe is not None and bool(select.select([int(pipe)], [], [], 0)[0])

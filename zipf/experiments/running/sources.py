@@ -8,6 +8,7 @@ from typing import Any, Protocol, TypeVar
 from zipf.agents.agent import Agent
 from zipf.agents.unroll import Unroll
 from zipf.experiments.running.collector import Collector
+from zipf.experiments.running.visits import Visits
 
 Learned = TypeVar("Learned")
 
@@ -18,6 +19,10 @@ class Source(Protocol):
     @property
     def seconds(self) -> dict[str, float]:
         """Spent in `environment` and `inference`; the reader sets them to 0."""
+
+    @property
+    def visits(self) -> Visits:
+        """How often each situation was met."""
 
     def open(self, tell: Callable[[str], None]) -> None:
         """Begins; called once before the first step. `tell` shows a line to the user.
@@ -53,6 +58,11 @@ class InTurn:
     def seconds(self) -> dict[str, float]:
         """The collector's."""
         return self.collector.seconds
+
+    @property
+    def visits(self) -> Visits:
+        """The collector's."""
+        return self.collector.visits
 
     def open(self, tell: Callable[[str], None]) -> None:
         """There is nothing to begin."""

@@ -1,0 +1,408 @@
+"""Frames learned from per second, beside other libraries: same worlds, network and cores.
+
+    python scripts/benchmark_training.py
+    python scripts/benchmark_training.py --rounds 5 --seconds 20 --match "Stable-Baselines3"
+
+Every library has a virtual environment of its own in `--environments`, made at the first run, with
+the versions of constraints.txt and this checkout. Every row is a process that trains; they are let
+go in turn, `--seconds` of wall clock each, `--rounds` times over, while the others wait. A row's
+ratio is the median, over rounds, of its speed beside that of zipf in float32 in the same round.
+
+All rows learn the same worlds with the same network (`network=compact memory=mlp`, built from
+zipf's modules), on unrolls of the same size, in float32 unless they say otherwise, and learn from
+every frame once: advantage actor-critic, or PPO with one epoch of one batch, which is the least
+that it can do (its usual four or ten epochs take as many times as long). "gym.make" rows step
+worlds one by one, as `make_vec_env` of Stable-Baselines3 does; the others use zipf's batches
+through zipf's adapters.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+EXPERIMENTS = ("gridworld_compact", "playroom_lift_compact")
+ZIPF = "zipf, IMPALA"
+
+Pause = Callable[[int], None]
+"""Called after every update with its number of frames; returns when the row may go on."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A library: the packages of its environment, and its rows' training functions."""
+
+    packages: tuple[str, ...]
+    rows: dict[str, Callable[[str, Pause], None]]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What all rows train on.
+
+    Attributes:
+        level: the environment's id in zipf.
+        options: of the level's constructor.
+        worlds: in a batch.
+        steps: of an unroll.
+        learning_rate: of the optimiser.
+    """
+
+    level: str
+    options: dict[str, Any]
+    worlds: int
+    steps: int
+    learning_rate: float
+    network: Any
+    memory: Any
+
+
+def task_of(experiment: str) -> Task:
+    from zipf import envs
+    from zipf.experiments import command_line
+
+    config = command_line.load([f"experiment={experiment}", "memory=mlp"])
+    return Task(
+        envs.split(config.environment.split).train[0].level,
+        config.level_options,
+        config.collector.num_envs,
+        config.collector.unroll_length,
+        config.agent.learning_rate,
+        config.network,
+        config.memory,
+    )
+
+
+def trunk(task: Task, space: Any) -> Any:
+    """zipf's encoder and its memory without state: a dictionary of observations [N, ...], or the
+    parts in the order of their names -> features [N, size]."""
+    import torch
+    from torch import nn
+
+    from zipf.agents.encoders import Encoder
+    from zipf.agents.memory import MLPMemory
+
+    class Trunk(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.encoder = Encoder(space, task.network)
+            self.memory = MLPMemory(self.encoder.size, task.memory)
+            self.size = self.memory.size
+
+        def forward(self, *parts: Any) -> torch.Tensor:
+            named = parts[0] if isinstance(parts[0], dict) else dict(zip(space, parts, strict=True))
+            seen = {name: _as_in(space[name], part) for name, part in named.items()}
+            return self.memory.layers(self.encoder(seen))
+
+    def _as_in(part: Any, tensor: torch.Tensor) -> torch.Tensor:
+        return tensor if part.dtype == "uint8" else tensor.long()
+
+    return Trunk()
+
+
+def train_zipf(experiment: str, pause: Pause, *overrides: str) -> None:
+    from zipf.experiments import command_line
+    from zipf.experiments.running import run_folder
+    from zipf.experiments.running.allocator import keep_freed_ram
+    from zipf.experiments.running.runner import Run
+
+    keep_freed_ram()
+    with tempfile.TemporaryDirectory() as folder:
+        given = [f"experiment={experiment}", "memory=mlp", f"run_root={folder}", *overrides]
+        config = command_line.load(given)
+        run_folder.make(config.folder)
+        with Run(config) as run:
+            while True:
+                run.step()
+                pause(run.frames_per_update)
+
+
+def train_stable_baselines3(experiment: str, pause: Pause, algorithm: str, worlds: str) -> None:
+    import gymnasium as gym
+    import stable_baselines3
+    import torch
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+    from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+
+    from zipf import envs
+    from zipf.adapters.stable_baselines3 import ZipfVecEnv
+
+    task = task_of(experiment)
+
+    class Features(BaseFeaturesExtractor):
+        def __init__(self, space: gym.spaces.Dict) -> None:
+            layers = trunk(task, space)
+            super().__init__(space, layers.size)
+            self.layers = layers
+
+        def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
+            return self.layers(observation)
+
+    class Paused(BaseCallback):
+        def _on_rollout_start(self) -> None:  # what was collected before has been learned from
+            if self.num_timesteps:
+                pause(task.worlds * task.steps)
+
+        def _on_step(self) -> bool:
+            return True
+
+    if worlds == "batch":
+        env = ZipfVecEnv(envs.make_vec(task.level, task.worlds, **task.options))
+    else:
+        env = make_vec_env(
+            lambda: envs.make(task.level, **task.options),
+            task.worlds if worlds == "one by one" else len(os.sched_getaffinity(0)),
+            vec_env_cls=DummyVecEnv if worlds == "one by one" else SubprocVecEnv,
+        )
+    options: dict[str, Any] = {"n_steps": task.worlds * task.steps // env.num_envs}
+    if algorithm == "PPO":
+        options |= {"n_epochs": 1, "batch_size": task.worlds * task.steps}
+    model = getattr(stable_baselines3, algorithm)(
+        "MultiInputPolicy",
+        env,
+        learning_rate=task.learning_rate,
+        policy_kwargs={
+            "features_extractor_class": Features,
+            "net_arch": [],
+            "normalize_images": False,
+        },
+        device="cpu",
+        **options,
+    )
+    model.learn(10**12, callback=Paused())
+
+
+def train_torchrl(experiment: str, pause: Pause) -> None:
+    import torch
+    from tensordict.nn import InteractionType, TensorDictModule
+    from torch import nn
+    from torchrl.collectors import Collector
+    from torchrl.modules import ActorValueOperator, ProbabilisticActor, ValueOperator
+    from torchrl.objectives import A2CLoss
+    from torchrl.objectives.value import GAE
+
+    from zipf import envs
+    from zipf.adapters.torchrl import torchrl_env
+
+    task = task_of(experiment)
+    worlds = envs.make_vec(task.level, task.worlds, autoreset_mode="Disabled", **task.options)
+    space, actions = worlds.single_observation_space, int(worlds.single_action_space.n)
+    env = torchrl_env(worlds)
+    env.set_seed(0)
+    layers = trunk(task, space)
+
+    class Flat(nn.Module):  # over [worlds, steps]
+        def forward(self, *parts: torch.Tensor) -> torch.Tensor:
+            first = next(iter(space))
+            batch = parts[0].shape[: parts[0].dim() - len(space[first].shape)]
+            flat = [part.reshape(-1, *part.shape[len(batch) :]) for part in parts]
+            return self.layers(*flat).unflatten(0, batch) if batch else self.layers(*parts)
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.layers = layers
+
+    both = ActorValueOperator(
+        TensorDictModule(Flat(), list(space), ["hidden"]),
+        ProbabilisticActor(
+            TensorDictModule(nn.Linear(layers.size, actions), ["hidden"], ["logits"]),
+            in_keys=["logits"],
+            spec=env.action_spec,
+            distribution_class=torch.distributions.Categorical,
+            default_interaction_type=InteractionType.RANDOM,
+            return_log_prob=True,
+        ),
+        ValueOperator(nn.Linear(layers.size, 1), in_keys=["hidden"]),
+    )
+    policy, value = both.get_policy_operator(), both.get_value_operator()
+    advantage = GAE(gamma=0.99, lmbda=1.0, value_network=value)
+    loss = A2CLoss(policy, value, entropy_coeff=0.003, critic_coeff=0.5)
+    optimiser = torch.optim.Adam(loss.parameters(), lr=task.learning_rate)
+    size = task.worlds * task.steps
+    collector = Collector(env, policy, frames_per_batch=size, total_frames=-1)
+    for unroll in collector:
+        with torch.no_grad():
+            advantage(unroll)
+        losses = loss(unroll.reshape(-1))
+        total = losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]
+        optimiser.zero_grad()
+        total.backward()
+        nn.utils.clip_grad_norm_(loss.parameters(), 1.0)
+        optimiser.step()
+        pause(size)
+
+
+def _stable_baselines3(algorithm: str, worlds: str) -> Callable[[str, Pause], None]:
+    return lambda *arguments: train_stable_baselines3(*arguments, algorithm, worlds)
+
+
+PEERS = {
+    "zipf": Peer(
+        (),
+        {
+            ZIPF: train_zipf,
+            f"{ZIPF}, bfloat16": lambda e, p: train_zipf(e, p, "precision=bfloat16"),
+        },
+    ),
+    "stable-baselines3": Peer(
+        ("stable-baselines3>=2.9",),
+        {
+            "Stable-Baselines3, A2C": _stable_baselines3("A2C", "batch"),
+            "Stable-Baselines3, PPO": _stable_baselines3("PPO", "batch"),
+            "Stable-Baselines3, A2C, gym.make": _stable_baselines3("A2C", "one by one"),
+            "Stable-Baselines3, A2C, gym.make in processes": _stable_baselines3("A2C", "processes"),
+        },
+    ),
+    "torchrl": Peer((), {"TorchRL, A2C": train_torchrl}),
+}
+
+
+def python_of(name: str, peer: Peer, folder: Path) -> Path:
+    """The interpreter of a peer's virtual environment, which is made if it is not there.
+
+    Raises:
+        subprocess.CalledProcessError: it cannot be installed; pip's messages tell why.
+    """
+    python = folder / name / "bin" / "python"
+    if not python.exists():
+        subprocess.run([sys.executable, "-m", "venv", str(folder / name)], check=True)
+        install = [str(python), "-m", "pip", "install", "--quiet"]
+        install += ["--constraint", str(ROOT / "constraints.txt")]
+        try:
+            subprocess.run([*install, "--editable", str(ROOT), *peer.packages], check=True)
+        except BaseException:
+            python.unlink()  # is made anew the next time
+            raise
+    return python
+
+
+class Trainer:
+    """A row's process, which trains while it is let go."""
+
+    def __init__(self, python: Path, name: str, row: str, experiment: str):
+        self.name = row
+        self.speeds: list[float] = []
+        command = [str(python), __file__, "--train", name, row, experiment]
+        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self._process = subprocess.Popen(command, text=True, start_new_session=True, **pipes)
+
+    def go(self, seconds: float) -> float:
+        """Frames per second over so many seconds and the rest of the update then begun.
+
+        Raises:
+            RuntimeError: the process has ended.
+        """
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with contextlib.suppress(BrokenPipeError):  # what it says is read all the same
+            print(seconds, file=self._process.stdin, flush=True)
+        for line in self._process.stdout:  # libraries print, too
+            if line.startswith("frames/s "):
+                return float(line.split()[1])
+        raise RuntimeError(f"{self.name}: the process has ended with {self._process.wait()}")
+
+    def end(self) -> None:
+        if self._process.poll() is None:
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+
+
+def train(name: str, row: str, experiment: str) -> None:
+    """In a row's process: trains, as long as it is told on standard input."""
+    frames, start, until = 0, 0.0, 0.0
+
+    def pause(more: int) -> None:
+        nonlocal frames, start, until
+        frames += more
+        now = time.perf_counter()
+        if now < until:
+            return
+        if until:
+            print(f"frames/s {frames / (now - start)}", flush=True)
+        line = sys.stdin.readline()
+        if not line:
+            raise SystemExit
+        frames, start = 0, time.perf_counter()
+        until = start + float(line)
+
+    PEERS[name].rows[row](experiment, pause)
+
+
+def measure(experiment: str, arguments: argparse.Namespace) -> list[Trainer]:
+    """All rows' speeds, by round."""
+    rows = [
+        (name, row)
+        for name, peer in PEERS.items()
+        for row in peer.rows
+        if row == ZIPF or arguments.match in row
+    ]
+    pythons = {
+        name: python_of(name, PEERS[name], arguments.environments)
+        for name in dict.fromkeys(name for name, _ in rows)
+    }
+    trainers = [Trainer(pythons[name], name, row, experiment) for name, row in rows]
+    try:
+        for trainer in trainers:
+            trainer.go(arguments.seconds / 2)  # until everything is compiled and allocated
+        for number, trainer in itertools.product(range(arguments.rounds), trainers):
+            trainer.speeds.append(trainer.go(arguments.seconds))
+            speed = f"{trainer.speeds[-1]:,.0f} frames/s"
+            print(f"{experiment}: {number + 1}: {trainer.name}: {speed}", file=sys.stderr)
+    finally:
+        for trainer in trainers:
+            trainer.end()
+    return trainers
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--experiments", nargs="+", default=EXPERIMENTS, metavar="EXPERIMENT")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each row in each round")
+    parser.add_argument("--match", default="", help="rows whose name has this in it, beside zipf's")
+    parser.add_argument("--environments", type=Path, default=ROOT / "build" / "peers")
+    parser.add_argument("--train", nargs=3, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.train:
+        train(*arguments.train)
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=120)
+    for experiment in arguments.experiments:
+        trainers = measure(experiment, arguments)
+        table = Table(title=f"training on the worlds of {experiment}", title_justify="left")
+        table.add_column("", no_wrap=True)
+        for column in ("frames/s", "lowest .. highest", "zipf is x times as fast"):
+            table.add_column(column, justify="right", no_wrap=True)
+        for trainer in trainers:
+            ours = zip(trainers[0].speeds, trainer.speeds, strict=True)
+            table.add_row(
+                trainer.name,
+                f"{statistics.median(trainer.speeds):,.0f}",
+                f"{min(trainer.speeds):,.0f} .. {max(trainer.speeds):,.0f}",
+                f"{statistics.median(one / other for one, other in ours):.2f}",
+            )
+        console.print(table)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    console.print(f"{cores} cores, wall clock, {arguments.rounds} rounds of {arguments.seconds} s")
+
+
+if __name__ == "__main__":
+    main()

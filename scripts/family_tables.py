@@ -1,0 +1,130 @@
+"""Tables and sections of the pages about families of worlds, from the registry of families."""
+
+import importlib
+import inspect
+import re
+from collections.abc import Iterator
+
+import numpy as np
+from gymnasium import spaces
+from tables import code, comments, described, markdown
+
+from zipf import envs
+from zipf.envs.labyrinth.levels import LEVELS
+
+
+def families(folder: str) -> list[str]:
+    """All families, each with a link to its page in `folder`."""
+    return markdown(
+        ("Family", "Task", "Gymnasium id", "Splits"),
+        (
+            (
+                f"[{code(family.name)}]({folder}/{family.name}.md)",
+                family.summary,
+                code(family.id) if family.id else "",
+                ", ".join(code(split.name) for split in family.splits),
+            )
+            for family in envs.families().values()
+        ),
+    )
+
+
+def family(name: str) -> list[str]:
+    """What a family's worlds are: a table of facts, and the docstring of its single world."""
+    found = envs.find_family(name)
+    assert isinstance(found.make, str)
+    single = _attribute(found.make)
+    batch = envs.make_train(found.splits[0], 1)
+    of_a_level = type(envs.make_vec(f"{name}/{found.levels[0]}", 1))
+    facts = [
+        ("Gymnasium id", code(str(found.id))),
+        ("Splits", ", ".join(code(split.name) for split in found.splits)),
+        ("Observations", "; ".join(_spaces(batch.single_observation_space))),
+        ("Actions", code(str(batch.single_action_space))),
+        ("Situation", _situation(batch.situation)),
+        ("One world, a batch", f"{_path(single)}, {_path(of_a_level)}"),
+        ("Scripted players", ", ".join(code(one) for one in envs.SCRIPTED if getattr(found, one))),
+        ("Says what an episode asks for", _yes(found.goal is not None)),
+        ("Tells what an episode achieved", _yes(batch.achieves)),
+        ("Has symmetries", _yes(found.symmetries is not None)),
+        ("Keys to play by hand", _yes(found.keys is not None)),
+    ]
+    batch.close()
+    table = markdown(("", code(name)), facts)
+    return [*table, "", *described(single, without_title=True)]
+
+
+def _attribute(path: str) -> type:
+    module, _, name = path.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _path(documented: type) -> str:
+    return code(f"{documented.__module__}.{documented.__qualname__}")
+
+
+def _yes(fact: bool) -> str:
+    return "yes" if fact else "no"
+
+
+def _spaces(observation: spaces.Dict) -> Iterator[str]:
+    for name, space in observation.items():
+        yield f"{code(name)}, {np.dtype(space.dtype).name} {list(space.shape or ())}"
+
+
+def _situation(ranks: dict[str, int]) -> str:
+    return ", ".join(f"{code(name)} ({count} ranks)" for name, count in ranks.items())
+
+
+def levels(family: str) -> list[str]:
+    found = envs.find_family(family)
+    uses: dict[str, list[str]] = {}
+    for split in found.splits:
+        for kind in envs.KINDS:
+            for level in split.levels(kind):
+                uses.setdefault(level.name, []).append(f"{code(split.name)} ({kind})")
+    known = [one for one in envs.REFERENCES if one.name in found.references]
+    rows = []
+    for name in (f"{family}/{level}" for level in found.levels):
+        scores = (envs.reference(one.name, name) for one in known)
+        texts = ("" if score is None else f"{score.score:.3f}" for score in scores)
+        rows.append((code(name), ", ".join(uses.get(name, [])), *texts))
+    return markdown(("Level", "Used by split", *(one.title for one in known)), rows)
+
+
+def labyrinth() -> list[str]:
+    """The labyrinth's levels: length and, from the docstrings of their rules, goal and rewards."""
+    rows = []
+    for name, level in LEVELS.items():
+        text = inspect.getdoc(level.load()) or ""
+        goal = re.search(r"Goal: (.*?)\n\n", text, re.DOTALL)
+        rewards = re.search(r"\nRewards: (.*?)(?:\n\w[\w ,]*:|$)", text, re.DOTALL)
+        assert goal is not None, name
+        told = " ".join(rewards[1].split()) if rewards else "+1 for a mushroom."
+        rows.append((code(name), " ".join(goal[1].split()), told, f"{level.seconds} s"))
+    return markdown(("Level", "Goal", "Rewards", "Length"), rows)
+
+
+def labyrinth_references() -> list[str]:
+    """What players that do not learn, and people, score in the labyrinth."""
+    known = [one for one in envs.REFERENCES if one.name in envs.find_family("labyrinth").references]
+    rows = []
+    for name, level in LEVELS.items():
+        scores = (envs.reference(one.name, f"labyrinth/{name}") for one in known)
+        texts = ("" if one is None else f"{one.score:.1f} ± {one.error:.1f}" for one in scores)
+        rows.append((code(name), f"{level.random:g}", f"{level.human:g}", *texts))
+    titles = (one.title for one in known)
+    return markdown(("Level", "Random, published", "Human, published", *titles), rows)
+
+
+def constructor_options(family: str) -> list[str]:
+    """Defaults of a family's options, with the sources that stand beside them in the code."""
+    options = envs.find_family(family).options_class
+    sources = comments(options)
+    return markdown(
+        ("Option", "Default", "Source"),
+        (
+            (code(name), code(str(field.get_default(call_default_factory=True))), sources[name])
+            for name, field in options.model_fields.items()
+        ),
+    )

@@ -1,0 +1,233 @@
+"""The paper's claims: each outcome of each form, on the paper's own numbers, and in the report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from pydantic import TypeAdapter, ValidationError
+from run_folders import constant, write_run
+
+from zipf import envs
+from zipf.experiments import command_line
+from zipf.experiments.reporting import claims, markdown, paper, results, tables
+from zipf.experiments.reporting.claim_results import (
+    CLAIM_COLUMNS,
+    check_claims,
+    csv_claims,
+    published_results,
+)
+from zipf.experiments.reporting.claims import Measured, Results, judge
+
+# By hand from the paper's tables; "" where they have too few numbers.
+ON_THE_PAPERS_NUMBERS = {
+    ("rare_lower", "gridworld"): "holds",
+    ("rare_lower", "playroom_lifting"): "fails",
+    ("rare_lower", "playroom_putting"): "fails",
+    ("rare_lower", "playroom_finding"): "holds",
+    ("rare_lower", "labyrinth_forward"): "fails",
+    ("rare_lower", "labyrinth_reversed"): "fails",
+    ("lab_train_higher", "labyrinth_reversed"): "fails",
+    ("playroom_train_range", "playroom_putting"): "fails",
+    ("per_exponent", "playroom_lifting"): "",
+    ("per_exponent", "playroom_putting"): "",
+    ("ssl_lab", "labyrinth_reversed"): "fails",
+    ("rl_curve_match", "playroom_finding"): "",
+}
+
+
+def check(**fields: Any) -> Any:
+    return TypeAdapter(claims.Check).validate_python({"experiment": "gridworld", **fields})
+
+
+def scores(seeds: int = 3, **of_conditions: dict[str, float]) -> Results:
+    found = {
+        (condition, column): Measured(value, seeds, 1000)
+        for condition, columns in of_conditions.items()
+        for column, value in columns.items()
+    }
+    return Results(found, every=list(of_conditions))
+
+
+def test_claims_about_the_papers_own_numbers() -> None:
+    for claim in claims.claims():
+        of_experiment: dict[str, list[Any]] = {}
+        for one in claim.checks:
+            if one.form in ("score", "curves"):
+                of_experiment.setdefault(one.experiment, []).append(one)
+        for experiment, checks in of_experiment.items():
+            verdicts = [judge(one, published_results(experiment)) for one in checks]
+            outcome = claims.together([verdict.outcome for verdict in verdicts])
+            expected = ON_THE_PAPERS_NUMBERS.get((claim.id, experiment), "holds")
+            assert outcome == (expected or "not enough data"), (claim.id, experiment)
+
+
+def test_claims_name_what_there_is() -> None:
+    conditions = set(command_line.choices("condition"))
+    experiments = {split.paper for split in envs.all_splits().values() if split.paper}
+    ids = [claim.id for claim in claims.claims()]
+    assert len(ids) == len(set(ids)) == 24
+    for claim in claims.claims():
+        assert (claim.unchecked is None) == bool(claim.checks)
+        for one in claim.checks:
+            assert one.experiment in experiments
+            table = paper.paper_table(one.experiment)
+            if one.form == "curves":
+                assert {*one.conditions} <= conditions
+            if one.form == "score":
+                assert {*one.without} <= set(table.rows)
+                for condition, column in filter(None, (one.score, one.against, one.base)):
+                    assert condition == "*" or condition.split(",")[0] in conditions
+                    assert column in paper.LEVEL_KINDS or column in table.train_groups
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"measure": "difference"}, "against"),
+        ({"measure": "value", "against": ["a", "rare"]}, "against"),
+        ({"measure": "share", "against": ["a", "rare"]}, "base"),
+    ],
+)
+def test_a_check_is_complete(fields: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValidationError, match=text):
+        check(form="score", score=["b", "rare"], **fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "at_least", "at_most", "outcome", "number"),
+    [
+        ({"measure": "value"}, 0.6, 0.7, "holds", "b rare 0.60"),
+        ({"measure": "value"}, 0.61, 0.7, "fails", "b rare 0.60"),
+        ({"measure": "difference"}, 0.1, 1, "holds", "b rare 0.60, a rare 0.50: +0.10"),
+        ({"measure": "difference"}, -1, 0.05, "fails", "b rare 0.60, a rare 0.50: +0.10"),
+        ({"measure": "change"}, 0.2, 0.2, "holds", "b rare 0.60, a rare 0.50: +20 %"),
+        ({"measure": "change"}, 0.3, 1, "fails", "b rare 0.60, a rare 0.50: +20 %"),
+        ({"measure": "share"}, 0.5, 0.7, "holds", "b rare 0.60, c rare 0.80, a rare 0.20: 67 %"),
+        ({"measure": "share"}, 0.7, 1, "fails", "b rare 0.60, c rare 0.80, a rare 0.20: 67 %"),
+    ],
+)
+def test_scores_between_bounds(
+    fields: dict[str, Any], at_least: float, at_most: float, outcome: str, number: str
+) -> None:
+    measure = fields["measure"]
+    against = {} if measure == "value" else {"against": ["a", "rare"]}
+    of_a = 0.5
+    if measure == "share":
+        against, of_a = {"against": ["c", "rare"], "base": ["a", "rare"]}, 0.2
+    one = check(
+        form="score", score=["b", "rare"], at_least=at_least, at_most=at_most, **fields, **against
+    )
+    known = {"a": {"rare": of_a}, "b": {"rare": 0.6}, "c": {"rare": 0.8}}
+    verdict = judge(one, scores(**known))
+    assert (verdict.outcome, verdict.numbers) == (outcome, (number,))
+    few = judge(one, scores(seeds=2, **known))
+    assert few.outcome == "not enough data"
+    assert "(2/3 seeds)" in few.numbers[0]
+    missing = judge(one, scores(c={"uniform": 0.8}))
+    assert (missing.outcome, missing.at_hand) == ("not enough data", False)
+
+
+def test_a_fraction_of_nothing_is_not_enough() -> None:
+    one = check(
+        form="score", measure="change", score=["b", "rare"], against=["a", "rare"], at_least=0
+    )
+    verdict = judge(one, scores(a={"rare": 0.0}, b={"rare": 0.6}))
+    assert (verdict.outcome, verdict.at_hand) == ("not enough data", True)
+
+
+def test_a_pattern_stands_for_every_condition_that_it_fits() -> None:
+    one = check(form="score", measure="value", score=["a,*exponent=*", "rare"], at_most=0.5)
+    known = {"a": {"rare": 0.9}, "a,x.exponent=1": {"rare": 0.4}, "a,exponent=2": {"rare": 0.6}}
+    assert judge(one, scores(**known)).outcome == "fails"
+    del known["a,exponent=2"]
+    assert judge(one, scores(**known)).numbers == ("a,x.exponent=1 rare 0.40",)
+    assert judge(one, scores(a={"rare": 0.1})).outcome == "not enough data"
+
+
+def test_every_row_has_to_hold() -> None:
+    one = check(
+        form="score",
+        measure="difference",
+        score=["*", "rare"],
+        against=["*", "uniform"],
+        at_most=-0.005,
+        **{"except": ["c"]},
+    )
+    known = {
+        "a": {"rare": 0.1, "uniform": 0.2},
+        "b": {"rare": 0.3, "uniform": 0.4},
+        "c": {"rare": 0.9, "uniform": 0.1},
+    }
+    assert judge(one, scores(**known)).numbers == ("2 of 2 rows hold",)
+    known["b"]["rare"] = 0.4
+    verdict = judge(one, scores(**known))
+    assert verdict.outcome == "fails"
+    assert verdict.numbers == ("1 of 2 rows hold", "not b rare 0.40, b uniform 0.40: +0.00")
+    del known["b"]["uniform"]
+    assert judge(one, scores(**known)).outcome == "not enough data"
+    assert judge(one, scores(seeds=1, **known)).outcome == "not enough data"
+
+
+def test_curves_windows_and_effort() -> None:
+    curves = check(form="curves", conditions=["a", "b"], column="rare", at_most=0.1)
+    a, b = pd.Series({0: 0.9, 10: 0.2, 20: 0.3}), pd.Series({0: 0.0, 10: 0.3, 30: 0.9})
+    found = Results({}, [], curves={("a", "rare"): (a, 3), ("b", "rare"): (b, 3)})
+    verdict = judge(curves, found)  # update 10 alone: 0.1 apart
+    assert (verdict.outcome, verdict.numbers) == (
+        "holds",
+        ("a and b, rare: 0.10 over 1 evaluations",),
+    )
+    far = Results({}, [], curves={("a", "rare"): (a + 0.5, 3), ("b", "rare"): (b, 3)})
+    assert judge(curves, far).outcome == "fails"
+    few = Results({}, [], curves={("a", "rare"): (a, 2), ("b", "rare"): (b, 3)})
+    assert judge(curves, few).outcome == "not enough data"
+    assert judge(curves, Results({}, [])).at_hand is False
+
+    window = check(form="window", window=[100, 300])
+    known = {("a", "rare"): Measured(0.5, 3, 1000)}
+    assert judge(window, Results(known, [], window=(100, 300))).outcome == "holds"
+    assert judge(window, Results(known, [], window=(100, 200))).outcome == "fails"
+    assert judge(window, Results(known, [])).outcome == "fails"
+    assert judge(window, Results({}, [], window=(100, 300))).outcome == "not enough data"
+
+    effort = check(form="effort", seeds=3, episodes=1000)
+    assert judge(effort, Results(known, [])).outcome == "holds"
+    known[("b", "rare")] = Measured(0.5, 3, 999)
+    assert judge(effort, Results(known, [])).outcome == "fails"
+    assert judge(effort, Results({}, [])).outcome == "not enough data"
+
+
+def test_claims_in_the_report(tmp_path: Path) -> None:
+    """Visual reconstruction gains more than half of 20 % on the rare level, and BYOL helps, which
+    is claimed not to."""
+    for seed in range(3):
+        write_run(tmp_path, constant(0.2), seed=seed)
+        write_run(tmp_path, constant(0.23), condition="impala_vision", seed=seed)
+        write_run(tmp_path, constant(0.5), condition="impala_byol", seed=seed)
+    write_run(tmp_path, constant(0.4), condition="impala_transformer")
+    found = tables.score_tables(results.load_runs([tmp_path]))
+    lines = check_claims(found)
+    outcomes = {line.claim.id: line.outcome for line in lines if line.table == "gridworld"}
+    assert outcomes["ssl_grid_rare"] == "holds"
+    assert outcomes["byol_failed"] == "fails"
+    assert outcomes["transformer_no_gain"] == "not enough data"
+    assert outcomes["rare_lower"] == "fails"
+    text = markdown.markdown_report(found, {}, lines)
+    assert (
+        "| Visual reconstruction improves the rarest maps and objects of the gridworld by 20 %. "
+        "| gridworld | relative change at least +10 % | IMPALA + vis recon rare 0.23, "
+        "IMPALA rare 0.20: +15 % | holds | holds |"
+    ) in text
+    assert "IMPALA + transformer rare 0.40 (1/3 seeds), IMPALA rare 0.20: +0.20" in text
+    written = csv_claims(lines)
+    assert written.startswith(",".join(CLAIM_COLUMNS))
+    assert {line.claim.id for line in lines} == {claim.id for claim in claims.claims()}
+
+
+def test_runs_of_no_published_experiment_have_no_claims(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.2), paper=None)
+    found = tables.score_tables(results.load_runs([tmp_path]))
+    assert "Claims" not in markdown.markdown_report(found, {}, check_claims(found))

@@ -1,0 +1,197 @@
+"""Every fenced block of the documentation is covered by a check; none is left out in silence.
+
+`test_readme.py` executes the Python blocks, and checks (or executes) the commands of this package.
+Here each block has to fall under a rule, and the blocks and lines that are left are checked.
+"""
+
+import argparse
+import runpy
+import sys
+import tomllib
+from importlib.metadata import entry_points
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+from pages import BLOCKS, PAGES, PLACEHOLDER, ROOT, Block, command, commands, fenced, files, lines
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+COMMANDS = {"zipf.train", "zipf.evaluate", "zipf.play", "zipf.report"}
+"""Those that `test_readme.py` checks."""
+
+
+class Parsed(BaseException):
+    """A script has understood its arguments."""
+
+
+def shell(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    for line in lines(block):
+        words = command(line)
+        assert not set(words) & {"|", "&&", "||", ";", ">", "&"}, f"{line}: one command a line"
+        match words:
+            case []:
+                pass
+            case ["python", "-m", module, *arguments]:
+                assert not PLACEHOLDER.search(" ".join(arguments)), f"{line}: is not complete"
+                assert module in COMMANDS, line
+                assert " ".join(arguments) in commands(module), line
+            case ["python", script, *arguments]:
+                accepts(script, arguments, monkeypatch)
+            case ["pip", "install", *arguments]:
+                installs(arguments)
+            case ["make", target]:
+                assert f"\n{target}:" in (ROOT / "Makefile").read_text(encoding="utf-8"), line
+            case [".ci/run"]:
+                assert (ROOT / ".ci/run").is_file()
+            case ["source", ".venv/bin/activate"]:  # of the environment that make creates
+                assert "VENV ?= .venv\n" in (ROOT / "Makefile").read_text(encoding="utf-8")
+            case ["tensorboard", "--logdir", "runs"]:
+                assert entry_points(group="console_scripts", name="tensorboard")
+            case _:
+                pytest.fail(f"{block}: no rule covers the command {line!r}")
+
+
+def accepts(script: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Asserts that a script of the repository understands its arguments."""
+    path = ROOT / script
+    assert path.is_file(), script
+    parse = argparse.ArgumentParser.parse_args
+
+    def parsed(parser, *args, **kwargs):
+        parse(parser, *args, **kwargs)
+        raise Parsed
+
+    if "ArgumentParser" not in path.read_text(encoding="utf-8"):
+        assert not arguments, script
+        return
+    with monkeypatch.context() as patch:
+        patch.setattr(argparse.ArgumentParser, "parse_args", parsed)
+        patch.setattr(sys, "argv", [script, *arguments])
+        patch.syspath_prepend(str(path.parent))
+        with pytest.raises(Parsed):
+            runpy.run_path(str(path), run_name="__main__")
+
+
+def installs(arguments: list[str]) -> None:
+    """Asserts that pip is told of this project, or of what it needs, with extras that there are."""
+    needed = [name for extra in PROJECT["optional-dependencies"].values() for name in extra]
+    known = {Requirement(one).name for one in [*PROJECT["dependencies"], *needed]}
+    words = iter(arguments)
+    for word in words:
+        if word in ("--index-url", "--constraint"):
+            next(words)
+            continue
+        project = word.startswith(".")
+        found = Requirement(word.replace(".", PROJECT["name"], 1) if project else word)
+        assert found.name in known | {PROJECT["name"]}, word
+        if found.name == PROJECT["name"]:
+            assert found.extras <= set(PROJECT["optional-dependencies"]), word
+
+
+def yaml_file(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file of the repository, or one that `test_readme.py` makes and trains with."""
+    assert isinstance(yaml.safe_load(block.text), dict)
+    if block.title:
+        assert block.text == (ROOT / block.title).read_text(encoding="utf-8").rstrip() + "\n"
+    else:
+        name = block.text.partition("\n")[0].removeprefix("# ")
+        assert name in files(block.page), f"{block}: begins with no file's name"
+        used = [words for page, words in commands("zipf.train").values() if page == block.page]
+        assert any("--config-dir" in words for words in used), f"{block}: is used by no command"
+
+
+def executed(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`test_readme.py` runs it; here only that it is Python."""
+    compile(block.text, str(block), "exec")
+
+
+def output(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a command prints: nothing that one could type."""
+    for line in block.text.splitlines():
+        assert not line.startswith(("$ ", "python ", "pip ", "make ", ">>> ")), f"{block}: {line}"
+
+
+def toml(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An entry point for plugins."""
+    assert set(tomllib.loads(block.text)["project"]["entry-points"]) == {"zipf.plugins"}
+
+
+def bibtex(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The paper, as CITATION.cff names it."""
+    (paper,) = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["references"]
+    assert f"{{{paper['title']}}}" in block.text
+    assert f"{{{paper['year']}}}" in block.text
+    assert all(
+        f"{one['family-names']}, {one['given-names']}" in block.text for one in paper["authors"]
+    )
+
+
+RULES = {
+    "": output,
+    "bibtex": bibtex,
+    "python": executed,
+    "sh": shell,
+    "toml": toml,
+    "yaml": yaml_file,
+}
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=str)
+def test_every_block_is_covered(block, monkeypatch):
+    assert block.language in RULES, f"{block}: no rule covers ```{block.language}"
+    RULES[block.language](block, monkeypatch)
+
+
+def test_the_blocks_are_there():
+    languages = [block.language for block in BLOCKS]
+    assert languages.count("python") >= 25
+    assert languages.count("sh") >= 35
+    assert {block.page for block in BLOCKS} >= {"README.md", "docs/index.md", "docs/how-to.md"}
+    assert set(languages) == set(RULES)
+    assert len(PAGES) > 20
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "- a list\n\n  ```sh\n  make demo\n  ```\n",
+        "~~~sh\nmake demo\n~~~\n",
+        "```sh {.x}\nmake demo\n```\n",
+        "```sh\nmake demo\n",
+        "```sh\nmake demo\n```sh\n",
+    ],
+    ids=["indented", "tildes", "attributes", "open", "twice"],
+)
+def test_a_block_that_cannot_be_covered_is_an_error(text):
+    with pytest.raises(ValueError, match=r"page\.md"):
+        fenced("page.md", text)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "python -m zipf.train experiment=<name>",
+        "python -m zipf.train experiment=not_in_any_page",
+        "python -m pytest",
+        "python scripts/not_there.py",
+        "python scripts/benchmark_envs.py --not-an-option",
+        "pip install zipf-rl[not_an_extra]",
+        "pip install flask",
+        "make not_a_target",
+        "make demo && make test",
+        "rm -rf runs",
+    ],
+)
+def test_a_command_that_cannot_be_covered_is_an_error(line, monkeypatch):
+    block = Block("page.md", 1, "sh", "", line + "\n")
+    with pytest.raises((AssertionError, pytest.fail.Exception, SystemExit)):
+        shell(block, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("language", "text"),
+    [("", "make demo\n"), ("python", "for\n"), ("yaml", "a: 1\n"), ("yaml", "# a.yaml\n- 1\n")],
+)
+def test_another_block_that_cannot_be_covered_is_an_error(language, text, monkeypatch):
+    with pytest.raises((AssertionError, SyntaxError)):
+        RULES[language](Block("README.md", 1, language, "", text), monkeypatch)

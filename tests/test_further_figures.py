@@ -1,0 +1,133 @@
+"""Figures of time, of averages, of frequencies and of visits: what is drawn where."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from run_folders import SITUATIONS, constant, level, only_table, write_external, write_run
+
+from zipf.experiments.reporting.average_figures import KIND_STYLES, averages
+from zipf.experiments.reporting.figures import learning_curves
+from zipf.experiments.reporting.frequency_figures import by_visits, frequencies
+from zipf.experiments.reporting.situations import shares
+from zipf.experiments.reporting.styles import line_styles
+from zipf.experiments.reporting.tables import ScoreTable
+
+
+def drawn(figure: Figure | None, panel: int = 0) -> list[list[list[float]]]:
+    """The points of each line of a panel that has several or a marker."""
+    assert figure is not None
+    figure.draw_without_rendering()
+    return [
+        np.asarray(one.get_xydata()).round(6).tolist()
+        for one in figure.axes[panel].lines
+        if len(np.asarray(one.get_xdata()))
+    ]
+
+
+def curves(table: ScoreTable, *, in_hours: bool) -> Figure | None:
+    return learning_curves(table, line_styles(table.rows), in_hours=in_hours)
+
+
+def test_scores_against_time_and_frames(tmp_path: Path) -> None:
+    """An update takes 2.5 seconds in these runs and has 4096 frames."""
+    write_run(tmp_path, {0: (0.1,) * 3, 240: (0.5,) * 3})
+    table = only_table(tmp_path)
+    minutes = curves(table, in_hours=True)
+    assert drawn(minutes)[0] == [[0.0, 0.1], [10.0, 0.5]]
+    assert minutes is not None
+    assert minutes.axes[0].get_xlabel() == "Minutes of training and evaluation"
+    updates = curves(table, in_hours=False)
+    assert drawn(updates)[0] == [[0.0, 0.1], [240.0, 0.5]]
+    assert updates is not None
+    (above,) = updates.axes[0].child_axes
+    assert above.get_xlabel() == "Frames"
+    assert above.get_xlim() == pytest.approx([4096 * end for end in updates.axes[0].get_xlim()])
+
+
+def test_long_runs_are_drawn_in_hours_without_external_agents(tmp_path: Path) -> None:
+    write_run(tmp_path, {0: (0.1,) * 3, 14400: (0.5,) * 3})
+    write_external(tmp_path, {7: (0.3, 0.2, 0.1)})
+    hours = curves(only_table(tmp_path), in_hours=True)
+    assert drawn(hours)[0] == [[0.0, 0.1], [10.0, 0.5]]
+    assert hours is not None
+    assert hours.axes[0].get_xlabel() == "Hours of training and evaluation"
+    texts = [text.get_text() for text in hours.legends[0].get_texts()]
+    assert not any("†" in text for text in texts)
+
+
+def test_averages_are_the_scores_of_the_table(tmp_path: Path) -> None:
+    for seed, rare in enumerate((0.1, 0.2, 0.4)):
+        scores = {update: (0.9, 0.6, rare) for update in (100, 200, 300)}
+        write_run(tmp_path, scores, seed=seed)
+    write_run(tmp_path, {}, condition="r2d2")  # without a score
+    figure = averages(only_table(tmp_path))
+    points = drawn(figure)
+    assert [[0.1, 0.0], [0.9, 0.0]] not in points  # the rare score is the median of the seeds
+    assert [[0.2, 0.0], [0.9, 0.0]] in points
+    assert [[0.1, 0.0], [0.4, 0.0]] in points  # lowest to highest seed
+    for place in (0.9, 0.6, 0.2):
+        assert [[place, 0.0]] in points
+    assert figure is not None
+    names = [text.get_text() for text in figure.axes[0].get_yticklabels()]
+    assert names == ["IMPALA", "Chance", "Blind"]
+    assert averages(only_table(tmp_path, "1:2")) is None
+
+
+def test_frequencies_are_shares_of_episodes(tmp_path: Path) -> None:
+    rows = (
+        SITUATIONS,
+        "100,train,0,0,75,1,1.0",
+        "300,train,1,0,25,1,1.0",
+        "300,uniform,0,0,5,1,1.0",
+        "300,uniform,1,0,5,1,1.0",
+    )
+    write_run(tmp_path, constant(0.5), situations=rows)
+    table = only_table(tmp_path)
+    found = drawn(frequencies(table))
+    assert found[list(KIND_STYLES).index("train")] == [[1.0, 0.75], [2.0, 0.25]]
+    assert found[list(KIND_STYLES).index("uniform")] == [[1.0, 0.5], [2.0, 0.5]]
+
+
+def test_levels_that_differ_in_weight_are_as_frequent_as_their_weights(tmp_path: Path) -> None:
+    levels = [
+        level("train", "a", 3.0),
+        level("train", "b", 1.0),
+        level("uniform", "a"),
+        level("uniform", "b"),
+        level("rare", "b"),
+    ]
+    rows = (
+        "update,level_kind,level,episodes,successes,return_sum",
+        *(f"300,train,{rank},50,25,25.0" for rank in (0, 1)),
+    )
+    described = {"levels": levels, "situation": {"level": 2}, "paper": None}
+    write_run(tmp_path, constant(0.5, 5), situations=rows, **described)
+    assert shares(only_table(tmp_path), "level").to_numpy().tolist() == [
+        ["train", 0, 0.75],
+        ["train", 1, 0.25],
+        ["uniform", 0, 0.5],
+        ["uniform", 1, 0.5],
+        ["rare", 1, 1.0],
+    ]
+
+
+def test_success_against_visits(tmp_path: Path) -> None:
+    rows = (
+        f"{SITUATIONS},visits,visits_map,visits_target",
+        "300,uniform,0,0,10,9,9.0,5000,8000,7000",
+        "300,uniform,0,1,4,1,1.0,2,8000,50",
+        "300,uniform,1,0,5,2,2.0,0,60,7000",
+    )
+    write_run(tmp_path, constant(0.5), situations=rows)
+    table = only_table(tmp_path)
+    figure = by_visits(table, line_styles(table.rows))
+    assert drawn(figure) == [[[0.0, 0.4], [2.0, 0.25], [5000.0, 0.9]]]
+    assert figure is not None
+    assert [axis.get_title() for axis in figure.axes] == ["Situation", "Map", "Target"]
+    write_run(tmp_path / "b", constant(0.5), situations=(SITUATIONS, "300,uniform,0,0,9,9,9.0"))
+    uncounted = only_table(tmp_path / "b")
+    assert by_visits(uncounted, line_styles(uncounted.rows)) is None

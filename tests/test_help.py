@@ -1,0 +1,100 @@
+"""What `--help` of the commands says: usage, purpose, examples that are accepted, every default."""
+
+import re
+import shlex
+import sys
+
+import pytest
+from pages import ROOT
+
+import zipf.evaluate
+import zipf.play
+import zipf.report
+from zipf import envs
+from zipf.experiments import command_line
+from zipf.experiments.config import EvaluateOptions
+from zipf.experiments.playing.playing import PlayOptions
+from zipf.experiments.reporting.windows import parse_window
+
+OPTIONS = {zipf.evaluate: EvaluateOptions, zipf.play: PlayOptions}
+"""The commands that take `name=value`."""
+
+
+def shown(module, monkeypatch, capsys) -> str:
+    """What the command prints for `--help`."""
+    monkeypatch.setattr(sys, "argv", [module.__name__, "--help"])
+    monkeypatch.setenv("COLUMNS", "100")
+    with pytest.raises(SystemExit) as ended:
+        module.main(["--help"]) if module is zipf.report else module.main()
+    assert ended.value.code == 0
+    return capsys.readouterr().out
+
+
+def examples(text: str, module) -> list[list[str]]:
+    """The arguments of the examples in a help text."""
+    lines = re.findall(rf"^ +(python -m {module.__name__} .*)$", text, re.MULTILINE)
+    return [words[3:] for words in map(shlex.split, lines) if not re.search("=[A-Z]+$", words[3])]
+
+
+@pytest.mark.parametrize("module", [*OPTIONS, zipf.report], ids=lambda module: module.__name__)
+def test_help_has_usage_purpose_and_examples(module, monkeypatch, capsys):
+    text = shown(module, monkeypatch, capsys)
+    usage, purpose, *_ = text.split("\n\n")
+    assert usage.startswith(f"usage: python -m {module.__name__} ")
+    assert len(purpose.split()) > 15
+    assert len(examples(text, module)) >= 3
+    assert max(map(len, text.splitlines())) <= 100
+
+
+@pytest.mark.parametrize("module", OPTIONS, ids=lambda module: module.__name__)
+def test_help_has_every_option_and_its_default(module, monkeypatch, capsys):
+    text = shown(module, monkeypatch, capsys).split("Options:\n")[1]
+    parts = re.split(r"^    (\w+)=([A-Z]+)", text, flags=re.MULTILINE)[1:]
+    told = {name: " ".join(rest.split()) for name, _, rest in zip(*[iter(parts)] * 3, strict=True)}
+    fields = OPTIONS[module].model_fields
+    assert set(told) == set(fields)
+    for name, field in fields.items():
+        if field.default not in (None, ""):
+            assert f"default: {field.default}" in told[name]
+        elif name not in ("run", "split", "level", "policy"):  # the usage says which are needed
+            assert "default: " in told[name]
+
+
+@pytest.mark.parametrize("module", OPTIONS, ids=lambda module: module.__name__)
+def test_examples_are_accepted(module, monkeypatch, capsys):
+    for arguments in examples(shown(module, monkeypatch, capsys), module):
+        options = command_line.read_options(OPTIONS[module], arguments)
+        for name, known in (("split", envs.all_splits()), ("plugins", {"": None})):
+            assert getattr(options, name, None) in (None, *known)
+        level = getattr(options, "level", None)
+        assert level in (None, *envs.KINDS) or envs.find_level(level)
+
+
+def test_examples_of_the_report_are_accepted(monkeypatch, capsys):
+    text = shown(zipf.report, monkeypatch, capsys)
+    calls = []
+
+    def report(folders, output, window, **options):
+        calls.append(parse_window(window) if window else None)
+
+    monkeypatch.setattr(zipf.report, "report", report)
+    found = examples(text, zipf.report)
+    assert all(zipf.report.main(arguments) == 0 for arguments in found)
+    assert len(calls) == len(found)
+
+
+def test_options_of_the_report_tell_their_defaults(monkeypatch, capsys):
+    text = shown(zipf.report, monkeypatch, capsys).split("options:\n")[1].split("examples:")[0]
+    parts = re.split(r"^  (?:-h, )?(--\w+)", text, flags=re.MULTILINE)[1:]
+    told = dict(zip(parts[::2], parts[1::2], strict=True))
+    assert all("default:" in text for name, text in told.items() if name != "--help")
+
+
+def test_examples_of_train_are_accepted():
+    """Those at the head of its help, which is in the file of all options."""
+    text = (ROOT / "configs" / "train.yaml").read_text(encoding="utf-8").split("template:")[1]
+    found = re.findall(r"^ +python -m zipf\.train (.*)$", text, re.MULTILINE)
+    assert len(found) >= 2
+    for arguments in map(shlex.split, found):
+        words = [word for word in arguments if word not in ("-m", "--multirun")]
+        assert command_line.check_command_line(words)

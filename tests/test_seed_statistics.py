@@ -1,0 +1,155 @@
+"""Statistics across seeds: against loop-written oracles, and in the report."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from run_folders import SITUATIONS, constant, only_table, write_run
+
+from zipf.experiments.reporting import intervals, latex, markdown, seed_statistics
+from zipf.experiments.reporting.situations import rates_by_visits, shares
+
+
+def draws(scores: np.ndarray, count: int) -> list[np.ndarray]:
+    """A stratified bootstrap, written out: for each level its own seeds."""
+    rng = np.random.default_rng(5)
+    drawn = []
+    for _ in range(count):
+        again = np.empty_like(scores)
+        for level in range(scores.shape[1]):
+            for seed in range(scores.shape[0]):
+                again[seed, level] = scores[rng.integers(len(scores)), level]
+        drawn.append(again)
+    return drawn
+
+
+def middle(scores: np.ndarray) -> float:
+    every = sorted(scores.ravel().tolist())
+    cut = len(every) // 4
+    kept = every[cut : len(every) - cut]
+    return sum(kept) / len(kept)
+
+
+def better(scores: np.ndarray, others: np.ndarray) -> float:
+    total = 0.0
+    for level in range(scores.shape[1]):
+        for mine, theirs in itertools.product(scores[:, level], others[:, level]):
+            total += 1.0 if mine > theirs else 0.5 if mine == theirs else 0.0
+    return total / (len(scores) * len(others) * scores.shape[1])
+
+
+@pytest.mark.parametrize("levels", [1, 4])
+def test_the_interquartile_mean_against_an_oracle(levels: int) -> None:
+    scores = np.random.default_rng(levels).normal(size=(5, levels))
+    found = intervals.interquartile_mean(scores)
+    assert found.value == pytest.approx(middle(scores))
+    low, high = np.quantile([middle(one) for one in draws(scores, 4000)], [0.025, 0.975])
+    # Both ends are quantiles of a few thousand draws.
+    assert (found.low, found.high) == pytest.approx((low, high), abs=0.12)
+    assert found.low < found.value < found.high
+    assert intervals.interquartile_mean(scores) == found
+
+
+def test_the_interquartile_mean_leaves_a_quarter_out_at_either_end() -> None:
+    scores = np.array([[0.0, 100.0], [1.0, 2.0], [3.0, 4.0], [5.0, -50.0]])
+    assert intervals.interquartile_mean(scores).value == pytest.approx((1 + 2 + 3 + 4) / 4)
+
+
+@pytest.mark.parametrize("levels", [1, 3])
+def test_the_probability_of_improvement_against_an_oracle(levels: int) -> None:
+    rng = np.random.default_rng(levels)
+    scores, others = rng.integers(0, 5, (4, levels)) / 1.0, rng.integers(0, 4, (3, levels)) / 1.0
+    found = intervals.improvement(scores, others)
+    assert found.value == pytest.approx(better(scores, others))
+    assert intervals.improvement(others, scores).value == pytest.approx(1 - found.value)
+    drawn = zip(draws(scores, 3000), draws(others[::-1], 3000), strict=True)
+    low, high = np.quantile([better(*one) for one in drawn], [0.025, 0.975])
+    assert (found.low, found.high) == pytest.approx((low, high), abs=0.09)
+
+
+def test_known_probabilities_of_improvement() -> None:
+    low, high = np.array([[0.1], [0.2]]), np.array([[0.3], [0.4]])
+    assert intervals.improvement(high, low) == intervals.Interval(1.0, 1.0, 1.0)
+    assert intervals.improvement(low, low).value == 0.5
+    for few in (np.zeros((1, 2)), np.zeros((0, 2))):
+        with pytest.raises(ValueError, match="needs 2 seeds"):
+            intervals.improvement(few, few)
+        with pytest.raises(ValueError, match="needs 2 seeds"):
+            intervals.interquartile_mean(few)
+
+
+def shown(folder: Path) -> str:
+    table = only_table(folder)
+    found = seed_statistics.seed_statistics(table, seed_statistics.statistics_frame(table))
+    latex.latex_report([table], [found])
+    return markdown.markdown_report([table], {}, (), [found])
+
+
+def test_statistics_in_the_report(tmp_path: Path) -> None:
+    for seed, score in enumerate((0.2, 0.3, 0.4)):
+        write_run(tmp_path, constant(score), seed=seed)
+        write_run(tmp_path, constant(score + 0.5), condition="r2d2", seed=seed)
+    write_run(tmp_path, constant(0.5), condition="impala_mlp")
+    text = shown(tmp_path)
+    assert "| IMPALA | 3 | 0.30 [0.20, 0.40] | 0.30 [0.20, 0.40] | 0.30 [0.20, 0.40] |" in text
+    assert "| IMPALA + MLP | 1/3 | needs 2 seeds | needs 2 seeds | needs 2 seeds |" in text
+    assert "Probability of improvement on IMPALA:" in text
+    assert "| R2D2 | 1.00 [1.00, 1.00] | 1.00 [1.00, 1.00] | 1.00 [1.00, 1.00] |" in text
+    assert "| IMPALA + MLP | needs 2 seeds |" in text
+    table = only_table(tmp_path)
+    frame = seed_statistics.statistics_frame(table)
+    assert set(frame["statistic"]) == {seed_statistics.IQM, seed_statistics.IMPROVEMENT}
+    assert len(frame) == 3 * (2 + 1)  # kinds; two rows of several seeds, one pair
+    written = seed_statistics.csv_statistics([frame, frame[:0]])
+    assert written.startswith(",".join(seed_statistics.STATISTICS_COLUMNS))
+
+
+def test_one_seed_has_one_sentence(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5))
+    text = shown(tmp_path)
+    assert text.split("## Further statistics\n")[1].strip() == (
+        "Not of gridworld: an interquartile mean needs 2 seeds of a condition, and how often "
+        "training met a situation was not recorded."
+    )
+
+
+COUNTED = f"{SITUATIONS},visits,visits_map,visits_target"
+
+
+def test_visits_stand_beside_rare_scores(tmp_path: Path) -> None:
+    """Of the rare episodes, 90 had a situation that training had met once, and 10 one that it had
+    never met."""
+    rows = (
+        COUNTED,
+        "300,uniform,0,0,10,9,9.0,5000,8000,7000",
+        "300,uniform,0,1,4,1,1.0,2,8000,50",
+        "300,uniform,1,1,6,0,0.0,3,60,50",
+        "300,uniform,1,0,5,2,2.0,0,60,7000",
+        "300,rare,1,1,90,5,5.0,1,60,50",
+        "300,rare,1,0,10,5,5.0,0,60,7000",
+    )
+    write_run(tmp_path, constant(0.5), situations=rows)
+    text = shown(tmp_path)
+    assert "| Condition | Seeds | Rare score | Situation met | Map met | Target met |" in text
+    assert "| IMPALA | 1/3 | 0.50 | 1 (0 to 1) | 60 (60 to 60) | 50 (50 to 7,000) |" in text
+    groups = rates_by_visits(only_table(tmp_path), "visits")
+    # 0; 2 and 3 together; 5000 alone.
+    assert groups["episodes"].tolist() == [5, 10, 10]
+    assert groups["met"].tolist() == pytest.approx([0, (2 * 4 + 3 * 6) / 10, 5000])
+    assert groups["value"].tolist() == pytest.approx([0.4, 0.1, 0.9])
+
+
+def test_shares_of_episodes(tmp_path: Path) -> None:
+    rows = (
+        SITUATIONS,
+        "100,train,0,0,60,1,1.0",
+        "300,train,0,1,30,1,1.0",
+        "300,train,2,1,10,1,1.0",
+        "300,rare,2,1,10,1,1.0",
+    )
+    write_run(tmp_path, constant(0.5), situations=rows)
+    found = shares(only_table(tmp_path), "map")
+    assert found.values.tolist() == [["train", 0, 0.9], ["train", 2, 0.1], ["rare", 2, 1.0]]

@@ -1,0 +1,450 @@
+"""Sweeps: which jobs they have, what becomes of jobs that fail, and the launchers at work."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from conftest import PACKAGE, TINY, command, contents
+from worlds_of import chosen, needs
+
+from zipf import envs, report
+from zipf.experiments import command_line, composing, sweeps
+from zipf.experiments.catalogue import help_text
+from zipf.experiments.errors import UserError
+from zipf.experiments.reporting.paper import paper_table
+from zipf.experiments.running import checkpoint, job, run_folder, runner, sweep
+from zipf.experiments.running.signals import SWEEP_PIPE, StopSignals
+
+SWEEPS = composing.choices("sweep")
+
+
+def expanded(*overrides):
+    """The jobs' overrides, as dictionaries."""
+    jobs = sweeps.expand([*overrides])
+    return [dict(word.split("=", 1) for word in words) for words, _ in jobs]
+
+
+def pairs(jobs):
+    return {(one["experiment"], one["condition"]) for one in jobs}
+
+
+def split_of(experiment):
+    return envs.split(composing.composed(f"experiment={experiment}").values["environment"]["split"])
+
+
+# What sweeps consist of
+
+
+PAPERS = [name for name in SWEEPS if name.startswith("paper_")]
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_the_papers_sweeps_have_every_row_of_its_tables(name):
+    jobs = expanded(f"sweep={name}")
+    for experiment in {one["experiment"] for one in jobs}:
+        rows = {condition for one, condition in pairs(jobs) if one == experiment}
+        assert rows == set(paper_table(split_of(experiment).paper).rows)
+        assert all(needs(experiment, **chosen(experiment, row)) is None for row in rows)
+    assert len(jobs) == 3 * len(pairs(jobs))
+    assert {one["seed"] for one in jobs} == {"0", "1", "2"}
+
+
+def test_the_papers_sweeps_have_all_its_experiments():
+    swept = {one["experiment"] for name in PAPERS for one in expanded(f"sweep={name}")}
+    every = composing.choices("experiment")
+    assert swept == {one for one in every if split_of(one).name == one}
+
+
+def test_the_tail_is_what_the_paper_has_not():
+    found = pairs(expanded("sweep=tail", "seed=0"))
+    files = {
+        name: composing.find_file("condition", name) for name in composing.choices("condition")
+    }
+    tail = {name for name, path in files.items() if "Not in the paper" in path.read_text()}
+    plain = {
+        "gridworld_compact": {"impala", "impala_mlp"},
+        "playroom_lift_compact": {"impala"},
+        "playroom_find_compact": {"impala", "supervised"},
+    }
+    assert found == {(one, row) for one, rows in plain.items() for row in rows | tail}
+
+
+def test_conditions_of_a_set_that_do_not_fit_are_left_out():
+    words = ["sweep=demo", "condition=impala,supervised,vmpo", "seed=0"]
+    found = sweeps.check(words)
+    assert [one.config.condition for one in found.jobs] == ["impala", "vmpo"]
+    (why,) = found.left_out
+    assert "condition=supervised: agent=supervised" in why
+    with pytest.raises(UserError, match="updates=many"):  # a mistake is not a misfit
+        sweeps.check([*words, "updates=many"])
+
+
+def test_overrides_apply_to_all_jobs_of_a_sweep():
+    jobs = expanded("sweep=tail", "condition=impala", "seed=7", "updates=9", "run_root=x")
+    assert {(one["seed"], one["updates"], one["run_root"]) for one in jobs} == {("7", "9", "x")}
+    assert len(jobs) == 3
+    assert len(expanded("sweep=tail", "experiment=gridworld_compact", "condition=impala")) == 3
+    both = pairs(expanded("sweep=paper_gridworld,paper_labyrinth", "condition=r2d2", "seed=0"))
+    assert both == {
+        (one, "r2d2") for one in ("gridworld", "labyrinth_forward", "labyrinth_reversed")
+    }
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A function that writes a sweep of one's own, `mine`."""
+    monkeypatch.setattr(composing, "_user_folders", [tmp_path / "configs"])
+    path = tmp_path / "configs" / "sweep" / "mine.yaml"
+    path.parent.mkdir(parents=True)
+    return path.write_text
+
+
+def everything(*overrides):
+    """The jobs, as if all were finished: composed, and nothing built."""
+    return sweeps.check([*overrides], is_finished=lambda _: True).jobs
+
+
+def test_a_sweep_of_ones_own(own):
+    own(
+        "# Mine.\n"
+        "- {experiments: demo, conditions: impala, seeds: [3, 4], overrides: ['memory=mlp,lstm']}\n"
+        "- {experiments: [demo, gridworld], seeds: [3]}\n"
+        "- {experiments: demo, conditions: impala, seeds: [4, 5], overrides: [memory=lstm]}\n"
+    )
+    jobs = everything("sweep=mine")
+    assert [(j.config.experiment, j.config.condition, j.config.seed) for j in jobs] == [
+        ("demo", "impala,memory=mlp", 3),
+        ("demo", "impala", 3),
+        ("demo", "impala,memory=mlp", 4),
+        ("demo", "impala", 4),
+        ("demo", "impala_mlp", 3),
+        ("gridworld", "impala", 3),
+        ("demo", "impala", 5),
+    ]
+    assert len(expanded("sweep=mine", "memory=lstm", "seed=1")) == 3
+    assert "mine             Mine." in help_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["sweep=papr_gridworld"], "did you mean paper_gridworld"),
+        (["sweep=demo", "experiment=gridworld"], "experiment=gridworld: is not in sweep=demo"),
+        (["sweep=paper_gridworld", "condition=vmpo"], "condition=vmpo: is not in sweep=paper_grid"),
+        (["experiment=demo", "sweeep=demo"], "did you mean sweep"),
+        (["experiment=demo", "seed=0,0"], "two jobs would use this folder"),
+        (["experiment=demo", "updates=3,4"], "two jobs would use this folder"),
+        (["sweep=mine"], "mine.yaml: is no sweep: should be a list of blocks"),
+    ],
+)
+def test_a_mistake_is_one_clear_line(words, told, own):
+    own("experiments: demo")
+    with pytest.raises(UserError, match=re.escape(told)) as error:
+        everything(*words)
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("block", "told"),
+    [
+        ("experiments: dmo, seeds: [0]", "no such experiment as dmo; did you mean demo"),
+        ("experiments: demo, seeds: [0], conditions: impla", "no such condition as impla; did you"),
+        ("experiments: demo_conditions, seeds: [0], conditions: papr", "did you mean paper"),
+        ("experiments: demo", "seeds: Field required; a block has experiments, conditions"),
+        ("experiments: demo, seeds: [-1]", "greater than or equal to 0"),
+        ("experiments: demo, seeds: [0], seed: 1", "seed: Extra inputs"),
+        ("experiments: demo, seeds: [0], overrides: ['seeed=1']", "seeed: no such option"),
+    ],
+)
+def test_a_mistake_in_a_sweeps_file_is_one_clear_line(block, told, own):
+    own(f"- {{{block}}}")
+    with pytest.raises(UserError, match=re.escape(told)) as error:
+        everything("sweep=mine")
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("word", "told"),
+    [
+        ("hydra/launcher=joblb", "joblb"),
+        ("hydra/launcher=nothing", 'pip install "zipf-rl[sweep]"'),
+        ("hydra.launcher.n_job=2", "n_job"),
+        ("hydra/sweeper=basic", "hydra/sweeper=basic: sweeps here are over lists"),
+    ],
+)
+def test_a_launcher_that_there_is_not_is_one_clear_line(word, told, tmp_path):
+    with pytest.raises(UserError) as error:
+        sweep.run(["experiment=demo", f"run_root={tmp_path}", word])
+    assert told in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_lists_sweeps_and_launchers():
+    shown = help_text()
+    for name in (*SWEEPS, "joblib", "submitit_slurm", "submitit_local", "ray"):
+        assert re.search(rf"^  {name} +\S", shown, re.MULTILINE), name
+
+
+# What becomes of jobs: their command is a script that does as its seed says
+
+SCRIPT = """
+import os, signal, sys
+seed = next(word for word in sys.argv if word.startswith("seed="))
+if seed == "seed=2":
+    print("error: first\\nerror: second", file=sys.stderr)
+    sys.exit(2)
+if seed == "seed=3":
+    os.kill(os.getpid(), signal.SIGKILL)
+if seed == "seed=4":
+    raise RuntimeError("some bug")
+if seed in ("seed=5", "seed=6"):  # stops when it is told to, or later
+    os.kill(os.getppid(), signal.SIGTERM)
+    os.read(int(os.environ["ZIPF_SWEEP_PIPE"]), 1)
+    if seed == "seed=6":
+        os.kill(os.getppid(), signal.SIGTERM)
+        signal.pause()
+    print("stopped at update 3; the same command resumes")
+    sys.exit(128 + signal.SIGTERM)
+"""
+
+
+@pytest.fixture
+def scripted(tmp_path, monkeypatch, capsys):
+    """A function that runs a sweep over seeds; returns the exit code and the lines shown."""
+    monkeypatch.setattr(job, "TRAIN", (sys.executable, "-c", SCRIPT))
+
+    def run(seeds):
+        code = sweep.run([*TINY, "name=x", f"seed={seeds}", f"run_root={tmp_path}"])
+        assert not (tmp_path / ".sweeps").exists() or seeds == "6,7"
+        return code, capsys.readouterr().out.splitlines()
+
+    return run
+
+
+def test_jobs_that_fail_stop_no_others(scripted, tmp_path):
+    code, lines = scripted("0,2,3,4,7")
+    assert code == 2
+    log = tmp_path / "demo" / "x" / "seed4" / "train.log"
+    failures = [
+        "2/5 demo x seed 2: failed: first; second",
+        "3/5 demo x seed 3: failed: its process was killed by SIGKILL, as happens where a machine "
+        "runs out of RAM",
+        f"4/5 demo x seed 4: failed: RuntimeError: some bug (traceback in {log})",
+    ]
+    ended = [re.sub(r"\d+ s$", "", line) for line in lines[:-6] if "begins" not in line]
+    done = "demo x seed {}: finished, {:,} updates, "
+    updates = command_line.read(TINY).updates
+    assert ended == [f"1/5 {done.format(0, updates)}", *failures, f"5/5 {done.format(7, updates)}"]
+    assert lines[-6:] == [
+        "5 jobs: 2 finished, 3 failed",
+        *failures,
+        "the same command does what is missing",
+        f"python -m zipf.report {tmp_path}/demo",
+    ]
+    assert "Traceback" in log.read_text()
+
+
+def test_a_signal_stops_the_running_job_and_begins_no_other(scripted):
+    code, lines = scripted("5,7")
+    assert code == 128 + signal.SIGTERM
+    assert "1/2 demo x seed 5: stopped at update 3; the same command resumes" in lines
+    assert "2 jobs: 1 stopped, 1 not begun" in lines
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_a_second_signal_stops_at_once(scripted):
+    code, lines = scripted("6,7")
+    assert code == 128 + signal.SIGTERM
+    assert "2 jobs: 1 stopped, 1 not begun" in lines
+
+
+def test_a_launcher_that_breaks_is_told(scripted, monkeypatch):
+    """As joblib does when one of its workers is killed: it returns nothing of any job."""
+
+    class Broken:
+        def __init__(self, task):
+            self.task = task
+
+        def launch(self, overrides, first):
+            self.task.board.tell(self.task.jobs[0], job.Outcome("finished", "finished"))
+            self.task.board.tell(self.task.jobs[1], job.Outcome("begun", "begins"))
+            raise RuntimeError("a worker\nwas killed")
+
+    monkeypatch.setattr(sweep, "_launcher", lambda overrides, root, task: Broken(task))
+    code, lines = scripted("0,7,8")
+    assert code == 2
+    failure = "failed: the launcher failed: RuntimeError: a worker was killed"
+    assert f"2/3 demo x seed 7: {failure}" in lines
+    assert f"3/3 demo x seed 8: {failure}" in lines
+    assert "3 jobs: 1 finished, 2 failed" in lines
+
+
+def test_a_job_stops_when_its_sweep_has_gone(monkeypatch):
+    said = []
+    reading, writing = os.pipe()
+    monkeypatch.setenv(SWEEP_PIPE, str(reading))
+    with StopSignals(said.append) as stop:
+        assert not stop.requested
+        os.close(writing)
+        assert stop.requested == signal.SIGTERM
+        assert stop.requested == signal.SIGTERM
+    os.close(reading)
+    assert len(said) == 1
+
+
+def test_what_is_finished_is_told_from_the_files_alone(tmp_path, monkeypatch):
+    words = [*TINY, "updates=2", f"run_root={tmp_path}"]
+    config = command_line.load(words)
+    assert not run_folder.is_finished(config)
+    assert runner.train(config) == 0
+    before = contents(config.folder)
+
+    def refuse(*_, **__):
+        raise AssertionError("makes worlds")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(runner.envs, "make_train", refuse)
+        patched.setattr(command_line.feasibility, "problems", refuse)
+        assert sweep.run(words) == 0
+    assert contents(config.folder) == before
+    for other in ("updates=3", "updates=1", "resume=never", "seed=1"):
+        assert not run_folder.is_finished(command_line.read([*words, other])), other
+    name = f"name='{config.condition}'"
+    assert not run_folder.is_finished(command_line.read([*words, name, "agent.discount=0.5"]))
+    for file in ("metrics.csv", "evaluations.csv", "run.json", "config.yaml", "checkpoint.pt"):
+        path = config.folder / file
+        content = path.read_bytes()
+        path.write_bytes(content[:-9])
+        assert not run_folder.is_finished(config), file
+        path.write_bytes(content)
+    assert run_folder.is_finished(config)
+
+
+# Launchers at work
+
+SHORT = [word for word in TINY if not word.startswith("evaluation.every=")]
+SHORT += ["name=x", "updates=40", "evaluation.every=20", "schedule.window=[20,40]"]
+
+
+def scores(root):
+    """What a report says of the runs of seeds 0 and 1."""
+    made = report.report([root / "demo" / "x" / f"seed{seed}" for seed in (0, 1)], root / "report")
+    return [path.read_text() for path in made.files if path.suffix in (".csv", ".tex")]
+
+
+def table(root, seed):
+    path = root / "demo" / "x" / f"seed{seed}" / "evaluations.csv"
+    return pd.read_csv(path).drop(columns="seconds")
+
+
+@pytest.fixture(scope="module")
+def beside(tmp_path_factory):
+    """A sweep by joblib, two jobs at a time, one of which cannot begin: the folder, the exit code
+    and what it showed."""
+    root = tmp_path_factory.mktemp("beside")
+    damaged = root / "demo" / "x" / "seed2" / "checkpoint.pt"
+    damaged.parent.mkdir(parents=True)
+    damaged.write_text("no checkpoint")
+    words = [*SHORT, f"run_root={root}", "seed=2,0,1"]
+    words += ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+    return root, words, sweep.run(words)
+
+
+def test_joblib_runs_jobs_beside_each_other(beside, capsys):
+    root, words, code = beside
+    assert code == 2
+    for seed in (0, 1):
+        assert run_folder.is_finished(
+            command_line.read([*SHORT, f"run_root={root}", f"seed={seed}"])
+        )
+    before = contents(root)
+    assert sweep.run([word for word in words if "launcher" not in word]) == 2
+    lines = capsys.readouterr().out.splitlines()
+    assert "2/3 demo x seed 0: skipped, is finished" in lines
+    assert "3 jobs: 2 were finished before, 1 failed" in lines
+    assert any("1/3 demo x seed 2: failed" in line and "checkpoint" in line for line in lines)
+    assert {path: what for path, what in contents(root).items() if "seed2" not in str(path)} == {
+        path: what for path, what in before.items() if "seed2" not in str(path)
+    }
+
+
+@pytest.mark.parametrize(
+    "launcher",
+    [
+        ["hydra/launcher=submitit_local", "hydra.launcher.cpus_per_task=1"],
+        ["hydra/launcher=ray", "hydra.launcher.init.num_cpus=1"],
+    ],
+    ids=["submitit", "ray"],
+)
+def test_other_launchers_make_the_same_runs(launcher, beside, tmp_path, capsys):
+    root = beside[0]
+    bad = tmp_path / "demo" / "x" / "seed2" / "checkpoint.pt"
+    bad.parent.mkdir(parents=True)
+    bad.write_text("no checkpoint")
+    assert sweep.run([*SHORT, f"run_root={tmp_path}", "seed=2,0", *launcher]) == 2
+    lines = capsys.readouterr().out.splitlines()
+    assert "2 jobs: 1 finished, 1 failed" in lines
+    assert any(line.startswith("2/2 demo x seed 0: finished, 40 updates") for line in lines)
+    pd.testing.assert_frame_equal(table(root, 0), table(tmp_path, 0))
+
+
+def test_a_sweep_that_was_killed_gives_the_same_table_when_asked_for_again(
+    beside, tmp_path, capsys
+):
+    """SIGKILL for all of its processes in the middle of the second run."""
+    words = [*SHORT, f"run_root={tmp_path}", "seed=0,1"]
+    process = begun(*words, cwd=tmp_path)
+    metrics = tmp_path / "demo" / "x" / "seed1" / "metrics.csv"
+    while not metrics.exists() or metrics.read_text().count("\n") < 12:
+        assert process.poll() is None
+        time.sleep(0.001)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    assert 10 <= checkpoint.load(metrics.with_name("checkpoint.pt"))["update"] < 40
+
+    assert sweep.run(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "1/2 demo x seed 0: skipped, is finished" in lines
+    assert "2 jobs: 1 finished, 1 was finished before" in lines
+    assert scores(tmp_path) == scores(beside[0])
+
+
+def begun(*arguments, cwd):
+    """A sweep of one's own session, as on a terminal."""
+    return subprocess.Popen(
+        command("-m", *arguments),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(PACKAGE)},
+    )
+
+
+def test_ctrl_c_in_a_parallel_sweep_stops_every_job_with_a_checkpoint(tmp_path):
+    arguments = [*TINY, "updates=100000", "schedule.checkpoint_every=99999", "name=x"]
+    arguments += ["evaluation.every=99999", f"run_root={tmp_path}", "seed=0,1,2"]
+    process = begun(*arguments, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path)
+    running: list[Path] = []
+    while len(running) < 2:
+        assert process.poll() is None
+        found = tmp_path.glob("demo/x/*/metrics.csv")
+        running = [path for path in found if path.read_text().count("\n") > 2]
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    output, errors = process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGINT, errors
+    assert "Traceback" not in errors
+    assert output.count(": stopped at update") == 2
+    assert "3 jobs: 2 stopped, 1 not begun" in output
+    for path in running:
+        update = checkpoint.load(path.parent / "checkpoint.pt")["update"]
+        assert len(pd.read_csv(path)) == update > 1

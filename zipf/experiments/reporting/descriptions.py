@@ -1,0 +1,177 @@
+"""`run.json`: what a run is, and which levels it is scored on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from zipf.experiments.errors import UserError
+from zipf.experiments.reporting.csv_files import read_bytes
+from zipf.experiments.reporting.paper import LEVEL_KINDS
+from zipf.experiments.reporting.wording import EXTERNAL_MARK
+from zipf.references import REFERENCE_NAMES
+
+Line = Annotated[str, Field(min_length=1, pattern=r"^[^\r\n]*$")]
+Whole = Annotated[int, Field(gt=-(2**63), lt=2**63)]
+Count = Annotated[int, Field(ge=0, lt=10**15)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _known(name: str) -> str:
+    if name not in REFERENCE_NAMES:
+        raise ValueError(f"should be one of {', '.join(REFERENCE_NAMES)}, is {name!r}")
+    return name
+
+
+class _Described(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
+
+
+class RowDescription(_Described):
+    """How a condition appears in tables and plots.
+
+    Rows are in ascending `order`; those without one follow, by name. A `colour` that is not given
+    is assigned.
+    """
+
+    title: Line
+    order: Finite | None
+    colour: Annotated[str, Field(pattern="^#[0-9a-fA-F]{6}$")] | None
+    line: Literal["solid", "dashed"]
+
+
+class ReferenceDescription(_Described):
+    """The score of a player that does not learn on a level.
+
+    `episodes` is over how many it was measured, None where it is exact. `by_rank` is the same at
+    each value of a rank of the situation, for those ranks for which it is known.
+    """
+
+    score: Finite
+    episodes: Count | None
+    by_rank: Mapping[str, tuple[Finite, ...]]
+
+
+class LevelDescription(_Described):
+    """A level of a run.
+
+    `weight` is its share in the score of its kind, relative to those of the kind's other levels.
+    `normalised` says whether its score is a fraction of a human's above random actions.
+    `references` are those of `zipf.references.REFERENCES` that are known, by name.
+    """
+
+    level_kind: Literal["train", "uniform", "rare"]
+    level: Line
+    weight: Positive
+    normalised: bool
+    references: Mapping[Annotated[str, AfterValidator(_known)], ReferenceDescription]
+
+
+class ExternalDescription(_Described):
+    """An agent of another program, recorded by `zipf.evaluate.record`."""
+
+    name: Line
+
+
+class RunDescription(_Described):
+    """`run.json`: what a run is.
+
+    `window` is in updates, both ends included. `spread` is what the ± of the table is: the spread
+    across seeds or across the levels (tasks) of a kind. `situation` has the number of ranks of each
+    of the situation's columns. What describes the training (`window` to `precision`) may be missing
+    in the description of an external agent.
+    """
+
+    experiment: Line
+    condition: Line
+    row: RowDescription
+    seed: Whole
+    split: Line
+    spread: Literal["seeds", "tasks"]
+    environment: dict[str, Any]
+    levels: tuple[LevelDescription, ...]
+    situation: dict[str, Annotated[int, Field(gt=0, lt=10**9)]]
+    version: str
+    external: ExternalDescription | None
+    paper: str | None = None
+    window: tuple[Count, Count] | None = None
+    command: str | None = None
+    commit: str | None = None
+    torch: str | None = None
+    device: str | None = None
+    precision: str | None = None
+    resumed: tuple[dict[str, Any], ...] = ()
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> RunDescription:
+        if self.window is None and self.external is None:
+            raise ValueError("window: missing")
+        if self.window is not None and self.window[0] > self.window[1]:
+            raise ValueError(f"window {list(self.window)} ends before it starts")
+        for level_kind in LEVEL_KINDS:
+            names = [one.level for one in self.levels if one.level_kind == level_kind]
+            if not names:
+                raise ValueError(f"levels: there is no {level_kind} level")
+            if len(set(names)) < len(names):
+                raise ValueError(f"levels: two {level_kind} levels have the same name")
+        return self
+
+    @property
+    def row_key(self) -> str:
+        """The row of a table that the run belongs to: its condition, marked if it is external."""
+        return self.condition + (f" {EXTERNAL_MARK}" if self.external else "")
+
+    @property
+    def row_order(self) -> tuple[Any, ...]:
+        """The sort key of rows."""
+        return (self.row.order is None, self.row.order or 0, self.condition, bool(self.external))
+
+    def levels_of(self, level_kind: str) -> LevelGroup:
+        """All levels of a kind."""
+        chosen = [one for one in self.levels if one.level_kind == level_kind]
+        return LevelGroup(level_kind, "", {one.level: one.weight for one in chosen})
+
+
+@dataclass(frozen=True)
+class LevelGroup:
+    """Levels of a kind that are scored together.
+
+    Attributes:
+        level_kind: train, uniform or rare.
+        name: of the group; empty for all levels of the kind.
+        weights: of each level by its name.
+    """
+
+    level_kind: str
+    name: str
+    weights: Mapping[str, float]
+
+    @property
+    def column(self) -> str:
+        """Unique among the groups of a table."""
+        return f"{self.level_kind}: {self.name}" if self.name else self.level_kind
+
+    @property
+    def is_weighted(self) -> bool:
+        """Whether the weighted and the plain mean may differ."""
+        return len(set(self.weights.values())) > 1
+
+
+def read_description(path: Path) -> RunDescription:
+    """The description in a `run.json`.
+
+    Raises:
+        UserError: it cannot be read, or is none.
+    """
+    try:
+        return RunDescription.model_validate_json(read_bytes(path))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        problem = f"{where}: {first['msg']}" if where else first["msg"]
+        raise UserError(f"{path.as_posix()}: not a run's description: {problem}") from error

@@ -1,0 +1,272 @@
+"""Statistics beside the paper's: intervals across seeds, and how often training met what is rare.
+
+They follow the tables of the paper's protocol and take scores from the same windows.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from zipf.experiments.reporting.descriptions import LevelGroup
+from zipf.experiments.reporting.grids import Grid, Line
+from zipf.experiments.reporting.intervals import (
+    FEWEST_SEEDS,
+    Interval,
+    improvement,
+    interquartile_mean,
+)
+from zipf.experiments.reporting.rows import Row
+from zipf.experiments.reporting.tables import ScoreTable
+from zipf.experiments.reporting.windows import evaluations_inside, situations_inside
+from zipf.experiments.reporting.wording import (
+    KIND_NAMES,
+    NONE,
+    count_text,
+    score_text,
+    seeds_text,
+)
+
+STATISTICS_COLUMNS = (
+    "table",
+    "experiment",
+    "condition",
+    "title",
+    "external",
+    "level_kind",
+    "statistic",
+    "against",
+    "value",
+    "low",
+    "high",
+    "seeds",
+    "levels",
+)
+TOO_FEW = f"needs {FEWEST_SEEDS} seeds"
+IQM, IMPROVEMENT = "interquartile mean", "probability of improvement"
+
+
+@dataclass(frozen=True)
+class SeedStatistics:
+    """Further statistics of a table.
+
+    Attributes:
+        table: of which table.
+        grids: as they are shown; none where no row has two seeds and no run has counted visits.
+        text: how to read them; empty where there are none.
+    """
+
+    table: ScoreTable
+    grids: tuple[Grid, ...]
+    text: str
+
+
+def seed_scores(row: Row, levels: LevelGroup, table: ScoreTable) -> NDArray[np.float64]:
+    """A row's scores [seeds, levels]: of each seed the median over the window on each level.
+
+    Without the seeds that have no score in the window, as in the table.
+    """
+    found = []
+    for run in row.runs:
+        scored = run.evaluations_of(levels)
+        scored = scored[scored["update"].isin(evaluations_inside(run, table.window)["update"])]
+        if len(scored):
+            found.append(scored.groupby("level")["score"].median()[list(levels.weights)])
+    return np.array(found, float).reshape(len(found), len(levels.weights))
+
+
+def seed_means(row: Row, levels: LevelGroup, table: ScoreTable) -> NDArray[np.float64]:
+    """A row's scores [seeds] as the table takes their median: of each seed the median over the
+    window of the levels' weighted mean."""
+    found = []
+    for run in row.runs:
+        means = run.mean_scores(levels)
+        inside = means["update"].isin(evaluations_inside(run, table.window)["update"])
+        if inside.any():
+            found.append(means["score"][inside].median())
+    return np.array(found, float)
+
+
+def statistics_frame(table: ScoreTable) -> pd.DataFrame:
+    """All statistics of a table that have two seeds, in the columns of `statistics.csv`.
+
+    A probability of improvement has the row that is the better one in `condition` and the other in
+    `against`, its condition; every pair of rows stands there once.
+    """
+    lines = []
+
+    def add(
+        row: Row, levels: LevelGroup, statistic: str, against: str, seeds: int, found: Interval
+    ) -> None:
+        lines.append(
+            {
+                "table": table.name,
+                "experiment": table.description.experiment,
+                "condition": row.condition,
+                "title": row.title,
+                "external": row.external,
+                "level_kind": levels.level_kind,
+                "statistic": statistic,
+                "against": against,
+                "value": found.value,
+                "low": found.low,
+                "high": found.high,
+                "seeds": seeds,
+                "levels": len(levels.weights),
+                "row": row.key,
+            }
+        )
+
+    for levels in table.kinds:
+        known = {row: seed_scores(row, levels, table) for row in table.rows}
+        known = {row: scores for row, scores in known.items() if len(scores) >= FEWEST_SEEDS}
+        for row, scores in known.items():
+            add(row, levels, IQM, "", len(scores), interquartile_mean(scores))
+        for (first, theirs), (row, scores) in itertools.combinations(known.items(), 2):
+            seeds = min(len(scores), len(theirs))
+            add(row, levels, IMPROVEMENT, first.key, seeds, improvement(scores, theirs))
+    return pd.DataFrame(lines, columns=[*STATISTICS_COLUMNS, "row"])
+
+
+def seed_statistics(table: ScoreTable, frame: pd.DataFrame) -> SeedStatistics:
+    """The statistics of a table as they are shown; `frame` is its `statistics_frame`."""
+    grids, sentences = [], []
+    if len(frame):
+        grids.append(_means(table, frame))
+        sentences.append(
+            "Interquartile mean: the mean of the middle half of all scores of seeds and levels, "
+            "every level alike. In brackets, 95 % intervals of a stratified bootstrap over seeds "
+            "(Agarwal et al. 2021); of two or three seeds they are too narrow."
+        )
+        if (better := _improvements(table, frame)) is not None:
+            grids.append(better)
+            sentences.append(
+                "Probability of improvement: that a seed of the row is better than one of the "
+                "other, ties counting half; at 0.5 neither is."
+            )
+    if (met := _visits(table)) is not None:
+        grids.append(met)
+        sentences.append(
+            "Met in training: how often the situation of an episode of the rare levels, or the one "
+            "rank of it, had been met in training by the time of the evaluation; median over "
+            "episodes, lowest to highest."
+        )
+    return SeedStatistics(table, tuple(grids), " ".join(sentences))
+
+
+def without_statistics(found: Sequence[SeedStatistics]) -> str:
+    """A sentence on the tables that have no further statistics; empty where all have some."""
+    titles = [one.table.title for one in found if not one.grids]
+    if not titles:
+        return ""
+    return (
+        f"Not of {', '.join(titles)}: an interquartile mean {TOO_FEW} of a condition, and how "
+        f"often training met a situation was not recorded."
+    )
+
+
+def csv_statistics(frames: Sequence[pd.DataFrame]) -> str:
+    """`statistics.csv`: the lines of all tables."""
+    every = pd.concat([frame for frame in frames if len(frame)] or list(frames))
+    return every[list(STATISTICS_COLUMNS)].to_csv(
+        index=False, float_format="%.10g", lineterminator="\n"
+    )
+
+
+def interval_text(value: float, low: float, high: float) -> str:
+    """`0.69 [0.64, 0.75]`."""
+    return f"{score_text(value)} [{score_text(low)}, {score_text(high)}]"
+
+
+def _means(table: ScoreTable, frame: pd.DataFrame) -> Grid:
+    found = frame[frame["statistic"] == IQM]
+    lines = [
+        _line(
+            [row.title, seeds_text(_seeds(table, row))],
+            _texts(found[found["row"] == row.key]),
+            table,
+            TOO_FEW,
+        )
+        for row in table.rows
+    ]
+    return _grid(table, IQM, "iqm", ["Condition", "Seeds"], lines)
+
+
+def _improvements(table: ScoreTable, frame: pd.DataFrame) -> Grid | None:
+    """Every row against the first that has two seeds."""
+    found = frame[frame["statistic"] == IMPROVEMENT]
+    if not len(found):
+        return None
+    (baseline,) = (row for row in table.rows if row.key == found["against"].iloc[0])
+    found = found[found["against"] == baseline.key]
+    lines = [
+        _line([row.title], _texts(found[found["row"] == row.key]), table, TOO_FEW)
+        for row in table.rows
+        if row is not baseline
+    ]
+    title = f"{IMPROVEMENT} on {baseline.title}"
+    return _grid(table, title, "improvement", ["Condition"], lines)
+
+
+def _visits(table: ScoreTable) -> Grid | None:
+    """How often training met what the rare episodes asked for; None where no run counted it."""
+    columns: dict[str, str] = {}
+    lines = []
+    for row in table.rows:
+        parts = [situations_inside(run, table.window) for run in row.runs]
+        rare = pd.concat([part[part["level_kind"] == "rare"] for part in parts])
+        found = [name for name in rare.columns if name.split("_")[0] == "visits"]
+        for name in found:
+            rank = name.removeprefix("visits_").replace("_", " ")
+            columns[name] = "Situation met" if name == "visits" else f"{rank.capitalize()} met"
+        scores = table.scores[table.scores["row"] == row.key].set_index("level_kind")
+        leading = [
+            row.title,
+            seeds_text(_seeds(table, row)),
+            score_text(scores["score"]["rare"], scores["error"]["rare"]),
+        ]
+        lines.append((leading, {name: _met(rare[name], rare["episodes"]) for name in found}))
+    if not columns:
+        return None
+    shown = [
+        Line(leading, [texts.get(name, NONE) for name in columns], [NONE] * len(columns))
+        for leading, texts in lines
+    ]
+    name = f"{table.name}-visits"
+    leading = ["Condition", "Seeds", "Rare score"]
+    return Grid("met in training", name, leading, list(columns.values()), shown, [])
+
+
+def _met(visits: pd.Series, episodes: pd.Series) -> str:
+    known = visits.notna() & (episodes > 0)
+    if not known.any():
+        return NONE
+    each = np.repeat(visits[known].to_numpy(int), episodes[known].to_numpy(int))
+    low, middle, high = (count_text(int(one)) for one in (each.min(), np.median(each), each.max()))
+    return f"{middle} ({low} to {high})"
+
+
+def _seeds(table: ScoreTable, row: Row) -> int:
+    return int(table.scores[table.scores["row"] == row.key]["seeds"].min())
+
+
+def _texts(found: pd.DataFrame) -> dict[str, str]:
+    return {
+        line["level_kind"]: interval_text(line["value"], line["low"], line["high"])
+        for line in found.to_dict("records")
+    }
+
+
+def _line(leading: list[str], texts: Mapping[str, str], table: ScoreTable, missing: str) -> Line:
+    ours = [texts.get(levels.level_kind, missing) for levels in table.kinds]
+    return Line(leading, ours, [NONE] * len(ours))
+
+
+def _grid(table: ScoreTable, title: str, name: str, leading: list[str], lines: list[Line]) -> Grid:
+    columns = [KIND_NAMES[levels.level_kind] for levels in table.kinds]
+    return Grid(title, f"{table.name}-{name}", leading, columns, lines, [])
