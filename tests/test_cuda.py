@@ -63,7 +63,7 @@ def test_a_run_goes_on_on_another_device(first, then, agent, lag, tmp_path):
     before = state(folder)
     run(tmp_path, agent, "updates=2", f"device={then}", "resume=must", *options)
     moved = state(folder)
-    for part in ("agent", "collector", "overlap"):
+    for part in ("agent", "source"):
         assert_equal(on_cpu(before[part]), on_cpu(moved[part]), part)
     run(tmp_path, agent, "updates=4", f"device={then}", "resume=must", *options)
     stayed = run(tmp_path / "stayed", agent, "updates=4", f"device={first}", *options)

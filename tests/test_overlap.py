@@ -100,7 +100,7 @@ def test_it_equals_the_definition_bit_for_bit(overrides, tmp_path):
     with runner.Run(config) as run:
         metrics = [run.step()[1] for _ in range(8)]
         assert_equal(run.agent.state_dict(), agent)
-        state = run.collector.state_dict()
+        state = run.source.collector.state_dict()
     for name in ("environment", "memory", "generator", "inputs", "exploration"):
         assert_equal(state[name], collector[name], name)
     torch.testing.assert_close(metrics, rows, rtol=0, atol=0, equal_nan=True)
@@ -126,7 +126,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(stop, tmp_path):
     one, other = (untimed(config.folder / "metrics.csv") for config in (whole, cut))
     pd.testing.assert_frame_equal(one, other)
     parts = {*("steps", "memory", "late_memory", "final", "episodes")}
-    assert learned(whole.folder)["overlap"].keys() == parts
+    assert learned(whole.folder)["source"]["pending"].keys() == parts
 
 
 def test_evaluation_uses_what_was_learned(tmp_path):

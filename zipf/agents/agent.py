@@ -94,7 +94,9 @@ class Agent(ABC):
         episodic_memory: whether it reads and writes the dictionary of `setting.episodic`.
         weighted_losses: whether it multiplies the loss of a frame by the unroll's `weight`.
         learns_from_hindsight: whether it learns from the unroll's relabelled `episodes`.
-        largest_lag: how many unrolls collection may run ahead of learning.
+        largest_lag: how many unrolls collection may run ahead of learning on one machine. An agent
+            with 0 learns from what its newest weights have played; others may also learn from
+            actors in a cluster, whose weights are older by some updates.
         answers_questions: whether it is asked about an episode's first frame instead of acting.
         burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
             an unroll holds the memory before them (`Unroll.late_memory`).
@@ -224,6 +226,16 @@ class Agent(ABC):
     @abstractmethod
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
+
+    def carried(self) -> dict[str, Any]:
+        """What the last update keeps for the next unroll of the same worlds, as tensors that later
+        updates leave alone; empty for most agents."""
+        return {}
+
+    def carry(self, carried: dict[str, Any]) -> None:
+        """The next update is from other worlds than the last one, of which this is what `carried()`
+        was then; empty where nothing has been learned from what came just before."""
+        return
 
     def separate_acting(self) -> None:
         """From now on `act` and `value` compute with a copy of the weights, which `publish` alone

@@ -203,3 +203,11 @@ class Imitation(Agent):
         self.auxiliary.load_state_dict(state["auxiliary"])
         self.recorder.load_state_dict(state["recorder"])
         self.optimiser.load_state_dict(state["optimiser"])
+
+    def carried(self) -> dict[str, Any]:
+        """What the recorder keeps of the episodes that the worlds are in."""
+        return self.recorder.carried()
+
+    def carry(self, carried: dict[str, Any]) -> None:
+        """Goes on with other worlds."""
+        self.recorder.carry(carried)

@@ -504,15 +504,12 @@ class R2D2(Agent):
         """Everything that `update` changes; with `storage=memmap` without the sequences, which are
         in the replay's files beside the checkpoint."""
         assert self.replay is not None, "begin_learning() comes first"
-        prefix = {}
-        if self._prefix is not None:
-            prefix = {"steps": self._prefix.to_dict(), "memory": dict(self._prefix_memory)}
         return {
             "network": self.network.state_dict(),
             "target": self.target.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "steps": self.steps,
-            "prefix": prefix,
+            "prefix": self.carried(),
             "replay": self.replay.state_dict(),
         }
 
@@ -528,13 +525,22 @@ class R2D2(Agent):
         self.steps = state["steps"]
         if self.replay is None:
             return
-        self._prefix, self._prefix_memory = None, {}
-        if state["prefix"]:
-            shape = self.burn_in, self.num_envs
-            self._prefix = TensorDict(state["prefix"]["steps"], shape)
-            memory = state["prefix"]["memory"]
-            self._prefix_memory = {k: v.to(self.device) for k, v in memory.items()}
+        self.carry(state["prefix"])
         self.replay.load_state_dict(state["replay"])
+
+    def carried(self) -> dict[str, Any]:
+        """The burn-in of the next sequences of these worlds."""
+        if self._prefix is None:
+            return {}
+        return {"steps": self._prefix.to_dict(), "memory": dict(self._prefix_memory)}
+
+    def carry(self, carried: dict[str, Any]) -> None:
+        """Without a burn-in the next unroll is not inserted, as a run's first."""
+        self._prefix, self._prefix_memory = None, {}
+        if carried:
+            self._prefix = TensorDict(carried["steps"], (self.burn_in, self.num_envs))
+            memory = carried["memory"]
+            self._prefix_memory = {k: v.to(self.device) for k, v in memory.items()}
 
 
 def of_actions(outputs: Tensor, action: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from tensordict import TensorDict
 from torch import Tensor
@@ -55,6 +56,27 @@ class Unroll:
     late_memory: State | None = None
     final: TensorDict | None = None
     episodes: TensorDict | None = None
+
+    def state_dict(self) -> dict[str, Any]:
+        """The same as nested dictionaries of tensors, {} in the place of None."""
+        return {
+            "steps": self.steps.to_dict(),
+            "memory": dict(self.memory),
+            "late_memory": self.late_memory,
+            "final": {} if self.final is None else self.final.to_dict(),
+            "episodes": {} if self.episodes is None else self.episodes.to_dict(),
+        }
+
+    @classmethod
+    def of_state(cls, state: dict[str, Any]) -> Unroll:
+        """The unroll of a `state_dict()`."""
+        steps = TensorDict(state["steps"], state["steps"]["reward"].shape)
+        final = episodes = None
+        if state["final"]:
+            final = TensorDict(state["final"], state["final"]["step"].shape)
+        if state["episodes"]:
+            episodes = TensorDict(state["episodes"], state["episodes"]["mask"].shape)
+        return cls(steps, state["memory"], state["late_memory"], final, episodes)
 
     def to(self, device: str) -> Unroll:
         """The same on another device."""

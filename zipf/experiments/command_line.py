@@ -20,8 +20,8 @@ from zipf.experiments.composing import Composed, choices, composed, groups
 from zipf.experiments.config import (
     DEVICE_PATTERN,
     NAME_PATTERN,
-    NOT_LEARNED,
     Config,
+    affects_learning,
     flatten,
     schema,
 )
@@ -292,14 +292,9 @@ def _name(composed: Composed) -> str:
         if chosen[group] != usual[group]:
             name += f",{group}={chosen[group]}"
     for option, value in flatten(composed.values).items():
-        if option.split(".")[0] in NOT_LEARNED | {
-            "seed",
-            "experiment",
-            "name",
-            "without_instruction",
-        }:
+        if option.split(".")[0] in ("seed", "experiment", "name", "without_instruction"):
             continue
-        if value != base.get(option):
+        if affects_learning(option) and value != base.get(option):
             name += f",{option}={str(value).replace(' ', '').replace('/', '_')}"
     return name
 

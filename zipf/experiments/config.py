@@ -22,6 +22,7 @@ from zipf.agents.memory import MemoryOptions
 from zipf.agents.reweighting import ReweightingOptions
 from zipf.experiments.augmentation import AugmentationOptions
 from zipf.experiments.errors import UserError
+from zipf.experiments.runtime import LocalOptions, RuntimeOptions
 from zipf.options import Options
 
 PositiveInt = Annotated[int, Field(ge=1)]
@@ -37,10 +38,10 @@ Device = Annotated[str, Field(pattern=DEVICE_PATTERN)]
 class CollectorOptions(Options):
     """An update consumes num_envs x unroll_length frames.
 
-    `lag` is how many unrolls collection runs ahead of learning; None: as many as the agent
-    corrects for. Without `bootstrap_at_time_limit` the agent learns as if a time limit were the end
-    of the task: no value is expected beyond it. `reward_clipping` changes the rewards that are
-    learned from, not the scores.
+    `lag` is how many unrolls collection runs ahead of learning with `runtime=local`; None: as many
+    as the agent corrects for. Without `bootstrap_at_time_limit` the agent learns as if a time limit
+    were the end of the task: no value is expected beyond it. `reward_clipping` changes the rewards
+    that are learned from, not the scores.
     """
 
     num_envs: PositiveInt
@@ -84,14 +85,19 @@ class RowOptions(Options):
     line: Literal["solid", "dashed"] = "solid"
 
 
-# Options without effect on learning: they are not part of a condition's name, and a run may be
-# resumed with other values of them.
+# Options, or groups of them, without effect on learning: they are not part of a condition's name,
+# and a run may be resumed with other values of them.
 NOT_LEARNED = frozenset(
     [
         *("condition", "row", "plugins", "updates", "run_root", "device", "compile", "resume"),
-        *("evaluation", "schedule"),
+        *("evaluation", "schedule", "runtime.address"),
     ]
 )
+
+
+def affects_learning(option: str) -> bool:
+    """Whether an option, such as `agent.discount`, affects what is learned."""
+    return NOT_LEARNED.isdisjoint((option, option.split(".")[0]))
 
 
 class Config(Options):
@@ -123,6 +129,7 @@ class Config(Options):
     reweighting: ReweightingOptions
     hindsight: HindsightOptions
     environment: Any
+    runtime: RuntimeOptions
     collector: CollectorOptions
     evaluation: EvaluationOptions
     schedule: ScheduleOptions
@@ -164,7 +171,10 @@ class Config(Options):
 
     @property
     def lag(self) -> int:
-        """How many unrolls collection runs ahead of learning, 0 or 1."""
+        """How many unrolls collection runs ahead of learning, 0 or 1; in a cluster every actor's
+        collector waits for its turn."""
+        if not isinstance(self.runtime, LocalOptions):
+            return 0
         if self.collector.lag is None:
             return agents()[self.agent.name].largest_lag
         return self.collector.lag
@@ -179,9 +189,7 @@ class Config(Options):
         """The options that affect learning, flat: {"agent.discount": 0.99, ...}. A checkpoint can
         only be resumed with the same ones."""
         options = flatten(self.model_dump()) | {"collector.lag": self.lag}
-        return {
-            name: value for name, value in options.items() if name.split(".")[0] not in NOT_LEARNED
-        }
+        return {name: value for name, value in options.items() if affects_learning(name)}
 
 
 def schema() -> type[Config]:

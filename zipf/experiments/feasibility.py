@@ -16,6 +16,7 @@ from zipf.experiments.augmentation import build_augmentation
 from zipf.experiments.config import Config, find_device, flatten
 from zipf.experiments.errors import UserError
 from zipf.experiments.running.factory import build_agent
+from zipf.experiments.runtime import RayOptions, has_ray
 
 
 def problems(config: Config) -> Iterator[str]:
@@ -51,7 +52,27 @@ def problems(config: Config) -> Iterator[str]:
             f"collector.lag={config.lag}: agent={config.agent.name} does not correct for older "
             f"weights; should be at most {agent.largest_lag}"
         )
+    yield from _not_in_a_cluster(config)
     yield from (line for line in _cannot_be_built(config) if line not in told)
+
+
+def _not_in_a_cluster(config: Config) -> Iterator[str]:
+    """What does not go with actors in a cluster."""
+    if not isinstance(config.runtime, RayOptions):
+        return
+    if not has_ray():
+        yield 'runtime=ray: needs Ray: pip install "zipf-rl[ray]"'
+    if agents()[config.agent.name].largest_lag == 0:
+        others = [name for name, agent in agents().items() if agent.largest_lag]
+        yield (
+            f"runtime=ray: agent={config.agent.name} does not correct for older weights; choose "
+            f"runtime=local, or agent={' or '.join(others)}"
+        )
+    if config.collector.lag is not None:
+        yield (
+            f"collector.lag={config.collector.lag}: is of runtime=local; with runtime=ray choose "
+            "runtime.ahead"
+        )
 
 
 def _lacks_goals(config: Config) -> Iterator[str]:

@@ -56,6 +56,14 @@ class Recorder(nn.Module):
             action: int64 [T + 1, B], what was done, or what a teacher says should have been.
         """
 
+    def carried(self) -> dict[str, Tensor]:
+        """A copy of what is kept of the episodes that the worlds are in."""
+        return {}
+
+    def carry(self, carried: dict[str, Tensor]) -> None:
+        """Goes on with other worlds, of which this is what `carried()` was; empty: none of their
+        episodes' frames has been learned from."""
+
 
 class DictionaryRecorder(Recorder):
     """Draws a row of every episode and writes it when the episode ends.
@@ -140,6 +148,21 @@ class DictionaryRecorder(Recorder):
         self.return_.copy_(return_)
         self.factor.copy_(factor)
         self.updates += 1
+
+    def carried(self) -> dict[str, Tensor]:
+        """A copy of what is kept of the episodes that the worlds are in, [B, ...] each."""
+        return {name: getattr(self, name).clone() for name in self._of_episodes()}
+
+    def carry(self, carried: dict[str, Tensor]) -> None:
+        """Goes on with other worlds; the age of an episode says whether the rest is in use."""
+        if not carried:
+            self.age.zero_()
+        for name, value in carried.items():
+            getattr(self, name).copy_(value)
+
+    def _of_episodes(self) -> list[str]:
+        pending = [f"observation_{name}" for name in self.observations]
+        return ["age", "core", "action", "return_", "factor", *pending]
 
     def write(self, dictionary: Dictionary, rows: Rows) -> None:
         """Writes rows to the dictionary, which keeps the latest."""

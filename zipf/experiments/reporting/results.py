@@ -28,7 +28,7 @@ from zipf.experiments.reporting.paper import LEVEL_KINDS
 BOOKKEEPING = frozenset(
     [
         *("seed", "condition", "row", "plugins", "updates", "run_root", "device", "compile"),
-        *("resume", "schedule"),
+        *("resume", "schedule", "runtime.address"),
     ]
 )
 
@@ -276,4 +276,8 @@ def _read_settings(path: Path, description: RunDescription) -> dict[str, Any]:
         raise UserError(
             f"{path.as_posix()}: has options of another run than run.json ({', '.join(differing)})"
         )
-    return {key: value for key, value in flat.items() if key.split(".")[0] not in BOOKKEEPING}
+    return {
+        key: value
+        for key, value in flat.items()
+        if BOOKKEEPING.isdisjoint((key, key.split(".")[0]))
+    }

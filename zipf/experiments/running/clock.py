@@ -17,7 +17,8 @@ class Clock:
         parts: seconds by part: `environment` (stepping the worlds), `inference` (the agent acts),
             `learning` (updates) and `evaluation`. With `collector.lag=1` the first two happen
             beside `learning`, in a second thread; each part is measured by its thread's own wall
-            clock, so that they add up to more than the elapsed time.
+            clock, so that they add up to more than the elapsed time. With `runtime=ray` the first
+            two are means over the actors.
         training: elapsed seconds of collecting and learning.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from threading import Event
 from time import perf_counter
 from typing import Any
@@ -176,10 +177,13 @@ class Collector:
         worlds report it, and, with several levels, the same for each level whose episodes ended:
         `episode_return/<level>` and so on.
         """
-        metrics = {f"episode_{name}": float("nan") for name in ("return", "length")}
-        metrics |= {f"episode_{name}": float(np.mean(v)) for name, v in self._episodes.items()}
-        self._episodes.clear()
-        return metrics
+        return episode_metrics(self.take_episodes())
+
+    def take_episodes(self) -> dict[str, list[float]]:
+        """The outcomes of the episodes that ended since the last call, by the names that
+        `episode_metrics` has them by."""
+        episodes, self._episodes = dict(self._episodes), defaultdict(list)
+        return episodes
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that the next unroll depends on."""
@@ -339,6 +343,12 @@ class Collector:
         rows = torch.from_numpy(truncated).to(self.device)
         memory = {name: value[rows] for name, value in self._memory.items()}
         return self.agent.value(inputs, memory).cpu().numpy()
+
+
+def episode_metrics(episodes: Mapping[str, list[float]]) -> dict[str, float]:
+    """The means of `Collector.take_episodes()`."""
+    metrics = {f"episode_{name}": float("nan") for name in ("return", "length")}
+    return metrics | {f"episode_{name}": float(np.mean(v)) for name, v in episodes.items()}
 
 
 def soft_asymmetric(reward: NDArray[np.float64]) -> NDArray[np.float64]:

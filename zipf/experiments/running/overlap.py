@@ -16,19 +16,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
-from tensordict import TensorDict
 
 from zipf.agents.agent import Agent
 from zipf.agents.unroll import Unroll
 from zipf.experiments.running.collector import Collector
+from zipf.experiments.running.sources import InTurn, Learned
 
-Learned = TypeVar("Learned")
 
-
-class Overlap:
+class Overlap(InTurn):
     """Collects the next unroll while one is learned from.
 
     Between steps the agent acts with the weights that it has learned, and the second thread idles.
@@ -39,8 +37,7 @@ class Overlap:
     """
 
     def __init__(self, collector: Collector, agent: Agent):
-        self.collector = collector
-        self.agent = agent
+        super().__init__(collector, agent)
         agent.separate_acting()
         self._pending: Unroll | None = None  # collected and not yet learned from
         self._thread = ThreadPoolExecutor(1, "collector", initializer=_separate_autocast)
@@ -82,32 +79,17 @@ class Overlap:
         self._thread.shutdown()
 
     def state_dict(self) -> dict[str, Any]:
-        """The unroll that is yet to be learned from; the agent's and the collector's states are
-        saved beside it."""
-        if self._pending is None:
-            return {}
-        return {
-            "steps": self._pending.steps.to_dict(),
-            "memory": self._pending.memory,
-            "late_memory": self._pending.late_memory,
-            "final": {} if self._pending.final is None else self._pending.final.to_dict(),
-            "episodes": {} if self._pending.episodes is None else self._pending.episodes.to_dict(),
-        }
+        """The collector's, and the unroll that is yet to be learned from."""
+        pending = {} if self._pending is None else self._pending.state_dict()
+        return {**super().state_dict(), "pending": pending}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`, after the agent has loaded its own."""
+        super().load_state_dict(state)
         self.agent.publish()
         self._pending = None
-        if state:
-            steps = TensorDict(state["steps"], state["steps"]["reward"].shape)
-            final = None
-            if state["final"]:
-                final = TensorDict(state["final"], state["final"]["step"].shape)
-            episodes = None
-            if state["episodes"]:
-                episodes = TensorDict(state["episodes"], state["episodes"]["mask"].shape)
-            unroll = Unroll(steps, state["memory"], state["late_memory"], final, episodes)
-            self._pending = unroll.to(self.collector.device)
+        if state["pending"]:
+            self._pending = Unroll.of_state(state["pending"]).to(self.collector.device)
 
 
 def _separate_autocast() -> None:

@@ -10,25 +10,25 @@ from typing import Any
 import torch
 
 from zipf import envs
-from zipf.agents.exploration import build_exploration
-from zipf.agents.reweighting import build_reweighting
+from zipf.agents.agent import Agent
 from zipf.agents.unroll import Unroll
-from zipf.envs.players import Teacher
-from zipf.experiments.augmentation import build_augmentation
+from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder
 from zipf.experiments.running.allocator import keep_freed_ram
 from zipf.experiments.running.clock import Clock
-from zipf.experiments.running.collector import Collector
 from zipf.experiments.running.display import Display
 from zipf.experiments.running.evaluator import derive_seed, scores
-from zipf.experiments.running.factory import build_agent
+from zipf.experiments.running.factory import build_agent, build_collector
 from zipf.experiments.running.logger import Logger
 from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.overlap import Overlap
+from zipf.experiments.running.ray_actors import RayActors
 from zipf.experiments.running.signals import StopSignals, sweep_has_ended
+from zipf.experiments.running.sources import InTurn, Source
 from zipf.experiments.running.trained import evaluate_agent
+from zipf.experiments.runtime import RayOptions
 
 
 def train(config: Config) -> int:
@@ -87,6 +87,13 @@ def _as_user_errors(config: Config) -> Iterator[None]:
             raise UserError(f"compile=true: {first}; choose compile=false") from None
 
 
+def _build_source(config: Config, env: ZipfVectorEnv, agent: Agent) -> Source:
+    if isinstance(config.runtime, RayOptions):
+        return RayActors(config, config.runtime, env, agent)
+    collector = build_collector(config, env, agent)
+    return Overlap(collector, agent) if config.lag else InTurn(collector, agent)
+
+
 class Run:
     """One training run: its parts, and how many updates were made.
 
@@ -108,40 +115,14 @@ class Run:
         self.folder = config.folder
         self.device = config.torch_device
         collector = config.collector
-        env = envs.make_train(config.split, collector.num_envs, **config.level_options)
-        self.agent = build_agent(config, env)
+        self.env = envs.make_train(config.split, collector.num_envs, **config.level_options)
+        self.agent = build_agent(config, self.env)
         try:
             self._notes = self.agent.begin_learning()
         except ValueError as error:
             raise UserError(str(error)) from None
         saved = run_folder.find_checkpoint(config)
-        self.collector = Collector(
-            env,
-            self.agent,
-            unroll_length=collector.unroll_length,
-            seed=derive_seed(config.seed, "training"),
-            device=self.device,
-            augmentation=build_augmentation(
-                config.augmentation,
-                env.single_observation_space,
-                collector.num_envs,
-                seed=derive_seed(config.seed, "augmentation"),
-                symmetries=envs.symmetries(config.split, env),
-            ),
-            exploration=build_exploration(
-                config.exploration,
-                env.single_observation_space,
-                derive_seed(config.seed, "exploration"),
-            ),
-            goal=envs.family_of_split(config.environment.split).make_goal(env),
-            reweighting=build_reweighting(config.reweighting, env.num_envs),
-            hindsight=config.hindsight,
-            lag=config.lag,
-            bootstrap_at_time_limit=collector.bootstrap_at_time_limit,
-            reward_clipping=collector.reward_clipping,
-            teacher=Teacher(self.agent.teacher, config.split, env) if self.agent.teacher else None,
-        )
-        self.overlap = Overlap(self.collector, self.agent) if config.lag else None
+        self.source = _build_source(config, self.env, self.agent)
         self.frames_per_update = collector.num_envs * collector.unroll_length
         self.clock = Clock()
         self.update = 0
@@ -154,7 +135,7 @@ class Run:
         self.is_finished = self.evaluated == self.update == config.updates
         if self.is_finished:
             assert self._tables is not None
-            run_folder.check_description(config, env.situation)
+            run_folder.check_description(config, self.env.situation)
             Logger.check(self.folder, self.update, self._tables)
         self.name = config.run_name
         self.display = Display(
@@ -165,8 +146,16 @@ class Run:
         )
 
     def __enter__(self) -> Run:
+        try:
+            self._begin()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def _begin(self) -> None:
         if not self.is_new:
-            run_folder.check_description(self.config, self.collector.env.situation)
+            run_folder.check_description(self.config, self.env.situation)
         self.logger = Logger(
             self.folder,
             resume_at=-1 if self.is_new else self.update,
@@ -174,17 +163,20 @@ class Run:
             every=self.config.evaluation.every,
         )
         resumed_at = None if self.is_new else self.update
-        run_folder.write_description(self.config, self.collector.env.situation, resumed_at)
+        run_folder.write_description(self.config, self.env.situation, resumed_at)
         self.logger.write_checksums(-1 if self.is_new else self.update)
         self._logged = self.clock.training, self.update
         state = "a new run" if self.is_new else f"resumes at update {self.update}"
         self.display.say(f"{self.name}: {state}, on {self.device}, in {self.folder}")
         self.logger.text(f"{self.name}: {state}, on {self.device}")
         for note in self._notes:
-            self.display.say(note)
-            self.logger.text(note)
+            self._tell(note)
+        self.source.open(self._tell)
         self.display.start()
-        return self
+
+    def _tell(self, line: str) -> None:
+        self.display.say(line)
+        self.logger.text(line)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.display.stop()
@@ -198,10 +190,9 @@ class Run:
         self.close()
 
     def close(self) -> None:
-        """Ends the second thread, if there is one, and closes the worlds."""
-        if self.overlap:
-            self.overlap.close()
-        self.collector.env.close()
+        """Ends the other threads and processes, if there are any, and closes the worlds."""
+        self.source.close()
+        self.env.close()
 
     def step(self) -> tuple[Unroll, dict[str, float]]:
         """Collects an unroll and makes one update with it; returns both the unroll and metrics.
@@ -209,11 +200,7 @@ class Run:
         The unroll is overwritten by the next step.
         """
         with self.clock.train():
-            if self.overlap is None:
-                unroll = self.collector.collect()
-                metrics = self._learn(unroll)
-            else:
-                unroll, metrics = self.overlap.step(self._learn)
+            unroll, metrics = self.source.step(self._learn)
         self.update += 1
         return unroll, metrics
 
@@ -234,7 +221,7 @@ class Run:
 
     def log(self, unroll: Unroll, metrics: dict[str, float]) -> None:
         """Writes a row of metrics."""
-        self.clock.move(self.collector.seconds)
+        self.clock.move(self.source.seconds)
         then, update = self._logged
         self._logged = self.clock.training, self.update
         frames = (self.update - update) * self.frames_per_update
@@ -243,7 +230,7 @@ class Run:
             "seconds": self.clock.total,
             "frames_per_second": frames / (self.clock.training - then),
             **{f"time_{part}": seconds for part, seconds in self.clock.parts.items()},
-            **self.collector.episode_metrics(),
+            **self.source.metrics(),
             "exploration_bonus": float(unroll.steps["bonus"][:-1].mean()),
             **metrics,
         }
@@ -265,7 +252,7 @@ class Run:
             "frames": self.update * self.frames_per_update,
             "seconds": self.clock.total,
         }
-        self.logger.evaluation(when, results, self.collector.visits)
+        self.logger.evaluation(when, results, self.source.visits)
         self.evaluated = self.update
         self.display.show_scores(results)
         shown = "  ".join(f"{kind} {score:.3f}" for kind, score in scores(results).items())
@@ -273,7 +260,7 @@ class Run:
 
     def save(self) -> None:
         """Writes the checkpoint."""
-        self.clock.move(self.collector.seconds)
+        self.clock.move(self.source.seconds)
         state = {
             "options": self.config.what_is_learned,
             "update": self.update,
@@ -281,8 +268,7 @@ class Run:
             "tables": self.logger.state_dict(),
             "clock": self.clock.state_dict(),
             "agent": self.agent.state_dict(),
-            "collector": self.collector.state_dict(),
-            "overlap": self.overlap.state_dict() if self.overlap else {},
+            "source": self.source.state_dict(),
             "torch_rng": torch.get_rng_state(),
         }
         checkpoint.save(self.folder / "checkpoint.pt", state)
@@ -298,7 +284,5 @@ class Run:
                 self.agent.load_state_dict(saved["agent"])
             except OSError as error:  # files that the checkpoint refers to
                 raise UserError(str(error)) from None
-            self.collector.load_state_dict(saved["collector"])
-            if self.overlap:
-                self.overlap.load_state_dict(saved["overlap"])
+            self.source.load_state_dict(saved["source"])
             torch.set_rng_state(saved["torch_rng"])

@@ -54,6 +54,10 @@ class Visits:
         self._met.clear()
         for counts in self._of_rank.values():
             counts.clear()
+        self.add_those(state)
+
+    def add_those(self, state: Mapping[str, NDArray[np.int64]]) -> None:
+        """Counts the episodes of another one's `state_dict()`, too."""
         situations = [tuple(row) for row in state["situations"].tolist()]
         self._count(situations, state["episodes"].tolist())
 

@@ -1,0 +1,47 @@
+"""Runtimes: the processes that a training run consists of, and their options."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from zipf.options import Options
+
+PositiveInt = Annotated[int, Field(ge=1)]
+
+
+class LocalOptions(Options):
+    """One process; see `collector.lag` for its threads."""
+
+    name: Literal["local"]
+
+
+class RayOptions(Options):
+    """`actors` processes in a Ray cluster play for one learner.
+
+    `address` is that of the cluster, or "auto" for the one that this machine belongs to; None: one
+    of the run's own, on this machine. `ahead` is how many unrolls of an actor may be on their way.
+    `largest_lag` is by how many updates the weights that played an unroll may be older than those
+    that learn from it; None: 4 x actors x ahead.
+    """
+
+    name: Literal["ray"]
+    address: Annotated[str, Field(min_length=1)] | None
+    actors: PositiveInt
+    ahead: Annotated[int, Field(ge=1, le=2)]
+    largest_lag: PositiveInt | None
+
+    @property
+    def lag_bound(self) -> int:
+        """Updates: no unroll is learned from whose weights are older."""
+        return self.largest_lag or 4 * self.actors * self.ahead
+
+
+RuntimeOptions = Annotated[LocalOptions | RayOptions, Field(discriminator="name")]
+
+
+def has_ray() -> bool:
+    """Whether Ray is installed."""
+    return find_spec("ray") is not None
