@@ -14,6 +14,9 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 from pages import BLOCKS, PAGES, PLACEHOLDER, ROOT, Block, command, commands, fenced, files, lines
+from ray.scripts import scripts
+
+from zipf.experiments import sweeps
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 COMMANDS = {"zipf.train", "zipf.evaluate", "zipf.play", "zipf.report"}
@@ -45,6 +48,8 @@ def shell(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
                 assert (ROOT / ".ci/run").is_file()
             case ["source", ".venv/bin/activate"]:  # of the environment that make creates
                 assert "VENV ?= .venv\n" in (ROOT / "Makefile").read_text(encoding="utf-8")
+            case ["ray", subcommand, *arguments]:
+                scripts.cli.commands[subcommand].make_context(subcommand, arguments)
             case ["tensorboard", "--logdir", "runs"]:
                 assert entry_points(group="console_scripts", name="tensorboard")
             case _:
@@ -89,7 +94,11 @@ def installs(arguments: list[str]) -> None:
 
 
 def yaml_file(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file of the repository, or one that `test_readme.py` makes and trains with."""
+    """A file of the repository, a sweep, or a file that `test_readme.py` makes and trains with."""
+    if block.text.startswith("# configs/sweep/"):
+        for part in yaml.safe_load(block.text):
+            sweeps.Block.model_validate(part)
+        return
     assert isinstance(yaml.safe_load(block.text), dict)
     if block.title:
         assert block.text == (ROOT / block.title).read_text(encoding="utf-8").rstrip() + "\n"

@@ -11,7 +11,7 @@ import zipf.evaluate
 import zipf.play
 import zipf.report
 from zipf import envs
-from zipf.experiments import command_line
+from zipf.experiments import command_line, sweeps
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.playing.playing import PlayOptions
 from zipf.experiments.reporting.windows import parse_window
@@ -97,4 +97,4 @@ def test_examples_of_train_are_accepted():
     assert len(found) >= 2
     for arguments in map(shlex.split, found):
         words = [word for word in arguments if word not in ("-m", "--multirun")]
-        assert command_line.check_command_line(words)
+        assert sweeps.check(words).jobs

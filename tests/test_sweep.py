@@ -252,11 +252,12 @@ def test_jobs_that_fail_stop_no_others(scripted, tmp_path):
 
 
 def test_a_signal_stops_the_running_job_and_begins_no_other(scripted):
+    before = signal.getsignal(signal.SIGTERM)
     code, lines = scripted("5,7")
     assert code == 128 + signal.SIGTERM
     assert "1/2 demo x seed 5: stopped at update 3; the same command resumes" in lines
     assert "2 jobs: 1 stopped, 1 not begun" in lines
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_second_signal_stops_at_once(scripted):
