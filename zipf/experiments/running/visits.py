@@ -24,8 +24,8 @@ class Visits:
         self._of_rank: dict[str, Counter[int]] = {name: Counter() for name in self.ranks}
 
     def add(self, final_info: Mapping[str, NDArray], ended: NDArray[np.bool_]) -> None:
-        """Counts the episodes of the worlds `ended` [N], whose ranks are in `final_info`; none where
-        worlds have no situation."""
+        """Counts the episodes of the worlds `ended` [N], whose ranks are in `final_info`; none
+        where worlds have no situation."""
         if not self.ranks:
             return
         values = [np.asarray(final_info[name])[ended].tolist() for name in self.ranks]
