@@ -227,6 +227,7 @@ MISTAKES = [
     (["experiment=demo", f"name={'x' * 300}"], ["too long", "name=<name>"]),
     (["experiment=demo", "condition=impla"], ["condition=impla", "impala", "name=<name>"]),
     (["experiment=demo", "values=demo"], ["values", "no such option"]),
+    (["experiment=demo", "without_instruction=abc"], ["without_instruction=abc", "groups"]),
     (["experiment=demo", "condition=supervised"], ["agent=supervised", "playroom_find"]),
     (
         ["experiment=playroom_find", "condition=supervised", "exploration=count"],

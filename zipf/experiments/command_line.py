@@ -155,6 +155,11 @@ def _compose_condition(*overrides: str) -> Composed:
     """As `composed`, with a condition's `without_instruction` where worlds have no instruction."""
     result = composed(*overrides)
     other = result.values["without_instruction"]
+    if other is not None and not isinstance(other, dict):
+        raise UserError(
+            f"without_instruction={other!s:.40}: should be choices of groups, as in "
+            "'without_instruction={auxiliary: vision}', or null"
+        )
     if other and not feasibility.has_instruction(result.values["environment"]):
         chosen = {override.partition("=")[0] for override in overrides}
         other = [f"{group}={choice}" for group, choice in other.items() if group not in chosen]
