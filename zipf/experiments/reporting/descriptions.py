@@ -171,7 +171,12 @@ def read_description(path: Path) -> RunDescription:
     try:
         return RunDescription.model_validate_json(read_bytes(path))
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        problem = f"{where}: {first['msg']}" if where else first["msg"]
+        problem = first_problem(error)
         raise UserError(f"{path.as_posix()}: not a run's description: {problem}") from error
+
+
+def first_problem(error: ValidationError) -> str:
+    """Where the first mistake is, and what."""
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return f"{where}: {first['msg']}" if where else first["msg"]

@@ -12,7 +12,12 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from zipf.experiments.reporting.average_figures import KIND_STYLES
-from zipf.experiments.reporting.situation_figures import INTERVALS, NAMES, success_label
+from zipf.experiments.reporting.situation_figures import (
+    INTERVALS,
+    NAMES,
+    draw_with_band,
+    success_label,
+)
 from zipf.experiments.reporting.situations import (
     measure_of,
     rank_counts,
@@ -23,7 +28,7 @@ from zipf.experiments.reporting.situations import (
     spans,
     visit_names,
 )
-from zipf.experiments.reporting.styles import BAND, SHADE, LineStyle, panels, row_handles
+from zipf.experiments.reporting.styles import SHADE, LineStyle, panels, row_handles
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.wording import KIND_NAMES, count_text
 
@@ -80,11 +85,7 @@ def by_visits(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | No
     for axis, (name, groups) in zip(axes, found.items(), strict=True):
         for row in table.rows:
             of_row = groups[groups["row_key"] == row.key]
-            style = styles[row.key]
-            axis.plot(of_row["met"], of_row["value"], **style._asdict(), marker="o", markersize=3.5)
-            axis.fill_between(
-                of_row["met"], of_row["low"], of_row["high"], color=style.color, **BAND
-            )
+            draw_with_band(axis, of_row, "met", styles[row.key])
         axis.set_xscale("symlog", linthresh=1)
         axis.set_xlim(-0.15, 1.5 * max(1.0, float(groups["met"].max())))
         most = int(np.ceil(np.log10(max(10.0, float(groups["met"].max())))))

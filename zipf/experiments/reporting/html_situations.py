@@ -23,7 +23,7 @@ from zipf.experiments.reporting.html_panels import (
     shade,
     spoken,
 )
-from zipf.experiments.reporting.situation_figures import INTERVALS, NAMES, spans
+from zipf.experiments.reporting.situation_figures import INTERVALS, NAMES
 from zipf.experiments.reporting.situations import (
     Measure,
     measure_of,
@@ -33,6 +33,7 @@ from zipf.experiments.reporting.situations import (
     reference_by_rank,
     reference_on_uniform,
     situation_names,
+    spans,
 )
 from zipf.experiments.reporting.styles import LineStyle
 from zipf.experiments.reporting.tables import Row, ScoreTable

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 
 import matplotlib
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
@@ -45,6 +47,12 @@ INTERVALS: Mapping[Measure, str] = {
 }
 
 
+def draw_with_band(axis: Axes, lines: pd.DataFrame, across: str, style: LineStyle) -> None:
+    """Draws `value` against the column `across`, and the interval from `low` to `high`."""
+    axis.plot(lines[across], lines["value"], **style._asdict(), marker="o", markersize=3.5)
+    axis.fill_between(lines[across], lines["low"], lines["high"], color=style.color, **BAND)
+
+
 def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None:
     """Success on the uniform levels against each rank of the situation, with 95 % intervals; the
     mean return where success is not reported.
@@ -72,11 +80,7 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None
     for axis, (name, of_rank) in zip(axes, found.items(), strict=True):
         for row in table.rows:
             of_row = of_rank[of_rank["row_key"] == row.key]
-            style = styles[row.key]
-            axis.plot(of_row[name], of_row["value"], **style._asdict(), marker="o", markersize=3.5)
-            axis.fill_between(
-                of_row[name], of_row["low"], of_row["high"], color=style.color, **BAND
-            )
+            draw_with_band(axis, of_row, name, styles[row.key])
         for one, line in REFERENCE_LINES.items():
             if name in ranked[one]:
                 axis.plot(range(len(ranked[one][name])), ranked[one][name], **line)

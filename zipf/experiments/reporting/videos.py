@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting.csv_files import read_bytes
+from zipf.experiments.reporting.descriptions import first_problem
 
 FOLDER = "videos"
 NAME = "videos.json"
@@ -104,11 +105,8 @@ def read(folder: Path) -> Videos | None:
     try:
         return Videos.model_validate_json(read_bytes(path))
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        problem = f"{where}: {first['msg']}" if where else first["msg"]
         raise UserError(
-            f"{path.as_posix()}: is damaged ({problem}); --videos records them again"
+            f"{path.as_posix()}: is damaged ({first_problem(error)}); --videos records them again"
         ) from None
 
 
