@@ -7,6 +7,8 @@ auxiliary loss whose options all have defaults.
 
 from __future__ import annotations
 
+import copy
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
@@ -17,7 +19,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
@@ -33,6 +35,8 @@ _PACKAGE = Path(zipf.__file__).parent
 CONFIG_DIR = next(
     path for path in (_PACKAGE / "configs", _PACKAGE.parent / "configs") if path.is_dir()
 )
+
+_SEED = re.compile(r"seed=\d{1,18}")
 
 _user_folders: list[Path] = []
 
@@ -106,11 +110,23 @@ def composed(*overrides: str) -> Composed:
     Raises:
         UserError: it cannot be composed; with Hydra's message.
     """
-    return _composed(search_path(), *overrides)
+    seeds = [override for override in overrides if _SEED.fullmatch(override)]
+    others = [override for override in overrides if override not in seeds]
+    try:
+        # Composing takes Hydra a third of a second; a sweep's jobs often differ in the seed alone.
+        config, choices = _composed(search_path(), *others)
+        config = copy.deepcopy(config)
+        if seeds:
+            config["seed"] = int(seeds[-1].partition("=")[2])
+        values = OmegaConf.to_container(config, resolve=True)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise UserError(told(error)) from None
+    assert isinstance(values, dict)
+    return Composed({str(k): v for k, v in values.items()}, choices)
 
 
 @cache
-def _composed(search_path: str, *overrides: str) -> Composed:
+def _composed(search_path: str, *overrides: str) -> tuple[DictConfig, dict[str, str]]:
     _store_registered()
     backup = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
@@ -118,16 +134,12 @@ def _composed(search_path: str, *overrides: str) -> Composed:
         with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
             given = [override for override in (search_path, *overrides) if override]
             config = compose("train", given, return_hydra_config=True)
-        choices = {k: str(v) for k, v in config.hydra.runtime.choices.items()}
-        OmegaConf.set_struct(config, False)
-        del config["hydra"]
-        values = OmegaConf.to_container(config, resolve=True)
-    except (HydraException, OmegaConfBaseException) as error:
-        raise UserError(told(error)) from None
     finally:
         GlobalHydra.instance().hydra = backup
-    assert isinstance(values, dict)
-    return Composed({str(k): v for k, v in values.items()}, choices)
+    choices = {k: str(v) for k, v in config.hydra.runtime.choices.items()}
+    OmegaConf.set_struct(config, False)
+    del config["hydra"]
+    return config, choices
 
 
 def told(error: Exception) -> str:
