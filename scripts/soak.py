@@ -1,16 +1,19 @@
 """Kills, damages and malformed command lines by the thousand: is anything lost, or taken silently?
 
     python scripts/soak.py kills --count 1000
+    python scripts/soak.py ray_kills --count 100
     python scripts/soak.py damages --count 1000
     python scripts/soak.py lines --count 1000
 
 `kills` trains every shipped condition, with `collector.lag` 0 and 1, on a few small worlds, kills
 it by SIGKILL at random times, lets the same command resume until it has finished, and compares
-tables and checkpoint with those of a run that was left alone. `damages` changes a random file of a
-run's folder at random, then resumes the run, reports on it or evaluates it; a command may refuse,
-with lines that begin with "error:", or do exactly what it does with the undamaged folder. `lines`
-gives `zipf.train` options with wrong names, choices and values; they may be refused, or be taken
-for what they say.
+tables and checkpoint with those of a run that was left alone. `ray_kills` does so with
+`runtime=ray` on a cluster of this machine, kills learners and actors, and compares the numbers of
+updates, frames and evaluations alone: what is learned depends on timing. `damages` changes a random
+file of a run's folder at random, then resumes the run, reports on it or evaluates it; a command may
+refuse, with lines that begin with "error:", or do exactly what it does with the undamaged folder.
+`lines` gives `zipf.train` options with wrong names, choices and values; they may be refused, or be
+taken for what they say.
 
 Everything else is printed as it is found and counted: tracebacks, ends by a signal, differences. A
 summary comes at the end; the exit code is 1 if anything was found. A trial is a forked process, in
@@ -28,11 +31,12 @@ import runpy
 import shutil
 import signal
 import string
+import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -126,9 +130,9 @@ def found(kind: str, what: str, outcome: Outcome | None = None) -> None:
     sys.stdout.flush()
 
 
-def small_runs() -> Iterator[list[str]]:
+def small_runs(variants: Sequence[list[str]]) -> Iterator[list[str]]:
     """The arguments of a small run of every condition, on the first worlds that it can learn, with
-    both lags where the agent can do with both."""
+    each of the variants that its agent can do with."""
     for condition in command_line.choices("condition"):
         problems = ""
         for experiment in EXPERIMENTS:
@@ -139,8 +143,8 @@ def small_runs() -> Iterator[list[str]]:
             except UserError as error:
                 problems += f"\n{error}"
                 continue
-            for lag in (0, 1):
-                arguments = [*chosen, *small, f"collector.lag={lag}"]
+            for variant in variants:
+                arguments = [*chosen, *small, *variant]
                 try:
                     command_line.load(arguments)
                 except UserError:
@@ -180,16 +184,19 @@ def difference(one: Any, other: Any, where: str = "") -> str | None:
     return next((d for name, *pair in pairs if (d := difference(*pair, name))), None)
 
 
+def shown(arguments: list[str]) -> str:
+    """What tells a small run from the others."""
+    return " ".join(a for a in arguments if a.startswith(("exp", "cond", "collector.lag")))
+
+
 def soak_kills(count: int, draw: random.Random, folder: Path) -> Counter[str]:
     """Kills every small run in turn until there were `count` kills."""
     tally: Counter[str] = Counter()
     output = folder / "output"
-    runs = list(small_runs())
+    runs = list(small_runs([["collector.lag=0"], ["collector.lag=1"]]))
     for number, arguments in enumerate(runs):
         share = count * (number + 1) // len(runs)
-        name = " ".join(
-            a for a in arguments if a.startswith(("experiment", "cond", "collector.lag"))
-        )
+        name = shown(arguments)
         for _ in range(2):  # the first may compile
             shutil.rmtree(folder / "alone", ignore_errors=True)
             begun = time.perf_counter()
@@ -223,6 +230,94 @@ def soak_kills(count: int, draw: random.Random, folder: Path) -> Counter[str]:
                 tally["differs"] += 1
         shutil.rmtree(folder / "alone")
         print(f"{tally['kills']} kills, {tally['runs compared']} runs compared: {name}", flush=True)
+    return tally
+
+
+@contextlib.contextmanager
+def cluster(cores: int) -> Iterator[str]:
+    """A Ray cluster on this machine; gives its address."""
+    program = (
+        "import sys; from ray.cluster_utils import Cluster\n"
+        f"cluster = Cluster(initialize_head=True, head_node_args={{'num_cpus': {cores}}})\n"
+        "print(cluster.address, flush=True); sys.stdin.read(); cluster.shutdown()"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env={**os.environ, "RAY_USAGE_STATS_ENABLED": "0"},
+    )
+    with process:
+        assert process.stdout is not None
+        yield process.stdout.readline().strip()
+
+
+def actors() -> list[int]:
+    """The numbers of the processes that play."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            if path.read_bytes().startswith(b"ray::Player"):
+                found.append(int(path.parent.name))
+    return found
+
+
+def miscounted(root: Path, arguments: list[str]) -> str | None:
+    """What is wrong with the numbers of a finished run of 8 updates."""
+    config = command_line.load([*arguments, f"run_root={root}"])
+    folder, each = config.folder, config.collector.num_envs * config.collector.unroll_length
+    metrics = pd.read_csv(folder / "metrics.csv")
+    evaluations = pd.read_csv(folder / "evaluations.csv")
+    saved = checkpoint.load(folder / "checkpoint.pt")
+    counted = {
+        "updates of metrics": (metrics["update"].tolist(), list(range(1, 9))),
+        "frames of metrics": (metrics["frames"].tolist(), [each * u for u in range(1, 9)]),
+        "updates of evaluations": (sorted(set(evaluations["update"])), [0, 4, 8]),
+        "frames of evaluations": (sorted(set(evaluations["frames"])), [0, 4 * each, 8 * each]),
+        "updates of the checkpoint": ([saved["update"], saved["source"]["version"]], [8, 8]),
+    }
+    wrong = (f"{n}: {is_} not {should}" for n, (is_, should) in counted.items() if is_ != should)
+    return next(wrong, None)
+
+
+def soak_ray_kills(count: int, draw: random.Random, folder: Path) -> Counter[str]:
+    """Kills learners and actors of every small run in turn until there were `count` kills."""
+    tally: Counter[str] = Counter()
+    output, root = folder / "output", folder / "runs"
+    with cluster(cores=2) as address:
+        runs = list(small_runs([["runtime=ray", "runtime.actors=2", f"runtime.address={address}"]]))
+        for number, arguments in enumerate(runs):
+            share = count * (number + 1) // len(runs)
+            while tally["learners killed"] + tally["actors killed"] < share:
+                shutil.rmtree(root, ignore_errors=True)
+                took, code = 20.0, -9
+                while code == -9:
+                    begun = time.perf_counter()
+                    child = start("zipf.train", [*arguments, f"run_root={root}"], output)
+                    time.sleep(draw.uniform(0, took))
+                    if draw.random() < 0.5:
+                        with contextlib.suppress(ProcessLookupError):
+                            os.killpg(child, signal.SIGKILL)
+                    elif playing := actors():
+                        with contextlib.suppress(ProcessLookupError):
+                            os.kill(draw.choice(playing), signal.SIGKILL)
+                            tally["actors killed"] += 1
+                    outcome = finish(child, output)
+                    code = outcome.code
+                    tally["learners killed"] += code == -9
+                    if code == 0:
+                        took = time.perf_counter() - begun
+                if code != 0:
+                    found("could not go on", shown(arguments), outcome)
+                    tally["could not go on"] += 1
+                    continue
+                tally["runs compared"] += 1
+                if wrong := miscounted(root, arguments):
+                    found("differs", f"{shown(arguments)}: {wrong}")
+                    tally["differs"] += 1
+            print(f"{dict(tally)}: {shown(arguments)}", flush=True)
     return tally
 
 
@@ -412,7 +507,12 @@ def _number(value: Any) -> float | None:
         return None
 
 
-SOAKS = {"kills": soak_kills, "damages": soak_damages, "lines": soak_lines}
+SOAKS = {
+    "kills": soak_kills,
+    "ray_kills": soak_ray_kills,
+    "damages": soak_damages,
+    "lines": soak_lines,
+}
 
 
 def main() -> None:
