@@ -39,6 +39,16 @@ FAMILY = Family(
             "gridworld/rare",
             paper="gridworld",
         ),
+        # Ours: trained on flatter and steeper distributions, tested on the same levels.
+        *(
+            Split(
+                f"gridworld_zipf_{exponent}",
+                f"gridworld/zipf_{exponent}",
+                "gridworld/uniform",
+                "gridworld/rare",
+            )
+            for exponent in (0, 1, 3)
+        ),
     ),
     make="zipf.envs.gridworld.single:GridworldEnv",
     make_vec="zipf.envs.gridworld.vector:GridworldVectorEnv",
