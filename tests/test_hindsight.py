@@ -38,6 +38,7 @@ OPTIONS = AchievedOptions(
     advantage="positive",
     policy_cost=0.7,
     value_cost=0.3,
+    fade=None,
 )
 LEVEL = "gridworld/uniform"
 
@@ -242,7 +243,7 @@ def test_the_loss_is_its_definition(advantage):
             log_pi = outputs.logits[t, 0].log_softmax(-1)[episode["action"][t, 0]].item()
             policy_loss -= log_pi * (better if advantage == "positive" else 1.0)
             value_loss += 0.5 * better**2
-    loss, metrics = hindsight_loss(network, episodes, options, discount=0.9)
+    loss, metrics = hindsight_loss(network, episodes, options, discount=0.9, updates=5)
     assert metrics["hindsight_policy_loss"].item() == pytest.approx(policy_loss / 16, rel=1e-4)
     assert metrics["hindsight_value_loss"].item() == pytest.approx(value_loss / 16, rel=1e-4)
     expected = (0.7 * policy_loss + 0.3 * value_loss) / 16
@@ -254,8 +255,18 @@ def test_the_loss_is_its_definition(advantage):
     assert bias.grad.abs().sum() > 0
     network.zero_grad()
     only_policy = options.model_copy(update={"value_cost": 0.0})
-    hindsight_loss(network, episodes, only_policy, discount=0.9)[0].backward()
+    hindsight_loss(network, episodes, only_policy, discount=0.9, updates=0)[0].backward()
     assert not bias.grad.any()
+
+
+def test_the_costs_fade():
+    network, episodes = Impala(IMPALA, space_of()).network, episodes_of([3, 7])
+    fading = OPTIONS.model_copy(update={"fade": 8})
+    whole, _ = hindsight_loss(network, episodes, OPTIONS, discount=0.9, updates=6)
+    for updates, share in ((0, 1.0), (2, 0.75), (6, 0.25), (8, 0.0), (9, 0.0)):
+        loss, metrics = hindsight_loss(network, episodes, fading, discount=0.9, updates=updates)
+        assert torch.as_tensor(loss).item() == pytest.approx(share * whole.item(), rel=1e-5)
+        assert metrics["hindsight_episodes"] == (2 if share else 0)
 
 
 @pytest.mark.parametrize("name", ["impala", "vmpo"])
@@ -271,7 +282,7 @@ def test_actor_critics_add_the_loss(name):
         made.load_state_dict(state)
         unroll.episodes = episodes
         discount = made.options.discount
-        expected, _ = hindsight_loss(made.network, episodes, OPTIONS, discount=discount)
+        expected, _ = hindsight_loss(made.network, episodes, OPTIONS, discount=discount, updates=0)
         metrics = made.update(unroll)
         assert metrics["loss"] == pytest.approx(without["loss"] + expected.item(), rel=1e-4)
         assert metrics["hindsight_episodes"] == 2

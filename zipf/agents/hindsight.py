@@ -8,7 +8,9 @@ them beside the others, and actor-critics imitate them as far as they were bette
     mean_{t,e}[ -c_p log pi(a_t|x_t) (R_t - V(x_t))_+  +  c_v/2 ((R_t - V(x_t))_+)^2 ]
 
 where R_t is the discounted return to the episode's end and the first factor (R - V)_+ a constant;
-with `advantage=none` that factor is 1 (Ghosh et al. 2021).
+with `advantage=none` that factor is 1 (Ghosh et al. 2021). Relabelled episodes are many where
+successes are few, and their gradient then hides that of reinforcement learning; with `fade` both
+costs fall, linearly with the number of updates, to 0.
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ class AchievedOptions(Options):
 
     At most `episodes` of them an update, drawn at random from those that ended during the unroll,
     and of each the last `length` frames, None: all. `reward` is what success pays. The others are
-    of actor-critics alone: `policy_cost` and `value_cost` are c_p and c_v.
+    of actor-critics alone: `policy_cost` and `value_cost` are c_p and c_v, and after `fade` updates
+    they are 0; None: they stay as they are.
     """
 
     name: Literal["achieved"]
@@ -47,6 +50,11 @@ class AchievedOptions(Options):
     advantage: Literal["positive", "none"]
     policy_cost: NotNegative
     value_cost: NotNegative
+    fade: Annotated[int, Field(ge=1)] | None
+
+    def share(self, updates: int) -> float:
+        """Of the costs, after so many updates."""
+        return 1.0 if self.fade is None else max(0.0, 1 - updates / self.fade)
 
 
 HindsightOptions = Annotated[NoHindsightOptions | AchievedOptions, Field(discriminator="name")]
@@ -59,16 +67,21 @@ def hindsight_loss(
     options: NoHindsightOptions | AchievedOptions,
     *,
     discount: float,
+    updates: int,
     precision: Literal["float32", "bfloat16"] = "float32",
 ) -> tuple[Tensor | float, dict[str, Tensor]]:
     """The loss of relabelled episodes [L, E], as `Unroll.episodes` has them, and metrics.
 
-    The memory is unrolled from before each episode's first frame. Without such an episode the loss
-    is 0 and the metrics are NaN; without hindsight there are no metrics.
+    The memory is unrolled from before each episode's first frame. Without such an episode, or once
+    the costs are 0, the loss is 0 and the metrics are NaN; without hindsight there are no metrics.
+
+    Args:
+        updates: made before this one.
     """
     if isinstance(options, NoHindsightOptions):
         return 0.0, {}
-    if episodes is None:
+    share = options.share(updates)
+    if episodes is None or share == 0:
         nothing = torch.tensor(float("nan"))
         return 0.0, {
             "hindsight_policy_loss": nothing,
@@ -85,7 +98,7 @@ def hindsight_loss(
     frames = mask.sum()
     policy_loss = -(log_pi * factor * mask).sum() / frames
     value_loss = 0.5 * (better.square() * mask).sum() / frames
-    loss = options.policy_cost * policy_loss + options.value_cost * value_loss
+    loss = share * (options.policy_cost * policy_loss + options.value_cost * value_loss)
     return loss, {
         "hindsight_policy_loss": policy_loss,
         "hindsight_value_loss": value_loss,

@@ -110,6 +110,7 @@ class Impala(Agent):
             eps=options.adam_epsilon,
             fused=True,
         )
+        self.updates = 0
 
     def initial_memory(self, batch: int) -> State:
         """The memory before the first frame of `batch` worlds."""
@@ -181,6 +182,7 @@ class Impala(Agent):
             unroll.episodes,
             self.setting.hindsight,
             discount=o.discount,
+            updates=self.updates,
             precision=self.precision,
         )
         loss = loss + auxiliary_loss + episodic_loss + relabelled_loss
@@ -191,6 +193,7 @@ class Impala(Agent):
         if not gradient_norm.isfinite():
             raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")
         self.optimiser.step()
+        self.updates += 1
         self.auxiliary.after_update(self.network.encoder)
         self.recorder.record(
             self.network.dictionary, unroll.steps, outputs.core, unroll.steps["action"]
@@ -216,6 +219,7 @@ class Impala(Agent):
             "auxiliary": self.auxiliary.state_dict(),
             "recorder": self.recorder.state_dict(),
             "optimiser": self.optimiser.state_dict(),
+            "updates": self.updates,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -224,6 +228,7 @@ class Impala(Agent):
         self.auxiliary.load_state_dict(state["auxiliary"])
         self.recorder.load_state_dict(state["recorder"])
         self.optimiser.load_state_dict(state["optimiser"])
+        self.updates = state["updates"]
 
     def carried(self) -> dict[str, Any]:
         """What the recorder keeps of the episodes that the worlds are in."""

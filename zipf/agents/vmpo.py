@@ -192,6 +192,7 @@ class VMPO(Agent):
             unroll.episodes,
             self.setting.hindsight,
             discount=o.discount,
+            updates=self.updates,
             precision=self.precision,
         )
         loss = losses.policy + losses.eta + losses.alpha + baseline_loss + auxiliary_loss
