@@ -490,9 +490,12 @@ def _says(overrides: list[str], printed: str) -> bool:
         return True
     try:
         values = yaml.safe_load(printed)
-        told = yaml.safe_load(value)
     except yaml.YAMLError:
         return False
+    try:
+        told = yaml.safe_load(value)
+    except yaml.YAMLError:  # text, such as a name of "*"
+        told = value
     if name in values and isinstance(values[name], dict):  # a group: its choice
         return value in command_line.choices(name)
     taken = flatten(values).get(name, values.get(name))
