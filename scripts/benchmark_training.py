@@ -223,7 +223,8 @@ def train_torchrl(experiment: str, pause: turns.Pause) -> None:
         ValueOperator(nn.Linear(layers.size, 1), in_keys=["hidden"]),
     )
     policy, value = both.get_policy_operator(), both.get_value_operator()
-    advantage = GAE(gamma=0.99, lmbda=1.0, value_network=value)
+    # vmap has no rule for the LSTM that reads instructions.
+    advantage = GAE(gamma=0.99, lmbda=1.0, value_network=value, deactivate_vmap=True)
     loss = A2CLoss(policy, value, entropy_coeff=0.003, critic_coeff=0.5)
     optimiser = torch.optim.Adam(loss.parameters(), lr=task.learning_rate)
     size = task.worlds * task.steps
