@@ -27,14 +27,12 @@ Pause = Callable[[int], None]
 """Called every now and then with the number of frames since; returns when the row may go on."""
 
 
-def parser(description: str, rounds: int, seconds: float) -> argparse.ArgumentParser:
-    """The options that all these scripts have; see `measure` and `python_of`."""
-    found = argparse.ArgumentParser(description=description)
-    found.add_argument("--rounds", type=int, default=rounds)
-    found.add_argument("--seconds", type=float, default=seconds, help="of each row in each round")
-    found.add_argument("--match", default="", help="rows whose name has this in it, beside zipf's")
-    found.add_argument("--environments", type=Path, default=ROOT / "build" / "peers")
-    return found
+def add_options(parser: argparse.ArgumentParser, rounds: int, seconds: float) -> None:
+    """Adds the options that all these scripts have, with two of their defaults."""
+    parser.add_argument("--rounds", type=int, default=rounds)
+    parser.add_argument("--seconds", type=float, default=seconds, help="of each row in each round")
+    parser.add_argument("--match", default="", help="rows whose name has this in it, beside zipf's")
+    parser.add_argument("--environments", type=Path, default=ROOT / "build" / "peers")
 
 
 def python_of(name: str, packages: Sequence[str | Path], folder: Path) -> Path:
