@@ -62,7 +62,7 @@ EXPERIMENTS = {
     "gridworld": "the paper's network, 63 x 63",
     "playroom_lift": "the paper's network, 72 x 96",
     "gridworld_compact": "the compact network, 63 x 63",
-    "playroom_lift_compact": "the compact network, 72 x 96",
+    "playroom_lift_compact": "the shallow network, 72 x 96",
 }
 
 

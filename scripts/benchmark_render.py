@@ -9,7 +9,6 @@ in turn, several times over, and each row's median is shown.
 
 import argparse
 import os
-import resource
 import statistics
 import tempfile
 import time
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from turns import cpu_seconds
 
 from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
 
@@ -207,24 +207,6 @@ def row(name: str, scenes: Scenes, size: tuple[int, int] = (96, 72)) -> Row:
     return Row(name, WORLDS, run)
 
 
-def with_children() -> float:
-    """CPU seconds of this process and of the processes it started, ended or not."""
-    spent = time.process_time()
-    ticks = os.sysconf("SC_CLK_TCK")
-    own = str(os.getpid())
-    for entry in os.listdir("/proc"):
-        if entry.isdigit():
-            try:
-                with open(f"/proc/{entry}/stat") as file:
-                    fields = file.read().rsplit(")", 1)[1].split()
-            except OSError:
-                continue
-            if fields[1] == own:
-                spent += (int(fields[11]) + int(fields[12])) / ticks
-    children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return spent + children.ru_utime + children.ru_stime
-
-
 def doom(vizdoom: Any, scenario: str) -> Row:
     game = vizdoom.DoomGame()
     game.load_config(os.path.join(vizdoom.scenarios_path, f"{scenario}.cfg"))
@@ -244,7 +226,7 @@ def doom(vizdoom: Any, scenario: str) -> Row:
             game.make_action(actions[call % 256], 1)
             game.get_state()
 
-    return Row(f"ViZDoom {scenario} 160 x 120", 1, run, with_children)
+    return Row(f"ViZDoom {scenario} 160 x 120", 1, run, cpu_seconds)
 
 
 def main() -> None:

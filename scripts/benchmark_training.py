@@ -8,8 +8,8 @@ the versions of constraints.txt and this checkout. Every row is a process that t
 go in turn, `--seconds` of wall clock each, `--rounds` times over, while the others wait. A row's
 ratio is the median, over rounds, of its speed beside that of zipf in float32 in the same round.
 
-All rows learn the same worlds with the same network (`network=compact memory=mlp`, built from
-zipf's modules), on unrolls of the same size, in float32 unless they say otherwise, and learn from
+All rows learn the same worlds with the experiment's network and `memory=mlp` (built from zipf's
+modules), on unrolls of the same size, in float32 unless they say otherwise, and learn from
 every frame once: advantage actor-critic, or PPO with one epoch of one batch, which is the least
 that it can do (its usual four or ten epochs take as many times as long). "gym.make" rows step
 worlds one by one, as `make_vec_env` of Stable-Baselines3 does; the others use zipf's batches
@@ -19,26 +19,17 @@ through zipf's adapters.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import itertools
 import os
-import signal
-import statistics
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+import turns
+
 EXPERIMENTS = ("gridworld_compact", "playroom_lift_compact")
 ZIPF = "zipf, IMPALA"
-
-Pause = Callable[[int], None]
-"""Called after every update with its number of frames; returns when the row may go on."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +37,7 @@ class Peer:
     """A library: the packages of its environment, and its rows' training functions."""
 
     packages: tuple[str, ...]
-    rows: dict[str, Callable[[str, Pause], None]]
+    rows: dict[str, Callable[[str, turns.Pause], None]]
 
 
 @dataclass(frozen=True)
@@ -113,7 +104,7 @@ def trunk(task: Task, space: Any) -> Any:
     return Trunk()
 
 
-def train_zipf(experiment: str, pause: Pause, *overrides: str) -> None:
+def train_zipf(experiment: str, pause: turns.Pause, *overrides: str) -> None:
     from zipf.experiments import command_line
     from zipf.experiments.running import run_folder
     from zipf.experiments.running.allocator import keep_freed_ram
@@ -130,7 +121,9 @@ def train_zipf(experiment: str, pause: Pause, *overrides: str) -> None:
                 pause(run.frames_per_update)
 
 
-def train_stable_baselines3(experiment: str, pause: Pause, algorithm: str, worlds: str) -> None:
+def train_stable_baselines3(
+    experiment: str, pause: turns.Pause, algorithm: str, worlds: str
+) -> None:
     import gymnasium as gym
     import stable_baselines3
     import torch
@@ -187,7 +180,7 @@ def train_stable_baselines3(experiment: str, pause: Pause, algorithm: str, world
     model.learn(10**12, callback=Paused())
 
 
-def train_torchrl(experiment: str, pause: Pause) -> None:
+def train_torchrl(experiment: str, pause: turns.Pause) -> None:
     import torch
     from tensordict.nn import InteractionType, TensorDictModule
     from torch import nn
@@ -230,7 +223,8 @@ def train_torchrl(experiment: str, pause: Pause) -> None:
         ValueOperator(nn.Linear(layers.size, 1), in_keys=["hidden"]),
     )
     policy, value = both.get_policy_operator(), both.get_value_operator()
-    advantage = GAE(gamma=0.99, lmbda=1.0, value_network=value)
+    # vmap has no rule for the LSTM that reads instructions.
+    advantage = GAE(gamma=0.99, lmbda=1.0, value_network=value, deactivate_vmap=True)
     loss = A2CLoss(policy, value, entropy_coeff=0.003, critic_coeff=0.5)
     optimiser = torch.optim.Adam(loss.parameters(), lr=task.learning_rate)
     size = task.worlds * task.steps
@@ -247,7 +241,7 @@ def train_torchrl(experiment: str, pause: Pause) -> None:
         pause(size)
 
 
-def _stable_baselines3(algorithm: str, worlds: str) -> Callable[[str, Pause], None]:
+def _stable_baselines3(algorithm: str, worlds: str) -> Callable[[str, turns.Pause], None]:
     return lambda *arguments: train_stable_baselines3(*arguments, algorithm, worlds)
 
 
@@ -255,7 +249,7 @@ PEERS = {
     "zipf": Peer(
         (),
         {
-            ZIPF: train_zipf,
+            ZIPF: lambda e, p: train_zipf(e, p, "precision=float32"),
             f"{ZIPF}, bfloat16": lambda e, p: train_zipf(e, p, "precision=bfloat16"),
         },
     ),
@@ -272,136 +266,45 @@ PEERS = {
 }
 
 
-def python_of(name: str, peer: Peer, folder: Path) -> Path:
-    """The interpreter of a peer's virtual environment, which is made if it is not there.
-
-    Raises:
-        subprocess.CalledProcessError: it cannot be installed; pip's messages tell why.
-    """
-    python = folder / name / "bin" / "python"
-    if not python.exists():
-        subprocess.run([sys.executable, "-m", "venv", str(folder / name)], check=True)
-        install = [str(python), "-m", "pip", "install", "--quiet"]
-        install += ["--constraint", str(ROOT / "constraints.txt")]
-        try:
-            subprocess.run([*install, "--editable", str(ROOT), *peer.packages], check=True)
-        except BaseException:
-            python.unlink()  # is made anew the next time
-            raise
-    return python
-
-
-class Trainer:
-    """A row's process, which trains while it is let go."""
-
-    def __init__(self, python: Path, name: str, row: str, experiment: str):
-        self.name = row
-        self.speeds: list[float] = []
-        command = [str(python), __file__, "--train", name, row, experiment]
-        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        self._process = subprocess.Popen(command, text=True, start_new_session=True, **pipes)
-
-    def go(self, seconds: float) -> float:
-        """Frames per second over so many seconds and the rest of the update then begun.
-
-        Raises:
-            RuntimeError: the process has ended.
-        """
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        with contextlib.suppress(BrokenPipeError):  # what it says is read all the same
-            print(seconds, file=self._process.stdin, flush=True)
-        for line in self._process.stdout:  # libraries print, too
-            if line.startswith("frames/s "):
-                return float(line.split()[1])
-        raise RuntimeError(f"{self.name}: the process has ended with {self._process.wait()}")
-
-    def end(self) -> None:
-        if self._process.poll() is None:
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
-
-
-def train(name: str, row: str, experiment: str) -> None:
-    """In a row's process: trains, as long as it is told on standard input."""
-    frames, start, until = 0, 0.0, 0.0
-
-    def pause(more: int) -> None:
-        nonlocal frames, start, until
-        frames += more
-        now = time.perf_counter()
-        if now < until:
-            return
-        if until:
-            print(f"frames/s {frames / (now - start)}", flush=True)
-        line = sys.stdin.readline()
-        if not line:
-            raise SystemExit
-        frames, start = 0, time.perf_counter()
-        until = start + float(line)
-
-    PEERS[name].rows[row](experiment, pause)
-
-
-def measure(experiment: str, arguments: argparse.Namespace) -> list[Trainer]:
-    """All rows' speeds, by round."""
-    rows = [
+def measure(experiment: str, arguments: argparse.Namespace) -> list[turns.Row]:
+    """All rows, with their speeds by round."""
+    named = [
         (name, row)
         for name, peer in PEERS.items()
         for row in peer.rows
         if row == ZIPF or arguments.match in row
     ]
-    pythons = {
-        name: python_of(name, PEERS[name], arguments.environments)
-        for name in dict.fromkeys(name for name, _ in rows)
-    }
-    trainers = [Trainer(pythons[name], name, row, experiment) for name, row in rows]
-    try:
-        for trainer in trainers:
-            trainer.go(arguments.seconds / 2)  # until everything is compiled and allocated
-        for number, trainer in itertools.product(range(arguments.rounds), trainers):
-            trainer.speeds.append(trainer.go(arguments.seconds))
-            speed = f"{trainer.speeds[-1]:,.0f} frames/s"
-            print(f"{experiment}: {number + 1}: {trainer.name}: {speed}", file=sys.stderr)
-    finally:
-        for trainer in trainers:
-            trainer.end()
-    return trainers
+    pythons = {name: python_of(name, arguments.environments) for name in dict(named)}
+    rows = [
+        turns.Row(row, pythons[name], [__file__, "--train", name, row, experiment])
+        for name, row in named
+    ]
+    turns.measure(experiment, rows, arguments.rounds, arguments.seconds)
+    return rows
+
+
+def python_of(name: str, folder: Path) -> Path:
+    """The interpreter of a peer's virtual environment."""
+    constraints = ("--constraint", turns.ROOT / "constraints.txt")
+    packages = (*constraints, "--editable", turns.ROOT, *PEERS[name].packages)
+    return turns.python_of(name, packages, folder)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    turns.add_options(parser, rounds=5, seconds=10.0)
     parser.add_argument("--experiments", nargs="+", default=EXPERIMENTS, metavar="EXPERIMENT")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each row in each round")
-    parser.add_argument("--match", default="", help="rows whose name has this in it, beside zipf's")
-    parser.add_argument("--environments", type=Path, default=ROOT / "build" / "peers")
     parser.add_argument("--train", nargs=3, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.train:
-        train(*arguments.train)
+        name, row, experiment = arguments.train
+        turns.serve(lambda pause: PEERS[name].rows[row](experiment, pause))
         return
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(width=120)
     for experiment in arguments.experiments:
-        trainers = measure(experiment, arguments)
-        table = Table(title=f"training on the worlds of {experiment}", title_justify="left")
-        table.add_column("", no_wrap=True)
-        for column in ("frames/s", "lowest .. highest", "zipf is x times as fast"):
-            table.add_column(column, justify="right", no_wrap=True)
-        for trainer in trainers:
-            ours = zip(trainers[0].speeds, trainer.speeds, strict=True)
-            table.add_row(
-                trainer.name,
-                f"{statistics.median(trainer.speeds):,.0f}",
-                f"{min(trainer.speeds):,.0f} .. {max(trainer.speeds):,.0f}",
-                f"{statistics.median(one / other for one, other in ours):.2f}",
-            )
-        console.print(table)
+        rows = measure(experiment, arguments)
+        turns.show(f"training on the worlds of {experiment}", rows)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    console.print(f"{cores} cores, wall clock, {arguments.rounds} rounds of {arguments.seconds} s")
+    print(f"{cores} cores, wall clock, {arguments.rounds} rounds of {arguments.seconds} s")
 
 
 if __name__ == "__main__":

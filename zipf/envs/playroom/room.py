@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import pymunk
+from pymunk._chipmunk_cffi import lib
 
 from zipf.envs.playroom.constants import (
     AGENT_MASS,
@@ -172,19 +173,20 @@ class Room:
 
     def step(self, force: Sequence[float]) -> None:
         """Simulates the frames of one action, with a force (x, y) on the agent, newtons."""
-        agent, step = self.agent, self.space.step
+        # Chipmunk without pymunk's methods, which here do nothing else and take as long again.
+        space, agent = self.space._space, self.agent._body
         x, y = force
         for _ in range(FRAMES):
             if x or y:
-                agent.force = x, y  # pymunk clears it after every frame
-            step(FRAME)
+                lib.cpBodySetForce(agent, (x, y))  # Chipmunk clears it after every frame
+            lib.cpSpaceStep(space, FRAME)
 
     def poses(self) -> list[float]:
         """x, y and angle of the agent and then of each object, as one flat list."""
         values: list[float] = []
         for body in self.bodies:
-            x, y = body.position
-            values += (x, y, body.angle)
+            place = lib.cpBodyGetPosition(body._body)
+            values += (place.x, place.y, lib.cpBodyGetAngle(body._body))
         return values
 
 
