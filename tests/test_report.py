@@ -207,6 +207,14 @@ def test_a_resumed_run_counts_its_repeated_evaluations_once(tmp_path: Path) -> N
     assert line(only_table(tmp_path), "impala", "train")["score"] == pytest.approx(0.25)
 
 
+def test_the_record_has_the_command_that_finished_a_run(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, constant(0.5))
+    later = "python -m zipf.train experiment=gridworld updates=4400"
+    change_description(folder, resumed=[{"update": 9, "command": later}, {"update": 10}])
+    text = markdown.record(tables.score_tables(results.load_runs([tmp_path])), "")
+    assert f"```\n{later}\n```" in text
+
+
 def test_the_frames_of_a_row_are_those_behind_its_score(tmp_path: Path) -> None:
     write_run(tmp_path, {100: (0.1,) * 3, 300: (0.1,) * 3, 400: (0.1,) * 3})
     write_run(tmp_path, {100: (0.1,) * 3, 200: (0.1,) * 3}, seed=1)

@@ -122,6 +122,13 @@ class RunDescription(_Described):
         return self
 
     @property
+    def last_command(self) -> str | None:
+        """The command that finished the run: it has the number of updates and the window that
+        count, which may change when a run is resumed."""
+        commands = [self.command, *(again.get("command") for again in self.resumed)]
+        return next((one for one in reversed(commands) if isinstance(one, str)), None)
+
+    @property
     def row_key(self) -> str:
         """The row of a table that the run belongs to: its condition, marked if it is external."""
         return self.condition + (f" {EXTERNAL_MARK}" if self.external else "")

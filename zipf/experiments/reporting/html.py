@@ -295,7 +295,7 @@ def _details(row: Row, run: Run) -> RunDetails:
     resumed = ", ".join(f"update {again.get('update')}" for again in one.resumed)
     facts = {
         "Folder": run.label,
-        "Command": one.command,
+        "Command": one.last_command,
         "Commit": one.commit,
         "Device": one.device,
         "Precision": one.precision,

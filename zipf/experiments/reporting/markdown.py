@@ -79,9 +79,9 @@ def record(
             for title, *cells in (run_cells(row, run) for run in row.runs):
                 lines.append([_escape(title), *cells])
         parts.append("\n".join(f"| {' | '.join(cells)} |" for cells in lines) + "\n")
-        called = [run.description.command for run in table.runs if run.description.command]
-        if called:
-            commands = "\n".join(dict.fromkeys(called))
+        called = [run.description.last_command for run in table.runs]
+        if any(called):
+            commands = "\n".join(filter(None, dict.fromkeys(called)))
             parts.append(f"```\n{commands}\n```\n")
     return "\n".join([*parts, *_after_tables(tables, claims, statistics), *pages])
 
