@@ -38,7 +38,7 @@ def _run(_: DictConfig) -> None:
 
 
 def _tell(error: Exception) -> None:
-    learners.let_first_tell()
+    learners.let_others_tell(error)
     for line in str(error).splitlines():
         print(f"error: {line}", file=sys.stderr)
 

@@ -96,7 +96,7 @@ class Agent(ABC):
         weighted_losses: whether it multiplies the loss of a frame by the unroll's `weight`.
         learns_from_hindsight: whether it learns from the unroll's relabelled `episodes`.
         averages_gradients: whether it learns from the mean of several learners' gradients
-            (`zipf.agents.averaging`) and otherwise changes its state in the same way in all of them.
+            (`zipf.agents.averaging`), so that its state stays the same in all of them.
         largest_lag: how many unrolls collection may run ahead of learning on one machine. An agent
             with 0 learns from what its newest weights have played; others may also learn from
             actors in a cluster, whose weights are older by some updates.

@@ -91,13 +91,13 @@ def _not_by_several_learners(config: Config) -> Iterator[str]:
     if not agents()[config.agent.name].averages_gradients:
         able = [name for name, agent in agents().items() if agent.averages_gradients]
         yield (
-            f"runtime=torchrun: agent={config.agent.name} does not average gradients over learners; "
-            f"choose runtime=local, or agent={' or '.join(able)}"
+            f"runtime=torchrun: agent={config.agent.name} does not average gradients over "
+            f"learners; choose runtime=local, or agent={' or '.join(able)}"
         )
     if config.episodic != NO_EPISODIC:
         yield (
-            f"episodic={config.episodic.name}: each learner would have a dictionary of its own; with "
-            "runtime=torchrun choose episodic=none"
+            f"episodic={config.episodic.name}: each learner would have a dictionary of its own; "
+            "with runtime=torchrun choose episodic=none"
         )
     if ":" in config.device:
         yield (

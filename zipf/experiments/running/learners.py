@@ -29,7 +29,11 @@ from zipf.experiments.running.visits import Visits
 from zipf.experiments.runtime import TorchrunOptions
 
 PATIENCE = timedelta(days=1)  # ours: the others wait for the first while it evaluates
-HEAD_START = 3.0  # seconds; ours: torchrun ends the others of a machine sooner
+HEAD_START = 10.0  # seconds; ours: torchrun ends the others of a machine sooner
+
+
+class LearnerLost(UserError):
+    """Another learner has ended."""
 
 
 class OnlyLearner:
@@ -82,7 +86,7 @@ class OnlyLearner:
 class Learner(OnlyLearner):
     """One of several learners, which have joined.
 
-    Every method raises `UserError` where another learner has ended.
+    Every method raises `LearnerLost` where another learner has ended.
     """
 
     def __init__(self) -> None:
@@ -205,11 +209,13 @@ def joined(config: Config) -> Iterator[OnlyLearner]:
         dist.destroy_process_group()
 
 
-def let_first_tell() -> None:
-    """Waits before an error is shown, in all processes of torchrun's but the first: of a mistake
-    that all of them find, the first tells, and torchrun ends the others meanwhile."""
+def let_others_tell(error: Exception) -> None:
+    """Waits before an error is shown where another learner is to tell: of a mistake that all find
+    the first, and of the end of a learner the one that ends. Torchrun ends the others meanwhile."""
+    late = 2 * isinstance(error, LearnerLost)
     if _started_by_torchrun() and os.environ["RANK"] != "0":
-        time.sleep(HEAD_START)
+        late += 1
+    time.sleep(late * HEAD_START)
 
 
 def _started_by_torchrun() -> int:
@@ -222,7 +228,7 @@ def _with_others() -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:  # PyTorch's, whichever class its backend raises
-        raise UserError(averaging.lost(error)) from None
+        raise LearnerLost(averaging.lost(error)) from None
 
 
 def _digest(state: Any) -> str:

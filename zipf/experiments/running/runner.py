@@ -22,7 +22,7 @@ from zipf.experiments.running.clock import Clock
 from zipf.experiments.running.display import Display
 from zipf.experiments.running.evaluator import derive_seed, scores
 from zipf.experiments.running.factory import build_agent, build_collector
-from zipf.experiments.running.learners import OnlyLearner
+from zipf.experiments.running.learners import LearnerLost, OnlyLearner
 from zipf.experiments.running.logger import Logger
 from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.overlap import Overlap
@@ -239,6 +239,8 @@ class Run:
                 f"{self.folder}: learning diverged at update {self.update + 1} ({error}); the "
                 "checkpoint before it is kept; a smaller agent.learning_rate may help"
             ) from None
+        except ConnectionError as error:
+            raise LearnerLost(str(error)) from None
         except OSError as error:  # no space for files that the agent keeps
             raise UserError(str(error)) from None
 
