@@ -27,7 +27,7 @@ def problems(config: Config) -> Iterator[str]:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"
     split = envs.split(config.environment.split)
     train = split.levels("train")
-    if split.draw == "worlds" and config.num_envs < len(train):
+    if split.draw == "worlds" and 0 < config.num_envs < len(train):
         of_each = ", for each learner" if config.learners > 1 else ""
         yield (
             f"collector.num_envs={config.collector.num_envs}: should be at least "

@@ -132,7 +132,7 @@ class Learner(OnlyLearner):
             return None
         own: list[Any] = [None]
         with _with_others():
-            dist.scatter_object_list(own, saved and saved["learners"], src=0)
+            dist.scatter_object_list(own, saved["learners"] if saved else None, src=0)
         return common | own[0]
 
     def check_same(self, what: str, state: Any) -> None:
@@ -196,8 +196,9 @@ def joined(config: Config) -> Iterator[OnlyLearner]:
     cuda = config.torch_device.startswith("cuda")
     with _with_others():
         dist.init_process_group("cpu:gloo,cuda:nccl" if cuda else "gloo", timeout=PATIENCE)
-    averaging.join(dist.group.WORLD)
     try:
+        assert dist.group.WORLD is not None
+        averaging.join(dist.group.WORLD)
         learner = Learner()
         here = {**config.model_dump(), "version": zipf.__version__}
         for of_machine in ("run_root", "device"):
@@ -247,7 +248,7 @@ def _digest(state: Any) -> str:
         elif isinstance(value, torch.Tensor):
             flat = value.detach().cpu().contiguous().flatten()
             sha.update(repr((value.dtype, value.shape)).encode())
-            sha.update(flat.view(torch.uint8).numpy())
+            sha.update(flat.view(torch.uint8).numpy().data)
         else:
             sha.update(repr(value).encode())
 
