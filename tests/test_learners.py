@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from types import SimpleNamespace
@@ -224,6 +225,27 @@ def test_visits_are_of_all_learners():
     total = Rows(*states).total(Visits(("rank",)))
     met = total.beside(pd.DataFrame({"rank": [3, 7]}))
     assert list(met["visits"]) == [3, 5]
+
+
+def test_learners_that_start_again_do_not_meet_those_before_them():
+    """Torchrun's store still holds what these have told."""
+    store = torch.distributed.HashStore()
+
+    def meet(rank):
+        time.sleep(0.2 * rank)  # so that the first would find the names of those before
+        return learners.of_these(store, rank, 3)
+
+    for attempt in range(2):
+        with ThreadPoolExecutor(3) as threads:
+            first, second, third = threads.map(meet, range(3))
+        assert not first.check(["said"])
+        third.set("said", str(attempt))
+        assert first.get("said") == second.get("said") == str(attempt).encode()
+
+
+def test_what_is_sent_arrives():
+    state = {"a": np.arange(3, dtype=np.uint64), "b": torch.arange(3, dtype=torch.uint64), "c": [1]}
+    assert_equal(learners._unpacked(learners._packed(state)), state)
 
 
 def test_learners_that_differ_are_told():

@@ -9,8 +9,10 @@ each waits for all.
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import time
+import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import timedelta
@@ -29,6 +31,7 @@ from zipf.experiments.running.visits import Visits
 from zipf.experiments.runtime import TorchrunOptions
 
 PATIENCE = timedelta(days=1)  # ours: the others wait for the first while it evaluates
+MEETING = timedelta(minutes=10)  # ours: for the slowest of the machines to start its processes
 HEAD_START = 10.0  # seconds; ours: torchrun ends the others of a machine sooner
 
 
@@ -131,9 +134,10 @@ class Learner(OnlyLearner):
         if common is None:
             return None
         own: list[Any] = [None]
+        parts = [_packed(part) for part in saved["learners"]] if saved else None
         with _with_others():
-            dist.scatter_object_list(own, saved["learners"] if saved else None, src=0)
-        return common | own[0]
+            dist.scatter_object_list(own, parts, src=0)
+        return common | _unpacked(own[0])
 
     def check_same(self, what: str, state: Any) -> None:
         """Raises `UserError` where learners differ in `what`."""
@@ -151,18 +155,18 @@ class Learner(OnlyLearner):
 
     def _gather(self, value: Any) -> list[Any] | None:
         """For the first, the values of all learners in the order of their ranks."""
-        values = [None] * dist.get_world_size() if self.is_first else None
+        values: list[Any] | None = [None] * dist.get_world_size() if self.is_first else None
         with _with_others():
-            dist.gather_object(value, values, dst=0)
-        return values
+            dist.gather_object(_packed(value), values, dst=0)
+        return values and [_unpacked(one) for one in values]
 
     @staticmethod
     def _of_first(value: Any) -> Any:
         """The value that the first has."""
-        values = [value]
+        values = [_packed(value)]
         with _with_others():
             dist.broadcast_object_list(values, src=0)
-        return values[0]
+        return _unpacked(values[0])
 
 
 @contextmanager
@@ -195,7 +199,14 @@ def joined(config: Config) -> Iterator[OnlyLearner]:
     # Tensors in RAM, such as what is written to files, take another way than those on GPUs.
     cuda = config.torch_device.startswith("cuda")
     with _with_others():
-        dist.init_process_group("cpu:gloo,cuda:nccl" if cuda else "gloo", timeout=PATIENCE)
+        store, rank, count = next(dist.rendezvous("env://", timeout=MEETING))
+        dist.init_process_group(
+            "cpu:gloo,cuda:nccl" if cuda else "gloo",
+            store=of_these(store, rank, count),
+            rank=rank,
+            world_size=count,
+            timeout=PATIENCE,
+        )
     try:
         assert dist.group.WORLD is not None
         averaging.join(dist.group.WORLD)
@@ -224,12 +235,45 @@ def _started_by_torchrun() -> int:
     return int(os.environ["WORLD_SIZE"]) if {"RANK", "WORLD_SIZE"} <= os.environ.keys() else 0
 
 
+def of_these(store: dist.Store, rank: int, count: int) -> dist.Store:
+    """The part of torchrun's store that these learners alone use. When torchrun has started them
+    again, it still holds what those before them have told each other, such as where they listen.
+
+    Raises:
+        RuntimeError: some of them have not come.
+    """
+    name = uuid.uuid4().hex
+    store.set(f"learners/{rank}", name)
+    late = time.monotonic() + MEETING.total_seconds()
+    while time.monotonic() < late:
+        names = [store.get(f"learners/{other}").decode() for other in range(count)]
+        together = "/".join(names)
+        store.set(f"learners/of/{name}", together)
+        known = [f"learners/of/{one}" for one in names]
+        if store.check(known) and all(store.get(key).decode() == together for key in known):
+            return dist.PrefixStore(hashlib.sha256(together.encode()).hexdigest(), store)
+        time.sleep(0.05)
+    raise RuntimeError(f"torchrun's processes did not meet within {MEETING}")
+
+
 @contextmanager
 def _with_others() -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:  # PyTorch's, whichever class its backend raises
         raise LearnerLost(averaging.lost(error)) from None
+
+
+def _packed(value: Any) -> bytes:
+    """As bytes; pickle alone cannot write tensors of every type."""
+    packed = io.BytesIO()
+    torch.save(value, packed)
+    return packed.getvalue()
+
+
+def _unpacked(packed: bytes) -> Any:
+    """What another learner has packed: a process of the same user's run."""
+    return torch.load(io.BytesIO(packed), map_location="cpu", weights_only=False)
 
 
 def _digest(state: Any) -> str:
