@@ -244,8 +244,12 @@ def test_learners_that_start_again_do_not_meet_those_before_them():
 
 
 def test_what_is_sent_arrives():
-    state = {"a": np.arange(3, dtype=np.uint64), "b": torch.arange(3, dtype=torch.uint64), "c": [1]}
-    assert_equal(learners._unpacked(learners._packed(state)), state)
+    """Generators of worlds have states of this type, tensors after they were read from a file."""
+    state = {
+        "array": np.arange(3, dtype=np.uint64),
+        "tensor": torch.tensor([2**63], dtype=torch.uint64),
+    }
+    assert_equal(*map(checkpoint.arrays, (learners._unpacked(learners._packed(state)), state)))
 
 
 def test_learners_that_differ_are_told():

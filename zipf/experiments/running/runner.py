@@ -58,23 +58,29 @@ def train(config: Config) -> int:
             run.close()
             run.display.say(f"{run.name}: is finished at update {run.update}, in {run.folder}")
             return 0
-        with run, StopSignals(run.display.say) as stop:
-            if run.is_new:
-                run.evaluate()
-                run.save()
-            while run.update < config.updates and not learner.agree(stop.requested):
-                unroll, metrics = run.step()
-                run.display.advance(run.update)
-                if run.update % schedule.log_every == 0:
-                    run.log(unroll, metrics)
-                if run.update % config.evaluation.every == 0:
+        stop = StopSignals(run.display.say)
+        try:
+            with run, stop:
+                if run.is_new:
                     run.evaluate()
-                if run.update % schedule.checkpoint_every == 0:
                     run.save()
-            if run.evaluated < run.update and not learner.agree(stop.requested):
-                run.evaluate()
-            run.save()
-        return learner.agree(stop.requested)
+                while run.update < config.updates and not learner.agree(stop.requested):
+                    unroll, metrics = run.step()
+                    run.display.advance(run.update)
+                    if run.update % schedule.log_every == 0:
+                        run.log(unroll, metrics)
+                    if run.update % config.evaluation.every == 0:
+                        run.evaluate()
+                    if run.update % schedule.checkpoint_every == 0:
+                        run.save()
+                if run.evaluated < run.update and not learner.agree(stop.requested):
+                    run.evaluate()
+                run.save()
+            return learner.agree(stop.requested)
+        except LearnerLost:
+            if stop.requested:  # torchrun ends all
+                return stop.requested
+            raise
 
 
 @contextmanager
