@@ -87,7 +87,8 @@ def starts(arguments: list[str]) -> None:
     assert options.training_script == "zipf.train"
     config = command_line.load(options.training_script_args)
     assert config.runtime.name == "torchrun"
-    assert int(options.nnodes) * int(options.nproc_per_node) == config.learners
+    machines = int(options.nnodes.rpartition(":")[2])  # as in 2, or 1:4 for up to four
+    assert machines * int(options.nproc_per_node) == config.learners
 
 
 def installs(arguments: list[str]) -> None:
