@@ -15,8 +15,9 @@ import yaml
 from packaging.requirements import Requirement
 from pages import BLOCKS, PAGES, PLACEHOLDER, ROOT, Block, command, commands, fenced, files, lines
 from ray.scripts import scripts
+from torch.distributed import run as torchrun
 
-from zipf.experiments import sweeps
+from zipf.experiments import command_line, sweeps
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 COMMANDS = {"zipf.train", "zipf.evaluate", "zipf.play", "zipf.report"}
@@ -38,6 +39,8 @@ def shell(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
                 assert not PLACEHOLDER.search(" ".join(arguments)), f"{line}: is not complete"
                 assert module in COMMANDS, line
                 assert " ".join(arguments) in commands(module), line
+            case ["torchrun", *arguments]:
+                starts(arguments)
             case ["python", script, *arguments]:
                 accepts(script, arguments, monkeypatch)
             case ["pip", "install", *arguments]:
@@ -75,6 +78,17 @@ def accepts(script: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch) 
         patch.syspath_prepend(str(path.parent))
         with pytest.raises(Parsed):
             runpy.run_path(str(path), run_name="__main__")
+
+
+def starts(arguments: list[str]) -> None:
+    """Asserts that torchrun starts as many learners of a possible run as that has."""
+    options = torchrun.get_args_parser().parse_args(arguments)
+    assert options.module
+    assert options.training_script == "zipf.train"
+    config = command_line.load(options.training_script_args)
+    assert config.runtime.name == "torchrun"
+    machines = int(options.nnodes.rpartition(":")[2])  # as in 2, or 1:4 for up to four
+    assert machines * int(options.nproc_per_node) == config.learners
 
 
 def installs(arguments: list[str]) -> None:
@@ -186,6 +200,8 @@ def test_a_block_that_cannot_be_covered_is_an_error(text):
         "python scripts/benchmark_envs.py --not-an-option",
         "pip install zipf-rl[not_an_extra]",
         "pip install flask",
+        "torchrun --nproc-per-node=2 -m zipf.train experiment=demo",
+        "torchrun --nproc-per-node=3 -m zipf.train experiment=demo runtime=torchrun",
         "make not_a_target",
         "make demo && make test",
         "rm -rf runs",

@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from zipf.experiments import catalogue, command_line, composing, sweeps
 from zipf.experiments.errors import TOLD, UserError
 from zipf.experiments.output import keep_going
-from zipf.experiments.running import runner, sweep
+from zipf.experiments.running import learners, runner, sweep
 
 # For the help text in configs/train.yaml.
 OmegaConf.register_new_resolver("zipf_choices", catalogue.help_text, replace=True)
@@ -38,6 +38,7 @@ def _run(_: DictConfig) -> None:
 
 
 def _tell(error: Exception) -> None:
+    learners.let_others_tell(error)
     for line in str(error).splitlines():
         print(f"error: {line}", file=sys.stderr)
 

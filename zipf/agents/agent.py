@@ -55,7 +55,8 @@ class Setting:
         observation_space, action_space: of one world.
         network, memory, auxiliary, critic, episodic: options of the encoder, the memory, the
             auxiliary loss, what is learned about returns, and episodic memory.
-        num_envs, unroll_length: B and T of the unrolls that the agent will learn from.
+        num_envs, unroll_length: B and T of the unrolls that the agent will learn from; with several
+            learners, of each of them.
         seed: of the initial weights and of all that an agent draws by itself.
         device: where it computes, as PyTorch names it.
         precision: "float32", or "bfloat16" for automatic mixed precision.
@@ -94,6 +95,8 @@ class Agent(ABC):
         episodic_memory: whether it reads and writes the dictionary of `setting.episodic`.
         weighted_losses: whether it multiplies the loss of a frame by the unroll's `weight`.
         learns_from_hindsight: whether it learns from the unroll's relabelled `episodes`.
+        averages_gradients: whether it learns from the mean of several learners' gradients
+            (`zipf.agents.averaging`), so that its state stays the same in all of them.
         largest_lag: how many unrolls collection may run ahead of learning on one machine. An agent
             with 0 learns from what its newest weights have played; others may also learn from
             actors in a cluster, whose weights are older by some updates.
@@ -118,6 +121,7 @@ class Agent(ABC):
     episodic_memory: ClassVar[bool] = False
     weighted_losses: ClassVar[bool] = False
     learns_from_hindsight: ClassVar[bool] = False
+    averages_gradients: ClassVar[bool] = False
     largest_lag: ClassVar[int] = 0
     answers_questions: ClassVar[bool] = False
     burn_in: int = 0

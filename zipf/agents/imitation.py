@@ -25,6 +25,7 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.averaging import average_gradients
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary, build_recorder
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
@@ -85,6 +86,7 @@ class Imitation(Agent):
     auxiliary_losses = True
     episodic_memory = True
     weighted_losses = True
+    averages_gradients = True
     largest_lag = 1  # labels do not depend on the weights that acted
     options: ImitationOptions
     actor: Policy
@@ -170,6 +172,7 @@ class Imitation(Agent):
 
         self.optimiser.zero_grad()
         loss.backward()
+        average_gradients(self.learned)
         gradient_norm = torch.nn.utils.clip_grad_norm_(self.learned, self.options.max_gradient_norm)
         if not gradient_norm.isfinite():
             raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")

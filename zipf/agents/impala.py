@@ -25,6 +25,7 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.averaging import average_gradients
 from zipf.agents.episodic import build_recorder
 from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.memory import State
@@ -66,6 +67,7 @@ class Impala(Agent):
     any_critic = True
     episodic_memory = True
     weighted_losses = True
+    averages_gradients = True
     learns_from_hindsight = True
     largest_lag = 1  # V-trace corrects for it
     options: ImpalaOptions
@@ -189,6 +191,7 @@ class Impala(Agent):
 
         self.optimiser.zero_grad()
         loss.backward()
+        average_gradients(self.learned)
         gradient_norm = torch.nn.utils.clip_grad_norm_(self.learned, o.max_gradient_norm)
         if not gradient_norm.isfinite():
             raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")

@@ -23,6 +23,7 @@ from pydantic import Field
 from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
+from zipf.agents.averaging import average_gradients
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
@@ -76,6 +77,7 @@ class Supervised(Agent):
     Options = SupervisedOptions
     largest_lag = 1  # its answers in training do not depend on what it has learned
     weighted_losses = True
+    averages_gradients = True
     answers_questions = True
     options: SupervisedOptions
     actor: Classifier
@@ -136,7 +138,8 @@ class Supervised(Agent):
 
         self.optimiser.zero_grad()
         loss.backward()
-        parameters = self.network.parameters()
+        parameters = list(self.network.parameters())
+        average_gradients(parameters)
         norm = torch.nn.utils.clip_grad_norm_(parameters, self.options.max_gradient_norm)
         if not norm.isfinite():
             raise FloatingPointError(f"the gradient's norm is {norm.item()}")

@@ -32,6 +32,7 @@ from torch import Tensor, nn
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.averaging import average_gradients
 from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast
@@ -77,6 +78,7 @@ class VMPO(Agent):
     auxiliary_losses = True
     any_critic = True
     weighted_losses = True
+    averages_gradients = True
     learns_from_hindsight = True
     options: VMPOOptions
     actor: ActorCritic
@@ -201,6 +203,7 @@ class VMPO(Agent):
         self.optimiser.zero_grad()
         self.dual_optimiser.zero_grad()
         loss.backward()
+        average_gradients([*self.learned, *self.duals.parameters()])
         gradient_norm = nn.utils.clip_grad_norm_(self.learned, o.max_gradient_norm)
         for name, number in (("loss", loss), ("gradient's norm", gradient_norm)):
             if not number.isfinite():

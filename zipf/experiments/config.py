@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import reduce
 from operator import or_
 from pathlib import Path
@@ -22,7 +23,7 @@ from zipf.agents.memory import MemoryOptions
 from zipf.agents.reweighting import ReweightingOptions
 from zipf.experiments.augmentation import AugmentationOptions
 from zipf.experiments.errors import UserError
-from zipf.experiments.runtime import LocalOptions, RuntimeOptions
+from zipf.experiments.runtime import RayOptions, RuntimeOptions, TorchrunOptions
 from zipf.options import Options
 
 PositiveInt = Annotated[int, Field(ge=1)]
@@ -38,10 +39,11 @@ Device = Annotated[str, Field(pattern=DEVICE_PATTERN)]
 class CollectorOptions(Options):
     """An update consumes num_envs x unroll_length frames.
 
-    `lag` is how many unrolls collection runs ahead of learning with `runtime=local`; None: as many
-    as the agent corrects for. Without `bootstrap_at_time_limit` the agent learns as if a time limit
-    were the end of the task: no value is expected beyond it. `reward_clipping` changes the rewards
-    that are learned from, not the scores.
+    Of several learners each has its share of the worlds. `lag` is how many unrolls collection runs
+    ahead of learning, but for `runtime=ray`; None: as many as the agent corrects for. Without
+    `bootstrap_at_time_limit` the agent learns as if a time limit were the end of the task: no value
+    is expected beyond it. `reward_clipping` changes the rewards that are learned from, not the
+    scores.
     """
 
     num_envs: PositiveInt
@@ -173,16 +175,34 @@ class Config(Options):
     def lag(self) -> int:
         """How many unrolls collection runs ahead of learning, 0 or 1; in a cluster every actor's
         collector waits for its turn."""
-        if not isinstance(self.runtime, LocalOptions):
+        if isinstance(self.runtime, RayOptions):
             return 0
         if self.collector.lag is None:
             return agents()[self.agent.name].largest_lag
         return self.collector.lag
 
     @property
+    def learners(self) -> int:
+        """How many processes learn."""
+        return self.runtime.learners if isinstance(self.runtime, TorchrunOptions) else 1
+
+    @property
+    def num_envs(self) -> int:
+        """The worlds of each learner."""
+        return self.collector.num_envs // self.learners
+
+    @property
     def torch_device(self) -> str:
-        """The device to compute on."""
-        return find_device(self.device)
+        """The device to compute on. Of the learners that torchrun has started on a machine each has
+        a GPU of its own.
+
+        Raises:
+            UserError: this CUDA device does not exist.
+        """
+        device = find_device(self.device)
+        if device == "cuda" and isinstance(self.runtime, TorchrunOptions):
+            return find_device(f"cuda:{os.environ.get('LOCAL_RANK', 0)}")
+        return device
 
     @property
     def what_is_learned(self) -> dict[str, Any]:

@@ -10,13 +10,14 @@ import torch
 
 from zipf import envs
 from zipf.agents.agent import agents
+from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.network import ActorCritic
 from zipf.experiments.augmentation import build_augmentation
 from zipf.experiments.config import Config, find_device, flatten
 from zipf.experiments.errors import UserError
 from zipf.experiments.running.factory import build_agent
-from zipf.experiments.runtime import RayOptions, has_ray
+from zipf.experiments.runtime import RayOptions, TorchrunOptions, has_ray
 
 
 def problems(config: Config) -> Iterator[str]:
@@ -26,13 +27,14 @@ def problems(config: Config) -> Iterator[str]:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"
     split = envs.split(config.environment.split)
     train = split.levels("train")
-    if split.draw == "worlds" and config.collector.num_envs < len(train):
+    if split.draw == "worlds" and 0 < config.num_envs < len(train):
+        of_each = ", for each learner" if config.learners > 1 else ""
         yield (
-            f"collector.num_envs={config.collector.num_envs}: should be at least {len(train)}, a "
-            f"world for each train level of {split.name}"
+            f"collector.num_envs={config.collector.num_envs}: should be at least "
+            f"{len(train) * config.learners}, a world for each train level of {split.name}{of_each}"
         )
     agent, collector = agents()[config.agent.name], config.collector
-    told = list(agent.problems(config.agent, collector.num_envs, collector.unroll_length))
+    told = list(agent.problems(config.agent, config.num_envs, collector.unroll_length))
     told += agent.lacks(config.agent.name, config)
     yield from told
     yield from _lacks_goals(config)
@@ -53,6 +55,7 @@ def problems(config: Config) -> Iterator[str]:
             f"weights; should be at most {agent.largest_lag}"
         )
     yield from _not_in_a_cluster(config)
+    yield from _not_by_several_learners(config)
     yield from (line for line in _cannot_be_built(config) if line not in told)
 
 
@@ -72,6 +75,34 @@ def _not_in_a_cluster(config: Config) -> Iterator[str]:
         yield (
             f"collector.lag={config.collector.lag}: is of runtime=local; with runtime=ray choose "
             "runtime.ahead"
+        )
+
+
+def _not_by_several_learners(config: Config) -> Iterator[str]:
+    """What does not go with several learners."""
+    if not isinstance(config.runtime, TorchrunOptions):
+        return
+    num_envs, learners = config.collector.num_envs, config.learners
+    if num_envs % learners or num_envs < learners:
+        yield (
+            f"collector.num_envs={num_envs}: should be a multiple of runtime.learners={learners}, "
+            "which share the worlds"
+        )
+    if not agents()[config.agent.name].averages_gradients:
+        able = [name for name, agent in agents().items() if agent.averages_gradients]
+        yield (
+            f"runtime=torchrun: agent={config.agent.name} does not average gradients over "
+            f"learners; choose runtime=local, or agent={' or '.join(able)}"
+        )
+    if config.episodic != NO_EPISODIC:
+        yield (
+            f"episodic={config.episodic.name}: each learner would have a dictionary of its own; "
+            "with runtime=torchrun choose episodic=none"
+        )
+    if ":" in config.device:
+        yield (
+            f"device={config.device}: is one for all learners; with runtime=torchrun choose "
+            "device=cuda, which is another for each learner of a machine"
         )
 
 

@@ -39,7 +39,14 @@ class RayOptions(Options):
         return self.largest_lag or 4 * self.actors * self.ahead
 
 
-RuntimeOptions = Annotated[LocalOptions | RayOptions, Field(discriminator="name")]
+class TorchrunOptions(Options):
+    """`learners` processes that torchrun starts train one run; each has its share of the worlds."""
+
+    name: Literal["torchrun"]
+    learners: PositiveInt
+
+
+RuntimeOptions = Annotated[LocalOptions | RayOptions | TorchrunOptions, Field(discriminator="name")]
 
 
 def has_ray() -> bool:

@@ -15,6 +15,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
+from zipf.agents.averaging import average
 from zipf.agents.encoders import is_image, is_text, vocabulary
 from zipf.agents.image_networks import (
     NetworkOptions,
@@ -52,9 +53,9 @@ class Reconstruction(Auxiliary):
     Both losses are means, over the channels and over the words of the frames that are drawn. Row T
     of an unroll is left out: it is the first row of the next.
 
-    The image decoder's output is added to the mean image of the first update. Without that, the
-    mean image is learned first, by driving memory and encoder into saturation, which costs what
-    they know of a frame for a hundred updates or more.
+    The image decoder's output is added to the mean image of the first update (of all learners, if
+    there are several). Without that, the mean image is learned first, by driving memory and encoder
+    into saturation, which costs what they know of a frame for a hundred updates or more.
     """
 
     mean_image: Tensor
@@ -88,7 +89,7 @@ class Reconstruction(Auxiliary):
             frames = {name: part[rows] for name, part in frames.items()}
 
         if self.updates == 0:
-            mean = frames["image"].float().mean(0) / 255.0
+            mean = average(frames["image"].float().mean(0) / 255.0)
             self.mean_image = mean.logit(eps=0.01)  # finite where pixels are always black or white
         vision = image_cross_entropy(self.mean_image + self.image(core), frames["image"])
         loss = o.vision_weight * vision

@@ -18,7 +18,7 @@ class Clock:
             `learning` (updates) and `evaluation`. With `collector.lag=1` the first two happen
             beside `learning`, in a second thread; each part is measured by its thread's own wall
             clock, so that they add up to more than the elapsed time. With `runtime=ray` the first
-            two are means over the actors.
+            two are means over the actors; of several learners all are those of the first.
         training: elapsed seconds of collecting and learning.
     """
 

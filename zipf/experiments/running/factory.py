@@ -31,7 +31,7 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
         config.auxiliary,
         config.critic,
         config.episodic,
-        num_envs=config.collector.num_envs,
+        num_envs=config.num_envs,
         unroll_length=config.collector.unroll_length,
         seed=derive_seed(config.seed, "weights"),
         device=config.torch_device,
@@ -56,7 +56,8 @@ def build_collector(
     """What collects for an agent in these worlds.
 
     Args:
-        player: numbers which of several collectors of a run it is: each draws for itself.
+        player: numbers which of several collectors of a run it is, a learner's or an actor's: each
+            draws for itself.
     """
     options, device = config.collector, config.torch_device
     return Collector(
@@ -68,7 +69,7 @@ def build_collector(
         augmentation=build_augmentation(
             config.augmentation,
             env.single_observation_space,
-            options.num_envs,
+            env.num_envs,
             seed=derive_seed(config.seed, "augmentation", *player),
             symmetries=envs.symmetries(config.split, env),
         ),

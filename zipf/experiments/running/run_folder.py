@@ -28,6 +28,7 @@ from zipf.experiments.reporting.checksums import TABLES
 from zipf.experiments.reporting.replacing import replace_text
 from zipf.experiments.running import checkpoint
 from zipf.experiments.running.result_table import ResultTable, last_update
+from zipf.experiments.runtime import TorchrunOptions
 
 
 def find_checkpoint(config: Config) -> dict[str, Any] | None:
@@ -123,7 +124,7 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
     """
     split = envs.split(config.environment.split)
     how: dict[str, Any] = {
-        "command": shlex.join(["python", "-m", "zipf.train", *sys.argv[1:]]),
+        "command": shlex.join([*_started_by(config), "-m", "zipf.train", *sys.argv[1:]]),
         "commit": commit(),
         "version": zipf.__version__,
         "torch": torch.__version__,
@@ -374,6 +375,12 @@ def commit() -> str | None:
     except OSError:
         return None
     return head.stdout.strip() + ("+changes" if changes.stdout.strip() else "")
+
+
+def _started_by(config: Config) -> list[str]:
+    if isinstance(config.runtime, TorchrunOptions):
+        return ["torchrun", f"--nproc-per-node={config.learners}"]
+    return ["python"]
 
 
 def _device_name(device: str) -> str:

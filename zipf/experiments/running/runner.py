@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import torch
+from rich.console import Console
 
 from zipf import envs
 from zipf.agents.agent import Agent
@@ -15,12 +16,13 @@ from zipf.agents.unroll import Unroll
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
-from zipf.experiments.running import checkpoint, run_folder
+from zipf.experiments.running import checkpoint, learners, run_folder
 from zipf.experiments.running.allocator import keep_freed_ram
 from zipf.experiments.running.clock import Clock
 from zipf.experiments.running.display import Display
 from zipf.experiments.running.evaluator import derive_seed, scores
 from zipf.experiments.running.factory import build_agent, build_collector
+from zipf.experiments.running.learners import LearnerLost, OnlyLearner
 from zipf.experiments.running.logger import Logger
 from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.overlap import Overlap
@@ -28,6 +30,7 @@ from zipf.experiments.running.ray_actors import RayActors
 from zipf.experiments.running.signals import StopSignals, sweep_has_ended
 from zipf.experiments.running.sources import InTurn, Source
 from zipf.experiments.running.trained import evaluate_agent
+from zipf.experiments.running.visits import Visits
 from zipf.experiments.runtime import RayOptions
 
 
@@ -45,29 +48,39 @@ def train(config: Config) -> int:
         return signal.SIGTERM
     keep_freed_ram()
     schedule = config.schedule
-    with run_folder.lock(config.folder), _as_user_errors(config):
-        run = Run(config)
+    with ExitStack() as stack:
+        stack.enter_context(_as_user_errors(config))
+        learner = stack.enter_context(learners.joined(config))
+        if learner.is_first:
+            stack.enter_context(run_folder.lock(config.folder))
+        run = Run(config, learner)
         if run.is_finished:
             run.close()
             run.display.say(f"{run.name}: is finished at update {run.update}, in {run.folder}")
             return 0
-        with run, StopSignals(run.display.say) as stop:
-            if run.is_new:
-                run.evaluate()
-                run.save()
-            while run.update < config.updates and not stop.requested:
-                unroll, metrics = run.step()
-                run.display.advance(run.update)
-                if run.update % schedule.log_every == 0:
-                    run.log(unroll, metrics)
-                if run.update % config.evaluation.every == 0:
+        stop = StopSignals(run.display.say)
+        try:
+            with run, stop:
+                if run.is_new:
                     run.evaluate()
-                if run.update % schedule.checkpoint_every == 0:
                     run.save()
-            if run.evaluated < run.update and not stop.requested:
-                run.evaluate()
-            run.save()
-    return stop.requested
+                while run.update < config.updates and not learner.agree(stop.requested):
+                    unroll, metrics = run.step()
+                    run.display.advance(run.update)
+                    if run.update % schedule.log_every == 0:
+                        run.log(unroll, metrics)
+                    if run.update % config.evaluation.every == 0:
+                        run.evaluate()
+                    if run.update % schedule.checkpoint_every == 0:
+                        run.save()
+                if run.evaluated < run.update and not learner.agree(stop.requested):
+                    run.evaluate()
+                run.save()
+            return learner.agree(stop.requested)
+        except LearnerLost:
+            if stop.requested:  # torchrun ends all
+                return stop.requested
+            raise
 
 
 @contextmanager
@@ -87,10 +100,12 @@ def _as_user_errors(config: Config) -> Iterator[None]:
             raise UserError(f"compile=true: {first}; choose compile=false") from None
 
 
-def _build_source(config: Config, env: ZipfVectorEnv, agent: Agent) -> Source:
+def _build_source(
+    config: Config, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...]
+) -> Source:
     if isinstance(config.runtime, RayOptions):
         return RayActors(config, config.runtime, env, agent)
-    collector = build_collector(config, env, agent)
+    collector = build_collector(config, env, agent, player)
     return Overlap(collector, agent) if config.lag else InTurn(collector, agent)
 
 
@@ -98,7 +113,8 @@ class Run:
     """One training run: its parts, and how many updates were made.
 
     Making it reads its folder and writes nothing. As a context manager it writes what describes the
-    run, shows the display, and closes everything in the end.
+    run, shows the display, and closes everything in the end. Of several learners the first alone
+    reads, writes, shows and evaluates; all of them call the same methods in the same order.
 
     Attributes:
         update: updates made.
@@ -110,30 +126,33 @@ class Run:
         UserError: the run cannot begin, go on or be written.
     """
 
-    def __init__(self, config: Config):
+    def __init__(self, config: Config, learner: OnlyLearner | None = None):
         self.config = config
+        self.learner = learner or OnlyLearner()
         self.folder = config.folder
         self.device = config.torch_device
         collector = config.collector
-        self.env = envs.make_train(config.split, collector.num_envs, **config.level_options)
+        self.env = envs.make_train(config.split, config.num_envs, **config.level_options)
         self.agent = build_agent(config, self.env)
         try:
             self._notes = self.agent.begin_learning()
         except ValueError as error:
             raise UserError(str(error)) from None
-        saved = run_folder.find_checkpoint(config)
-        self.source = _build_source(config, self.env, self.agent)
+        saved = self.learner.receive(
+            run_folder.find_checkpoint(config) if self.learner.is_first else None
+        )
+        self.source = _build_source(config, self.env, self.agent, self.learner.player)
         self.frames_per_update = collector.num_envs * collector.unroll_length
         self.clock = Clock()
         self.update = 0
         self.evaluated = -1
         self.is_new = saved is None
         self._tables: dict[str, Any] | None = None
-        torch.manual_seed(config.seed)
+        torch.manual_seed(self.learner.seed(config.seed))
         if saved:
             self._load(saved)
         self.is_finished = self.evaluated == self.update == config.updates
-        if self.is_finished:
+        if self.is_finished and self.learner.is_first:
             assert self._tables is not None
             run_folder.check_description(config, self.env.situation)
             Logger.check(self.folder, self.update, self._tables)
@@ -143,6 +162,7 @@ class Run:
             config.updates,
             self.update,
             frames_per_update=self.frames_per_update,
+            console=None if self.learner.is_first else Console(quiet=True, force_terminal=False),
         )
 
     def __enter__(self) -> Run:
@@ -154,6 +174,18 @@ class Run:
         return self
 
     def _begin(self) -> None:
+        if self.learner.is_first:
+            self._begin_files()
+        self._logged = self.clock.training, self.update
+        state = "a new run" if self.is_new else f"resumes at update {self.update}"
+        self.display.say(f"{self.name}: {state}, on {self.device}, in {self.folder}")
+        self._write(f"{self.name}: {state}, on {self.device}")
+        for note in self._notes:
+            self._tell(note)
+        self.source.open(self._tell)
+        self.display.start()
+
+    def _begin_files(self) -> None:
         if not self.is_new:
             run_folder.check_description(self.config, self.env.situation)
         self.logger = Logger(
@@ -165,18 +197,14 @@ class Run:
         resumed_at = None if self.is_new else self.update
         run_folder.write_description(self.config, self.env.situation, resumed_at)
         self.logger.write_checksums(-1 if self.is_new else self.update)
-        self._logged = self.clock.training, self.update
-        state = "a new run" if self.is_new else f"resumes at update {self.update}"
-        self.display.say(f"{self.name}: {state}, on {self.device}, in {self.folder}")
-        self.logger.text(f"{self.name}: {state}, on {self.device}")
-        for note in self._notes:
-            self._tell(note)
-        self.source.open(self._tell)
-        self.display.start()
 
     def _tell(self, line: str) -> None:
         self.display.say(line)
-        self.logger.text(line)
+        self._write(line)
+
+    def _write(self, line: str) -> None:
+        if self.learner.is_first:
+            self.logger.text(line)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.display.stop()
@@ -185,8 +213,9 @@ class Run:
             stopped = f"stopped at update {self.update}; the same command resumes"
             done = self.evaluated == self.update == self.config.updates
             self.display.say(finished if done else stopped)
-            self.logger.text(f"stops at update {self.update}")
-        self.logger.close()
+            self._write(f"stops at update {self.update}")
+        if self.learner.is_first:
+            self.logger.close()
         self.close()
 
     def close(self) -> None:
@@ -216,6 +245,8 @@ class Run:
                 f"{self.folder}: learning diverged at update {self.update + 1} ({error}); the "
                 "checkpoint before it is kept; a smaller agent.learning_rate may help"
             ) from None
+        except ConnectionError as error:
+            raise LearnerLost(str(error)) from None
         except OSError as error:  # no space for files that the agent keeps
             raise UserError(str(error)) from None
 
@@ -230,15 +261,26 @@ class Run:
             "seconds": self.clock.total,
             "frames_per_second": frames / (self.clock.training - then),
             **{f"time_{part}": seconds for part, seconds in self.clock.parts.items()},
-            **self.source.metrics(),
-            "exploration_bonus": float(unroll.steps["bonus"][:-1].mean()),
-            **metrics,
+            **self.learner.mean(
+                {
+                    **self.source.metrics(),
+                    "exploration_bonus": float(unroll.steps["bonus"][:-1].mean()),
+                    **metrics,
+                }
+            ),
         }
-        self.logger.metrics(self.update, row)
+        if self.learner.is_first:
+            self.logger.metrics(self.update, row)
         self.display.show_metrics(row)
 
     def evaluate(self) -> None:
         """Scores the agent and writes the rows; training's random draws stay the same."""
+        visits = self.learner.total(self.source.visits)
+        if self.learner.is_first:
+            self._evaluate(visits)
+        self.evaluated = self.update
+
+    def _evaluate(self, visits: Visits) -> None:
         with self.clock.part("evaluation"):
             results = evaluate_agent(
                 self.config,
@@ -252,8 +294,7 @@ class Run:
             "frames": self.update * self.frames_per_update,
             "seconds": self.clock.total,
         }
-        self.logger.evaluation(when, results, self.source.visits)
-        self.evaluated = self.update
+        self.logger.evaluation(when, results, visits)
         self.display.show_scores(results)
         shown = "  ".join(f"{kind} {score:.3f}" for kind, score in scores(results).items())
         self.logger.text(f"update {self.update}: {shown}")
@@ -261,15 +302,23 @@ class Run:
     def save(self) -> None:
         """Writes the checkpoint."""
         self.clock.move(self.source.seconds)
+        agent = self.agent.state_dict()
+        self.learner.check_same("the agent", agent)
+        own = self.learner.gather(
+            {"source": self.source.state_dict(), "torch_rng": torch.get_rng_state()}
+        )
+        if self.learner.is_first:
+            self._save({"agent": agent, **own})
+        self.learner.wait()  # the end of one learner would be that of the first, which still writes
+
+    def _save(self, learned: dict[str, Any]) -> None:
         state = {
             "options": self.config.what_is_learned,
             "update": self.update,
             "evaluated": self.evaluated,
             "tables": self.logger.state_dict(),
             "clock": self.clock.state_dict(),
-            "agent": self.agent.state_dict(),
-            "source": self.source.state_dict(),
-            "torch_rng": torch.get_rng_state(),
+            **learned,
         }
         checkpoint.save(self.folder / "checkpoint.pt", state)
         self.logger.write_checksums(self.update)

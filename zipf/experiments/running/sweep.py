@@ -31,6 +31,7 @@ from zipf.experiments import composing, sweeps
 from zipf.experiments.errors import TOLD, UserError
 from zipf.experiments.running import run_folder
 from zipf.experiments.running.job import POLL, Board, Job, Jobs, Outcome, State, failed
+from zipf.experiments.runtime import TorchrunOptions
 
 _COUNTED: tuple[State, ...] = ("finished", "skipped", "stopped", "not begun", "failed")
 
@@ -49,6 +50,11 @@ def run(overrides: Sequence[str], config_dir: str | None = None) -> int:
         UserError: a mistake in any job, or in the choice of a launcher. Nothing was begun.
     """
     sweep = sweeps.check(list(overrides), run_folder.is_finished)
+    if any(isinstance(job.config.runtime, TorchrunOptions) for job in sweep.jobs):
+        raise UserError(
+            "runtime=torchrun: a sweep starts each job as one process; start each with torchrun, "
+            "or choose runtime=local"
+        )
     for why in sweep.left_out:
         _say(f"left out: {why}")
     flags = ["--config-dir", config_dir] if config_dir else []
