@@ -16,6 +16,7 @@ import signal
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -59,7 +60,8 @@ def python_of(name: str, packages: Sequence[str | Path], folder: Path) -> Path:
 
 
 class Row:
-    """A row's process, which works while it is let go. It imports zipf from this checkout.
+    """A row's process, which works while it is let go. It imports zipf from this checkout, and what
+    libraries write to the working directory is thrown away.
 
     Args:
         name: of the row.
@@ -71,8 +73,10 @@ class Row:
         self.name = name
         self.speeds: list[float] = []
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self._folder = tempfile.TemporaryDirectory()
         self._process = subprocess.Popen(
-            [str(python), *arguments],
+            [str(Path(python).absolute()), *arguments],
+            cwd=self._folder.name,
             text=True,
             start_new_session=True,
             env=os.environ | {"PYTHONPATH": str(ROOT)},
@@ -98,6 +102,7 @@ class Row:
         if self._process.poll() is None:
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
+        self._folder.cleanup()
 
 
 def serve(work: Callable[[Pause], None], clock: Callable[[], float] = time.perf_counter) -> None:
