@@ -24,7 +24,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import cycle
@@ -119,8 +118,6 @@ def vizdoom(pause: turns.Pause, scenario: str) -> None:
     game.set_screen_resolution(vizdoom.ScreenResolution.RES_160X120)  # its smallest
     game.set_screen_format(vizdoom.ScreenFormat.RGB24)
     game.set_window_visible(False)
-    # Or the engine leaves its settings in the current folder.
-    game.set_doom_config_path(os.path.join(tempfile.gettempdir(), "_vizdoom.ini"))
     game.init()
     buttons = game.get_available_buttons_size()
     actions = cycle(np.random.default_rng(0).integers(2, size=(1024, buttons)).tolist())

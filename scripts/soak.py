@@ -186,7 +186,7 @@ def difference(one: Any, other: Any, where: str = "") -> str | None:
 
 def shown(arguments: list[str]) -> str:
     """What tells a small run from the others."""
-    return " ".join(a for a in arguments if a.startswith(("exp", "cond", "collector.lag")))
+    return " ".join(a for a in arguments if a.startswith(("experiment", "cond", "collector.lag")))
 
 
 def soak_kills(count: int, draw: random.Random, folder: Path) -> Counter[str]:
@@ -292,11 +292,10 @@ def soak_ray_kills(count: int, draw: random.Random, folder: Path) -> Counter[str
             share = count * (number + 1) // len(runs)
             while tally["learners killed"] + tally["actors killed"] < share:
                 shutil.rmtree(root, ignore_errors=True)
-                took, code = 20.0, -9
+                code = -9
                 while code == -9:
-                    begun = time.perf_counter()
                     child = start("zipf.train", [*arguments, f"run_root={root}"], output)
-                    time.sleep(draw.uniform(0, took))
+                    time.sleep(draw.uniform(0, 20.0))  # ours: about as long as a run takes
                     if draw.random() < 0.5:
                         with contextlib.suppress(ProcessLookupError):
                             os.killpg(child, signal.SIGKILL)
@@ -307,8 +306,6 @@ def soak_ray_kills(count: int, draw: random.Random, folder: Path) -> Counter[str
                     outcome = finish(child, output)
                     code = outcome.code
                     tally["learners killed"] += code == -9
-                    if code == 0:
-                        took = time.perf_counter() - begun
                 if code != 0:
                     found("could not go on", shown(arguments), outcome)
                     tally["could not go on"] += 1

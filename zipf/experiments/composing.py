@@ -110,11 +110,16 @@ def composed(*overrides: str) -> Composed:
     Raises:
         UserError: it cannot be composed; with Hydra's message.
     """
+    return _resolved(search_path(), *overrides)
+
+
+@cache
+def _resolved(search_path: str, *overrides: str) -> Composed:
     seeds = [override for override in overrides if _SEED.fullmatch(override)]
     others = [override for override in overrides if override not in seeds]
     try:
         # Composing takes Hydra a third of a second; a sweep's jobs often differ in the seed alone.
-        config, choices = _composed(search_path(), *others)
+        config, choices = _composed(search_path, *others)
         config = copy.deepcopy(config)
         if seeds:
             config["seed"] = int(seeds[-1].partition("=")[2])
