@@ -43,7 +43,8 @@ class Expert:
         expert = Expert(env)
         env.step(expert())
 
-    It has no state of its own, so it may take over at any step.
+    It may take over at any step: it keeps no more than the ways that it found last in each world,
+    which it follows as long as nothing that they depend on has moved.
 
     Raises:
         ValueError: the batch has another engine.
@@ -54,6 +55,9 @@ class Expert:
             raise ValueError("the expert reads the state of our engine: use backend='own'")
         self.env = env
         self.worlds = env.worlds
+        # By world: what the answer depends on, and the answer.
+        self._viewpoints: dict[int, tuple[bytes, NDArray[np.bool_]]] = {}
+        self._distances: dict[tuple[int, bool], tuple[bytes, NDArray[np.float64]]] = {}
 
     def __call__(self) -> NDArray[np.int64]:
         """The next action of every world, int64 [N]."""
@@ -79,7 +83,11 @@ class Expert:
             return actions.GRAB
         if _can_aim(agent, one_world(worlds, i)):
             return self._face(i, agent[YAW], agent[PITCH], closed=False)
-        return self.go(i, _viewpoints(agent, worlds, i))
+        key = self._poses(i)
+        known = self._viewpoints.get(i)
+        if known is None or known[0] != key:
+            known = self._viewpoints[i] = key, _viewpoints(agent, worlds, i)
+        return self.go(i, known[1])
 
     def _raise(self, i: int) -> int:
         """Lifts the held object by looking up, and at the highest view by pushing it away."""
@@ -161,9 +169,9 @@ class Expert:
     def go(self, i: int, goals: NDArray[np.bool_]) -> int:
         """Walks the shortest way to one of the cells of `goals`, bool [rows, columns]."""
         agent = self.worlds.agents[i]
-        heading = _way(goals, self.worlds, i, False)
+        heading = self._way(i, goals, pushing=False)
         if math.isnan(heading):
-            heading = _way(goals, self.worlds, i, True)
+            heading = self._way(i, goals, pushing=True)
         room = self.env.rooms[i]
         assert room is not None
         vx, vy = room.agent.velocity
@@ -179,6 +187,22 @@ class Expert:
                 return actions.FORWARD if ahead > 0 else actions.BACKWARD
             return actions.LEFT if aside > 0 else actions.RIGHT
         return actions.NOOP
+
+    def _way(self, i: int, goals: NDArray[np.bool_], *, pushing: bool) -> float:
+        """The heading of the shortest way to one of the cells of `goals`, radians; NaN if there is
+        none. With `pushing` it may lead through objects, which are pushed aside."""
+        key = self._poses(i) + goals.tobytes()
+        known = self._distances.get((i, pushing))
+        if known is None or known[0] != key:
+            known = key, _distances(goals, _blocked(self.worlds, i, pushing))
+            self._distances[i, pushing] = known
+        return _heading(known[1], self.worlds.agents[i])
+
+    def _poses(self, i: int) -> bytes:
+        """What there is beside the agent, and where."""
+        w = self.worlds
+        arrays = (w.ranks, w.hands, w.objects, w.orientation, w.furniture)
+        return b"".join(array[i].tobytes() for array in arrays)
 
 
 def _inside(
@@ -298,18 +322,26 @@ def _is_blocked(x, y, world, pushing):
 
 
 @compiled()
-def _way(goals, worlds, i, pushing):
-    """The heading of the shortest way to a cell of `goals`, radians; NaN if there is no way.
+def _blocked(worlds, i, pushing):
+    """The cells that the agent of world `i` keeps out of: bool [rows, columns].
 
-    With `pushing` the way may lead through objects, which are pushed aside.
+    With `pushing` the way may lead through objects.
     """
-    agent, world = worlds.agents[i], one_world(worlds, i)
+    world = one_world(worlds, i)
     blocked = np.zeros((_CELLS, _CELLS), np.bool_)
-    distance = np.full((_CELLS, _CELLS), np.inf)
     for row in range(_CELLS):
         for column in range(_CELLS):
             x, y = _centre(row, column)
             blocked[row, column] = _is_blocked(x, y, world, pushing)
+    return blocked
+
+
+@compiled()
+def _distances(goals, blocked):
+    """The length of the shortest way from each cell to one of `goals`, float64 [rows, columns]."""
+    distance = np.full((_CELLS, _CELLS), np.inf)
+    for row in range(_CELLS):
+        for column in range(_CELLS):
             if goals[row, column] and not blocked[row, column]:
                 distance[row, column] = 0.0
     changed = True
@@ -320,6 +352,12 @@ def _way(goals, worlds, i, pushing):
                 row, column = divmod(k if sweep == 0 else _CELLS * _CELLS - 1 - k, _CELLS)
                 if not blocked[row, column]:
                     changed |= _shorten(distance, row, column)
+    return distance
+
+
+@compiled()
+def _heading(distance, agent):
+    """The direction of the nearby cell with the shortest way, radians; NaN if there is none."""
     # The best cell nearby rather than the agent's own, which an obstacle it touches may block.
     row = min(max(int((agent[AY] + ROOM / 2) / _CELL), 0), _CELLS - 1)
     column = min(max(int((agent[AX] + ROOM / 2) / _CELL), 0), _CELLS - 1)
