@@ -1,0 +1,146 @@
+"""Draws docs/tail_learning.png and docs/tail_rarity.png from the runs in results/.
+
+    python scripts/draw_tail_pictures.py
+
+Every agent of `gridworld_compact` in the record whose configuration is among `AGENTS`: its scores
+against the frames it has learned from, and its success against how rarely training draws a
+situation.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib
+
+matplotlib.use("agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from zipf.envs import distributions, reference, split
+from zipf.experiments.reporting.paper import LEVEL_KINDS
+from zipf.experiments.reporting.results import Run, load_runs
+from zipf.experiments.reporting.statistics import wilson_interval
+
+ROOT = Path(__file__).parent.parent
+
+
+class Agent(NamedTuple):
+    """How an agent is drawn; colours of Tol 2021, vibrant."""
+
+    label: str
+    colour: str
+    line: str = "-"
+
+
+AGENTS = {
+    "impala_mlp": Agent("IMPALA, plain network", "#000000"),
+    "impala_mlp,network=comparing,network.comparison=given": Agent(
+        "IMPALA, comparison given", "#0077bb"
+    ),
+    "impala,network=comparing,precision=bfloat16,network.comparison=given": Agent(
+        "IMPALA + LSTM, comparison given", "#33bbee", "--"
+    ),
+    "impala_comparing_hindsight,precision=bfloat16": Agent(
+        "IMPALA, comparison learned, hindsight", "#ee3377"
+    ),
+    "imitation_comparing_augmented,precision=bfloat16": Agent(
+        "Imitation, comparison learned", "#009988"
+    ),
+}
+"""By folder of results/gridworld_compact."""
+TITLES = {"train": "Train (Zipfian)", "uniform": "Uniform", "rare": "Rare"}
+BINS = 8
+"""Of the shares of situations, equal on a logarithmic axis."""
+
+
+def main() -> None:
+    """Writes both pictures."""
+    runs: dict[str, list[Run]] = {}
+    for run in load_runs([ROOT / "results" / "gridworld_compact"]):
+        runs.setdefault(run.folder.parent.name, []).append(run)
+    missing = [name for name in AGENTS if name not in runs]
+    if missing:
+        raise SystemExit(f"results/gridworld_compact has no runs of {', '.join(missing)}")
+    plt.rcParams.update(
+        {
+            "font.family": "DejaVu Sans",
+            "font.size": 8,
+            "lines.linewidth": 1.3,
+            "lines.markersize": 3,
+        }
+    )
+    save(learning(runs), "tail_learning.png")
+    save(rarity(runs), "tail_rarity.png")
+
+
+def learning(runs: dict[str, list[Run]]) -> Figure:
+    """Scores on the three levels against millions of frames, a line for each run."""
+    figure, axes = plt.subplots(1, 3, figsize=(8.4, 3.1), sharey=True, layout="constrained")
+    for axis, kind in zip(axes, LEVEL_KINDS, strict=True):
+        for name, agent in AGENTS.items():
+            for k, run in enumerate(runs[name]):
+                scores = run.mean_scores(run.description.levels_of(kind))
+                (drawn,) = axis.plot(
+                    scores["frames"] / 1e6, scores["score"], agent.line, color=agent.colour
+                )
+                drawn.set_label(agent.label if k == 0 else "")
+        finish(axis, kind, TITLES[kind])
+        axis.set_xlabel("Million frames")
+    axes[0].set_ylabel("Score")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def rarity(runs: dict[str, list[Run]]) -> Figure:
+    """Success on the uniform level against the share of training episodes that a situation has."""
+    law = distributions.zipfian(20, 2)
+    shares = law[:, None] * law[None, :]
+    edges = np.geomspace(shares.min() * 0.999, shares.max() * 1.001, BINS + 1)
+    figure, axis = plt.subplots(figsize=(5.6, 3.4), layout="constrained")
+    for name, agent in AGENTS.items():
+        rows = pd.concat([run.situations for run in runs[name]])
+        rows = rows[rows["level_kind"] == "uniform"]
+        share = shares[rows["map"], rows["target"]]
+        bins = pd.Series(np.digitize(share, edges) - 1, index=rows.index)
+        sums = rows.groupby(bins)[["episodes", "successes"]].sum()
+        middles = np.sqrt(edges[sums.index] * edges[sums.index + 1])
+        low, high = wilson_interval(sums["successes"], sums["episodes"])
+        rate = sums["successes"] / sums["episodes"]
+        axis.plot(middles, rate, agent.line, color=agent.colour, label=agent.label, marker="o")
+        axis.fill_between(middles, low, high, color=agent.colour, alpha=0.15, linewidth=0)
+    axis.set_xscale("log")
+    axis.invert_xaxis()
+    finish(axis, "uniform", "Success on the uniform level")
+    axis.set_xlabel("Share of the training episodes that a situation has")
+    axis.set_ylabel("Success")
+    figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def finish(axis: Axes, kind: str, title: str) -> None:
+    """Adds what all panels of a kind of level have."""
+    (level,) = split("gridworld").levels(kind)
+    generalist = reference("generalist", level)
+    assert generalist is not None
+    axis.axhline(
+        generalist.score, color="0.5", linestyle="dotted", linewidth=1.2, label="Generalist"
+    )
+    axis.set_title(title, fontsize=9)
+    axis.set_ylim(-0.02, 1.02)
+    axis.grid(alpha=0.25)
+    axis.spines[["top", "right"]].set_visible(False)
+
+
+def save(figure: Figure, name: str) -> None:
+    """Writes a picture into docs/."""
+    path = ROOT / "docs" / name
+    figure.savefig(path, dpi=160, facecolor="white", pil_kwargs={"optimize": True})
+    print(f"Wrote {path.name}: {path.stat().st_size / 1024:.0f} KB")
+
+
+if __name__ == "__main__":
+    main()
