@@ -51,6 +51,7 @@ SHALLOW = ShallowOptions(
     kernels=[6, 3],
     strides=[3, 2],
     size=16,
+    normalise=False,
     **OF_PARTS,
     head_size=0,
 )

@@ -30,9 +30,11 @@ SHALLOW = ShallowOptions(
     kernels=[8, 4],
     strides=[4, 2],
     size=256,
+    normalise=False,
     **SIZES,
     head_size=0,
 )
+NORMALISED = SHALLOW.model_copy(update={"normalise": True})
 RESNET = ResNetOptions(name="resnet", channels=[16, 32, 32], blocks=2, **SIZES, head_size=8)
 
 
@@ -85,6 +87,22 @@ def test_the_shallow_network_is_the_one_of_the_impala_paper():
     torch.testing.assert_close(encoder({"image": image}), expected)
     with pytest.raises(ValueError, match="leaves nothing of an image of 9 x 9"):
         Encoder(gym.spaces.Dict(image=image_space(9, 9)), SHALLOW)
+
+
+def test_the_shallow_network_normalised():
+    encoder = Encoder(gym.spaces.Dict(image=image_space(72, 96)), NORMALISED)
+    image = images(3, 72, 96)
+    first, first_bias, second, second_bias, dense, dense_bias, scale, shift = encoder.parameters()
+    with torch.no_grad():
+        scale.uniform_()
+        shift.uniform_()
+    seen = image.permute(0, 3, 1, 2) / 255 * 2 - 1
+    hidden = F.conv2d(seen, first, first_bias, stride=4).relu()
+    hidden = F.conv2d(hidden, second, second_bias, stride=2).relu()
+    hidden = F.linear(hidden.flatten(1), dense, dense_bias)
+    mean, variance = hidden.mean(1, keepdim=True), hidden.var(1, correction=0, keepdim=True)
+    expected = ((hidden - mean) / (variance + 1e-5).sqrt() * scale + shift).relu()
+    torch.testing.assert_close(encoder({"image": image}), expected)
 
 
 def comparing(comparison, **changes):
@@ -256,8 +274,8 @@ def test_the_space_of_a_part_decides_which_encoder_reads_it(space):
 
 @pytest.mark.parametrize(
     "options",
-    [RESNET, SHALLOW, COMPACT, comparing("learned"), comparing("given")],
-    ids=["resnet", "shallow", "compact", "learned", "given"],
+    [RESNET, SHALLOW, NORMALISED, COMPACT, comparing("learned"), comparing("given")],
+    ids=["resnet", "shallow", "normalised", "compact", "learned", "given"],
 )
 @pytest.mark.parametrize("space", noise.SPACES)
 def test_every_network_reads_every_space(space, options):

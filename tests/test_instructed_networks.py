@@ -13,6 +13,7 @@ VALUES = {
     "kernels": [4, 3],
     "strides": [2, 1],
     "size": 7,
+    "normalise": False,
     "code_channels": 4,
     "code_size": 4,
     "vector_layers": [4],
@@ -50,9 +51,25 @@ def convolved(convolution, seen):
     return out
 
 
+def scaled(image, normalise):
+    """One image [H, W, C] as [C, H, W]."""
+    image = image.permute(2, 0, 1)
+    return image / 255 * 2 - 1 if normalise else image / 255
+
+
+def dense(network, features, normalise):
+    """The dense layer of a network, on one vector."""
+    outputs = network.dense[0](features)
+    if normalise:
+        norm, spread = network.dense[1], outputs.var(correction=0) + 1e-5
+        outputs = (outputs - outputs.mean()) / spread.sqrt() * norm.weight + norm.bias
+    return outputs.clamp(min=0)
+
+
+@pytest.mark.parametrize("normalise", [False, True])
 @torch.no_grad()
-def test_film_is_its_definition():
-    encoder, network, reader = built(FILM)
+def test_film_is_its_definition(normalise):
+    encoder, network, reader = built(FILM.model_copy(update={"normalise": normalise}))
     for modulation in network.modulations:
         torch.nn.init.normal_(modulation.weight)
         torch.nn.init.normal_(modulation.bias)
@@ -60,14 +77,14 @@ def test_film_is_its_definition():
     told, encoded = reader(given["instruction"]), encoder(given)
     assert encoded.shape == (3, 7 + 32) == (3, encoder.size)
     for n in range(3):
-        seen = given["image"][n].permute(2, 0, 1) / 255.0
+        seen = scaled(given["image"][n], normalise)
         for convolution, modulation in zip(network.convolutions, network.modulations, strict=True):
             numbers = modulation(told[n])
             seen = convolved(convolution, seen)
             for channel in range(len(seen)):
                 scale, shift = numbers[channel], numbers[len(seen) + channel]
                 seen[channel] = ((1 + scale) * seen[channel] + shift).clamp(min=0)
-        expected = network.dense(seen.flatten()).relu()
+        expected = dense(network, seen.flatten(), normalise)
         torch.testing.assert_close(encoded[n, :7], expected)
         torch.testing.assert_close(encoded[n, 7:], told[n])
 
@@ -77,7 +94,7 @@ def test_film_begins_as_the_shallow_network():
     encoder, network, _ = built(FILM)
     _, plain, _ = built(SHALLOW)
     for mine, other in zip(
-        [*network.convolutions, network.dense],
+        [*network.convolutions, network.dense[0]],
         [m for m in plain.layers if hasattr(m, "weight")],
         strict=True,
     ):
@@ -86,13 +103,14 @@ def test_film_begins_as_the_shallow_network():
     torch.testing.assert_close(encoder(given)[:, :7], plain(given["image"]))
 
 
+@pytest.mark.parametrize("normalise", [False, True])
 @torch.no_grad()
-def test_attention_is_its_definition():
-    encoder, network, reader = built(ATTENTION)
+def test_attention_is_its_definition(normalise):
+    encoder, network, reader = built(ATTENTION.model_copy(update={"normalise": normalise}))
     given = observations()
     told, encoded = reader(given["instruction"]), encoder(given)
     for n in range(3):
-        seen = given["image"][n].permute(2, 0, 1) / 255.0
+        seen = scaled(given["image"][n], normalise)
         for convolution in network.convolutions:
             seen = convolved(convolution, seen).clamp(min=0)
         places = seen.flatten(1).T
@@ -104,7 +122,7 @@ def test_attention_is_its_definition():
             found.append(sum(share * place for share, place in zip(shares, places, strict=True)))
             weights.append(shares)
         parts = torch.cat([seen.flatten(), *found, *weights])
-        expected = network.dense(parts).relu()
+        expected = dense(network, parts, normalise)
         torch.testing.assert_close(encoded[n, :7], expected, atol=1e-5, rtol=1e-4)
 
 

@@ -64,13 +64,18 @@ class ComparingOptions(CompactOptions):
 
 
 class ShallowOptions(EncoderOptions):
-    """The shallow network of Espeholt et al. 2018: strided convolutions, then a dense layer."""
+    """The shallow network of Espeholt et al. 2018: strided convolutions, then a dense layer.
+
+    With `normalise` pixels are scaled to [-1, 1] instead of [0, 1], and the dense layer's outputs
+    are normalised (Ba et al. 2016) before their ReLU.
+    """
 
     name: Literal["shallow"]
     channels: Annotated[list[Size], Field(min_length=1)]
     kernels: Annotated[list[Size], Field(min_length=1)]
     strides: Annotated[list[Size], Field(min_length=1)]
     size: Size
+    normalise: bool
 
 
 class FiLMOptions(ShallowOptions):
@@ -155,12 +160,25 @@ class ShallowNet(nn.Module):
                     "pixels; choose smaller network.kernels or network.strides, or network=compact"
                 )
         self.size = options.size
-        dense = nn.Linear(height * width * channels, options.size)
-        self.layers = nn.Sequential(*layers, nn.Flatten(), dense, nn.ReLU())
+        self.centred = options.normalise
+        dense = dense_layer(height * width * channels, options)
+        self.layers = nn.Sequential(*layers, nn.Flatten(), *dense)
         self.layers.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, image: Tensor) -> Tensor:
-        return self.layers(image.permute(0, 3, 1, 2) / 255.0)
+        return self.layers(pixels(image, centred=self.centred))
+
+
+def dense_layer(inputs: int, options: ShallowOptions) -> nn.Sequential:
+    """A dense layer, normalised where the options say so, and its ReLU."""
+    norm = [nn.LayerNorm(options.size)] if options.normalise else []
+    return nn.Sequential(nn.Linear(inputs, options.size), *norm, nn.ReLU())
+
+
+def pixels(image: Tensor, *, centred: bool) -> Tensor:
+    """Images uint8 [N, H, W, C] as float32 [N, C, H, W] in [0, 1]; in [-1, 1] if `centred`."""
+    image = image.permute(0, 3, 1, 2)
+    return image / 127.5 - 1 if centred else image / 255.0
 
 
 class InstructedNet(nn.Module):
@@ -182,6 +200,7 @@ class InstructedNet(nn.Module):
                 seen = convolution(seen)
         self.grid = seen.shape[1:]
         self.size = options.size
+        self.centred = options.normalise
 
 
 class FiLMNet(InstructedNet):
@@ -196,14 +215,14 @@ class FiLMNet(InstructedNet):
             nn.init.zeros_(modulation.weight)
             nn.init.zeros_(modulation.bias)
         self.modulations = nn.ModuleList(modulations)
-        self.dense = nn.Linear(self.grid.numel(), options.size)
+        self.dense = dense_layer(self.grid.numel(), options)
 
     def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
-        seen = image.permute(0, 3, 1, 2) / 255.0
+        seen = pixels(image, centred=self.centred)
         for convolution, modulation in zip(self.convolutions, self.modulations, strict=True):
             scale, shift = modulation(instruction)[:, :, None, None].chunk(2, 1)
             seen = ((1 + scale) * convolution(seen) + shift).relu()
-        return self.dense(seen.flatten(1)).relu()
+        return self.dense(seen.flatten(1))
 
 
 class AttentionNet(InstructedNet):
@@ -222,16 +241,16 @@ class AttentionNet(InstructedNet):
         self.query = nn.Linear(instruction, options.heads * options.key_size)
         self.key = nn.Linear(channels, options.key_size)
         read = options.heads * (channels + rows * columns)
-        self.dense = nn.Linear(self.grid.numel() + read, options.size)
+        self.dense = dense_layer(self.grid.numel() + read, options)
 
     def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
-        seen = image.permute(0, 3, 1, 2) / 255.0
+        seen = pixels(image, centred=self.centred)
         for convolution in self.convolutions:
             seen = convolution(seen).relu()
         weights = self.weights(seen, instruction)
         found = weights @ seen.flatten(2).transpose(1, 2).to(weights.dtype)
         parts = (seen.flatten(1), found.flatten(1), weights.flatten(1))
-        return self.dense(torch.cat([part.to(seen.dtype) for part in parts], 1)).relu()
+        return self.dense(torch.cat([part.to(seen.dtype) for part in parts], 1))
 
     def weights(self, seen: Tensor, instruction: Tensor) -> Tensor:
         """The heads' weights of the places: [N, channels, rows, columns], [N, instruction size] ->
