@@ -253,7 +253,7 @@ def test_hindsight_relabels_what_the_augmentation_shows():
         augmentation=augmentation,
         goal=envs.goal("gridworld/uniform", env),
         hindsight=AchievedOptions(
-            name="achieved", episodes=100, length=None, reward=1.0,
+            name="achieved", episodes=100, length=None, kept_per_goal=None, reward=1.0,
             advantage="none", policy_cost=1.0, value_cost=0.0, fade=None,
         ),
     )  # fmt: skip

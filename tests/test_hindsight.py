@@ -10,6 +10,7 @@ import tiny_gridworld
 import torch
 from conftest import TINY, assert_equal, learned, untimed
 from networks import compact
+from scipy.stats import chisquare
 from tensordict import TensorDict
 from test_agent import LSTM, NAMES, build, unrolls
 from test_impala import OPTIONS as IMPALA
@@ -28,12 +29,14 @@ from zipf.experiments.running import hindsight, runner
 from zipf.experiments.running.agent_policy import AgentPolicy
 from zipf.experiments.running.collector import Collector
 from zipf.experiments.running.evaluator import play
+from zipf.experiments.running.goal_memory import GoalMemory
 
 WORLDS, STEPS = 12, 9
 OPTIONS = AchievedOptions(
     name="achieved",
     episodes=1000,
     length=None,
+    kept_per_goal=None,
     reward=1.0,
     advantage="positive",
     policy_cost=0.7,
@@ -172,8 +175,35 @@ def test_hindsight_changes_nothing_else_in_an_unroll():
     assert plain.state_dict()["hindsight"] == {}
 
 
-def test_it_continues_from_its_state():
-    options = OPTIONS.model_copy(update={"episodes": 2})
+def test_the_last_episodes_of_each_goal_are_kept_and_goals_are_drawn_alike():
+    """Those that achieved what was asked for, too."""
+    ended = []
+    collector = collector_of(OPTIONS.model_copy(update={"episodes": 1, "kept_per_goal": 3}))
+    collector.hindsight._memory.add = lambda goal, episode: ended.append((goal, episode))
+    terminated = rewarded = 0
+    for _ in range(20):
+        steps = collector.collect().steps[:STEPS]
+        terminated += steps["terminated"].sum().item()
+        rewarded += steps["reward"].sum().item()
+    assert len(ended) == terminated > rewarded > 0
+
+    goals = np.repeat([[1, 2], [1, 3], [0, 3]], [1, 5, 30], axis=0)
+    lengths = 1 + np.arange(len(goals))
+    memory = GoalMemory(3)
+    generator = torch.Generator().manual_seed(0)
+    assert memory.draw(2, generator) == []
+    for goal, length in zip(goals, lengths, strict=True):
+        memory.add(goal, ({}, {"reward": np.zeros(length)}))
+    drawn = [len(fields["reward"]) for _, fields in memory.draw(9000, generator)]
+    found, counts = np.unique(drawn, return_counts=True)
+    assert found.tolist() == [1, 4, 5, 6, 34, 35, 36]
+    expected = 9000 * np.array([1 / 3] + [1 / 9] * 6)
+    assert chisquare(counts, expected).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("kept", [None, 2])
+def test_it_continues_from_its_state(kept):
+    options = OPTIONS.model_copy(update={"episodes": 2, "kept_per_goal": kept})
     collector, other = collector_of(options), collector_of(options, seed=5)
     for _ in range(10):
         collector.collect()
@@ -335,10 +365,13 @@ def test_replay_has_relabelled_episodes_as_sequences():
     made = build("r2d2", hindsight=options)
     made._insert_episodes(episodes)
     assert len(made.replay) == 6
-    with pytest.raises(
-        ValueError, match=r"hindsight\.length=null: agent=r2d2 needs a whole number"
+    for length, kept, problem in (
+        (None, None, r"length=null: agent=r2d2 needs a whole number"),
+        (13, 4, r"kept_per_goal=4: agent=r2d2 keeps episodes in its replay; choose null"),
     ):
-        build("r2d2", hindsight=OPTIONS)
+        changes = {"length": length, "kept_per_goal": kept}
+        with pytest.raises(ValueError, match=rf"hindsight\.{problem}"):
+            build("r2d2", hindsight=OPTIONS.model_copy(update=changes))
 
 
 def test_such_options_in_worlds_that_cannot_be_relabelled_are_one_clear_line(monkeypatch):
@@ -354,6 +387,7 @@ def test_such_options_in_worlds_that_cannot_be_relabelled_are_one_clear_line(mon
 R2D2 = ["agent.burn_in=2", "agent.replay_min=6", "agent.replay_capacity=24", "agent.storage=ram"]
 RUNS = {
     "impala": ["collector.lag=1"],
+    "impala, kept": ["collector.lag=1", "hindsight.kept_per_goal=2"],
     "vmpo": ["agent=vmpo"],
     "r2d2": ["condition=r2d2", "collector.lag=1", "hindsight.length=7", *R2D2],
 }

@@ -38,7 +38,9 @@ class AchievedOptions(Options):
     """Episodes are also learned from as if what they achieved had been asked for.
 
     At most `episodes` of them an update, drawn at random from those that ended during the unroll,
-    and of each the last `length` frames, None: all. `reward` is what success pays. The others are
+    and of each the last `length` frames, None: all. With `kept_per_goal` so many of the last
+    episodes that achieved a goal, asked for or not, are kept of each goal, and updates draw from
+    these, every goal as often as the others. `reward` is what success pays. The others are
     of actor-critics alone: `policy_cost` and `value_cost` are c_p and c_v, and after `fade` updates
     they are 0; None: they stay as they are.
     """
@@ -46,6 +48,7 @@ class AchievedOptions(Options):
     name: Literal["achieved"]
     episodes: Annotated[int, Field(ge=1)]
     length: Annotated[int, Field(ge=1)] | None
+    kept_per_goal: Annotated[int, Field(ge=1)] | None
     reward: Annotated[float, Field(allow_inf_nan=False)]
     advantage: Literal["positive", "none"]
     policy_cost: NotNegative

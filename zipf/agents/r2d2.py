@@ -202,6 +202,11 @@ class R2D2(Agent):
                 f"hindsight.length=null: agent={name} needs a whole number, the frames of an "
                 "episode that its replay has room for"
             )
+        if isinstance(chosen.hindsight, AchievedOptions) and chosen.hindsight.kept_per_goal:
+            yield (
+                f"hindsight.kept_per_goal={chosen.hindsight.kept_per_goal}: agent={name} keeps "
+                "episodes in its replay; choose null"
+            )
 
     def __init__(self, options: R2D2Options, setting: Setting):
         super().__init__(options, setting)

@@ -13,6 +13,7 @@ from zipf.agents.hindsight import AchievedOptions
 from zipf.envs.goals import Goal
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.augmentation import Augmentation
+from zipf.experiments.running.goal_memory import Episode, GoalMemory, Parts
 
 _FIELDS = {
     "previous_action": np.dtype(np.int64),
@@ -22,11 +23,9 @@ _FIELDS = {
 }
 _FIRST_ROWS = 64  # ours: room for short episodes; it doubles where an episode is longer
 
-Parts = dict[str, NDArray[Any]]
-
 
 class Hindsight:
-    """Keeps the running episode of each of N worlds, and those to relabel of an unroll.
+    """Keeps the running episode of each of N worlds, and relabels those that end.
 
     Args:
         options: how many episodes, and how many of their last frames.
@@ -65,7 +64,8 @@ class Hindsight:
         like = {name: (part.shape[1:], part.dtype) for name, part in env.allocate().items()}
         self._observation = self._zeros(like)
         self._fields = self._zeros({name: ((), dtype) for name, dtype in _FIELDS.items()})
-        self._chosen: list[tuple[Parts, Parts]] = []  # observations and fields, [length, ...]
+        self._memory = GoalMemory(options.kept_per_goal) if options.kept_per_goal else None
+        self._chosen: list[Episode] = []
         self._candidates = 0
 
     def add(
@@ -92,9 +92,14 @@ class Hindsight:
         self._lengths += 1
         if not ended.any():
             return
-        goals = final_info["achieved"]
+        goals, achieved = final_info["achieved"], ended & final_info["has_achieved"]
+        if self._memory is not None:
+            for i in np.flatnonzero(achieved).tolist():
+                self._memory.add(goals[i], self._relabelled(i, goals[i]))
+            self._lengths[ended] = 0
+            return
         other = (goals != self.goal.read(observation)).any(1)
-        for i in np.flatnonzero(ended & final_info["has_achieved"] & other).tolist():
+        for i in np.flatnonzero(achieved & other).tolist():
             self._candidates += 1
             place = len(self._chosen)
             if place == self.options.episodes:  # each candidate is as likely to be kept
@@ -104,9 +109,11 @@ class Hindsight:
         self._lengths[ended] = 0
 
     def take(self) -> TensorDict | None:
-        """The relabelled episodes since the last call, [L, E] as in `Unroll.episodes`; None if
-        there are none."""
+        """The relabelled episodes to learn from, [L, E] as in `Unroll.episodes`; None if there are
+        none: those since the last call, or some of the memory's."""
         chosen, self._chosen, self._candidates = self._chosen, [], 0
+        if self._memory is not None:
+            chosen = self._memory.draw(self.options.episodes, self._generator)
         if not chosen:
             return None
         lengths = torch.tensor([len(fields["reward"]) for _, fields in chosen])
@@ -123,13 +130,14 @@ class Hindsight:
         return episodes
 
     def state_dict(self) -> dict[str, Any]:
-        """The running episodes."""
+        """The running episodes, and the memory."""
         used = min(int(self._lengths.max()), self._rows)
         return {
             "generator": self._generator.get_state(),
             "lengths": self._lengths.copy(),
             "observation": {name: part[:used].copy() for name, part in self._observation.items()},
             "fields": {name: part[:used].copy() for name, part in self._fields.items()},
+            "kept": [] if self._memory is None else self._memory.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any], restarted: NDArray[np.bool_]) -> None:
@@ -146,8 +154,10 @@ class Hindsight:
         for name, part in state["fields"].items():
             self._fields[name][:used] = part
         self._lengths[restarted] = 0
+        if self._memory is not None:
+            self._memory.load_state_dict(state["kept"])
 
-    def _relabelled(self, world: int, goal: NDArray[Any]) -> tuple[Parts, Parts]:
+    def _relabelled(self, world: int, goal: NDArray[Any]) -> Episode:
         """The episode of a world that has just ended, as if it had been asked for this goal."""
         length = int(self._lengths[world])
         rows = np.arange(max(length - self._rows, 0), length) % self._rows
