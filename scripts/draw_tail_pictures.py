@@ -24,6 +24,7 @@ from zipf.envs import distributions, reference, split
 from zipf.experiments.reporting.paper import LEVEL_KINDS
 from zipf.experiments.reporting.results import Run, load_runs
 from zipf.experiments.reporting.statistics import wilson_interval
+from zipf.experiments.reporting.wording import KIND_NAMES
 
 ROOT = Path(__file__).parent.parent
 
@@ -52,7 +53,6 @@ AGENTS = {
     ),
 }
 """By folder of results/gridworld_compact."""
-TITLES = {"train": "Train (Zipfian)", "uniform": "Uniform", "rare": "Rare"}
 BINS = 8
 """Of the shares of situations, equal on a logarithmic axis."""
 
@@ -88,7 +88,7 @@ def learning(runs: dict[str, list[Run]]) -> Figure:
                     scores["frames"] / 1e6, scores["score"], agent.line, color=agent.colour
                 )
                 drawn.set_label(agent.label if k == 0 else "")
-        finish(axis, kind, TITLES[kind])
+        finish(axis, kind, KIND_NAMES[kind])
         axis.set_xlabel("Million frames")
     axes[0].set_ylabel("Score")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -97,7 +97,7 @@ def learning(runs: dict[str, list[Run]]) -> Figure:
 
 def rarity(runs: dict[str, list[Run]]) -> Figure:
     """Success on the uniform level against the share of training episodes that a situation has."""
-    law = distributions.zipfian(20, 2)
+    law = distributions.zipfian(20, 2)  # of maps, and of targets, on the level trained on
     shares = law[:, None] * law[None, :]
     edges = np.geomspace(shares.min() * 0.999, shares.max() * 1.001, BINS + 1)
     figure, axis = plt.subplots(figsize=(5.6, 3.4), layout="constrained")

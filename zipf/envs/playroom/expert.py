@@ -1,6 +1,8 @@
 """A scripted expert that reads the state: it shows that every level can be solved."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,9 +57,8 @@ class Expert:
             raise ValueError("the expert reads the state of our engine: use backend='own'")
         self.env = env
         self.worlds = env.worlds
-        # By world: what the answer depends on, and the answer.
-        self._viewpoints: dict[int, tuple[bytes, NDArray[np.bool_]]] = {}
-        self._distances: dict[tuple[int, bool], tuple[bytes, NDArray[np.float64]]] = {}
+        # By what is looked for in which world: what it depends on, and what was found.
+        self._found: dict[tuple[str, int], tuple[bytes, NDArray[Any]]] = {}
 
     def __call__(self) -> NDArray[np.int64]:
         """The next action of every world, int64 [N]."""
@@ -83,11 +84,8 @@ class Expert:
             return actions.GRAB
         if _can_aim(agent, one_world(worlds, i)):
             return self._face(i, agent[YAW], agent[PITCH], closed=False)
-        key = self._poses(i)
-        known = self._viewpoints.get(i)
-        if known is None or known[0] != key:
-            known = self._viewpoints[i] = key, _viewpoints(agent, worlds, i)
-        return self.go(i, known[1])
+        cells = self._search("viewpoints", i, self._poses(i), lambda: _viewpoints(agent, worlds, i))
+        return self.go(i, cells)
 
     def _raise(self, i: int) -> int:
         """Lifts the held object by looking up, and at the highest view by pushing it away."""
@@ -191,12 +189,22 @@ class Expert:
     def _way(self, i: int, goals: NDArray[np.bool_], *, pushing: bool) -> float:
         """The heading of the shortest way to one of the cells of `goals`, radians; NaN if there is
         none. With `pushing` it may lead through objects, which are pushed aside."""
-        key = self._poses(i) + goals.tobytes()
-        known = self._distances.get((i, pushing))
-        if known is None or known[0] != key:
-            known = key, _distances(goals, _blocked(self.worlds, i, pushing))
-            self._distances[i, pushing] = known
-        return _heading(known[1], self.worlds.agents[i])
+        distances = self._search(
+            "way, pushing" if pushing else "way",
+            i,
+            self._poses(i) + goals.tobytes(),
+            lambda: _distances(goals, _blocked(self.worlds, i, pushing)),
+        )
+        return _heading(distances, self.worlds.agents[i])
+
+    def _search(
+        self, what: str, i: int, depends_on: bytes, search: Callable[[], NDArray[Any]]
+    ) -> NDArray[Any]:
+        """What `search` finds in world `i`, or what it found last if that depended on the same."""
+        found = self._found.get((what, i))
+        if found is None or found[0] != depends_on:
+            found = self._found[what, i] = depends_on, search()
+        return found[1]
 
     def _poses(self, i: int) -> bytes:
         """What there is beside the agent, and where."""
