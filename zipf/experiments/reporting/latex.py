@@ -27,19 +27,21 @@ def latex_report(tables: Sequence[ScoreTable], statistics: Sequence[SeedStatisti
         text = side_by_side_caption(beside)
         parts += [_grid(grid, grid.title, text) for grid in side_by_side_grids(beside)]
     for one in statistics:
-        of_table = [_grid(grid, f"{one.table.title}: {grid.title}", "") for grid in one.grids]
-        if of_table:
-            parts += [*of_table, f"\\noindent {_escape(one.text)}\n\n"]
+        for k, grid in enumerate(one.grids):
+            parts.append(_grid(grid, f"{one.table.title}: {grid.title}", "" if k else one.text))
     return _HEAD + "\n".join(parts) + "\\end{document}\n"
 
 
-_HEAD = r"""% Compiles by itself; a paper that loads booktabs and docmute can also \input it.
+_HEAD = r"""% Compiles by itself; a paper that loads booktabs, graphicx and docmute can also \input it.
 \documentclass{article}
 \usepackage[margin=2cm]{geometry}
 \usepackage{booktabs}
+\usepackage{graphicx}
 \begin{document}
 
 """
+
+_NO_WIDER_THAN_THE_PAGE = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -75,6 +77,7 @@ def _grid(grid: Grid, title: str, text: str) -> str:
         r"\centering",
         r"\footnotesize",
         rf"\setlength{{\tabcolsep}}{{{3 if wide else 4}pt}}",
+        _NO_WIDER_THAN_THE_PAGE,
         rf"\begin{{tabular}}{{l{'r' * (leading - 1 + width * count)}}}",
         r"\toprule",
     ]
@@ -96,7 +99,7 @@ def _grid(grid: Grid, title: str, text: str) -> str:
     lines += [
         *texts,
         r"\bottomrule",
-        r"\end{tabular}",
+        r"\end{tabular}}",
         rf"\caption{{\textbf{{{_escape(title)}.}} {_escape(text)}}}",
         rf"\label{{tab:{re.sub(r'[^A-Za-z0-9-]', '-', grid.name)}}}",
         r"\end{table}",
