@@ -32,7 +32,7 @@ def latex_report(tables: Sequence[ScoreTable], statistics: Sequence[SeedStatisti
     return _HEAD + "\n".join(parts) + "\\end{document}\n"
 
 
-_HEAD = r"""% Compiles by itself; a paper that loads booktabs, graphicx and docmute can also \input it.
+_HEAD = r"""% Compiles by itself; a paper with booktabs, graphicx and docmute can also \input it.
 \documentclass{article}
 \usepackage[margin=2cm]{geometry}
 \usepackage{booktabs}
