@@ -8,6 +8,7 @@ from networks import compact
 
 from zipf import envs
 from zipf.agents.agent import Setting
+from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.supervised import Supervised, SupervisedOptions
@@ -31,9 +32,10 @@ MLP = MLPOptions(name="mlp", size=16, layers=1)
 LEVEL = "supervised/find_shape_zipf3"
 
 
-def classifier(env, memory=MLP, network=NETWORK, **changes):
+def classifier(env, memory=MLP, network=NETWORK, setting=None, **changes):
     spaces = env.single_observation_space, env.single_action_space
-    return Supervised(OPTIONS.model_copy(update=changes), Setting(*spaces, network, memory))
+    setting = Setting(*spaces, network, memory, **(setting or {}))
+    return Supervised(OPTIONS.model_copy(update=changes), setting)
 
 
 # Questions
@@ -77,6 +79,25 @@ def test_either_answer_is_right_where_both_objects_are_the_same():
         env.reset(seed=0, options={"target": 7, "other": 7})
         _, reward, *_ = env.step(np.full(20, answer))
         assert reward.all()
+
+
+def test_an_answer_achieves_what_names_the_object_on_its_side():
+    env = FirstFrameVectorEnv(60, "supervised/find_shape_uniform")
+    env.report_achieved()
+    for wrong in (False, True):
+        frames, info = env.reset(seed=3)
+        asked, other = (
+            FirstFrameVectorEnv(60, "supervised/find_shape_uniform").reset(
+                seed=0, options={"target": info[name], "other": info[name]}
+            )[0]["instruction"]
+            for name in ("target", "other")
+        )
+        np.testing.assert_array_equal(asked, frames["instruction"])
+        assert (asked != other).any(1).sum() > 50
+        *_, step = env.step(1 - info["side"] if wrong else info["side"])
+        final = step["final_info"]
+        assert final["has_achieved"].all()
+        np.testing.assert_array_equal(final["achieved"], other if wrong else asked)
 
 
 def test_levels_without_sides_are_refused():
@@ -128,6 +149,51 @@ def test_an_update_is_one_step_of_adam_on_the_cross_entropy_of_the_sides():
     assert metrics["loss"] == pytest.approx(loss.item(), rel=1e-5)
     for one, other in zip(made.network.parameters(), reference.network.parameters(), strict=True):
         torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("kept", [None, 2])
+def test_with_hindsight_it_learns_relabelled_questions_too(kept):
+    """Each shows an image of the unroll, with a name of the object on the side of its answer."""
+    level = "supervised/find_shape_uniform"
+    options = AchievedOptions(
+        name="achieved", episodes=5, length=None, kept_per_goal=kept, reward=1.0,
+        advantage="none", policy_cost=0.4, value_cost=0.0, fade=4,
+    )  # fmt: skip
+    env, changes = FirstFrameVectorEnv(4, level), {"hindsight": options}
+    made, plain = classifier(env, setting=changes), classifier(env, setting=changes)
+    goal = envs.goal(f"playroom/{level}", env)
+    collector = Collector(env, made, unroll_length=6, seed=1, goal=goal, hindsight=options)
+    frames, info = env.reset(seed=1)
+    named = {}
+    for _ in range(6):
+        for i in range(4):
+            ranks = (info["target"][i], info["other"][i])
+            sides = (info["side"][i], 1 - info["side"][i])
+            named[frames["image"][i].tobytes()] = dict(zip(sides, ranks, strict=True))
+        frames, *_, info = env.step(np.zeros(4, np.int64))
+    env.reset(seed=1)
+    unroll = collector.collect()
+    questions = unroll.episodes
+    assert questions.shape == (1, 5)
+    told = FirstFrameVectorEnv(5, level)
+    ranks = [
+        named[image.numpy().tobytes()][answer]
+        for image, answer in zip(
+            questions["observation", "image"][0], questions["action"][0].tolist(), strict=True
+        )
+    ]
+    frames, _ = told.reset(seed=0, options={"target": np.array(ranks), "other": 0})
+    np.testing.assert_array_equal(questions["observation", "instruction"][0], frames["instruction"])
+    for updates in (0, 1, 4):
+        made.updates = plain.updates = updates
+        logits = made.network(Inputs.of(questions), {})[0]
+        share = 0.4 * max(0, 1 - updates / 4)
+        expected = share * F.cross_entropy(logits, questions["action"][0]).item()
+        unroll.episodes = questions
+        loss = made.update(unroll)["loss"]
+        unroll.episodes = None
+        assert loss == pytest.approx(plain.update(unroll)["loss"] + expected, rel=1e-5)
+        plain.load_state_dict(made.state_dict())
 
 
 def test_answers_are_random_in_training_and_its_best_in_evaluation():

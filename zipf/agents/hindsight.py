@@ -40,9 +40,9 @@ class AchievedOptions(Options):
     At most `episodes` of them an update, drawn at random from those that ended during the unroll,
     and of each the last `length` frames, None: all. With `kept_per_goal` so many of the last
     episodes that achieved a goal, asked for or not, are kept of each goal, and updates draw from
-    these, every goal as often as the others. `reward` is what success pays. The others are
-    of actor-critics alone: `policy_cost` and `value_cost` are c_p and c_v, and after `fade` updates
-    they are 0; None: they stay as they are.
+    these, every goal as often as the others. `reward` is what success pays. `policy_cost` and
+    `value_cost` are c_p and c_v, and after `fade` updates they are 0; None: they stay as they are.
+    `advantage` and `value_cost` are of actor-critics alone; R2D2 needs no costs.
     """
 
     name: Literal["achieved"]

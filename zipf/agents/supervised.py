@@ -20,10 +20,12 @@ import gymnasium as gym
 import torch
 import torch.nn.functional as F
 from pydantic import Field
+from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.averaging import average_gradients
+from zipf.agents.hindsight import NoHindsightOptions
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
@@ -77,6 +79,7 @@ class Supervised(Agent):
     Options = SupervisedOptions
     largest_lag = 1  # its answers in training do not depend on what it has learned
     weighted_losses = True
+    learns_from_hindsight = True
     averages_gradients = True
     answers_questions = True
     options: SupervisedOptions
@@ -102,6 +105,7 @@ class Supervised(Agent):
             eps=options.adam_epsilon,
             fused=True,
         )
+        self.updates = 0
 
     def initial_memory(self, batch: int) -> State:
         """The memory before the first frame of `batch` worlds, and at any later time: every
@@ -134,7 +138,8 @@ class Supervised(Agent):
         with autocast(self.device, self.precision):
             logits = self.network(Inputs.of(steps), unroll.memory)
         losses = F.cross_entropy(logits.flatten(0, 1), label.flatten(), reduction="none")
-        loss = weighted(losses.view_as(label), steps).mean()
+        relabelled_loss, relabelled_metrics = self._hindsight_loss(unroll.episodes)
+        loss = weighted(losses.view_as(label), steps).mean() + relabelled_loss
 
         self.optimiser.zero_grad()
         loss.backward()
@@ -144,15 +149,41 @@ class Supervised(Agent):
         if not norm.isfinite():
             raise FloatingPointError(f"the gradient's norm is {norm.item()}")
         self.optimiser.step()
+        self.updates += 1
         accuracy = (logits.argmax(-1) == label).float().mean()
-        metrics = {"loss": loss, "accuracy": accuracy, "gradient_norm": norm}
+        metrics = {
+            "loss": loss,
+            "accuracy": accuracy,
+            "gradient_norm": norm,
+            **relabelled_metrics,
+        }
         return {name: metric.item() for name, metric in metrics.items()}
+
+    def _hindsight_loss(
+        self, questions: TensorDict | None
+    ) -> tuple[Tensor | float, dict[str, Tensor]]:
+        """The loss of relabelled questions [1, E], to which the answers are right, and metrics."""
+        options = self.setting.hindsight
+        if isinstance(options, NoHindsightOptions):
+            return 0.0, {}
+        if questions is None:
+            return 0.0, {"hindsight_accuracy": torch.tensor(float("nan"))}
+        answer = questions["action"][0]
+        with autocast(self.device, self.precision):
+            logits = self.network(Inputs.of(questions), self.initial_memory(len(answer)))[0]
+        loss = options.policy_cost * options.share(self.updates) * F.cross_entropy(logits, answer)
+        return loss, {"hindsight_accuracy": (logits.argmax(-1) == answer).float().mean()}
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that `update` changes."""
-        return {"network": self.network.state_dict(), "optimiser": self.optimiser.state_dict()}
+        return {
+            "network": self.network.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "updates": self.updates,
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
         self.network.load_state_dict(state["network"])
         self.optimiser.load_state_dict(state["optimiser"])
+        self.updates = state["updates"]

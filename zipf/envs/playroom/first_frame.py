@@ -9,6 +9,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from zipf.envs.playroom import levels
+from zipf.envs.playroom.achieved import Achievement
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.splits import KINDS, Split
 
@@ -20,13 +21,12 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
 
     The action says on which side the object is that the instruction names: `LEFT` or `RIGHT`. The
     reward is 1 if that is right, and the episode ends. Where both objects are the same, either
-    answer is right, as in the paper. Episodes are drawn as `PlayroomVectorEnv` draws them.
+    answer is right, as in the paper. An answer achieves what names the object on that side.
+    Episodes are drawn as `PlayroomVectorEnv` draws them.
 
     Raises:
         ValueError: the level has no two sides to tell apart.
     """
-
-    achieves = False
 
     def __init__(
         self,
@@ -46,6 +46,7 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
             raise ValueError(f"level 'playroom/{level}' has no object on the left and on the right")
         self.single_action_space = spaces.Discrete(2)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self._pointed_at = np.zeros(num_envs, np.int64)  # of the two objects, the target first
 
     def _furnish(self, i: int) -> None:
         """Does nothing: no question needs the physics, which would take two thirds of the time."""
@@ -53,9 +54,13 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
     def _advance(
         self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-        right = (actions == self._side) | (self.worlds.ranks[:, 0] == self.worlds.ranks[:, 1])
+        self._pointed_at = np.where(actions == self._side, 0, 1)
+        right = (self._pointed_at == 0) | (self.worlds.ranks[:, 0] == self.worlds.ranks[:, 1])
         ended = np.ones(self.num_envs, np.bool_)
         return right.astype(np.float64), ended, ~ended, right
+
+    def _achievement(self, i: int) -> Achievement:
+        return int(self._pointed_at[i]), int(self.worlds.task[i])
 
 
 @dataclass(frozen=True)

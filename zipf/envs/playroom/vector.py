@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.playroom import hand, judgement, layout, levels
-from zipf.envs.playroom.achieved import achieved
+from zipf.envs.playroom.achieved import Achievement, achieved
 from zipf.envs.playroom.actions import ACTIONS
 from zipf.envs.playroom.constants import EXPONENT_BOUNDS, REACH_BOUNDS
 from zipf.envs.playroom.looks import LOOKS
@@ -234,13 +234,16 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         goals = np.zeros_like(self._instructions)
         has = np.zeros(self.num_envs, np.bool_)
         for i in np.flatnonzero(ended).tolist():
-            found = achieved(self.worlds, i)
+            found = self._achievement(i)
             if found is not None:
                 target = self.object_names[self.worlds.ranks[i, found[0]]]
                 text = levels.instruction(self.level, target, found[1])
                 goals[i] = levels.VOCABULARY.encode(text)
                 has[i] = True
         return goals, has
+
+    def _achievement(self, i: int) -> Achievement | None:
+        return achieved(self.worlds, i)
 
     def _engine(self) -> Hashable:
         level = self.level
