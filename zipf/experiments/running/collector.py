@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.agent import Agent
@@ -27,10 +26,10 @@ from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.augmentation import Augmentation
 from zipf.experiments.running.checkpoint import arrays
 from zipf.experiments.running.hindsight import Hindsight
+from zipf.experiments.running.unroll_buffers import CARRIED, UnrollBuffers
 from zipf.experiments.running.visits import Visits
 
 _OUTCOMES = ("return", "length", "success")
-_CARRIED = ("previous_action", "previous_reward", "is_first")
 
 
 class Abandoned(Exception):
@@ -126,7 +125,7 @@ class Collector:
             **({"weight": torch.float32} if reweighting is not None else {}),
         }
         self._buffers = [
-            _Buffers(env, unroll_length + 1, agent.final_observations, further, pinned)
+            UnrollBuffers(env, unroll_length + 1, agent.final_observations, further, pinned)
             for _ in range(1 + lag)
         ]
         self._final = env.allocate()
@@ -192,7 +191,7 @@ class Collector:
             "environment": self.env.get_state(),
             "memory": dict(self._memory),
             "generator": self._generator.get_state(),
-            "inputs": {name: fields[name][-1].copy() for name in _CARRIED},
+            "inputs": {name: fields[name][-1].copy() for name in CARRIED},
             "episodes": dict(self._episodes),
             "visits": self.visits.state_dict(),
             "exploration": self.exploration.state_dict() if self.exploration else {},
@@ -231,7 +230,7 @@ class Collector:
             self.augmentation.begin(restarted)
             self._change(buffers.observation_row(-1))
 
-    def _step(self, buffers: _Buffers, t: int) -> None:
+    def _step(self, buffers: UnrollBuffers, t: int) -> None:
         start = perf_counter()
         fields = buffers.fields
         inputs = Inputs.of(buffers.inputs[t].to(self.device, non_blocking=True))
@@ -359,114 +358,3 @@ def soft_asymmetric(reward: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     squashed = np.tanh(reward / 5.0)
     return 5.0 * np.where(reward < 0, 0.3 * squashed, squashed)
-
-
-class _Buffers:
-    """The steps of one unroll, [T + 1, N]: NumPy arrays and, in the same RAM, tensors.
-
-    Attributes:
-        observation: arrays by name.
-        fields: arrays by name, those that every agent needs and `further` ones; see `Unroll`.
-        steps: all of them as tensors, and what the behaviour policy adds.
-        inputs: of `steps` the agent's inputs alone.
-        final: see `Unroll`; None for an agent that asks for none.
-    """
-
-    def __init__(
-        self,
-        env: ZipfVectorEnv,
-        rows: int,
-        finals: int,
-        further: dict[str, torch.dtype],
-        pinned: bool,
-    ):
-        self.pinned = pinned
-        shape = rows, env.num_envs
-        self.steps = TensorDict(batch_size=shape)
-        self.steps["observation"] = self._observations(env, rows)
-        self.observation = {name: part.numpy() for name, part in self.steps["observation"].items()}
-        self.final = self._finals(env, finals) if finals else None
-        self.fields: dict[str, NDArray[Any]] = {}
-        for name, dtype in (
-            ("previous_action", torch.int64),
-            ("previous_reward", torch.float32),
-            ("is_first", torch.bool),
-            ("action", torch.int64),
-            ("reward", torch.float32),
-            ("bonus", torch.float32),
-            ("terminated", torch.bool),
-            ("truncated", torch.bool),
-            ("truncation_value", torch.float32),
-            *further.items(),
-        ):
-            self.steps[name] = self._tensor(torch.zeros(shape, dtype=dtype))
-            self.fields[name] = self.steps[name].numpy()
-        self.fields["previous_action"][:] = -1
-        self.fields["is_first"][:] = True
-        self.inputs = self.steps.select("observation", *_CARRIED)
-
-    def observation_row(self, t: int) -> dict[str, NDArray]:
-        """The observations of row t, {name: [N, ...]}, to be written to."""
-        return {name: part[t] for name, part in self.observation.items()}
-
-    def begin_after(self, other: _Buffers) -> None:
-        """Copies the last row of another unroll, or of this one, to the first row of this one."""
-        for mine, last in ((self.observation, other.observation), (self.fields, other.fields)):
-            for name, part in mine.items():
-                part[0] = last[name][-1]
-        if self.final is not None:
-            self.final.zero_()  # so that what is not in use is the same in every run
-            self.final["step"].fill_(-1)
-
-    def keep_final(
-        self,
-        t: int,
-        cut: NDArray[np.bool_],
-        observation: dict[str, NDArray],
-        reward: NDArray[np.float64],
-    ) -> None:
-        """Keeps the observations [N, ...] that the episodes of the worlds `cut` were truncated at
-        after row t, with the rewards [N] of that step, in those worlds that have a place left."""
-        assert self.final is not None
-        used = (self.final["step"] >= 0).sum(0).numpy()
-        worlds = np.flatnonzero(cut & (used < len(self.final)))
-        places = used[worlds], worlds
-        for name, part in observation.items():
-            self.final["observation", name].numpy()[places] = part[worlds]
-        self.final["step"].numpy()[places] = t
-        self.final["previous_action"].numpy()[places] = self.fields["action"][t, worlds]
-        self.final["previous_reward"].numpy()[places] = reward[worlds]
-
-    def write(self, name: str, t: int, value: Tensor) -> None:
-        """Writes what the behaviour policy adds to row t, [N, ...]; the copy from a CUDA device is
-        queued."""
-        if name not in self.steps.keys():
-            rows = self.steps.batch_size[0]
-            self.steps[name] = self._tensor(torch.zeros(rows, *value.shape, dtype=value.dtype))
-        self.steps[name][t].copy_(value, non_blocking=True)
-
-    def _observations(self, env: ZipfVectorEnv, rows: int) -> TensorDict:
-        """Zeros in place of observations, [rows, N]."""
-        zeros = {
-            name: self._tensor(torch.from_numpy(np.zeros((rows, *array.shape), array.dtype)))
-            for name, array in env.allocate().items()
-        }
-        return TensorDict(zeros, (rows, env.num_envs))
-
-    def _finals(self, env: ZipfVectorEnv, count: int) -> TensorDict:
-        shape = count, env.num_envs
-        final = TensorDict(batch_size=shape)
-        for name, dtype in (
-            ("step", torch.int64),
-            ("previous_action", torch.int64),
-            ("previous_reward", torch.float32),
-            ("is_first", torch.bool),
-        ):
-            final[name] = self._tensor(torch.zeros(shape, dtype=dtype))
-        final["observation"] = self._observations(env, count)
-        return final
-
-    def _tensor(self, zeros: Tensor) -> Tensor:
-        """The tensor itself, or a copy in pinned RAM, which CUDA devices copy from and to while the
-        CPU goes on."""
-        return zeros.pin_memory() if self.pinned else zeros
