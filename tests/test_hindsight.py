@@ -24,6 +24,7 @@ from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.reweighting import InverseCountOptions
 from zipf.experiments import command_line
+from zipf.experiments.augmentation import Augmentation, RandomAugmentationOptions
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import hindsight, runner
 from zipf.experiments.running.agent_policy import AgentPolicy
@@ -199,6 +200,63 @@ def test_the_last_episodes_of_each_goal_are_kept_and_goals_are_drawn_alike():
     assert found.tolist() == [1, 4, 5, 6, 34, 35, 36]
     expected = 9000 * np.array([1 / 3] + [1 / 9] * 6)
     assert chisquare(counts, expected).pvalue > 1e-3
+
+
+def test_kept_episodes_are_the_worlds_own_and_are_augmented_when_drawn():
+    """What is kept is what a world shows that has the goal, under the kept actions; what is drawn
+    is that under one of the symmetries, with the actions that belong to it."""
+    env = envs.make_vec(LEVEL, WORLDS, observation="tiles", max_steps=80)
+    symmetries = envs.symmetries(envs.split("gridworld"), env)
+    augmentation = Augmentation(
+        RandomAugmentationOptions(
+            name="random", symmetries=True, channels=False, shift=0, cutout=0
+        ),
+        env.single_observation_space,
+        WORLDS,
+        seed=3,
+        symmetries=symmetries,
+    )
+    options = OPTIONS.model_copy(update={"episodes": 20, "kept_per_goal": 2})
+    collector = collector_of(options, augmentation=augmentation)
+    kept, add = [], collector.hindsight._memory.add
+    collector.hindsight._memory.add = lambda goal, one: (kept.append(one), add(goal, one))
+    drawn = collector.collect().episodes
+    everywhere = envs.make_vec(LEVEL, 400, observation="tiles", max_steps=80)
+    situations = {"map": np.repeat(np.arange(20), 20), "target": np.tile(np.arange(20), 20)}
+    for observation, fields in kept:
+        actions = fields["action"]
+        assert fields["previous_action"].tolist() == [-1, *actions[:-1]]
+        shown, _ = everywhere.reset(seed=0, options=situations)
+        same = np.ones(400, np.bool_)
+        for t, action in enumerate(actions):
+            for name, part in shown.items():
+                same &= (part == observation[name][t]).reshape(400, -1).all(1)
+            shown, reward, terminated, *_ = everywhere.step(np.full(400, action))
+            same &= terminated == (t == len(actions) - 1)
+        assert (same & (reward > 0)).any()
+    assert len(kept) > 3
+
+    inverse = symmetries.actions.argsort(1)
+    which = set()
+    for e in range(20):
+        episode = episode_of(drawn, e)
+        found = set()
+        for observation, fields in kept:
+            for k in range(symmetries.count):
+                if len(fields["action"]) != len(episode):
+                    continue
+                changed = {name: part.copy() for name, part in observation.items()}
+                rows = len(episode)
+                symmetries(changed, np.full(rows, k), np.ones(rows, np.bool_))
+                if (
+                    all(np.array_equal(changed[n], episode["observation", n]) for n in changed)
+                    and inverse[k][fields["action"]].tolist() == episode["action"].tolist()
+                ):
+                    found.add(k)
+        assert found
+        which |= found
+        assert episode["previous_action"].tolist() == [-1, *episode["action"].tolist()[:-1]]
+    assert len(which) > 2
 
 
 @pytest.mark.parametrize("kept", [None, 2])

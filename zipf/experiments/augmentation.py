@@ -93,24 +93,25 @@ class Augmentation:
             self._inverse = self.symmetries.actions.argsort(1)
         self._rng = np.random.default_rng(seed)
         self._change_images = bool(chosen)
-        self._drawn: dict[str, NDArray] = {
-            "symmetry": np.zeros(num_envs, np.int64),
-            "order": np.tile(np.arange(3), (num_envs, 1)),
-            "shift": np.zeros((num_envs, 2), np.int64),
-            "centre": np.zeros((num_envs, 2)),  # of the square, in sides of the image
-        }
+        self._drawn = _unchanged(num_envs)
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
         """Draws anew for the worlds of `mask` [N], in which an episode begins."""
-        n, o, drawn = int(mask.sum()), self.options, self._drawn
+        for name, values in self._draw(int(mask.sum())).items():
+            self._drawn[name][mask] = values
+
+    def _draw(self, n: int) -> dict[str, NDArray]:
+        """The changes of `n` episodes."""
+        o, drawn = self.options, _unchanged(n)
         if self.symmetries is not None:
-            drawn["symmetry"][mask] = self._rng.integers(self.symmetries.count, size=n)
+            drawn["symmetry"] = self._rng.integers(self.symmetries.count, size=n)
         if o.channels:
-            drawn["order"][mask] = self._rng.permuted(np.tile(np.arange(3), (n, 1)), axis=1)
+            drawn["order"] = self._rng.permuted(np.tile(np.arange(3), (n, 1)), axis=1)
         if o.shift:
-            drawn["shift"][mask] = self._rng.integers(-o.shift, o.shift + 1, size=(n, 2))
+            drawn["shift"] = self._rng.integers(-o.shift, o.shift + 1, size=(n, 2))
         if o.cutout:
-            drawn["centre"][mask] = self._rng.random((n, 2))
+            drawn["centre"] = self._rng.random((n, 2))
+        return drawn
 
     def observe(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> None:
         """Changes the worlds' observations `{name: [N, ...]}`, in place, where `mask` [N]."""
@@ -134,11 +135,27 @@ class Augmentation:
     def observe_episode(self, observation: dict[str, NDArray], world: int) -> None:
         """Changes the observations `{name: [frames, ...]}` of the running episode of one world, in
         place."""
+        drawn = {name: values[world : world + 1] for name, values in self._drawn.items()}
+        self._change_frames(observation, drawn)
+
+    def actions_to_worlds(self, fields: dict[str, NDArray], world: int) -> None:
+        """Makes the actions in the fields `{name: [frames]}` of the running episode of one world
+        those of the world, in place."""
+        if self.symmetries is not None:
+            _replace_actions(fields, self.symmetries.actions[self._drawn["symmetry"][world]])
+
+    def change_episode(self, observation: dict[str, NDArray], fields: dict[str, NDArray]) -> None:
+        """Changes an episode, as a world has it, by a draw of its own, in place: observations
+        `{name: [frames, ...]}`, and the actions in `fields` `{name: [frames]}`."""
+        drawn = self._draw(1)
+        self._change_frames(observation, drawn)
+        if self.symmetries is not None:
+            _replace_actions(fields, self._inverse[drawn["symmetry"][0]])
+
+    def _change_frames(self, observation: dict[str, NDArray], drawn: dict[str, NDArray]) -> None:
+        """Changes all frames as one draw says."""
         frames = len(next(iter(observation.values())))
-        repeated = {
-            name: np.repeat(drawn[world : world + 1], frames, axis=0)
-            for name, drawn in self._drawn.items()
-        }
+        repeated = {name: np.repeat(values, frames, axis=0) for name, values in drawn.items()}
         self._observe(observation, np.ones(frames, np.bool_), **repeated)
 
     def to_worlds(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -165,6 +182,23 @@ class Augmentation:
         self._rng.bit_generator.state = state["generator"]
         for name, drawn in self._drawn.items():
             drawn[:] = state[name]
+
+
+def _unchanged(n: int) -> dict[str, NDArray]:
+    """The draws that change nothing."""
+    return {
+        "symmetry": np.zeros(n, np.int64),
+        "order": np.tile(np.arange(3), (n, 1)),
+        "shift": np.zeros((n, 2), np.int64),
+        "centre": np.zeros((n, 2)),  # of the square, in sides of the image
+    }
+
+
+def _replace_actions(fields: dict[str, NDArray], table: NDArray[np.int64]) -> None:
+    """Replaces actions by those of a table, in place; -1 stands for none before the first."""
+    for name in ("action", "previous_action"):
+        taken = fields[name] >= 0
+        fields[name][taken] = table[fields[name][taken]]
 
 
 @compiled()

@@ -114,6 +114,8 @@ class Hindsight:
         chosen, self._chosen, self._candidates = self._chosen, [], 0
         if self._memory is not None:
             chosen = self._memory.draw(self.options.episodes, self._generator)
+            if self.augmentation is not None:
+                chosen = [self._changed(episode, self.augmentation) for episode in chosen]
         if not chosen:
             return None
         lengths = torch.tensor([len(fields["reward"]) for _, fields in chosen])
@@ -158,16 +160,25 @@ class Hindsight:
             self._memory.load_state_dict(state["kept"])
 
     def _relabelled(self, world: int, goal: NDArray[Any]) -> Episode:
-        """The episode of a world that has just ended, as if it had been asked for this goal."""
+        """The episode of a world that has just ended, as if it had been asked for this goal; as the
+        agent saw it, or, for the memory, as the world showed it."""
         length = int(self._lengths[world])
         rows = np.arange(max(length - self._rows, 0), length) % self._rows
         observation = {name: part[rows, world] for name, part in self._observation.items()}
         everywhere = np.ones(len(rows), np.bool_)
         self.goal.write(observation, np.repeat(goal[None], len(rows), axis=0), everywhere)
-        if self.augmentation is not None:
-            self.augmentation.observe_episode(observation, world)
         fields = {name: part[rows, world] for name, part in self._fields.items()}
         fields["reward"][-1] = self.reward
+        if self.augmentation is not None and self._memory is None:
+            self.augmentation.observe_episode(observation, world)
+        elif self.augmentation is not None:
+            self.augmentation.actions_to_worlds(fields, world)
+        return observation, fields
+
+    def _changed(self, episode: Episode, augmentation: Augmentation) -> Episode:
+        """A copy of an episode of the memory, augmented anew."""
+        observation, fields = ({name: part.copy() for name, part in p.items()} for p in episode)
+        augmentation.change_episode(observation, fields)
         return observation, fields
 
     def _grow(self, rows: int) -> None:
