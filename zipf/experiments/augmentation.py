@@ -213,9 +213,13 @@ def _change(image, mask, orders, shifts, centres, side):
         if down or right:
             before[:] = image[i]
             for r in range(height):
-                row = min(max(r - down, 0), height - 1)
-                for c in range(width):
-                    image[i, r, c] = before[row, min(max(c - right, 0), width - 1)]
+                source, target = before[min(max(r - down, 0), height - 1)], image[i, r]
+                first, last = max(right, 0), width + min(right, 0)
+                target[first:last] = source[first - right : last - right]
+                for c in range(first):
+                    target[c] = source[0]
+                for c in range(last, width):
+                    target[c] = source[width - 1]
         first, second, third = orders[i]
         if channels >= 3 and (first != 0 or second != 1):  # a fourth channel is no colour
             for r in range(height):

@@ -292,9 +292,10 @@ def _name(composed: Composed) -> str:
         start.append(f"condition={name}")
         compared += ["agent", *_PLAIN]
     usual = _compose_condition(*start).choices
-    base = flatten(_compose_condition(*start, *(f"{g}={chosen[g]}" for g in parts())).values)
+    other = [group for group in parts() if chosen[group] != usual[group]]
+    base = flatten(_compose_condition(*start, *(f"{g}={chosen[g]}" for g in other)).values)
     for group in compared:
-        if chosen[group] != usual[group]:
+        if group in other:
             name += f",{group}={chosen[group]}"
     for option, value in flatten(composed.values).items():
         if option.split(".")[0] in ("seed", "experiment", "name", "without_instruction"):
