@@ -12,6 +12,7 @@ from zipf.envs.playroom import levels
 from zipf.envs.playroom.achieved import Achievement
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.splits import KINDS, Split
+from zipf.envs.vector import Observation
 
 LEFT, RIGHT = 0, 1
 
@@ -47,6 +48,22 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
         self.single_action_space = spaces.Discrete(2)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._pointed_at = np.zeros(num_envs, np.int64)  # of the two objects, the target first
+        # An answer changes nothing in view: a frame is drawn once, and shown before and after it.
+        self._frames = self.allocate()["image"]
+        self._has_frame = np.zeros(num_envs, np.bool_)
+
+    def _start(self, mask: NDArray[np.bool_], streams: NDArray[np.uint64]) -> None:
+        super()._start(mask, streams)
+        self._has_frame[mask] = False
+
+    def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
+        new = mask & ~self._has_frame
+        if new.any():
+            self._view.draw(self._frames, new)
+            self._has_frame |= new
+        shown = slice(None) if mask.all() else mask  # a slice is much faster
+        out["image"][shown] = self._frames[shown]
+        out["instruction"][shown] = self._instructions[shown]
 
     def _furnish(self, i: int) -> None:
         """Does nothing: no question needs the physics, which would take two thirds of the time."""
