@@ -1,12 +1,13 @@
-"""Draws docs/tail_learning.png and docs/tail_rarity.png from the runs in results/.
+"""Draws the pictures of docs/learning-the-tail.md from the runs in results/.
 
     python scripts/draw_tail_pictures.py
 
-Every agent of `gridworld_compact` in the record whose configuration is among `AGENTS`: its scores
-against the frames it has learned from, and its success against how rarely training draws a
-situation.
+Of each of `WORLDS`, every agent of the record whose configuration is among its `agents`: its scores
+against the frames that it has learned from, in `docs/tail_<name>_learning.png`, and its success
+against how rarely training draws a situation, in `docs/tail_<name>_rarity.png`.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,8 +20,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from zipf.envs import distributions, reference, split
+from zipf.envs import Reference, distributions, reference, split
 from zipf.experiments.reporting.paper import LEVEL_KINDS
 from zipf.experiments.reporting.results import Run, load_runs
 from zipf.experiments.reporting.statistics import wilson_interval
@@ -37,34 +39,81 @@ class Agent(NamedTuple):
     line: str = "-"
 
 
-AGENTS = {
-    "impala_mlp": Agent("IMPALA, plain network", "#000000"),
-    "impala_mlp,network=comparing,network.comparison=given": Agent(
-        "IMPALA, comparison given", "#0077bb"
+class World(NamedTuple):
+    """Worlds that agents are drawn in.
+
+    Attributes:
+        name: of the pictures.
+        split: what is trained on, and its levels.
+        experiment: the folder of results/.
+        agents: by folder in that.
+        reference: a scripted player whose score is drawn.
+        share: of the training episodes that each of some situations has.
+    """
+
+    name: str
+    split: str
+    experiment: str
+    agents: dict[str, Agent]
+    reference: Reference
+    share: Callable[[pd.DataFrame], NDArray[np.float64]]
+
+
+def of_map_and_target(situations: pd.DataFrame) -> NDArray[np.float64]:
+    """The shares of situations of the gridworld."""
+    law = distributions.zipfian(20, 2)
+    return law[situations["map"]] * law[situations["target"]]
+
+
+def of_target(situations: pd.DataFrame) -> NDArray[np.float64]:
+    """The shares of what is asked for in finding, whatever else is there."""
+    return distributions.zipfian(50, 3)[situations["target"]]
+
+
+WORLDS = [
+    World(
+        "gridworld",
+        "gridworld",
+        "gridworld_compact",
+        {
+            "impala_mlp": Agent("IMPALA, plain network", "#000000"),
+            "impala_mlp,network=comparing,network.comparison=given": Agent(
+                "IMPALA, comparison given", "#0077bb"
+            ),
+            "impala,network=comparing,precision=bfloat16,network.comparison=given": Agent(
+                "IMPALA + LSTM, comparison given", "#33bbee", "--"
+            ),
+            "impala_comparing_hindsight,precision=bfloat16": Agent(
+                "IMPALA, comparison learned, hindsight", "#ee3377"
+            ),
+            "imitation_comparing_augmented,precision=bfloat16": Agent(
+                "Imitation, comparison learned", "#009988"
+            ),
+        },
+        "generalist",
+        of_map_and_target,
     ),
-    "impala,network=comparing,precision=bfloat16,network.comparison=given": Agent(
-        "IMPALA + LSTM, comparison given", "#33bbee", "--"
+    World(
+        "finding",
+        "playroom_find",
+        "playroom_find_compact",
+        {
+            "supervised,network=film": Agent("Classifier", "#000000"),
+            "supervised,network=film,augmentation=random": Agent("Augmentation", "#0077bb"),
+            "supervised_hindsight_augmented,network=film": Agent(
+                "Augmentation and a memory of goals", "#009988"
+            ),
+        },
+        "blind",
+        of_target,
     ),
-    "impala_comparing_hindsight,precision=bfloat16": Agent(
-        "IMPALA, comparison learned, hindsight", "#ee3377"
-    ),
-    "imitation_comparing_augmented,precision=bfloat16": Agent(
-        "Imitation, comparison learned", "#009988"
-    ),
-}
-"""By folder of results/gridworld_compact."""
+]
 BINS = 8
 """Of the shares of situations, equal on a logarithmic axis."""
 
 
 def main() -> None:
-    """Writes both pictures."""
-    runs: dict[str, list[Run]] = {}
-    for run in load_runs([ROOT / "results" / "gridworld_compact"]):
-        runs.setdefault(run.folder.parent.name, []).append(run)
-    missing = [name for name in AGENTS if name not in runs]
-    if missing:
-        raise SystemExit(f"results/gridworld_compact has no runs of {', '.join(missing)}")
+    """Writes the pictures."""
     plt.rcParams.update(
         {
             "font.family": "DejaVu Sans",
@@ -73,38 +122,44 @@ def main() -> None:
             "lines.markersize": 3,
         }
     )
-    save(learning(runs), "tail_learning.png")
-    save(rarity(runs), "tail_rarity.png")
+    for world in WORLDS:
+        runs: dict[str, list[Run]] = {}
+        for run in load_runs([ROOT / "results" / world.experiment]):
+            runs.setdefault(run.folder.parent.name, []).append(run)
+        missing = [name for name in world.agents if name not in runs]
+        if missing:
+            folder = f"results/{world.experiment}"
+            raise SystemExit(f"{folder} has no runs of {', '.join(missing)}")
+        save(learning(world, runs), f"tail_{world.name}_learning.png")
+        save(rarity(world, runs), f"tail_{world.name}_rarity.png")
 
 
-def learning(runs: dict[str, list[Run]]) -> Figure:
+def learning(world: World, runs: dict[str, list[Run]]) -> Figure:
     """Scores on the three levels against millions of frames, a line for each run."""
     figure, axes = plt.subplots(1, 3, figsize=(8.4, 3.1), sharey=True, layout="constrained")
     for axis, kind in zip(axes, LEVEL_KINDS, strict=True):
-        for name, agent in AGENTS.items():
+        for name, agent in world.agents.items():
             for k, run in enumerate(runs[name]):
                 scores = run.mean_scores(run.description.levels_of(kind))
                 (drawn,) = axis.plot(
                     scores["frames"] / 1e6, scores["score"], agent.line, color=agent.colour
                 )
                 drawn.set_label(agent.label if k == 0 else "")
-        finish(axis, kind, KIND_NAMES[kind])
+        finish(axis, world, kind, KIND_NAMES[kind])
         axis.set_xlabel("Million frames")
     axes[0].set_ylabel("Score")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
-def rarity(runs: dict[str, list[Run]]) -> Figure:
+def rarity(world: World, runs: dict[str, list[Run]]) -> Figure:
     """Success on the uniform level against the share of training episodes that a situation has."""
-    law = distributions.zipfian(20, 2)  # of maps, and of targets, on the level trained on
-    shares = law[:, None] * law[None, :]
-    edges = np.geomspace(shares.min() * 0.999, shares.max() * 1.001, BINS + 1)
     figure, axis = plt.subplots(figsize=(5.6, 3.4), layout="constrained")
-    for name, agent in AGENTS.items():
+    for name, agent in world.agents.items():
         rows = pd.concat([run.situations for run in runs[name]])
         rows = rows[rows["level_kind"] == "uniform"]
-        share = shares[rows["map"], rows["target"]]
+        share = world.share(rows)
+        edges = np.geomspace(share.min() * 0.999, share.max() * 1.001, BINS + 1)
         bins = pd.Series(np.digitize(share, edges) - 1, index=rows.index)
         sums = rows.groupby(bins)[["episodes", "successes"]].sum()
         middles = np.sqrt(edges[sums.index] * edges[sums.index + 1])
@@ -114,20 +169,24 @@ def rarity(runs: dict[str, list[Run]]) -> Figure:
         axis.fill_between(middles, low, high, color=agent.colour, alpha=0.15, linewidth=0)
     axis.set_xscale("log")
     axis.invert_xaxis()
-    finish(axis, "uniform", "Success on the uniform level")
+    finish(axis, world, "uniform", "Success on the uniform level")
     axis.set_xlabel("Share of the training episodes that a situation has")
     axis.set_ylabel("Success")
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
-def finish(axis: Axes, kind: str, title: str) -> None:
+def finish(axis: Axes, world: World, kind: str, title: str) -> None:
     """Adds what all panels of a kind of level have."""
-    (level,) = split("gridworld").levels(kind)
-    generalist = reference("generalist", level)
-    assert generalist is not None
+    (level,) = split(world.split).levels(kind)
+    player = reference(world.reference, level)
+    assert player is not None
     axis.axhline(
-        generalist.score, color="0.5", linestyle="dotted", linewidth=1.2, label="Generalist"
+        player.score,
+        color="0.5",
+        linestyle="dotted",
+        linewidth=1.2,
+        label=world.reference.capitalize(),
     )
     axis.set_title(title, fontsize=9)
     axis.set_ylim(-0.02, 1.02)
