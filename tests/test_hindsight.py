@@ -448,13 +448,20 @@ RUNS = {
     "impala, kept": ["collector.lag=1", "hindsight.kept_per_goal=2"],
     "vmpo": ["agent=vmpo"],
     "r2d2": ["condition=r2d2", "collector.lag=1", "hindsight.length=7", *R2D2],
+    "supervised": [
+        *("experiment=playroom_find_compact", "condition=supervised_hindsight_augmented"),
+        *("environment.image_size=[36,48]", "memory=mlp", "exploration=none", "hindsight.fade=5"),
+    ],
 }
 
 
 @pytest.mark.parametrize("overrides", RUNS.values(), ids=RUNS)
 def test_a_resumed_run_equals_an_uninterrupted_one(overrides, tmp_path):
     def config_of(folder, updates):
-        options = [*TINY, "hindsight=achieved", *overrides, "name=row", "evaluation.every=6"]
+        demo, *tiny = TINY
+        given = [*tiny, "hindsight=achieved", *overrides, "name=row", "evaluation.every=6"]
+        own = any(word.startswith("experiment=") for word in overrides)
+        options = given if own else [demo, *given]
         return command_line.load([*options, f"run_root={folder}", f"updates={updates}"])
 
     assert runner.train(config_of(tmp_path / "whole", 6)) == 0
