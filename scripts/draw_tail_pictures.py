@@ -99,7 +99,8 @@ WORLDS = [
         "playroom_find_compact",
         {
             "supervised,network=film": Agent("Classifier", "#000000"),
-            "supervised,network=film,augmentation=random": Agent("Augmentation", "#0077bb"),
+            "supervised,network=film,augmentation=random,augmentation.channels=False,"
+            "augmentation.shift=4": Agent("Augmentation", "#0077bb"),
             "supervised_hindsight_augmented,network=film": Agent(
                 "Augmentation and a memory of goals", "#009988"
             ),
