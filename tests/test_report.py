@@ -41,6 +41,7 @@ from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import (
     captions,
+    comparable,
     markdown,
     paper,
     results,
@@ -579,6 +580,17 @@ def test_the_latex_file_compiles(runs: Path) -> None:
     done = subprocess.run(command, cwd="out", capture_output=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:]
     assert b"Overfull" not in done.stdout
+
+
+def test_titles_name_what_only_some_runs_tell_only_where_nothing_else_does() -> None:
+    """Older runs wrote down only the options that were chosen."""
+    new = {"split": "s", "window": "1:2", "environment.reach": 2.0}
+    old = {"split": "s", "window": "3:4"}
+    titles = [comparable._title("lift", one, [new, old]) for one in (new, old)]
+    assert titles == ["lift (window 1:2)", "lift (window 3:4)"]
+    old = {"split": "s", "window": "1:2"}
+    titles = [comparable._title("lift", one, [new, old]) for one in (new, old)]
+    assert titles == ["lift (reach 2.0)", "lift (reach as by default)"]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,10 @@ as many images as the agents that act learn from in an update, so that frames, u
 compare; the paper does not give the size of its classifier's batches. Frames with weights have
 their losses multiplied by them. The two answers are equally likely, whatever is asked for: there is
 no imbalance of labels to correct, as by adjusted logits (Menon et al. 2021).
+
+With hindsight it also learns from questions as if what was asked for were on the side that was
+answered, the other object where the answer was wrong. Their mean cross-entropy is added, times
+`policy_cost`.
 """
 
 from __future__ import annotations

@@ -127,14 +127,26 @@ def _text(value: Any) -> str:
 
 
 def _title(experiment: str, identity: dict[str, Any], siblings: list[dict[str, Any]]) -> str:
-    names = sorted({name for sibling in siblings for name in sibling})
+    told = sorted({name for sibling in siblings for name in sibling})
+    by_all = [name for name in told if all(name in sibling for sibling in siblings)]
+    names = _differing(by_all, siblings)
+    # Options that only some runs tell are named only where the others do not tell groups apart.
+    if len({_text([sibling[name] for name in names]) for sibling in siblings}) < len(siblings):
+        names = _differing(told, siblings)
     differing = [
         f"{name.removeprefix('environment.')} "
         + textwrap.shorten(str(identity.get(name, "as by default")), 60, placeholder=" ...")
         for name in names
-        if any(sibling.get(name) != siblings[0].get(name) for sibling in siblings)
     ]
     return f"{experiment} ({', '.join(differing)})" if differing else experiment
+
+
+def _differing(names: Sequence[str], siblings: Sequence[dict[str, Any]]) -> list[str]:
+    """Those of the names that do not have the same value everywhere."""
+    first = siblings[0]
+    return [
+        name for name in names if any(sibling.get(name) != first.get(name) for sibling in siblings)
+    ]
 
 
 def _unused_name(experiment: str, used: list[str]) -> str:
