@@ -96,17 +96,21 @@ class Hindsight:
         if self._memory is not None:
             for i in np.flatnonzero(achieved).tolist():
                 self._memory.add(goals[i], self._relabelled(i, goals[i]))
-            self._lengths[ended] = 0
-            return
-        other = (goals != self.goal.read(observation)).any(1)
-        for i in np.flatnonzero(achieved & other).tolist():
-            self._candidates += 1
-            place = len(self._chosen)
-            if place == self.options.episodes:  # each candidate is as likely to be kept
-                place = int(torch.randint(self._candidates, (), generator=self._generator))
-            if place < self.options.episodes:
-                self._chosen[place : place + 1] = [self._relabelled(i, goals[i])]
+        else:
+            other = (goals != self.goal.read(observation)).any(1)
+            for i in np.flatnonzero(achieved & other).tolist():
+                self._choose(i, goals[i])
         self._lengths[ended] = 0
+
+    def _choose(self, world: int, goal: NDArray[Any]) -> None:
+        """Relabels the episode of a world that has just ended, or, where there are more than are
+        asked for, draws whether to: each is as likely to be kept."""
+        self._candidates += 1
+        place = len(self._chosen)
+        if place == self.options.episodes:
+            place = int(torch.randint(self._candidates, (), generator=self._generator))
+        if place < self.options.episodes:
+            self._chosen[place : place + 1] = [self._relabelled(world, goal)]
 
     def take(self) -> TensorDict | None:
         """The relabelled episodes to learn from, [L, E] as in `Unroll.episodes`; None if there are
