@@ -23,6 +23,7 @@ from zipf.agents.impala import Impala
 from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.reweighting import InverseCountOptions
+from zipf.envs.players import Teacher
 from zipf.experiments import command_line
 from zipf.experiments.augmentation import Augmentation, RandomAugmentationOptions
 from zipf.experiments.errors import UserError
@@ -259,6 +260,43 @@ def test_kept_episodes_are_the_worlds_own_and_are_augmented_when_drawn():
     assert len(which) > 2
 
 
+def test_kept_episodes_have_a_teachers_labels_where_they_achieved_what_was_asked_for():
+    """Elsewhere the actions taken, since the teacher wanted something else."""
+    env = envs.make_vec(LEVEL, WORLDS, observation="tiles", max_steps=80)
+    agent = impala_of(env)
+    agent.teacher_share = 0.3
+    collector = Collector(
+        env,
+        agent,
+        unroll_length=STEPS,
+        seed=0,
+        goal=envs.goal(LEVEL, env),
+        hindsight=OPTIONS.model_copy(update={"kept_per_goal": 3}),
+        teacher=Teacher("expert", envs.split("gridworld"), env),
+    )
+    kept = []
+    collector.hindsight._memory.add = lambda _, episode: kept.append(episode)
+    running, expected = [[] for _ in range(WORLDS)], []
+    for _ in range(10):
+        steps = collector.collect().steps
+        for t in range(STEPS):
+            for i in range(WORLDS):
+                running[i].append((steps["action"][t, i].item(), steps["label"][t, i].item()))
+                if steps["terminated"][t, i]:
+                    expected.append((running[i], bool(steps["reward"][t, i] > 0)))
+                if steps["is_first"][t + 1, i]:
+                    running[i] = []
+    assert len(kept) == len(expected)
+    assert {asked for _, asked in expected} == {True, False}
+    for (_, fields), (pairs, asked) in zip(kept, expected, strict=True):
+        actions, labels = (list(values) for values in zip(*pairs, strict=True))
+        assert fields["action"].tolist() == (labels if asked else actions)
+        assert fields["previous_action"].tolist() == [-1, *actions[:-1]]
+        assert "label" not in fields
+    told = [pairs for pairs, asked in expected if asked]
+    assert any(action != label for pairs in told for action, label in pairs)
+
+
 @pytest.mark.parametrize("kept", [None, 2])
 def test_it_continues_from_its_state(kept):
     options = OPTIONS.model_copy(update={"episodes": 2, "kept_per_goal": kept})
@@ -447,6 +485,7 @@ RUNS = {
     "impala": ["experiment=demo", "collector.lag=1"],
     "impala, kept": ["experiment=demo", "collector.lag=1", "hindsight.kept_per_goal=2"],
     "vmpo": ["experiment=demo", "agent=vmpo"],
+    "imitation": ["experiment=demo", "condition=imitation", "hindsight.kept_per_goal=2"],
     "r2d2": ["experiment=demo", "condition=r2d2", "collector.lag=1", "hindsight.length=7", *R2D2],
     "supervised": [
         *("experiment=playroom_find_compact", "condition=supervised_hindsight_augmented"),

@@ -7,9 +7,11 @@ import tiny_gridworld
 import torch
 from conftest import random_unroll
 from networks import compact
+from test_hindsight import episodes_of
 
 from zipf import envs
 from zipf.agents.agent import Setting
+from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions
 from zipf.agents.imitation import Imitation, ImitationOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
@@ -31,9 +33,22 @@ OPTIONS = ImitationOptions(
 )
 
 
-def build(observation_space, action_space, memory=None, **changes):
+RELABELLING = AchievedOptions(
+    name="achieved",
+    episodes=3,
+    length=None,
+    kept_per_goal=None,
+    reward=1.0,
+    advantage="none",
+    policy_cost=0.5,
+    value_cost=0.0,
+    fade=10,
+)
+
+
+def build(observation_space, action_space, memory=None, hindsight=NO_HINDSIGHT, **changes):
     memory = memory or LSTMOptions(name="lstm", size=16, layers=1)
-    setting = Setting(observation_space, action_space, compact(), memory)
+    setting = Setting(observation_space, action_space, compact(), memory, hindsight=hindsight)
     return Imitation(OPTIONS.model_copy(update=changes), setting)
 
 
@@ -55,6 +70,30 @@ def test_the_loss_is_its_definition():
     assert metrics["loss"] == metrics["imitation_loss"] == pytest.approx(loss, rel=1e-5)
     assert metrics["accuracy"] == pytest.approx(right / (STEPS * BATCH))
     assert agent.update(data)["loss"] < metrics["loss"]
+
+
+def test_the_loss_of_relabelled_episodes_is_its_definition():
+    """Each is unrolled alone from an empty memory; the cost falls as the agent learns."""
+    space = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8))
+    data = random_unroll(STEPS, BATCH, ACTIONS, 0)
+    data.steps["label"] = torch.zeros(STEPS + 1, BATCH, dtype=torch.int64)
+    plain = build(space, gym.spaces.Discrete(ACTIONS)).update(data)["loss"]
+    agent = build(space, gym.spaces.Discrete(ACTIONS), hindsight=RELABELLING)
+    assert agent.update(data)["loss"] == plain
+    lengths = [2, 5, 3]
+    data.episodes = episodes_of(lengths, actions=ACTIONS)
+    expected, right = 0.0, 0
+    for e, length in enumerate(lengths):
+        episode = data.episodes[:length, e : e + 1]
+        with torch.no_grad():
+            logits, _, _ = agent.network(Inputs.of(episode), agent.initial_memory(1))
+        for t in range(length):
+            action = episode["action"][t, 0]
+            expected -= float(logits[t, 0].double().log_softmax(-1)[action]) / sum(lengths)
+            right += int(logits[t, 0].argmax() == action)
+    metrics = agent.update(data)
+    assert metrics["loss"] - metrics["imitation_loss"] == pytest.approx(0.45 * expected, rel=1e-4)
+    assert metrics["hindsight_accuracy"] == pytest.approx(right / sum(lengths))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])

@@ -6,8 +6,10 @@ optimiser step per unroll on
     -mean_{t,b}[ log pi(label_t|x_t) ]
 
 each frame's term times its weight if it has one, plus the auxiliary loss and that of episodic
-memory. The agent is not told of rewards other than by its inputs. Where the teacher acts in all
-steps (`teacher_share` 1) this is behavioural cloning (Pomerleau 1991).
+memory. With hindsight it also imitates the actions of relabelled episodes (Ghosh et al. 2021;
+`zipf.agents.hindsight`): c_p times the same mean over their frames is added. The agent is not told
+of rewards other than by its inputs. Where the teacher acts in all steps (`teacher_share` 1) this is
+behavioural cloning (Pomerleau 1991).
 
 Scores show what a long tail costs an agent that need not explore; they are not those of
 reinforcement learning.
@@ -21,12 +23,14 @@ import gymnasium as gym
 import torch
 import torch.nn.functional as F
 from pydantic import Field
+from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.averaging import average_gradients
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary, build_recorder
+from zipf.agents.hindsight import NoHindsightOptions
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
@@ -87,6 +91,7 @@ class Imitation(Agent):
     episodic_memory = True
     weighted_losses = True
     averages_gradients = True
+    learns_from_hindsight = True
     largest_lag = 1  # labels do not depend on the weights that acted
     options: ImitationOptions
     actor: Policy
@@ -131,6 +136,7 @@ class Imitation(Agent):
             eps=options.adam_epsilon,
             fused=True,
         )
+        self.updates = 0
 
     def initial_memory(self, batch: int) -> State:
         """The memory before the first frame of `batch` worlds."""
@@ -168,7 +174,8 @@ class Imitation(Agent):
         logits, label = outputs[:-1], steps["label"][:-1]
         losses = F.cross_entropy(logits.flatten(0, 1), label.flatten(), reduction="none")
         imitation_loss = weighted(losses.view_as(label), steps[:-1]).mean()
-        loss = imitation_loss + auxiliary_loss + episodic_loss
+        relabelled_loss, relabelled_metrics = self._hindsight_loss(unroll.episodes)
+        loss = imitation_loss + auxiliary_loss + episodic_loss + relabelled_loss
 
         self.optimiser.zero_grad()
         loss.backward()
@@ -177,6 +184,7 @@ class Imitation(Agent):
         if not gradient_norm.isfinite():
             raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")
         self.optimiser.step()
+        self.updates += 1
         self.auxiliary.after_update(self.network.encoder)
         self.recorder.record(self.network.dictionary, steps, core, steps["label"])
         log_policy = logits.detach().log_softmax(-1)
@@ -188,8 +196,27 @@ class Imitation(Agent):
             "gradient_norm": gradient_norm,
             **auxiliary_metrics,
             **episodic_metrics,
+            **relabelled_metrics,
         }
         return {name: metric.item() for name, metric in metrics.items()}
+
+    def _hindsight_loss(
+        self, episodes: TensorDict | None
+    ) -> tuple[Tensor | float, dict[str, Tensor]]:
+        """The loss of relabelled episodes [L, E], unrolled from before their first frame, and
+        metrics."""
+        options = self.setting.hindsight
+        if isinstance(options, NoHindsightOptions):
+            return 0.0, {}
+        if episodes is None:
+            return 0.0, {"hindsight_accuracy": torch.tensor(float("nan"))}
+        mask, action = episodes["mask"], episodes["action"]
+        with autocast(self.device, self.precision):
+            logits, _, _ = self.network(Inputs.of(episodes), self.initial_memory(mask.shape[1]))
+        loss = F.cross_entropy(logits[mask], action[mask])
+        accuracy = (logits.argmax(-1) == action)[mask].float().mean()
+        cost = options.policy_cost * options.share(self.updates)
+        return cost * loss, {"hindsight_accuracy": accuracy}
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that `update` changes."""
@@ -198,6 +225,7 @@ class Imitation(Agent):
             "auxiliary": self.auxiliary.state_dict(),
             "recorder": self.recorder.state_dict(),
             "optimiser": self.optimiser.state_dict(),
+            "updates": self.updates,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -206,6 +234,7 @@ class Imitation(Agent):
         self.auxiliary.load_state_dict(state["auxiliary"])
         self.recorder.load_state_dict(state["recorder"])
         self.optimiser.load_state_dict(state["optimiser"])
+        self.updates = state["updates"]
 
     def carried(self) -> dict[str, Any]:
         """What the recorder keeps of the episodes that the worlds are in."""

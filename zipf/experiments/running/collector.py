@@ -111,7 +111,13 @@ class Collector:
             assert goal is not None
             success = float(self._learned(np.array([hindsight.reward]))[0])
             self.hindsight = Hindsight(
-                hindsight, goal, env, reward=success, seed=seed, augmentation=augmentation
+                hindsight,
+                goal,
+                env,
+                reward=success,
+                seed=seed,
+                augmentation=augmentation,
+                teacher=teacher is not None,
             )
         self.seconds = {"environment": 0.0, "inference": 0.0}
         self.visits = Visits(tuple(env.situation))

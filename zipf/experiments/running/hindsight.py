@@ -34,6 +34,8 @@ class Hindsight:
         reward: of the last step of a relabelled episode.
         seed: of the draws among more episodes than are asked for.
         augmentation: what the agent sees of the worlds; `add` is told what they show.
+        teacher: whether fields have a teacher's actions as `label`. Where an episode achieved what
+            it was asked for they are what is learned from it, in the place of the actions taken.
 
     Raises:
         ValueError: the worlds do not tell what an episode has achieved.
@@ -48,6 +50,7 @@ class Hindsight:
         reward: float,
         seed: int,
         augmentation: Augmentation | None = None,
+        teacher: bool = False,
     ):
         env.report_achieved()
         self.options = options
@@ -63,7 +66,8 @@ class Hindsight:
         self._rows = options.length or _FIRST_ROWS
         like = {name: (part.shape[1:], part.dtype) for name, part in env.allocate().items()}
         self._observation = self._zeros(like)
-        self._fields = self._zeros({name: ((), dtype) for name, dtype in _FIELDS.items()})
+        fields = {**_FIELDS, **({"label": np.dtype(np.int64)} if teacher else {})}
+        self._fields = self._zeros({name: ((), dtype) for name, dtype in fields.items()})
         self._memory = GoalMemory(options.kept_per_goal) if options.kept_per_goal else None
         self._chosen: list[Episode] = []
         self._candidates = 0
@@ -170,8 +174,12 @@ class Hindsight:
         rows = np.arange(max(length - self._rows, 0), length) % self._rows
         observation = {name: part[rows, world] for name, part in self._observation.items()}
         everywhere = np.ones(len(rows), np.bool_)
+        asked = self.goal.read(observation)[-1]
         self.goal.write(observation, np.repeat(goal[None], len(rows), axis=0), everywhere)
         fields = {name: part[rows, world] for name, part in self._fields.items()}
+        label = fields.pop("label", None)
+        if label is not None and (asked == goal).all():
+            fields["action"] = label
         fields["reward"][-1] = self.reward
         if self.augmentation is not None and self._memory is None:
             self.augmentation.observe_episode(observation, world)
