@@ -43,9 +43,9 @@ class Unroll:
         is_first: bool, False
 
     `episodes`, a TensorDict [L, E] with hindsight, holds whole episodes that ended in the unroll,
-    relabelled with what they achieved; None where there are none. Row 0 is their first frame:
-        observation, previous_action, previous_reward, action, reward, as in `steps`; `action` is a
-            teacher's label where there is one and the episode was asked for what it achieved
+    relabelled with what they achieved; None where there are none. With a memory of goals and a
+    teacher some are as they were asked for, with its labels as `action`. Row 0 is the first frame:
+        observation, previous_action, previous_reward, action, reward, as in `steps`
         mask: bool, False behind the end of an episode that is shorter than L
         is_first: bool, row 0 and behind the end
         terminated: bool, the last step

@@ -34,8 +34,9 @@ class Hindsight:
         reward: of the last step of a relabelled episode.
         seed: of the draws among more episodes than are asked for.
         augmentation: what the agent sees of the worlds; `add` is told what they show.
-        teacher: whether fields have a teacher's actions as `label`. Where an episode achieved what
-            it was asked for they are what is learned from it, in the place of the actions taken.
+        teacher: whether fields have a teacher's actions as `label`. The memory then also keeps
+            every episode for the goal that it was asked for, with these in the place of the
+            actions taken; those that achieved another goal are kept and drawn apart from them.
 
     Raises:
         ValueError: the worlds do not tell what an episode has achieved.
@@ -56,6 +57,7 @@ class Hindsight:
         self.options = options
         self.goal = goal
         self.reward = reward
+        self._teacher = teacher
         self.augmentation = augmentation
         # Another stream than that of the agent's actions, which stay as they are.
         own = np.random.SeedSequence([seed, 1]).generate_state(1)
@@ -97,13 +99,19 @@ class Hindsight:
         if not ended.any():
             return
         goals, achieved = final_info["achieved"], ended & final_info["has_achieved"]
-        if self._memory is not None:
+        asked = self.goal.read(observation)
+        other = achieved & (goals != asked).any(1)
+        if self._memory is None:
+            for i in np.flatnonzero(other).tolist():
+                self._choose(i, goals[i])
+        elif self._teacher:
+            for i in np.flatnonzero(ended).tolist():
+                self._memory.add(np.append(asked[i], 1), self._labelled(i))
+            for i in np.flatnonzero(other).tolist():
+                self._memory.add(np.append(goals[i], 0), self._relabelled(i, goals[i]))
+        else:
             for i in np.flatnonzero(achieved).tolist():
                 self._memory.add(goals[i], self._relabelled(i, goals[i]))
-        else:
-            other = (goals != self.goal.read(observation)).any(1)
-            for i in np.flatnonzero(achieved & other).tolist():
-                self._choose(i, goals[i])
         self._lengths[ended] = 0
 
     def _choose(self, world: int, goal: NDArray[Any]) -> None:
@@ -170,21 +178,32 @@ class Hindsight:
     def _relabelled(self, world: int, goal: NDArray[Any]) -> Episode:
         """The episode of a world that has just ended, as if it had been asked for this goal; as the
         agent saw it, or, for the memory, as the world showed it."""
-        length = int(self._lengths[world])
-        rows = np.arange(max(length - self._rows, 0), length) % self._rows
-        observation = {name: part[rows, world] for name, part in self._observation.items()}
-        everywhere = np.ones(len(rows), np.bool_)
-        asked = self.goal.read(observation)[-1]
-        self.goal.write(observation, np.repeat(goal[None], len(rows), axis=0), everywhere)
-        fields = {name: part[rows, world] for name, part in self._fields.items()}
-        label = fields.pop("label", None)
-        if label is not None and (asked == goal).all():
-            fields["action"] = label
+        observation, fields = self._episode(world)
+        everywhere = np.ones(len(fields["reward"]), np.bool_)
+        self.goal.write(observation, np.repeat(goal[None], len(everywhere), axis=0), everywhere)
         fields["reward"][-1] = self.reward
+        fields.pop("label", None)
         if self.augmentation is not None and self._memory is None:
             self.augmentation.observe_episode(observation, world)
         elif self.augmentation is not None:
             self.augmentation.actions_to_worlds(fields, world)
+        return observation, fields
+
+    def _labelled(self, world: int) -> Episode:
+        """The episode of a world that has just ended, for the memory, with what the teacher would
+        have done for the actions taken."""
+        observation, fields = self._episode(world)
+        fields["action"] = fields.pop("label")
+        if self.augmentation is not None:
+            self.augmentation.actions_to_worlds(fields, world)
+        return observation, fields
+
+    def _episode(self, world: int) -> Episode:
+        """The kept frames of the running episode of a world, as it was."""
+        length = int(self._lengths[world])
+        rows = np.arange(max(length - self._rows, 0), length) % self._rows
+        observation = {name: part[rows, world] for name, part in self._observation.items()}
+        fields = {name: part[rows, world] for name, part in self._fields.items()}
         return observation, fields
 
     def _changed(self, episode: Episode, augmentation: Augmentation) -> Episode:
