@@ -406,11 +406,6 @@ def test_evaluate_scores_a_script(name, monkeypatch, capsys):
         ("zipf.evaluate", ["policy=expert", "split=gridworld", "run=x"], "run=x: does not go with"),
         ("zipf.evaluate", ["policy=expert", "split=gridwrld"], "did you mean 'gridworld'"),
         ("zipf.evaluate", ["policy=best", "split=gridworld"], "policy=best"),
-        (
-            "zipf.evaluate",
-            ["policy=generalist", "split=labyrinth_forward", "num_envs=1", "episodes=1"],
-            "policy=generalist: labyrinth/",
-        ),
         ("zipf.report", ["nowhere"], "nowhere"),
         ("zipf.train", ["experiment=demo", "-m", "seed=0,-1"], "seed=-1"),
         ("zipf.train", ["--resolve"], "--resolve: goes with --cfg job"),
@@ -431,6 +426,16 @@ def test_a_mistake_is_one_line_and_exit_code_2(
     assert exited.value.code == 2
     assert told in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_family_without_a_scripted_player_is_named(monkeypatch, capsys):
+    monkeypatch.setitem(envs.find_family("gridworld").__dict__, "generalist", None)
+    arguments = ["policy=generalist", "split=gridworld", "num_envs=1", "episodes=1"]
+    monkeypatch.setattr(sys, "argv", ["zipf.evaluate", *arguments])
+    with pytest.raises(SystemExit) as exited:
+        evaluate.main()
+    assert exited.value.code == 2
+    assert "policy=generalist: gridworld/" in capsys.readouterr().err
 
 
 def test_a_mistake_shows_no_traceback(tmp_path):

@@ -33,9 +33,10 @@ FAMILY = Family(
     splits=SPLITS,
     make="zipf.envs.labyrinth.single:LabyrinthEnv",
     make_vec="zipf.envs.labyrinth.benchmark:make_vec",
-    references={name: mean_of_tasks(name) for name in ("chance", "expert")},
+    references={name: mean_of_tasks(name) for name in ("chance", "generalist", "expert")},
     appearance=frozenset({"image_size"}),
     keys="zipf.envs.labyrinth.keys:KEYS",
     expert="zipf.envs.labyrinth.expert:Expert",
+    generalist="zipf.envs.labyrinth.generalist:Generalist",
     goal="zipf.envs.goals:Instruction",
 )

@@ -49,10 +49,14 @@ class Worlds(NamedTuple):
     """[N, 2]: rows and columns of the text map; 0, 0: there is none."""
     solid: NDArray[np.bool_]
     """[N, GRID, GRID], rows to the north."""
+    opaque: NDArray[np.bool_]
+    """[N, GRID, GRID]: cells that hide what is behind them: walls that are drawn, closed doors."""
     floor: NDArray[np.float64]
     """[N, GRID, GRID]: heights of the cells' floors."""
     boxes: NDArray[np.float64]
     """[N, BOXES, 6]: solid boxes, their lowest and highest corners."""
+    see_through: NDArray[np.bool_]
+    """[N, BOXES]: boxes that hide nothing, or of which `opaque` tells."""
     box_count: NDArray[np.int64]
     """[N]"""
     planes: NDArray[np.float64]
@@ -112,8 +116,10 @@ def make_worlds(num_worlds: int) -> Worlds:
         pushed=np.zeros(n, np.int64),
         cells=np.zeros((n, 2), np.int64),
         solid=np.zeros((n, GRID, GRID), np.bool_),
+        opaque=np.zeros((n, GRID, GRID), np.bool_),
         floor=np.zeros((n, GRID, GRID)),
         boxes=np.zeros((n, BOXES, 6)),
+        see_through=np.zeros((n, BOXES), np.bool_),
         box_count=np.zeros(n, np.int64),
         planes=np.zeros((n, PLANES, 3)),
         plane_count=np.zeros(n, np.int64),
@@ -142,7 +148,8 @@ def clear(worlds: Worlds, world: int) -> None:
     """Empties a world for a new episode."""
     for name, value in (
         ("clock", 0), ("limit", 1), ("ending", -1), ("finishing", False), ("bodies", 0.0),
-        ("pushed", 0), ("cells", 0), ("solid", False), ("floor", 0.0), ("box_count", 0),
+        ("pushed", 0), ("cells", 0), ("solid", False), ("opaque", False), ("floor", 0.0),
+        ("see_through", False), ("box_count", 0),
         ("plane_count", 0), ("held", False), ("pillar_count", 0), ("quad", 0.0),
         ("touchable", False), ("present", False), ("returning", -1), ("zones", 0.0),
         ("inside", False), ("timers", -1), ("screen", 0.0), ("widgets", 0.0), ("watched", -1),

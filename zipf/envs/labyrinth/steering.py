@@ -20,6 +20,8 @@ NAMES = {action.name: number for number, action in enumerate(EXTENDED)}
 SMALL = 10 * 4 * DEGREES_PER_PIXEL
 LARGE = 60 * 4 * DEGREES_PER_PIXEL
 """Degrees that a step of four frames turns."""
+MARGIN = WIDE + 3.0
+"""How far from walls the player's point stays, units."""
 
 _FORWARD = NAMES["forward"]
 BACKWARD = NAMES["backward"]
@@ -95,7 +97,7 @@ class Ways:
         *,
         origin: tuple[float, float] = (0.0, 0.0),
         size: float = CELL,
-        margin: float = WIDE + 3.0,
+        margin: float = MARGIN,
     ) -> None:
         self.solid = solid
         self.origin = origin

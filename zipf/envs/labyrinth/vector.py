@@ -70,12 +70,12 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         n = num_envs
         longest = max(map(self._steps, LEVELS.values()))
         # How the episode began, and the actions since.
-        self._seeds = np.zeros(n, np.float64)
+        self.seeds = np.zeros(n, np.float64)
         self._actions = np.zeros((n, longest), np.uint8)
         # The state that follows from them.
         self.worlds = make_worlds(n)
         self.episodes: list[Episode | None] = [None] * n
-        self._maps = np.zeros(n, np.int64)
+        self.maps = np.zeros(n, np.int64)  # 1 for the layout, and one more for each map
         self._scenery = Scenery(self.worlds, width, height)
         self._commands = commands(num_actions)
         self._rewards = np.zeros(n)
@@ -103,7 +103,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         for i in np.flatnonzero(mask).tolist():
-            self._seeds[i] = pcg64.next_double(self._streams[i])
+            self.seeds[i] = pcg64.next_double(self._streams[i])
         self._start(mask)
 
     def _start(self, mask: NDArray[np.bool_]) -> None:
@@ -112,7 +112,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
             clear(self.worlds, i)
             self._scenery.clear(i)
             self._part[i] = 0
-            self._maps[i] = 0
+            self.maps[i] = 0
             self.worlds.limit[i] = self._frames(self.level)
             world = World(self.worlds, self._scenery, i, self._rewards)
             self.episodes[i] = self._rules(world, self._generator(i))
@@ -120,9 +120,9 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
 
     def _generator(self, world: int) -> np.random.Generator:
         """For the layout of an episode, then for each of its maps."""
-        self._maps[world] += 1
-        seed = int(self._seeds[world] * 2**53)
-        return np.random.default_rng([seed, int(self._maps[world])])
+        self.maps[world] += 1
+        seed = int(self.seeds[world] * 2**53)
+        return np.random.default_rng([seed, int(self.maps[world])])
 
     def _begin_map(self, world: int) -> None:
         episode = self.episodes[world]
@@ -191,7 +191,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self.level, self._rules = level, rules
 
     def _get_worlds(self) -> dict[str, NDArray[Any]]:
-        return {"seeds": self._seeds, "actions": self._actions}
+        return {"seeds": self.seeds, "actions": self._actions}
 
     def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
         most = self._steps(self.level)
@@ -206,7 +206,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
             raise ValueError(
                 "the state is of another level, or damaged: seeds, actions or lengths out of range"
             )
-        self._seeds[:] = state["seeds"]
+        self.seeds[:] = state["seeds"]
         self._actions[:] = state["actions"]
         self._replay(state["seeded"], state["lengths"])
 

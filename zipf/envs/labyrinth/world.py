@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +37,9 @@ from zipf.envs.labyrinth.terrain import Terrain
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.render3d import FACES_DOWN, SCREEN, SEE_THROUGH, TWO_SIDED
 
+if TYPE_CHECKING:
+    from zipf.envs.labyrinth.knowledge import Knowledge
+
 Point = tuple[float, float, float]
 
 END_DELAY = 12
@@ -45,6 +50,20 @@ DEEP = 40.0
 """Height of a platform's sides, units."""
 DOOR, LIP = 2.0, 8.0
 """Thickness of a door, and what is seen of an open one, units."""
+
+BARS = "bars"
+"""The texture of doors that are seen through."""
+
+
+class Door(NamedTuple):
+    """A door: the number of its wall, its middle, half of its width as a vector, its cell, and
+    whether it hides what is behind it."""
+
+    wall: int
+    at: NDArray[np.float64]
+    half: NDArray[np.float64]
+    cell: Cell
+    hides: bool
 
 
 class World:
@@ -64,7 +83,7 @@ class World:
         self._number = number
         self._rewards = rewards
         self._items = self._zones = 0
-        self._doors: dict[int, tuple[int, NDArray[np.float64], NDArray[np.float64]]] = {}
+        self._doors: dict[int, Door] = {}
         self.instruction = ""
 
     # Building.
@@ -101,6 +120,7 @@ class World:
         worlds.solid[i, :rows, :columns] = solid
         scenes = scenery.scenes
         if walls is not None:
+            worlds.opaque[i, :rows, :columns] = solid
             ends, cells, numbers = faces(solid)
             textures = walls[cells[:, 0], cells[:, 1]]
             # Numbers of faces count the columns of the scene's grid.
@@ -174,6 +194,7 @@ class World:
         box = int(self._worlds.box_count[i])
         self._worlds.box_count[i] += 1
         self._worlds.boxes[i, box] = *low, *high
+        self._worlds.see_through[i, box] = texture is None
         if texture is not None:
             x, y = (low[0], high[0]), (low[1], high[1])
             ends = np.array([(x[x0], y[y0], x[x1], y[y1]) for _, _, (x0, y0, x1, y1) in SIDES])
@@ -411,6 +432,7 @@ class World:
         i, scenery = self._number, self._scenery
         door = int(self._worlds.box_count[i])
         self._worlds.box_count[i] += 1
+        self._worlds.see_through[i, door] = True
         x, y = middle(cell)
         half = np.array([0.0, CELL / 2]) if eastwards else np.array([CELL / 2, 0.0])
         wall = scenery.add_walls(
@@ -418,7 +440,7 @@ class World:
             np.array([looks.index(texture)]), np.array([-1]), flags=TWO_SIDED | SEE_THROUGH,
             tint=tint,
         )  # fmt: skip
-        self._doors[door] = wall, np.array([x, y]), half
+        self._doors[door] = Door(wall, np.array([x, y]), half, cell, texture != BARS)
         self.set_door(door, is_open=True)
         return door
 
@@ -427,7 +449,8 @@ class World:
     def set_door(self, door: int, *, is_open: bool) -> None:
         """Opens or closes a door. An open one has slid into the wall but for a lip."""
         i = self._number
-        wall, at, half = self._doors[door]
+        wall, at, half, cell, hides = self._doors[door]
+        self._worlds.opaque[i, cell[0], cell[1]] = hides and not is_open
         first = at + half * (1 - 2 * LIP / CELL) if is_open else at - half
         self._scenery.scenes.walls[i, wall, :4] = np.array([*first, *(at + half)]) * METRES
         box = self._worlds.boxes[i, door]
@@ -590,11 +613,16 @@ class Episode(ABC):
         """Places the player and everything that a map begins with."""
 
     @abstractmethod
-    def expert(self) -> int:
-        """What the level's scripted expert does now: one of the fifteen actions.
+    def act(self, known: Knowledge) -> int:
+        """What the level's scripted player does now: one of the fifteen actions.
 
-        It reads the state of the world, to show that the level can be solved.
+        It knows the rules, the instruction, and of the state of the world what `known` says: the
+        expert everything, to show that the level can be solved; the generalist what it has seen.
         """
+
+    def renewed(self) -> Iterable[Cell]:
+        """Cells of the text map that a new map may have changed."""
+        return ()
 
     def picked_up(self, item: int) -> None:  # noqa: B027
         """The player has touched an item, which is gone now."""

@@ -32,10 +32,12 @@ class Supply:
     """A gadget or supply that lies there.
 
     Attributes:
+        item: its number.
         kind: ORB, BEAM, DISC, HEALTH_PACK or ARMOUR_PACK.
         x, y: where.
     """
 
+    item: int
     kind: int
     x: float
     y: float
@@ -141,5 +143,6 @@ class Match:
         kinds, places = self.combat.kinds[self._i], self._worlds.places[self._i]
         there = np.flatnonzero((kinds != NOTHING) & self._worlds.present[self._i, :SUPPLIES])
         return [
-            Supply(int(kinds[k]), float(places[k, 0]), float(places[k, 1])) for k in there.tolist()
+            Supply(k, int(kinds[k]), float(places[k, 0]), float(places[k, 1]))
+            for k in there.tolist()
         ]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import ClassVar
 
 import numpy as np
 
 from zipf.envs.labyrinth import themes
-from zipf.envs.labyrinth.grids import random_path
+from zipf.envs.labyrinth.grids import Cell, random_path
+from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.mazes import MazeOptions, random_maze
+from zipf.envs.labyrinth.state import CELL
 from zipf.envs.labyrinth.steering import Ways
 from zipf.envs.labyrinth.world import Episode, World
 
@@ -42,14 +45,17 @@ class GoalLocations(Episode):
         self.spawn = self.spawns[int(rng.integers(len(self.spawns)))]
         self.world.place_player_in_cell(self.spawn, float(rng.uniform(0, 2 * np.pi)))
         self.world.put_in_cell(self.goal, self.goal_cell)
-        self.ways = Ways(self.maze.solid, [self.goal_cell])
+        self.blocked = self.maze.solid
 
     def picked_up(self, item: int) -> None:
         self.world.reward(10)
         self.world.finish_map()
 
-    def expert(self) -> int:
-        return self.ways.walk_to(self.world, self.goal_cell)
+    def act(self, known: Knowledge) -> int:
+        if not known.has_seen(self.goal):
+            return known.explore(self.blocked, size=CELL)
+        believed = self.blocked & known.seen(*self.blocked.shape)
+        return Ways(believed, [self.goal_cell]).walk_to(self.world, self.goal_cell)
 
 
 class GoalLocationsSmall(GoalLocations):
@@ -86,11 +92,13 @@ class ObstructedGoals(GoalLocations):
         others = [cell for cell in self.doors if cell not in path]
         chosen = rng.permutation(len(others))[: len(others) // 2].tolist()
         opened = {*path, *(others[k] for k in chosen)}
-        blocked = self.maze.solid.copy()
+        self.blocked = self.maze.solid.copy()
         for cell, door in self.doors.items():
             self.world.set_door(door, is_open=cell in opened)
-            blocked[cell] = cell not in opened
-        self.ways = Ways(blocked, [self.goal_cell])
+            self.blocked[cell] = cell not in opened
+
+    def renewed(self) -> Iterable[Cell]:
+        return self.doors
 
 
 class ObstructedGoalsSmall(ObstructedGoals):

@@ -7,8 +7,10 @@ from typing import ClassVar
 import numpy as np
 
 from zipf.envs.labyrinth import themes
+from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.levels.explore_goals import LARGE, SMALL
 from zipf.envs.labyrinth.mazes import MazeOptions, random_maze
+from zipf.envs.labyrinth.state import CELL
 from zipf.envs.labyrinth.steering import Ways
 from zipf.envs.labyrinth.world import Episode, World
 
@@ -35,7 +37,6 @@ class ObjectLocations(Episode):
         places = [cell for room in self.maze.objects for cell in room]
         chosen = rng.permutation(len(places))[: len(places) // 2].tolist()
         self.apples = {themes.add_apple(world): places[k] for k in chosen}
-        self.ways = Ways(self.maze.solid, list(self.apples.values()))
 
     def begin_map(self, rng: np.random.Generator) -> None:
         spawn = self.spawns[int(rng.integers(len(self.spawns)))]
@@ -48,9 +49,13 @@ class ObjectLocations(Episode):
         if not self._left():
             self.world.finish_map()
 
-    def expert(self) -> int:
-        left = [self.apples[apple] for apple in self._left()]
-        return self.ways.walk_to(self.world, self.ways.nearest(self.world, left))
+    def act(self, known: Knowledge) -> int:
+        """Walks to the nearest apple; they come back to where they were."""
+        left = [self.apples[apple] for apple in self._left() if known.has_seen(apple)]
+        if not left:
+            return known.explore(self.maze.solid, size=CELL)
+        ways = Ways(self.maze.solid & known.seen(*self.maze.solid.shape), left)
+        return ways.walk_to(self.world, ways.nearest(self.world, left))
 
     def _left(self) -> list[int]:
         return [apple for apple in self.apples if self.world.is_there(apple)]

@@ -8,7 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from zipf.envs.labyrinth import themes
+from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.mazes import MazeOptions, random_maze
+from zipf.envs.labyrinth.state import CELL
 from zipf.envs.labyrinth.steering import Ways
 from zipf.envs.labyrinth.words import SHAPES
 from zipf.envs.labyrinth.world import Episode, World
@@ -52,6 +54,7 @@ class ObjectRewards(Episode):
             colours = pair if number % 2 else pair[::-1]
             self.objects.append(world.add_item(SHAPES[shape], colours=colours))
         self.good = self.objects[: self.kinds // 2]
+        self.tried: set[int] = set()
 
     def begin_map(self, rng: np.random.Generator) -> None:
         spawn = self.spawns[int(rng.integers(len(self.spawns)))]
@@ -63,21 +66,30 @@ class ObjectRewards(Episode):
 
     def picked_up(self, item: int) -> None:
         self.world.reward(2 if item in self.good else -1)
+        self.tried.add(item)
         if not self._left():
             self.world.finish_map()
 
     def _left(self) -> list[int]:
         return [item for item in self.good if self.world.is_there(item)]
 
-    def expert(self) -> int:
-        """Walks to the nearest good object around the cells of the bad ones."""
-        blocked = self.maze.solid.copy()
-        for item, cell in self.cells.items():
-            if item not in self.good and self.world.is_there(item):
-                blocked[cell] = True
-        good = [self.cells[item] for item in self._left()]
-        ways = Ways(blocked, good)
-        return ways.walk_to(self.world, ways.nearest(self.world, good))
+    def act(self, known: Knowledge) -> int:
+        """Walks to the nearest good object around the cells of the bad ones. Who cannot know which
+        are good tries what was never taken, as long as not all good kinds are found."""
+        there = [item for item in self.objects if self.world.is_there(item) and known.knows(item)]
+        if known is EVERYTHING or self.tried.issuperset(self.good):
+            wanted = [item for item in there if item in self.good]
+        else:
+            wanted = [item for item in there if item in self.good or item not in self.tried]
+        blocked = self.maze.solid & known.seen(*self.maze.solid.shape)
+        for item in there:
+            if item not in wanted:
+                blocked[self.cells[item]] = True
+        if not wanted:
+            return known.explore(blocked, size=CELL)
+        cells = [self.cells[item] for item in wanted]
+        ways = Ways(blocked, cells)
+        return ways.walk_to(self.world, ways.nearest(self.world, cells))
 
 
 class ObjectRewardsFew(ObjectRewards):

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from zipf.envs.labyrinth.grids import Cell
+from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.layouts import Layout, Theme, build_layout
 from zipf.envs.labyrinth.patterns import SOLID, rgb, shaded
+from zipf.envs.labyrinth.state import CELL, GRID
 from zipf.envs.labyrinth.steering import Ways
 from zipf.envs.labyrinth.tasks import Judge, Object
 from zipf.envs.labyrinth.words import COLOURS, SHAPES
@@ -91,20 +94,44 @@ class LanguageEpisode(Episode):
         if over:
             self.world.finish_map()
 
-    def expert(self) -> int:
+    def act(self, known: Knowledge) -> int:
         """Walks to the nearest goal around the cells of other objects."""
         task = self.task
-        blocked = task.layout.solid.copy()
+        solid = task.layout.solid
+        blocked = solid & known.seen(*solid.shape)
         goals = []
         for item, number in self.items.items():
-            if not self.world.is_there(item) or number in task.seen_only:
+            if not self.world.is_there(item) or number in task.seen_only or not known.knows(item):
                 continue
             slot = task.places[number]
             assert slot is not None
             cell = task.layout.slots[slot]
             if number in task.judge.goals:
-                goals.append(cell)
+                if self._is_told(number, known):
+                    goals.append(cell)
             else:
                 blocked[cell] = True
+        if not goals:
+            return known.explore(blocked, size=CELL)
         ways = Ways(blocked, goals)
         return ways.walk_to(self.world, ways.nearest(self.world, goals))
+
+    def renewed(self) -> Iterable[Cell]:
+        return ((int(row), int(column)) for row, column in np.ndindex(GRID, GRID))
+
+    def _is_told(self, number: int, known: Knowledge) -> bool:
+        """Whether what has been seen tells that an object is a goal: itself, where the instruction
+        is about what it looks like; what it may stand near, or what a question is about, where it
+        is about these."""
+        task = self.task
+        others = [item for item, other in self.items.items() if other in task.seen_only]
+        if " near " in task.text:
+            slots, regions = task.places, task.layout.slot_regions
+            own = slots[number]
+            assert own is not None
+            others = [
+                item
+                for item, other in self.items.items()
+                if (slot := slots[other]) is not None and regions[slot] == regions[own]
+            ]
+        return all(known.has_seen(item) for item in others)

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from zipf.envs.labyrinth import themes
+from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.lasertag.arena import (
     AMMUNITION,
     ARMOUR_PACK,
@@ -86,38 +87,41 @@ class Lasertag(Episode):
     def scored(self, points: int) -> None:
         self.world.reward(points)
 
-    def expert(self) -> int:
+    def act(self, known: Knowledge) -> int:
         """Fights an opponent in view, a near and weak one first; else fetches what it needs, or
-        chases the nearest."""
+        chases the nearest; who does not know where anybody is explores."""
         match = self.match
         if not match.is_up(0):
             return _FIRE
         x, y, *_ = self.world.player
         enemies = match.enemies
-        seen = [f for f in enemies if match.in_view(f)]
+        seen = [f for f in enemies if match.in_view(f) and known.faces(*match.place(f))]
         if seen:
             action = self._fight(
-                min(seen, key=lambda f: math.dist(match.place(f), (x, y)) * (50 + match.health(f)))
+                min(seen, key=lambda f: math.dist(match.place(f), (x, y)) * (50 + match.health(f))),
+                known,
             )
             if action is not None:
                 return action
-        wanted = self._wanted()
+        wanted = self._wanted(known)
         if wanted is not None:
-            return self._go_to(wanted)
+            return self._go_to(wanted, known)
+        if known is not EVERYTHING:
+            return known.explore(self.maze.solid, size=CELL)
         if not enemies:
-            return self._go_to(self._spawn())
+            return self._go_to(self._spawn(), known)
         places = {self.ways.cell_of(*match.place(f)): match.place(f) for f in enemies}
         self.ways.distances = {}
         for cell in places:
             self.ways.add(cell)
-        return self._go_to(places[self.ways.nearest(self.world, list(places))])
+        return self._go_to(places[self.ways.nearest(self.world, list(places))], known)
 
     def _spawn(self) -> Point:
         """Where an opponent may appear next."""
         row, column = self.maze.spawns[self.world.frames_left // 600 % len(self.maze.spawns)][0]
         return CELL * (column + 0.5), CELL * (row + 0.5)
 
-    def _wanted(self) -> Point | None:
+    def _wanted(self, known: Knowledge) -> Point | None:
         """Where the nearest supply lies that is worth fetching."""
         match = self.match
         x, y, *_ = self.world.player
@@ -125,6 +129,8 @@ class Lasertag(Episode):
         armed = strong > 0 or match.loaded(RAPID) > 30
         best, least = None, math.inf
         for supply in match.supplies:
+            if not known.knows(supply.item):
+                continue
             if supply.kind == HEALTH_PACK:
                 far = 500.0 if match.health(0) < 60 else 0.0
             elif supply.kind == ARMOUR_PACK:
@@ -139,22 +145,23 @@ class Lasertag(Episode):
                 best, least = (supply.x, supply.y), away
         return best
 
-    def _go_to(self, point: Point) -> int:
+    def _go_to(self, point: Point, known: Knowledge) -> int:
         """Walks by the shortest way."""
-        cell = self.ways.cell_of(*point)
+        ways = Ways(self.maze.solid & known.seen(*self.maze.solid.shape), [])
+        cell = ways.cell_of(*point)
         x, y, *_ = self.world.player
-        if self.ways.cell_of(x, y) == cell:
+        if ways.cell_of(x, y) == cell:
             return walk_to(self.world, *point)
-        self.ways.add(cell)
-        return self.ways.walk_to(self.world, cell)
+        ways.add(cell)
+        return ways.walk_to(self.world, cell)
 
-    def _fight(self, enemy: int) -> int | None:
+    def _fight(self, enemy: int, known: Knowledge) -> int | None:
         """Aims and fires at an opponent in view; None: he is out of reach."""
         match, gadget = self.match, self.match.gadget
         x, y, yaw, _ = self.world.player
         to_x, to_y = match.place(enemy)
         away = math.dist((x, y), (to_x, to_y))
-        if gadget == IMPULSE and self._wanted() is not None and away > 150:
+        if gadget == IMPULSE and self._wanted(known) is not None and away > 150:
             return None
         speed_x, speed_y = match.velocity(enemy)
         own_x, own_y = match.velocity(0)

@@ -7,6 +7,7 @@ from abc import abstractmethod
 
 import numpy as np
 
+from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.looks import Colour
 from zipf.envs.labyrinth.steering import BACKWARD, NAMES, WAIT, Ways, walk_to
 from zipf.envs.labyrinth.terrain import Terrain, make_terrain
@@ -87,23 +88,27 @@ class Natlab(Episode):
             wait, rng = self.waits[item]
             self.world.let_return(item, wait + float(rng.uniform(-1, 1)) * wait / 2)
 
-    def expert(self) -> int:
+    def act(self, known: Knowledge) -> int:
         """Walks to the mushroom to which the way is shortest."""
         x, y, *_ = self.world.player
-        self.trail = [*self.trail[-_STUCK:], (x, y)]
-        if self.escape:
-            return self.escape.pop()
-        if len(self.trail) > _STUCK and math.dist(self.trail[0], (x, y)) < 5:
-            way = NAMES["strafe left" if len(self.mushrooms) % 2 else "strafe right"]
-            self.escape = [way] * 4 + [BACKWARD] * 6
-            self.trail = []
-        there = [place for item, place in self.mushrooms.items() if self.world.is_there(item)]
-        if not there:
+        freeing = self._free((x, y)) if known is EVERYTHING else known.free()
+        if freeing is not None:
+            return freeing
+        there = [
+            place
+            for item, place in self.mushrooms.items()
+            if self.world.is_there(item) and known.knows(item)
+        ]
+        solid = ~self.terrain.walkable
+        if not there and known is EVERYTHING:
             return WAIT
+        if not there:
+            return known.explore(solid, size=self.terrain.size, margin=12.0)
         near = min(there, key=lambda place: math.dist(place, (x, y)))
         if math.dist(near, (x, y)) < 60:
             return walk_to(self.world, *near)
-        ways = Ways(~self.terrain.walkable, [], size=self.terrain.size, margin=12.0)
+        believed = solid & known.seen(*solid.shape)
+        ways = Ways(believed, [], size=self.terrain.size, margin=12.0)
         own = ways.cell_of(x, y)
         ways.add(own)
         cells = [ways.cell_of(*place) for place in there]
@@ -113,6 +118,17 @@ class Natlab(Episode):
         best = min(reached, key=lambda k: ways.distances[own][cells[k]])
         ways.add(cells[best])
         return ways.walk_to(self.world, cells[best])
+
+    def _free(self, place: tuple[float, float]) -> int | None:
+        """The action by which the expert leaves a place where it is stuck; None where it is not."""
+        self.trail = [*self.trail[-_STUCK:], place]
+        if self.escape:
+            return self.escape.pop()
+        if len(self.trail) > _STUCK and math.dist(self.trail[0], place) < 5:
+            way = NAMES["strafe left" if len(self.mushrooms) % 2 else "strafe right"]
+            self.escape = [way] * 4 + [BACKWARD] * 6
+            self.trail = []
+        return None
 
 
 class FixedLargeMap(Natlab):

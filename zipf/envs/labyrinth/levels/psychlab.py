@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.looks import Colour
 from zipf.envs.labyrinth.screen import Place
@@ -131,7 +132,8 @@ class Psychlab(Episode):
     def went_off(self, timer: int) -> None:
         self._fixate()
 
-    def expert(self) -> int:
+    def act(self, known: Knowledge) -> int:
+        """Looks at what is wanted. The screen shows, or has shown, all that tells what that is."""
         return look_at(self.world, self.screen, self.wanted)
 
 

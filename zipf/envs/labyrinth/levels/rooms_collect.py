@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from zipf.envs.labyrinth.steering import Field
+from zipf.envs.labyrinth.knowledge import Knowledge
+from zipf.envs.labyrinth.steering import Field, Point
 from zipf.envs.labyrinth.world import Episode, World
 
 WEST, SOUTH, EAST, NORTH = -568.0, -760.0, 1016.0, 568.0
@@ -14,6 +15,8 @@ HEIGHT = 176.0
 MOST = 10
 """Objects that are taken before the episode ends."""
 
+_SPOTS = ((224.0, -96.0), (-300.0, 300.0), (700.0, -500.0))
+"""From where the room is searched again by who finds nothing."""
 _KINDS = {
     "hat": ((58, 31, 255), (20, 14, 110)),
     "can": ((241, 255, 30), (150, 150, 20)),
@@ -60,11 +63,16 @@ class CollectGoodObjects(Episode):
         if self.taken == MOST:
             self.world.end_episode()
 
-    def expert(self) -> int:
+    def act(self, known: Knowledge) -> int:
+        """Walks to the nearest good object around the bad ones."""
         x, y, *_ = self.world.player
-        good = [self.places[item] for item in self.good if self.world.is_there(item)]
-        bad = [self.places[item] for item in self.bad if self.world.is_there(item)]
-        if not good:
-            good = [(x, y)]
-        goal = min(good, key=lambda place: math.dist(place, (x, y)))
-        return Field((WEST, SOUTH), (EAST, NORTH), goal, bad, 60.0).walk(self.world)
+        there = [item for item in self.places if self.world.is_there(item) and known.knows(item)]
+        good = [self.places[item] for item in there if item in self.good]
+        bad = [self.places[item] for item in there if item in self.bad]
+
+        def walk(goal: Point) -> int:
+            return Field((WEST, SOUTH), (EAST, NORTH), goal, bad, 60.0).walk(self.world)
+
+        if not good and any(self.world.is_there(item) for item in self.good):
+            return known.search(_SPOTS, walk)
+        return walk(min(good, key=lambda place: math.dist(place, (x, y)), default=(x, y)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.looks import Colour
 from zipf.envs.labyrinth.steering import walk_to
 from zipf.envs.labyrinth.world import Episode, World
@@ -92,6 +93,12 @@ class SelectNonmatchingObject(Episode):
         self.world.reward(10 if item == self.other else -10)
         self.world.finish_map()
 
-    def expert(self) -> int:
+    def act(self, known: Knowledge) -> int:
+        """Looks at the object that is shown, goes to the pad and takes the other one."""
         x, *_ = self.world.player
-        return walk_to(self.world, *(_PAD if x < 200 else self.choices[1]))
+        if x < 200:
+            seen = known.has_seen(self.sample)
+            return walk_to(self.world, *_PAD) if seen else known.search()
+        if not known.knows(self.same) and not known.knows(self.other):
+            return known.search()
+        return walk_to(self.world, *self.choices[1])

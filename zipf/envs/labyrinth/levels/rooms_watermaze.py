@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.steering import walk_to
 from zipf.envs.labyrinth.world import Episode, World
 
@@ -16,6 +17,12 @@ PLATFORM, RADIUS, RISE = 128.0, 580.0, 94.0
 """Side of the platform, how far from the middle it may be, how high it rises."""
 FIRST_TICK, TICK, TICKS = 0.2, 0.4, 6
 """Seconds to the first point and from one to the next; with the last tick a new map begins."""
+_CIRCLES = tuple(
+    (radius * math.cos(2 * math.pi * k / 16), radius * math.sin(2 * math.pi * k / 16))
+    for radius in (560.0, 450.0, 340.0, 230.0, 120.0, 10.0)
+    for k in range(16)
+)
+"""The way of who looks for the platform: a path as wide as it is from the wall to the middle."""
 
 
 class Watermaze(Episode):
@@ -44,6 +51,7 @@ class Watermaze(Episode):
         )
         angle, radius = rng.uniform(0, 2 * np.pi), RADIUS * math.sqrt(rng.random())
         self.place = radius * math.cos(angle), radius * math.sin(angle)
+        self.found = False
         x, y = self.place
         half = PLATFORM / 2 - 15.0  # a zone is entered by the edge of the player's box
         self.zone = world.add_zone((x - half, y - half, 0.0), (x + half, y + half, 60.0))
@@ -56,6 +64,7 @@ class Watermaze(Episode):
         self.points = 0
 
     def entered(self, zone: int) -> None:
+        self.found = True
         x, y = self.place
         self.world.hold_player(x, y, RISE)
         self.world.put(self.platform, x, y)
@@ -69,5 +78,8 @@ class Watermaze(Episode):
         self.world.reward(1)
         self.world.set_timer(0, TICK)
 
-    def expert(self) -> int:
-        return walk_to(self.world, *self.place)
+    def act(self, known: Knowledge) -> int:
+        """Walks to the platform, or in circles until it is found."""
+        if known is EVERYTHING or self.found:
+            return walk_to(self.world, *self.place)
+        return known.tour(_CIRCLES)

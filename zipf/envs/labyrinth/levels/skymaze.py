@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from zipf.envs.labyrinth import looks, themes
 from zipf.envs.labyrinth.grids import STEPS, Cell, random_path
+from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.steering import BACKWARD, WAIT, walk_to
 from zipf.envs.labyrinth.world import Episode, World, middle
 
 UNIT = 20.0
 """Of height; more than a player can step up."""
 _SLOW = 120.0  # units per second
+_PITCHES = (0.0, math.radians(-50))  # of the view of who looks for a way
 _START, _TOP, _LOWEST, _ABOVE = 26, 21, 8, 14
 
 
@@ -125,7 +127,6 @@ class IrreversiblePath(Episode):
         }
         world.add_platforms(heights * UNIT, heights >= 0, textures, UNIT)
         self.trophy = themes.add_goal(world, scale=3.0)
-        self.steps = self._distances()
 
     def begin_map(self, rng: np.random.Generator) -> None:
         self.world.place_player_in_cell(self.start, float(rng.uniform(0, 2 * np.pi)))
@@ -135,32 +136,38 @@ class IrreversiblePath(Episode):
         self.world.reward(100)
         self.world.end_episode()
 
-    def expert(self) -> int:
+    def act(self, known: Knowledge) -> int:
+        """Follows the way to the goal; who does not see one looks around."""
         cell = self.world.cell
+        steps = self._distances(known.seen(*self.heights.shape))
         forward, left, up = self.world.velocity
         # Who runs over an edge flies past the next platform.
         if up < 0:
             return BACKWARD if forward > 30 else WAIT
         if math.hypot(forward, left) > _SLOW:
             return WAIT
-        if self.steps[cell] == 0:
+        if (steps[cell] < 0 and known is not EVERYTHING) or not known.has_seen(self.trophy):
+            return known.search(pitches=_PITCHES)
+        if steps[cell] == 0:
             return walk_to(self.world, *middle(cell))
         for up, right in STEPS:
             beside = cell[0] + up, cell[1] + right
             lower = self.heights[beside] <= self.heights[cell]
-            if lower and 0 <= self.steps[beside] < self.steps[cell]:
+            if lower and 0 <= steps[beside] < steps[cell]:
                 return walk_to(self.world, *middle(beside), slowly=True)
         return walk_to(self.world, *middle(cell), slowly=True)  # a trap
 
-    def _distances(self) -> NDArray[np.int64]:
-        """Steps to the goal from each platform, -1 where none lead there."""
+    def _distances(self, seen: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Steps to the goal from each platform, by those that were seen; -1 where none lead
+        there."""
         steps = np.full(self.heights.shape, -1)
         steps[self.goal] = 0
         queue = [self.goal]
         for cell in queue:
             for up, right in STEPS:
                 beside = cell[0] + up, cell[1] + right
-                if self.heights[beside] >= self.heights[cell] and steps[beside] < 0:
+                higher = seen[beside] and self.heights[beside] >= self.heights[cell]
+                if higher and steps[beside] < 0:
                     steps[beside] = steps[cell] + 1
                     queue.append(beside)
         return steps

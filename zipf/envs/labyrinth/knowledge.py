@@ -1,0 +1,196 @@
+"""What a scripted player knows of a labyrinth: everything, or what has been in view."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zipf.envs.labyrinth.actions import DEGREES_PER_PIXEL
+from zipf.envs.labyrinth.in_view import NEVER, nearest_unseen
+from zipf.envs.labyrinth.steering import BACKWARD, MARGIN, NAMES, Point, Ways, walk_to
+
+if TYPE_CHECKING:
+    from zipf.envs.labyrinth.generalist import Memory
+    from zipf.envs.labyrinth.world import World
+
+_LEVEL = math.radians(10 * 4 * DEGREES_PER_PIXEL)  # what a step of four frames looks up or down
+_THERE = 60.0  # units from a spot at which it is reached
+
+
+class Knowledge(Protocol):
+    """What a scripted player knows of one world, beside the rules of its level, the instruction,
+    where it is itself and what it has taken."""
+
+    def knows(self, item: int) -> bool:
+        """Whether an item was seen since it last appeared, or the map began."""
+        ...
+
+    def has_seen(self, item: int) -> bool:
+        """Whether an item was seen in this episode."""
+        ...
+
+    def seen(self, rows: int, columns: int) -> NDArray[np.bool_]:
+        """Cells of a grid of so many that were seen."""
+        ...
+
+    def faces(self, x: float, y: float) -> bool:
+        """Whether a point is ahead, not beside the view or behind it."""
+        ...
+
+    def explore(self, solid: NDArray[np.bool_], *, size: float, margin: float = MARGIN) -> int:
+        """The action that leads to the nearest cell that was not seen yet; where there is none, to
+        the one that was seen last the longest time ago.
+
+        Args:
+            solid: bool [rows, columns]; what was not seen of it does not count.
+            size: of a cell, units.
+            margin: see `Ways`.
+        """
+        ...
+
+    def search(
+        self,
+        spots: Sequence[Point] = (),
+        walk: Callable[[Point], int] | None = None,
+        pitches: Sequence[float] = (0.0,),
+    ) -> int:
+        """The action that looks around: a full turn at each pitch, then another at the next spot.
+
+        Args:
+            spots: to look around from, one after another and then again.
+            walk: the action that leads to a spot; None: in a straight line.
+            pitches: of the view, radians.
+        """
+        ...
+
+    def tour(self, points: Sequence[Point]) -> int:
+        """The action that walks to one point after another, in straight lines."""
+        ...
+
+    def free(self) -> int | None:
+        """The action that leaves a place where the player is stuck; None where he is not."""
+        ...
+
+
+class Everything:
+    """The expert's knowledge: nothing has to be looked for."""
+
+    def knows(self, item: int) -> bool:
+        return True
+
+    def has_seen(self, item: int) -> bool:
+        return True
+
+    def seen(self, rows: int, columns: int) -> NDArray[np.bool_]:
+        return np.ones((rows, columns), np.bool_)
+
+    def faces(self, x: float, y: float) -> bool:
+        return True
+
+    def explore(self, solid: NDArray[np.bool_], *, size: float, margin: float = MARGIN) -> int:
+        raise AssertionError("everything is known")
+
+    def search(
+        self,
+        spots: Sequence[Point] = (),
+        walk: Callable[[Point], int] | None = None,
+        pitches: Sequence[float] = (0.0,),
+    ) -> int:
+        raise AssertionError("everything is known")
+
+    def tour(self, points: Sequence[Point]) -> int:
+        raise AssertionError("everything is known")
+
+    def free(self) -> int | None:
+        raise AssertionError("the expert has a trail of its own")
+
+
+EVERYTHING = Everything()
+
+
+class Seen:
+    """The generalist's knowledge of one world: what has been in view.
+
+    Args:
+        memory: of the batch, written by what looks around.
+        world: the world.
+        number: the world's.
+    """
+
+    def __init__(self, memory: Memory, world: World, number: int) -> None:
+        self._memory = memory
+        self._world = world
+        self._i = number
+
+    def knows(self, item: int) -> bool:
+        return bool(self._memory.known[self._i, item])
+
+    def has_seen(self, item: int) -> bool:
+        return bool(self._memory.ever[self._i, item])
+
+    def seen(self, rows: int, columns: int) -> NDArray[np.bool_]:
+        seen: NDArray[np.bool_] = self._memory.seen_at[self._i, :rows, :columns] > NEVER
+        return seen
+
+    def faces(self, x: float, y: float) -> bool:
+        own_x, own_y, yaw, _ = self._world.player
+        off = (math.atan2(y - own_y, x - own_x) - yaw + math.pi) % (2 * math.pi) - math.pi
+        return math.tan(min(abs(off), 1.5)) <= self._memory.wide
+
+    def explore(self, solid: NDArray[np.bool_], *, size: float, margin: float = MARGIN) -> int:
+        upright = self._towards(0.0)
+        if upright is not None:
+            return upright
+        rows, columns = solid.shape
+        seen_at = self._memory.seen_at[self._i, :rows, :columns]
+        believed = solid & (seen_at > NEVER)
+        ways = Ways(believed, [], size=size, margin=margin)
+        x, y, *_ = self._world.player
+        cell = nearest_unseen(believed, seen_at, *ways.cell_of(x, y))
+        ways.add(cell)
+        return ways.walk_to(self._world, cell)
+
+    def search(
+        self,
+        spots: Sequence[Point] = (),
+        walk: Callable[[Point], int] | None = None,
+        pitches: Sequence[float] = (0.0,),
+    ) -> int:
+        memory, i = self._memory, self._i
+        if memory.turned[i] >= 2 * math.pi:
+            memory.turned[i] = 0.0
+            memory.turns[i] += 1
+            memory.walks[i] = bool(spots) and memory.turns[i] % len(pitches) == 0
+        if memory.walks[i]:
+            spot = spots[(memory.turns[i] // len(pitches) - 1) % len(spots)]
+            x, y, *_ = self._world.player
+            if math.dist(spot, (x, y)) > _THERE and memory.still[i] < 8:
+                memory.turned[i] = 0.0
+                return walk_to(self._world, *spot) if walk is None else walk(spot)
+            memory.walks[i] = False
+        upright = self._towards(pitches[memory.turns[i] % len(pitches)])
+        return NAMES["look right"] if upright is None else upright
+
+    def tour(self, points: Sequence[Point]) -> int:
+        memory, i = self._memory, self._i
+        x, y, *_ = self._world.player
+        if math.dist(points[memory.turns[i] % len(points)], (x, y)) < _THERE:
+            memory.turns[i] += 1
+        return walk_to(self._world, *points[memory.turns[i] % len(points)])
+
+    def free(self) -> int | None:
+        left = int(self._memory.freeing[self._i])
+        if left == 0:
+            return None
+        return BACKWARD if left > 4 else NAMES["strafe right"]
+
+    def _towards(self, pitch: float) -> int | None:
+        """The action that brings the view to this pitch; None if it is there."""
+        above = pitch - self._world.player[3]
+        if abs(above) <= 0.51 * _LEVEL:
+            return None
+        return NAMES["look up" if above > 0 else "look down"]
