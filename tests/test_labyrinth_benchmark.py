@@ -68,7 +68,7 @@ def test_splits() -> None:
             assert one.score([level.random]) == pytest.approx(0)
 
 
-@pytest.mark.parametrize("of", ["chance", "expert"])
+@pytest.mark.parametrize("of", ["chance", "generalist", "expert"])
 def test_references_are_the_tasks_mean(of: str) -> None:
     every = [envs.reference(of, f"labyrinth/{name}") for name in LEVELS]
     scores = [one.score for one in every if one is not None]
@@ -83,10 +83,11 @@ def test_references_are_the_tasks_mean(of: str) -> None:
     assert envs.reference(of, "labyrinth/uniform", num_actions=9) is None
 
 
-def test_experts_play_all_tasks() -> None:
+@pytest.mark.parametrize("of", envs.SCRIPTED)
+def test_scripted_players_play_all_tasks(of: envs.Scripted) -> None:
     env = make_vec("labyrinth/uniform", 60, **SMALL)
     env.reset(seed=0)
-    player = envs.expert("labyrinth/uniform", env)
+    player = envs.scripted(of, "labyrinth/uniform", env)
     assert player is not None
     total = np.zeros(60)
     for _ in range(100):

@@ -90,15 +90,19 @@ def test_the_expert_needs_fifteen_actions() -> None:
 
 def test_every_level_was_measured() -> None:
     for name, level in LEVELS.items():
-        chance, expert = (reference(of, f"labyrinth/{name}") for of in ("chance", "expert"))
+        chance, generalist, expert = (
+            reference(of, f"labyrinth/{name}") for of in ("chance", "generalist", "expert")
+        )
         assert chance is not None
+        assert generalist is not None
         assert expert is not None
-        for one in (chance, expert):
+        for one in (chance, generalist, expert):
             assert (one.episodes or 0) >= 200
             assert one.error is not None
             assert one.error >= 0
         assert chance.error is not None
         assert expert.score > chance.score + 5 * chance.error
+        assert generalist.score > chance.score + 5 * chance.error
         assert expert.score >= FLOORS[name]
         # Random actions score as published, within a factor of 3 (or 1 near 0), as far as is known
         # by the standard error, except where the original's map is not known.
