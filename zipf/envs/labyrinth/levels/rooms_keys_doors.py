@@ -8,7 +8,7 @@ from zipf.envs.labyrinth.grids import Cell
 from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.levels.keys_doors import COLOURS, GOAL_REWARD, random_plan, solve
 from zipf.envs.labyrinth.steering import WAIT, Ways, walk_to
-from zipf.envs.labyrinth.world import Episode, World, middle
+from zipf.envs.labyrinth.world import BARS, Episode, World, middle
 
 _HUD = (12 / 640, 12 / 480, 60 / 640, 60 / 480)
 
@@ -60,7 +60,7 @@ class KeysDoorsPuzzle(Episode):
             row, column = self.link_cells[k]
             beside = self.corners[a][0] == self.corners[b][0]
             self.doors[k] = world.add_door(
-                (row, column), eastwards=beside, texture="bars", tint=COLOURS[colour]
+                (row, column), eastwards=beside, texture=BARS, tint=COLOURS[colour]
             )
             zone = world.add_cell_zone((row, column))
             self.zones[zone] = k
