@@ -386,7 +386,7 @@ def test_disagreement_about_chance_is_noted(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5), seed=1, levels=gridworld({**CHANCE, "rare": 0.1}))
     table = only_table(tmp_path)
     assert table.reference("chance") == CHANCE
-    assert "disagree about chance" in table.notes[0]
+    assert "seed1 disagree about chance (0.09 and 0.10 on gridworld/rare)" in table.notes[0]
 
 
 def test_the_record_ends_with_the_pages_beside_the_runs(tmp_path: Path) -> None:

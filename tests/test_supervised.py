@@ -73,6 +73,18 @@ def test_the_right_answer_is_the_side_of_the_object_on_the_levels_first_frame():
     assert (step["target"] != info["target"]).any()
 
 
+@pytest.mark.parametrize("kind", envs.KINDS)
+def test_random_answers_score_as_their_reference_says(kind):
+    [asked] = envs.questions(envs.split("playroom_find")).levels(kind)
+    known = envs.reference("chance", asked, image_size=(18, 24))
+    measured = envs.measure_chance(asked, episodes=4000, image_size=(18, 24))
+    assert known.episodes is None
+    assert measured.score == pytest.approx(known.score, abs=0.025)  # three standard errors
+    # Who walks, and is never stopped, is at the wrong object as often as at the right one.
+    assert envs.reference("blind", asked.name) == known
+    assert envs.reference("expert", asked) is None
+
+
 def test_either_answer_is_right_where_both_objects_are_the_same():
     env = FirstFrameVectorEnv(20, LEVEL)
     for answer in (LEFT, RIGHT):

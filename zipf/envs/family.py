@@ -345,7 +345,8 @@ def reference(name: str, level: Level | SplitLevel, /, **kwargs: Any) -> Referen
 
     Args:
         name: "chance", "blind", "generalist" or "expert", see `zipf.references.REFERENCES`.
-        level: a full level name, or what a `Split` may hold in its place.
+        level: a full level name, or what a `Split` may hold in its place. A function that makes a
+            level may know references itself: `level.reference(name, **options)`.
         kwargs: constructor options as for `make` and `make_vec`.
 
     Returns:
@@ -357,12 +358,15 @@ def reference(name: str, level: Level | SplitLevel, /, **kwargs: Any) -> Referen
     _check_reference(name)
     if isinstance(level, SplitLevel):
         return reference(name, level.level, **{**kwargs, **level.options})
+    ignored = {"render_mode", "copy", "autoreset_mode"}
     if not isinstance(level, str):
-        return None
+        known = getattr(level, "reference", None)
+        options = {key: value for key, value in kwargs.items() if key not in ignored}
+        return None if known is None else known(name, **options)
     found, own = find_level(level)
     if name not in found.references:
         return None
-    ignored = found.appearance | {"render_mode", "copy", "autoreset_mode"}
+    ignored |= found.appearance
     options = {key: value for key, value in kwargs.items() if key not in ignored}
     return _loaded(found.references[name])(own, **options)
 

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from zipf.envs.playroom import levels
 from zipf.envs.playroom.achieved import Achievement
+from zipf.envs.playroom.references import blind
 from zipf.envs.playroom.vector import PlayroomVectorEnv
+from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import KINDS, Split
 from zipf.envs.vector import Observation
 
@@ -88,6 +90,16 @@ class FirstFrames:
 
     def __call__(self, num_envs: int, **options: Any) -> FirstFrameVectorEnv:
         return FirstFrameVectorEnv(num_envs, self.level.partition("/")[2], **options)
+
+    def reference(self, name: str, **options: Any) -> ReferenceScore | None:
+        """What a player that does not learn scores with its answers, see `zipf.envs.reference`.
+
+        Random answers name a random one of the two objects, and so does who cannot read: both score
+        what a blind policy does that walks to an object. No scripted player answers questions.
+        """
+        if name not in ("chance", "blind"):
+            return None
+        return blind(self.level.partition("/")[2], **options)
 
     def __str__(self) -> str:
         return self.level

@@ -71,8 +71,10 @@ def _reference_notes(runs: Sequence[Run], name: str) -> list[str]:
             score = level.references[name].score
             known, other = first.setdefault((level.level_kind, level.level), (score, run))
             if not math.isclose(known, score, rel_tol=1e-9, abs_tol=1e-12):  # of other machines
-                names = " and ".join(sorted((run.label, other.label)))
-                return [f"{names} disagree about {name}: the first known value is shown."]
+                return [
+                    f"{other.label} and {run.label} disagree about {name} "
+                    f"({known:.2f} and {score:.2f} on {level.level}): the first is shown."
+                ]
     return []
 
 

@@ -122,7 +122,7 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
     Raises:
         UserError: the folder cannot be written, or a resumed run's description is gone or damaged.
     """
-    split = envs.split(config.environment.split)
+    split = config.split
     how: dict[str, Any] = {
         "command": shlex.join([*_started_by(config), "-m", "zipf.train", *sys.argv[1:]]),
         "commit": commit(),
