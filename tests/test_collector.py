@@ -2,6 +2,7 @@
 
 import math
 from copy import deepcopy
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 from noise import Noise
 
 from zipf import envs
-from zipf.agents.exploration import CountBonus, CountOptions
+from zipf.agents.exploration import CountBonus, CountOptions, FirstVisitBonus, FirstVisitOptions
 from zipf.agents.network import Inputs
 from zipf.envs.mixture import Mixture
 from zipf.experiments import command_line
@@ -203,6 +204,24 @@ def test_the_bonus_is_kept_apart_from_the_reward():
     assert plain.episode_metrics() == bonused.episode_metrics()
 
 
+def test_a_first_visit_bonus_begins_anew_with_every_episode():
+    options = FirstVisitOptions(name="first_visit", scale=0.5)
+    _, collector = build(exploration=FirstVisitBonus(options))
+    seen, ends = [set() for _ in range(WORLDS)], 0
+    for _ in range(6):
+        steps = collector.collect().steps
+        for t in range(STEPS):
+            for i in range(WORLDS):
+                ended = bool(steps["is_first"][t + 1, i])
+                image = np.asarray(steps["observation", "image"][t + 1, i]).tobytes()
+                if not ended:  # the last image of an episode is not in the unroll
+                    assert bool(steps["bonus"][t, i]) == (image not in seen[i])
+                    seen[i].add(image)
+                else:
+                    seen[i], ends = set(), ends + 1
+    assert ends > 20
+
+
 def test_episodes_are_told_apart_by_level():
     """Against the ends of episodes that the unrolls show."""
     names = ["gridworld/zipf_2", "gridworld/rare"]
@@ -292,14 +311,20 @@ def test_an_episode_that_is_not_restored_begins():
         assert torch.equal(row[name][1:], expected[name][1:])
 
 
+BONUSES = {
+    "count": partial(CountBonus, CountOptions(name="count", scale=0.5, table_size=2**16)),
+    "first visit": partial(FirstVisitBonus, FirstVisitOptions(name="first_visit", scale=0.5)),
+}
+
+
+@pytest.mark.parametrize("bonus", BONUSES.values(), ids=BONUSES)
 @pytest.mark.parametrize("memory", ["lstm", "mlp"])
-def test_it_continues_from_its_state(memory):
-    options = CountOptions(name="count", scale=0.5, table_size=2**16)
-    _, collector = build(f"memory={memory}", exploration=CountBonus(options))
+def test_it_continues_from_its_state(memory, bonus):
+    _, collector = build(f"memory={memory}", exploration=bonus())
     collector.collect()
     state = deepcopy(collector.state_dict())
     expected = [collector.collect().steps.clone() for _ in range(2)]
-    _, other = build(f"memory={memory}", exploration=CountBonus(options), seed=77)
+    _, other = build(f"memory={memory}", exploration=bonus(), seed=77)
     other.collect()
     other.load_state_dict(state)
     for steps in expected:

@@ -12,7 +12,7 @@ from networks import compact
 from test_impala import OPTIONS as IMPALA
 
 from zipf.agents.agent import Setting
-from zipf.agents.exploration import build_exploration
+from zipf.agents.exploration import FirstVisitOptions, build_exploration
 from zipf.agents.impala import Impala
 from zipf.agents.memory import MLPOptions
 from zipf.agents.rnd import LARGEST_INPUT, RNDBonus, RNDOptions, Statistics
@@ -263,10 +263,17 @@ def explore(exploration, seed, learns=True):
     return env.furthest, collector.episode_metrics().get("episode_success", 0)
 
 
+BONUSES = {
+    "rnd": OPTIONS.model_copy(update={"scale": 1.0}),
+    "first visits": FirstVisitOptions(name="first_visit", scale=0.1),
+}
+
+
+@pytest.mark.parametrize("bonus", BONUSES.values(), ids=BONUSES)
 @pytest.mark.parametrize("seed", range(3))
-def test_it_finds_the_end_of_a_corridor(seed):
+def test_the_end_of_a_corridor_is_found(seed, bonus):
     """Where random actions do not get there once."""
     assert explore(None, seed, learns=False)[0] < LENGTH
-    furthest, success = explore(OPTIONS.model_copy(update={"scale": 1.0}), seed)
+    furthest, success = explore(bonus, seed)
     assert furthest == LENGTH
     assert success > 0.03  # it goes there again

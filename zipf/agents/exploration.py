@@ -32,7 +32,14 @@ class CountOptions(Options):
     table_size: Annotated[int, Field(ge=1, le=2**30)]
 
 
-AnyExploration = NoExplorationOptions | CountOptions | RNDOptions
+class FirstVisitOptions(Options):
+    """A bonus of `scale` for every observation that is new in its episode."""
+
+    name: Literal["first_visit"]
+    scale: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+AnyExploration = NoExplorationOptions | CountOptions | FirstVisitOptions | RNDOptions
 ExplorationOptions = Annotated[AnyExploration, Field(discriminator="name")]
 
 
@@ -43,6 +50,9 @@ class Bonus(Protocol):
     def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
         """The bonus of the observations `{name: [N, ...]}` where `mask` [N], elsewhere 0; returns
         float32 [N]."""
+
+    def end(self, mask: NDArray[np.bool_]) -> None:
+        """Tells that the episodes of worlds where `mask` [N] are over."""
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that later calls depend on."""
@@ -61,23 +71,19 @@ class CountBonus:
     def __init__(self, options: CountOptions):
         self.scale = options.scale
         self.visits = np.zeros(options.table_size, np.int64)
-        self.weights: dict[str, NDArray[np.uint64]] = {}
+        self.hashes = Hashes()
 
     def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
         """Counts the observations `{name: [N, ...]}` where `mask` [N]; returns float32 [N].
 
         Elsewhere nothing is counted and the bonus is 0.
         """
-        hashes = np.zeros(len(mask), np.uint64)
-        for name in sorted(observation):
-            part = observation[name].reshape(len(mask), -1).view(np.uint8)
-            if name not in self.weights:  # the same in every process: the name is the seed
-                rng = np.random.default_rng(list(name.encode()))
-                self.weights[name] = rng.integers(2**64, size=part.shape[1], dtype=np.uint64)
-            _add_hashes(part, self.weights[name], mask, hashes)
         bonus = np.zeros(len(mask), np.float32)
-        _count(hashes, mask, self.visits, self.scale, bonus)
+        _count(self.hashes(observation, mask), mask, self.visits, self.scale, bonus)
         return bonus
+
+    def end(self, mask: NDArray[np.bool_]) -> None:
+        """Counts go on over episodes."""
 
     def state_dict(self) -> dict[str, NDArray]:
         """The counts."""
@@ -86,6 +92,71 @@ class CountBonus:
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
         """Continues from `state_dict()`."""
         self.visits[:] = state["visits"]
+
+
+class FirstVisitBonus:
+    """The first visits of observations in an episode, by their hashes.
+
+    It does not fade over training: an agent gains from searching what it has not yet seen in an
+    episode however well it knows the place, and a memory tells it where it was.
+    """
+
+    def __init__(self, options: FirstVisitOptions):
+        self.scale = options.scale
+        self.hashes = Hashes()
+        self.seen: dict[int, set[int]] = {}  # by world
+
+    def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
+        """The bonus of the observations `{name: [N, ...]}` where `mask` [N]; returns float32 [N].
+
+        Elsewhere nothing is remembered and the bonus is 0.
+        """
+        bonus = np.zeros(len(mask), np.float32)
+        worlds = np.flatnonzero(mask)
+        hashes = self.hashes(observation, mask)[worlds]
+        for world, value in zip(worlds.tolist(), hashes.tolist(), strict=True):
+            seen = self.seen.setdefault(world, set())
+            if value not in seen:
+                seen.add(value)
+                bonus[world] = self.scale
+        return bonus
+
+    def end(self, mask: NDArray[np.bool_]) -> None:
+        """Forgets what was seen where `mask` [N]."""
+        for world in np.flatnonzero(mask).tolist():
+            self.seen.pop(world, None)
+
+    def state_dict(self) -> dict[str, NDArray]:
+        """What was seen in the episodes so far: worlds int64 [K] and hashes int64 [K]."""
+        pairs = [(world, value) for world, seen in self.seen.items() for value in sorted(seen)]
+        both = np.array(pairs, np.uint64).reshape(-1, 2).view(np.int64)
+        return {"worlds": both[:, 0].copy(), "hashes": both[:, 1].copy()}
+
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
+        """Continues from `state_dict()`."""
+        self.seen = {}
+        hashes = state["hashes"].view(np.uint64)
+        for world, value in zip(state["worlds"].tolist(), hashes.tolist(), strict=True):
+            self.seen.setdefault(world, set()).add(value)
+
+
+class Hashes:
+    """Hashes of observations by a universal hash, the same in every process."""
+
+    def __init__(self) -> None:
+        self.weights: dict[str, NDArray[np.uint64]] = {}
+
+    def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
+        """The hashes of the observations `{name: [N, ...]}` where `mask` [N]; uint64 [N], elsewhere
+        0."""
+        hashes = np.zeros(len(mask), np.uint64)
+        for name in sorted(observation):
+            part = observation[name].reshape(len(mask), -1).view(np.uint8)
+            if name not in self.weights:  # the name is the seed
+                rng = np.random.default_rng(list(name.encode()))
+                self.weights[name] = rng.integers(2**64, size=part.shape[1], dtype=np.uint64)
+            _add_hashes(part, self.weights[name], mask, hashes)
+        return hashes
 
 
 @compiled()
@@ -115,4 +186,6 @@ def build_exploration(
     """The bonus that the options name, for observations of one world in this space, or None."""
     if isinstance(options, RNDOptions):
         return RNDBonus(options, observation_space, seed)
+    if isinstance(options, FirstVisitOptions):
+        return FirstVisitBonus(options)
     return CountBonus(options) if isinstance(options, CountOptions) else None

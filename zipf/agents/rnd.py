@@ -117,6 +117,9 @@ class RNDBonus:
         self._learn(normal[chosen])
         return bonus
 
+    def end(self, mask: NDArray[np.bool_]) -> None:
+        """Sums of errors go on over episodes, as in Burda et al. 2019."""
+
     def _read(self, observation: dict[str, NDArray], rows: NDArray) -> Tensor:
         """The observations of these rows as float32 [rows, inputs]."""
         return torch.cat([read(observation[name][rows]) for name, read in self.readers.items()], -1)

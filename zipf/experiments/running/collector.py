@@ -224,6 +224,7 @@ class Collector:
             buffers.fields[name][-1][restarted] = value
         if self.exploration:
             self.exploration.load_state_dict(arrays(state["exploration"]))
+            self.exploration.end(restarted)
         if self.teacher:
             self.teacher.set_state(arrays(state["teacher"]))
         if self.reweighting:
@@ -274,6 +275,7 @@ class Collector:
             fields["bonus"][t] = self.exploration(following, ~ended)
             if ended.any():
                 fields["bonus"][t] += self.exploration(self._final, ended)
+                self.exploration.end(ended)
         if ended.any():
             self._record(info["final_info"], ended)
             self.visits.add(info["final_info"], ended)
