@@ -89,7 +89,7 @@ def test_hl_gauss_equals_its_definition():
         cross = -sum(
             p * math.log(math.exp(one) / total) for p, one in zip(expected, logits, strict=True)
         )
-        assert loss[i].item() == pytest.approx(cross, rel=1e-5)
+        assert loss[i].item() == pytest.approx(cross * (0.75 * 5 / 21) ** 2, rel=1e-5)
         mean = sum(
             math.exp(one) / total * (-2 + 5 / 21 * (k + 0.5)) for k, one in enumerate(logits)
         )
@@ -106,6 +106,16 @@ def test_the_mean_of_a_targets_histogram_is_the_target():
     ends = critic.mean(critic.probabilities(torch.tensor([-100.0, 100.0])).log())
     assert -2 < ends[0] < -1.8
     assert 2.8 < ends[1] < 3
+
+
+def test_the_loss_of_a_histogram_is_as_steep_as_that_of_a_number():
+    """Far from the range's ends."""
+    returns = torch.linspace(-0.7, 1.7, 25, requires_grad=True)
+    targets = torch.full_like(returns, 0.4)
+    critic = HLGauss(GAUSS)
+    deviations = (critic.centres - returns[:, None]) / (0.75 * 5 / 21)
+    critic.loss(-0.5 * deviations.square(), targets).sum().backward()
+    torch.testing.assert_close(returns.grad, returns.detach() - targets, rtol=0.02, atol=5e-3)
 
 
 def test_an_empty_range_is_one_clear_line():

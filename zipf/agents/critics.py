@@ -175,6 +175,7 @@ class HLGauss(Distribution):
         edges = torch.linspace(options.low, options.high, options.bins + 1, dtype=torch.float64)
         width = (options.high - options.low) / options.bins
         self.scale = 1 / (math.sqrt(2) * options.sigma * width)
+        self.variance = (options.sigma * width) ** 2
         self.register_buffer("edges", edges.float(), persistent=False)
         self.register_buffer("centres", ((edges[1:] + edges[:-1]) / 2).float(), persistent=False)
 
@@ -189,8 +190,14 @@ class HLGauss(Distribution):
         return below.diff(dim=-1) / (below[..., -1:] - below[..., :1])
 
     def loss(self, outputs: Tensor, targets: Tensor) -> Tensor:
-        """The cross-entropy of the bins: [..., size], [...] -> [...]."""
-        return -(self.probabilities(targets) * outputs.log_softmax(-1)).sum(-1)
+        """The cross-entropy of the bins times the Gaussian's variance: [..., size], [...] -> [...].
+
+        The factor is ours. For a histogram that is itself a blurred return, the slope is then that
+        of half the squared error. The cross-entropy alone is 44 times as steep with a `sigma` of
+        0.15, and an actor that shares its memory with it learns next to nothing.
+        """
+        cross_entropy = -(self.probabilities(targets) * outputs.log_softmax(-1)).sum(-1)
+        return self.variance * cross_entropy
 
 
 class Quantile(Distribution):
