@@ -381,7 +381,9 @@ def soak_damages(count: int, draw: random.Random, folder: Path) -> Counter[str]:
         def evaluate() -> tuple[Outcome, Any]:
             chosen = [f"run={of_run}", "episodes=4", "num_envs=4", "device=cpu"]
             outcome = run("zipf.evaluate", chosen, output)
-            return outcome, outcome.output if outcome.code == 0 else None
+            lines = outcome.output.splitlines()
+            shown = [line for line in lines if not line.startswith("zipf: compiling")]
+            return outcome, shown if outcome.code == 0 else None
 
         return {"train": train, "report": report, "evaluate": evaluate}
 
