@@ -1,10 +1,27 @@
-"""The bonuses that count, against dictionaries and sets of visits."""
+"""The bonuses that count, against dictionaries and sets of visits; and what bonuses find."""
 
 from collections import Counter
 
+import gymnasium as gym
 import numpy as np
+import pytest
+import torch
+from networks import compact
+from test_impala import OPTIONS as IMPALA
+from test_rnd import OPTIONS as RND
 
-from zipf.agents.exploration import CountBonus, CountOptions, FirstVisitBonus, FirstVisitOptions
+from zipf.agents.agent import Setting
+from zipf.agents.exploration import (
+    CountBonus,
+    CountOptions,
+    FirstVisitBonus,
+    FirstVisitOptions,
+    build_exploration,
+)
+from zipf.agents.impala import Impala
+from zipf.agents.memory import MLPOptions
+from zipf.envs.vector import ZipfVectorEnv
+from zipf.experiments.running.collector import Collector
 
 OPTIONS = CountOptions(name="count", scale=0.3, table_size=2**20)
 FIRST_VISIT = FirstVisitOptions(name="first_visit", scale=0.25)
@@ -74,3 +91,88 @@ def test_the_first_visit_bonus_continues_bit_for_bit():
     nothing = FirstVisitBonus(FIRST_VISIT)
     nothing.load_state_dict(FirstVisitBonus(FIRST_VISIT).state_dict())
     assert nothing({"image": again["image"][0]}, everywhere).all()
+
+
+LENGTH, LIMIT = 36, 60
+
+
+class Corridor(ZipfVectorEnv):
+    """Steps to the left and to the right from a corridor's left end; the right end is rewarded.
+
+    Random actions get there in one of 367,000 episodes.
+    """
+
+    def __init__(self, num_envs):
+        super().__init__(
+            num_envs,
+            single_observation_space=gym.spaces.Dict(place=gym.spaces.Discrete(LENGTH + 1)),
+            single_action_space=gym.spaces.Discrete(2),
+            situation={"nothing": 1},
+        )
+        self.place = np.zeros(num_envs, np.int64)
+        self.furthest = 0
+
+    def _begin(self, mask, forced):
+        self.place[mask] = 0
+
+    def _advance(self, actions, mask):
+        self.place[mask] = (self.place + 2 * actions - 1).clip(0)[mask]
+        self.furthest = max(self.furthest, int(self.place.max()))
+        arrived = self.place == LENGTH
+        return arrived.astype(np.float64), arrived, self._lengths >= LIMIT, arrived
+
+    def _observe(self, out, mask):
+        out["place"][mask] = self.place[mask]
+
+    def _situations(self):
+        return {"nothing": np.zeros(self.num_envs, np.int64)}
+
+    def _get_worlds(self):
+        return {"place": self.place}
+
+    def _set_worlds(self, state):
+        self.place[:] = state["place"]
+
+
+def explore(exploration, seed, learns=True):
+    """How far 16 worlds got in training, and the share of all episodes that arrived."""
+    env = Corridor(16)
+    options = IMPALA.model_copy(
+        update={
+            "learning_rate": 3e-3,
+            "max_gradient_norm": 1.0,
+            "entropy_cost": 1e-3,
+            "discount": 0.97,
+        }
+    )
+    memory = MLPOptions(name="mlp", size=32, layers=1)
+    spaces = env.single_observation_space, env.single_action_space
+    agent = Impala(options, Setting(*spaces, compact(), memory, seed=seed))
+    for parameter in agent.network.policy.parameters():
+        torch.nn.init.zeros_(parameter)  # it begins with random actions
+    bonus = exploration and build_exploration(exploration, spaces[0], seed)
+    collector = Collector(env, agent, unroll_length=20, seed=seed, exploration=bonus)
+    for _ in range(60):
+        unroll = collector.collect()
+        if learns:
+            agent.update(unroll)
+    return env.furthest, collector.episode_metrics().get("episode_success", 0)
+
+
+BONUSES = {
+    "rnd": RND.model_copy(update={"scale": 1.0}),
+    "first visits": FirstVisitOptions(name="first_visit", scale=0.1),
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_actions_do_not_find_the_end_of_a_corridor(seed):
+    assert explore(None, seed, learns=False)[0] < LENGTH
+
+
+@pytest.mark.parametrize("bonus", BONUSES.values(), ids=BONUSES)
+@pytest.mark.parametrize("seed", range(3))
+def test_the_end_of_a_corridor_is_found(seed, bonus):
+    furthest, success = explore(bonus, seed)
+    assert furthest == LENGTH
+    assert success > 0.03  # it goes there again

@@ -358,16 +358,15 @@ def reference(name: str, level: Level | SplitLevel, /, **kwargs: Any) -> Referen
     _check_reference(name)
     if isinstance(level, SplitLevel):
         return reference(name, level.level, **{**kwargs, **level.options})
-    ignored = {"render_mode", "copy", "autoreset_mode"}
+    for ignored in ("render_mode", "copy", "autoreset_mode"):
+        kwargs.pop(ignored, None)
     if not isinstance(level, str):
         known = getattr(level, "reference", None)
-        options = {key: value for key, value in kwargs.items() if key not in ignored}
-        return None if known is None else known(name, **options)
+        return None if known is None else known(name, **kwargs)
     found, own = find_level(level)
     if name not in found.references:
         return None
-    ignored |= found.appearance
-    options = {key: value for key, value in kwargs.items() if key not in ignored}
+    options = {key: value for key, value in kwargs.items() if key not in found.appearance}
     return _loaded(found.references[name])(own, **options)
 
 
