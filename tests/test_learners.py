@@ -203,7 +203,7 @@ class Rows(learners.Learner):
         return self.values
 
     @staticmethod
-    def _of_first(value):
+    def of_first(value):
         return value
 
 
@@ -384,14 +384,19 @@ runner.Run.step, runner.Run.close = watched_step, watched_close
 
 
 class Runs:
-    """Runs of two learners in a folder, with a plugin that watches them."""
+    """Runs of two learners in a folder, with a plugin that watches them, and with the weights of a
+    run of one learner to begin with."""
 
     def __init__(self, folder):
         self.folder = folder
         (folder / "spy.py").write_text(SPY)
+        before = [*TINY, "updates=1", f"run_root={folder}", "name=before", "seed=1"]
+        self.before = command_line.load(before).folder
+        assert runner.train(command_line.load(before)) == 0
 
     def options(self, name, *overrides):
-        return [*OPTIONS, f"run_root={self.folder / name}", "updates=7", *overrides]
+        begins = f"pretrained.run={self.before}"
+        return [*OPTIONS, f"run_root={self.folder / name}", "updates=7", begins, *overrides]
 
     def config(self, name):
         return command_line.load(self.options(name))

@@ -17,7 +17,7 @@ from zipf import envs, plugins
 from zipf.agents import agent
 from zipf.agents.auxiliary import base
 from zipf.envs import family
-from zipf.experiments import command_line, composing, sweeps
+from zipf.experiments import command_line, composing, feasibility, sweeps
 from zipf.experiments.config import Config, EvaluateOptions
 from zipf.experiments.playing import videos
 from zipf.experiments.playing.playing import PlayOptions
@@ -109,6 +109,7 @@ def overrides_of(arguments: list[str]) -> list[str]:
 def test_train_commands_are_accepted(page, arguments, in_folder, monkeypatch):
     """Those that name a file of their page train, too, for one update: the first job of a sweep."""
     in_folder(page)
+    monkeypatch.setattr(feasibility, "no_pretrained", lambda config: ())  # the reader's own runs
     monkeypatch.setitem(sys.modules, "deepmind_lab", fake_deepmind_lab)
     overrides = overrides_of(arguments)
     if not overrides:

@@ -5,9 +5,11 @@ from pathlib import Path
 
 import pandas as pd
 
+from zipf.experiments import command_line
 from zipf.experiments.reporting.claim_results import CLAIM_COLUMNS
 from zipf.experiments.reporting.scores import CSV_COLUMNS
 from zipf.experiments.reporting.seed_statistics import STATISTICS_COLUMNS
+from zipf.experiments.running import run_folder
 from zipf.experiments.running.visits import Visits
 from zipf.report import report
 
@@ -49,8 +51,11 @@ def test_every_column_is_documented():
     assert documented("metrics.csv")[:common] == list(metrics.columns)[:common]
 
 
-def test_every_field_of_run_json_is_documented():
-    written = set(pd.read_json(RUN / "run.json", typ="series").index)
+def test_every_field_of_run_json_is_documented(tmp_path):
+    config = command_line.load(["experiment=demo", f"run_root={tmp_path}"])
+    config.folder.mkdir(parents=True)
+    run_folder.write_description(config, {"map": 5, "target": 5}, None)
+    written = set(pd.read_json(config.folder / "run.json", typ="series").index)
     assert set(documented("run.json")) == written
 
 

@@ -36,7 +36,7 @@ import torch
 from torch import Tensor, nn
 
 import zipf.options
-from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions
+from zipf.agents.auxiliary import NO_AUXILIARY, Auxiliary, AuxiliaryOptions
 from zipf.agents.critics import SCALAR, CriticOptions
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions
 from zipf.agents.hindsight import NO_HINDSIGHT, HindsightOptions
@@ -202,6 +202,33 @@ class Agent(ABC):
         an agent that does not bootstrap from them."""
         return torch.zeros(len(inputs.is_first), device=self.device)
 
+    def begin_with(self, weights: Mapping[str, Mapping[str, Tensor]]) -> None:
+        """Takes weights of another agent, before anything else is called.
+
+        All attributes that are a `Torso` take them, and the auxiliary loss follows their encoder.
+        Agents without one may take what they like.
+
+        Args:
+            weights: a state dictionary for each part to take, by the part's name in both networks,
+                such as `encoder` or `memory`.
+
+        Raises:
+            ValueError: the network has no such part, or one of another shape.
+        """
+        networks = self._torsos()
+        if not networks:
+            raise ValueError("this agent has no network that takes the weights of another")
+        for network in networks:
+            parts = dict(network.named_children())
+            for name, state in weights.items():
+                if name not in parts:
+                    raise ValueError(f"no part {name!r}: the network has {', '.join(parts)}")
+                _check_fits(name, parts[name].state_dict(), state)
+                parts[name].load_state_dict(state)
+        for part in vars(self).values():
+            if isinstance(part, Auxiliary):
+                part.begin_with(networks[0].encoder)
+
     def begin_learning(self) -> list[str]:
         """Allocates what learning alone needs; called once before the first `update` or
         `load_state_dict` of a run, and not for an agent that only acts.
@@ -263,12 +290,22 @@ class Agent(ABC):
             ValueError: there are none.
         """
         self._is_compiled = True
-        networks = [part for part in vars(self).values() if isinstance(part, Torso)]
-        if sum(network.encoder.compile_images() for network in networks) == 0:
+        if sum(network.encoder.compile_images() for network in self._torsos()) == 0:
             raise ValueError(
                 "compile=true: compiles image encoders, and this agent has none; "
                 "choose compile=false"
             )
+
+    def _torsos(self) -> list[Torso]:
+        return [part for part in vars(self).values() if isinstance(part, Torso)]
+
+
+def _check_fits(part: str, own: Mapping[str, Tensor], other: Mapping[str, Tensor]) -> None:
+    """Raises `ValueError` where two state dictionaries differ in names or shapes."""
+    for name in sorted(own.keys() | other.keys()):
+        shapes = [list(state[name].shape) if name in state else "none" for state in (own, other)]
+        if shapes[0] != shapes[1]:
+            raise ValueError(f"{part}: {name} is {shapes[0]} here and {shapes[1]} there")
 
 
 _AGENTS: dict[str, type[Agent]] = {}

@@ -87,6 +87,17 @@ class RowOptions(Options):
     line: Literal["solid", "dashed"] = "solid"
 
 
+class PretrainedOptions(Options):
+    """What of another run's weights a new run begins with.
+
+    `run` is the other run's folder; None: all weights are drawn from the seed. `parts` are those of
+    the agents' networks that are taken: `encoder`, `memory`, and heads of the same name.
+    """
+
+    run: Annotated[str, Field(min_length=1)] | None = None
+    parts: list[str] = Field(default=["encoder"], min_length=1)
+
+
 # Options, or groups of them, without effect on learning: they are not part of a condition's name,
 # and a run may be resumed with other values of them.
 NOT_LEARNED = frozenset(
@@ -130,6 +141,7 @@ class Config(Options):
     augmentation: AugmentationOptions
     reweighting: ReweightingOptions
     hindsight: HindsightOptions
+    pretrained: PretrainedOptions = PretrainedOptions()
     environment: Any
     runtime: RuntimeOptions
     collector: CollectorOptions
@@ -209,6 +221,8 @@ class Config(Options):
         """The options that affect learning, flat: {"agent.discount": 0.99, ...}. A checkpoint can
         only be resumed with the same ones."""
         options = flatten(self.model_dump()) | {"collector.lag": self.lag}
+        if self.pretrained.run is None:
+            del options["pretrained.run"], options["pretrained.parts"]
         return {name: value for name, value in options.items() if affects_learning(name)}
 
 

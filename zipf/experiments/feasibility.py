@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -16,6 +17,7 @@ from zipf.agents.network import ActorCritic
 from zipf.experiments.augmentation import build_augmentation
 from zipf.experiments.config import Config, find_device, flatten
 from zipf.experiments.errors import UserError
+from zipf.experiments.running import run_folder
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.runtime import RayOptions, TorchrunOptions, has_ray
 
@@ -54,9 +56,24 @@ def problems(config: Config) -> Iterator[str]:
             f"collector.lag={config.lag}: agent={config.agent.name} does not correct for older "
             f"weights; should be at most {agent.largest_lag}"
         )
+    yield from no_pretrained(config)
     yield from _not_in_a_cluster(config)
     yield from _not_by_several_learners(config)
     yield from (line for line in _cannot_be_built(config) if line not in told)
+
+
+def no_pretrained(config: Config) -> Iterator[str]:
+    """Why a new run cannot begin with another's weights."""
+    run = config.pretrained.run
+    if run is None or (config.folder / "checkpoint.pt").exists():
+        return
+    try:
+        folder = Path(run).expanduser()
+        run_folder.read_config(folder, config.plugins)
+        if not (folder / "checkpoint.pt").is_file():
+            raise UserError(f"{folder}: has no checkpoint.pt")
+    except (UserError, RuntimeError, ValueError) as error:  # or no such home, or a zero byte
+        yield f"pretrained.run={run:.200}: {error}"
 
 
 def _not_in_a_cluster(config: Config) -> Iterator[str]:

@@ -70,6 +70,10 @@ class Auxiliary(nn.Module):
         """The parameters that gradients reach."""
         return [parameter for parameter in self.parameters() if parameter.requires_grad]
 
+    def begin_with(self, encoder: Encoder) -> None:
+        """The agent's encoder has taken other weights, before the first update."""
+        return
+
     def after_update(self, encoder: Encoder) -> None:
         """Follows an optimiser step that changed the agent's encoder."""
         self.updates += 1

@@ -175,6 +175,10 @@ class BYOL(Auxiliary):
             self.target_encoder(observation).unflatten(0, later.shape), later
         )
 
+    def begin_with(self, encoder: Encoder) -> None:
+        """The target encoder is a copy of the agent's."""
+        self.target_encoder.load_state_dict(encoder.state_dict())
+
     @torch.no_grad()
     def after_update(self, encoder: Encoder) -> None:
         """Moves the target networks: target <- rate * target + (1 - rate) * online."""

@@ -78,6 +78,21 @@ class ExternalDescription(_Described):
     name: Line
 
 
+class PretrainedDescription(_Described):
+    """The run whose weights a run began with.
+
+    `parts` are those of the network that it took, `frames` those that the other run had learned
+    from by then.
+    """
+
+    experiment: Line
+    condition: Line
+    seed: Whole
+    update: Count
+    frames: Count
+    parts: tuple[Line, ...]
+
+
 class RunDescription(_Described):
     """`run.json`: what a run is.
 
@@ -105,6 +120,7 @@ class RunDescription(_Described):
     torch: str | None = None
     device: str | None = None
     precision: str | None = None
+    pretrained: PretrainedDescription | None = None
     resumed: tuple[dict[str, Any], ...] = ()
 
     @model_validator(mode="after")

@@ -27,7 +27,8 @@ def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
         found += _window_notes(run, window_of(run, window))
     found += [note for name in REFERENCE_NAMES for note in _reference_notes(runs, name)]
     for key in dict.fromkeys(run.description.row_key for run in runs):
-        found += _seeds_notes([run for run in runs if run.description.row_key == key])
+        of_row = [run for run in runs if run.description.row_key == key]
+        found += _seeds_notes(of_row) + _pretrained_notes(of_row)
     return tuple(found)
 
 
@@ -94,4 +95,19 @@ def _seeds_notes(runs: Sequence[Run]) -> list[str]:
         found.append(
             f"The seeds of {titles[0]} were not trained with the same settings: {shown} differ."
         )
+    return found
+
+
+def _pretrained_notes(runs: Sequence[Run]) -> list[str]:
+    """Which other runs the seeds of a condition began with."""
+    found = []
+    for run in runs:
+        there = run.description.pretrained
+        if there is not None:
+            found.append(
+                f"Seed {run.description.seed} of {run.description.row.title} began with the "
+                f"{', '.join(there.parts)} of {there.experiment} {there.condition} seed "
+                f"{there.seed}, trained on {count_text(there.frames)} frames, which are not "
+                "counted here."
+            )
     return found

@@ -79,6 +79,10 @@ class OnlyLearner:
         where there is none."""
         return saved
 
+    def of_first(self, value: Any) -> Any:
+        """The value that the first has."""
+        return value
+
     def check_same(self, what: str, state: Any) -> None:
         """Raises `UserError` where learners differ in `what`."""
 
@@ -130,7 +134,7 @@ class Learner(OnlyLearner):
     def receive(self, saved: dict[str, Any] | None) -> dict[str, Any] | None:
         """As in the base class. It is sent, so that machines need no shared disk."""
         common = saved and {name: part for name, part in saved.items() if name != "learners"}
-        common = self._of_first(common)
+        common = self.of_first(common)
         if common is None:
             return None
         own: list[Any] = [None]
@@ -139,9 +143,16 @@ class Learner(OnlyLearner):
             dist.scatter_object_list(own, parts, src=0)
         return common | _unpacked(own[0])
 
+    def of_first(self, value: Any) -> Any:
+        """As in the base class."""
+        values = [_packed(value)]
+        with _with_others():
+            dist.broadcast_object_list(values, src=0)
+        return _unpacked(values[0])
+
     def check_same(self, what: str, state: Any) -> None:
         """Raises `UserError` where learners differ in `what`."""
-        digests = self._of_first(self._gather(_digest(state)))
+        digests = self.of_first(self._gather(_digest(state)))
         differing = [rank for rank, digest in enumerate(digests) if digest != digests[0]]
         if differing:
             raise UserError(
@@ -159,14 +170,6 @@ class Learner(OnlyLearner):
         with _with_others():
             dist.gather_object(_packed(value), values, dst=0)
         return values and [_unpacked(one) for one in values]
-
-    @staticmethod
-    def _of_first(value: Any) -> Any:
-        """The value that the first has."""
-        values = [_packed(value)]
-        with _with_others():
-            dist.broadcast_object_list(values, src=0)
-        return _unpacked(values[0])
 
 
 @contextmanager

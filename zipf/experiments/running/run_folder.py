@@ -114,10 +114,19 @@ def fits(path: Path) -> Iterator[None]:
         raise UserError(f"{path}: does not fit this version of zipf ({first})") from None
 
 
-def write_description(config: Config, situation: dict[str, int], resumed_at: int | None) -> None:
+def write_description(
+    config: Config,
+    situation: dict[str, int],
+    resumed_at: int | None,
+    *,
+    pretrained: dict[str, Any] | None = None,
+) -> None:
     """Writes `config.yaml` and `run.json`: what is run, how and with what.
 
     A resumed run keeps the description of how it began; how it went on is added to `resumed`.
+
+    Args:
+        pretrained: the run whose weights a new run began with.
 
     Raises:
         UserError: the folder cannot be written, or a resumed run's description is gone or damaged.
@@ -131,11 +140,13 @@ def write_description(config: Config, situation: dict[str, int], resumed_at: int
         "python": platform.python_version(),
         "device": _device_name(config.torch_device),
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "pretrained": pretrained,
         "resumed": [],
     }
     if resumed_at is not None:
         began = check_description(config, situation)
-        again = {"update": resumed_at, **{k: v for k, v in how.items() if k != "resumed"}}
+        began_with = ("pretrained", "resumed")
+        again = {"update": resumed_at, **{k: v for k, v in how.items() if k not in began_with}}
         how = {k: began.get(k) for k in how} | {"resumed": [*began.get("resumed", []), again]}
         described = began["levels"]
     else:

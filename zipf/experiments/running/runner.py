@@ -16,7 +16,7 @@ from zipf.agents.unroll import Unroll
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
-from zipf.experiments.running import checkpoint, learners, run_folder
+from zipf.experiments.running import checkpoint, learners, pretrained, run_folder
 from zipf.experiments.running.allocator import keep_freed_ram
 from zipf.experiments.running.clock import Clock
 from zipf.experiments.running.display import Display
@@ -141,12 +141,13 @@ class Run:
         saved = self.learner.receive(
             run_folder.find_checkpoint(config) if self.learner.is_first else None
         )
+        self.is_new = saved is None
+        self._pretrained = self._begin_with_pretrained() if self.is_new else None
         self.source = _build_source(config, self.env, self.agent, self.learner.player)
         self.frames_per_update = collector.num_envs * collector.unroll_length
         self.clock = Clock()
         self.update = 0
         self.evaluated = -1
-        self.is_new = saved is None
         self._tables: dict[str, Any] | None = None
         torch.manual_seed(self.learner.seed(config.seed))
         if saved:
@@ -165,6 +166,19 @@ class Run:
             console=None if self.learner.is_first else Console(quiet=True, force_terminal=False),
         )
 
+    def _begin_with_pretrained(self) -> dict[str, Any] | None:
+        """Gives the agent another run's weights where there are to be any; returns where they are
+        from."""
+        if self.config.pretrained.run is None:
+            return None
+        first = pretrained.read(self.config) if self.learner.is_first else None
+        weights, described = self.learner.of_first(first)
+        try:
+            self.agent.begin_with(weights)
+        except ValueError as error:
+            raise UserError(f"pretrained.run={self.config.pretrained.run}: {error}") from None
+        return described
+
     def __enter__(self) -> Run:
         try:
             self._begin()
@@ -180,6 +194,8 @@ class Run:
         state = "a new run" if self.is_new else f"resumes at update {self.update}"
         self.display.say(f"{self.name}: {state}, on {self.device}, in {self.folder}")
         self._write(f"{self.name}: {state}, on {self.device}")
+        if self._pretrained:
+            self._tell(pretrained.told(self._pretrained))
         for note in self._notes:
             self._tell(note)
         self.source.open(self._tell)
@@ -195,7 +211,9 @@ class Run:
             every=self.config.evaluation.every,
         )
         resumed_at = None if self.is_new else self.update
-        run_folder.write_description(self.config, self.env.situation, resumed_at)
+        run_folder.write_description(
+            self.config, self.env.situation, resumed_at, pretrained=self._pretrained
+        )
         self.logger.write_checksums(-1 if self.is_new else self.update)
 
     def _tell(self, line: str) -> None:
