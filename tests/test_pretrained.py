@@ -119,6 +119,23 @@ def test_a_run_says_where_its_weights_are_from_and_resumes_without_it(first, cap
     assert told in " ".join(shown.split())
 
 
+def test_seeds_that_begin_with_seeds_of_a_condition_are_one_row(first, capsys):
+    root, folder = first
+    assert train([*TINY, "updates=3", "name=first", "seed=1", f"run_root={root}"]) == 0
+    options = [*TINY, "updates=1", "agent=imitation", f"run_root={root}"]
+    begins = f"pretrained.run={folder.parent}/seed${{seed}}"
+    configs = [command_line.load([*options, begins, f"seed={seed}"]) for seed in (0, 1)]
+    assert [runner.train(config) for config in configs] == [0, 0]
+    (row,) = {config.condition for config in configs}
+    assert ",pretrained.run=demo_first" in row
+    shown = run(
+        str(root / "demo" / row), "--window", "last", module="zipf.report", folder=root
+    ).stdout
+    told = " ".join(shown.split())
+    assert "were not trained with the same settings" not in told
+    assert f"Seed 1 of {configs[0].row.title} began with the encoder of demo first seed 1" in told
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator
+from pathlib import PurePath
 from typing import Any, TypeVar
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -301,8 +302,16 @@ def _name(composed: Composed) -> str:
         if option.split(".")[0] in ("seed", "experiment", "name", "without_instruction"):
             continue
         if affects_learning(option) and value != base.get(option):
+            if option == "pretrained.run":
+                value = _of_seeds(value)
             name += f",{option}={str(value).replace(' ', '').replace('/', '_')}"
     return name
+
+
+def _of_seeds(folder: Any) -> str:
+    """The experiment and the condition in the name of a run's folder: seeds that begin with other
+    seeds of the same condition are in one row."""
+    return "_".join(PurePath(str(folder)).parts[-3:-1]) or str(folder)
 
 
 _PLAIN = {"memory": "lstm", "auxiliary": "none", "critic": "scalar", "episodic": "none"}  # paper

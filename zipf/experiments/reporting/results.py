@@ -276,6 +276,10 @@ def _read_settings(path: Path, description: RunDescription) -> dict[str, Any]:
         raise UserError(
             f"{path.as_posix()}: has options of another run than run.json ({', '.join(differing)})"
         )
+    if there := description.pretrained:  # in which folder it was, and of which seed, is no setting
+        flat["pretrained.run"] = f"{there.experiment} {there.condition}"
+    else:
+        flat = {key: value for key, value in flat.items() if not key.startswith("pretrained.")}
     return {
         key: value
         for key, value in flat.items()
