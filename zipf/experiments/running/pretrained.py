@@ -3,48 +3,39 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from torch import Tensor
 
+from zipf.agents.agent import Agent
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
+from zipf.experiments.running.learners import OnlyLearner
 from zipf.experiments.running.trained import load_agent
 
 
-class Pretrained(NamedTuple):
-    """Weights by part of the network, and what `run.json` says of where they are from."""
+def begin(config: Config, agent: Agent, learner: OnlyLearner) -> dict[str, Any] | None:
+    """Gives an agent the weights that `config.pretrained` names, before anything else is done with
+    it. Of several learners the first reads them.
 
-    weights: dict[str, dict[str, Tensor]]
-    described: dict[str, Any]
-
-
-def read(config: Config) -> Pretrained:
-    """What `config.pretrained` names.
+    Returns what `run.json` says of where they are from; None where there are to be none.
 
     Raises:
-        UserError: there is no such run, it cannot be loaded, or its network has no such part.
+        UserError: there is no such run, it cannot be loaded, or its network or this one has no such
+            part, or another in its place.
     """
-    options = config.pretrained
-    assert options.run is not None
-    trained = load_agent(Path(options.run).expanduser(), "cpu", config.plugins)
-    actor = getattr(trained.agent, "actor", None)  # agents that learn nothing have none
-    parts = {} if actor is None else dict(actor.named_children())
-    if unknown := [name for name in options.parts if name not in parts]:
+    run = config.pretrained.run
+    if run is None:
+        return None
+    weights, described = learner.of_first(_read(config, run) if learner.is_first else None)
+    try:
+        agent.begin_with(weights)
+    except ValueError as error:
         raise UserError(
-            f"pretrained.parts=[{','.join(options.parts)}]: the agent of {options.run} has no "
-            f"{unknown[0]!r}; it has {', '.join(parts) or 'no parts with weights'}"
-        )
-    there = trained.config
-    described = {
-        "experiment": there.experiment,
-        "condition": there.condition,
-        "seed": there.seed,
-        "update": trained.update,
-        "frames": trained.update * there.collector.num_envs * there.collector.unroll_length,
-        "parts": options.parts,
-    }
-    return Pretrained({name: parts[name].state_dict() for name in options.parts}, described)
+            f"pretrained.run={run}: {error}; choose the same network, memory and observations, or "
+            "fewer pretrained.parts"
+        ) from None
+    return described
 
 
 def told(described: dict[str, Any]) -> str:
@@ -53,3 +44,26 @@ def told(described: dict[str, Any]) -> str:
         f"begins with the {', '.join(described['parts'])} of {described['experiment']} "
         f"{described['condition']} seed {described['seed']} at update {described['update']}"
     )
+
+
+def _read(config: Config, run: str) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any]]:
+    """The weights by part of the network, and where they are from."""
+    trained = load_agent(Path(run).expanduser(), "cpu", config.plugins)
+    actor = getattr(trained.agent, "actor", None)  # agents that learn nothing have none
+    parts = {} if actor is None else dict(actor.named_children())
+    wanted = config.pretrained.parts
+    if unknown := [name for name in wanted if name not in parts]:
+        raise UserError(
+            f"pretrained.parts=[{','.join(wanted)}]: the agent of {run} has no {unknown[0]!r}; it "
+            f"has {', '.join(parts) or 'no parts with weights'}"
+        )
+    there = trained.config
+    described = {
+        "experiment": there.experiment,
+        "condition": there.condition,
+        "seed": there.seed,
+        "update": trained.update,
+        "frames": trained.update * there.collector.num_envs * there.collector.unroll_length,
+        "parts": wanted,
+    }
+    return {name: parts[name].state_dict() for name in wanted}, described

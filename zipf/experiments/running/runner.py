@@ -142,7 +142,9 @@ class Run:
             run_folder.find_checkpoint(config) if self.learner.is_first else None
         )
         self.is_new = saved is None
-        self._pretrained = self._begin_with_pretrained() if self.is_new else None
+        self._pretrained = None
+        if self.is_new:
+            self._pretrained = pretrained.begin(config, self.agent, self.learner)
         self.source = _build_source(config, self.env, self.agent, self.learner.player)
         self.frames_per_update = collector.num_envs * collector.unroll_length
         self.clock = Clock()
@@ -165,19 +167,6 @@ class Run:
             frames_per_update=self.frames_per_update,
             console=None if self.learner.is_first else Console(quiet=True, force_terminal=False),
         )
-
-    def _begin_with_pretrained(self) -> dict[str, Any] | None:
-        """Gives the agent another run's weights where there are to be any; returns where they are
-        from."""
-        if self.config.pretrained.run is None:
-            return None
-        first = pretrained.read(self.config) if self.learner.is_first else None
-        weights, described = self.learner.of_first(first)
-        try:
-            self.agent.begin_with(weights)
-        except ValueError as error:
-            raise UserError(f"pretrained.run={self.config.pretrained.run}: {error}") from None
-        return described
 
     def __enter__(self) -> Run:
         try:
