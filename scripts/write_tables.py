@@ -18,6 +18,7 @@ from pathlib import Path
 
 import agent_tables
 import family_tables
+import tail_table
 from tables import code, markdown
 
 from zipf import envs
@@ -142,6 +143,7 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "choices": choices,
     "modules": modules,
     "file": file,
+    "tail": tail_table.tail,
 }
 
 

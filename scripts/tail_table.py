@@ -1,0 +1,71 @@
+"""The table of agents that are to do well on what is rare, from the runs in results/."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from tables import markdown
+
+from zipf.envs import split
+from zipf.experiments.reporting.paper import LEVEL_KINDS, paper_table
+from zipf.experiments.reporting.results import load_runs
+from zipf.experiments.reporting.tables import score_tables
+from zipf.experiments.reporting.wording import KIND_NAMES, count_text
+
+RESULTS = Path(__file__).parent.parent / "results"
+
+
+class Task(NamedTuple):
+    """A task, and the rows of the record to show.
+
+    Attributes:
+        title: of the task.
+        experiment: the folder of results/.
+        conditions: the folders in that, each with its name in the table.
+    """
+
+    title: str
+    experiment: str
+    conditions: dict[str, str]
+
+
+TASKS = (
+    Task(
+        "Gridworld",
+        "gridworld_compact",
+        {
+            "impala_mlp": "IMPALA, plain network",
+            "impala_comparing_hindsight,precision=bfloat16": "IMPALA that learns to compare",
+            "imitation_comparing_augmented,precision=bfloat16": "Imitation that learns to compare",
+        },
+    ),
+    Task(
+        "Finding a toy",
+        "playroom_find_compact",
+        {
+            "supervised,network=film": "Classifier",
+            "supervised_hindsight_augmented,network=film": "Classifier with a memory of questions",
+        },
+    ),
+    Task("Lifting a toy", "playroom_lift_compact", {"impala,network=film": "IMPALA"}),
+)
+
+
+def tail() -> list[str]:
+    rows: list[tuple[str, ...]] = []
+    for task in TASKS:
+        folders = [RESULTS / task.experiment / name for name in task.conditions]
+        tables = score_tables(load_runs(folders))
+        published = paper_table(split(tables[0].description.split).paper or "").rows.values()
+        best = [max(row[kind].value for row in published if kind in row) for kind in LEVEL_KINDS]
+        rows.append((task.title, "the paper's best", "", "", *(f"{one:.2f}" for one in best)))
+        for name, title in task.conditions.items():
+            (scores,) = [
+                table.scores[table.scores["condition"] == name].set_index("level_kind")
+                for table in tables
+                if name in set(table.scores["condition"])
+            ]
+            seeds, frames = int(scores["seeds"].min()), int(scores["frames"].min())
+            shown = (f"{scores['score'][kind]:.2f}" for kind in LEVEL_KINDS)
+            rows.append(("", title, str(seeds), count_text(frames), *shown))
+    heading = ("Task", "Agent", "Seeds", "Frames", *(KIND_NAMES[kind] for kind in LEVEL_KINDS))
+    return markdown(heading, rows)
