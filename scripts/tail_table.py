@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
+import pandas as pd
 from tables import markdown
 
 from zipf.envs import split
@@ -54,16 +55,13 @@ def tail() -> list[str]:
     rows: list[tuple[str, ...]] = []
     for task in TASKS:
         folders = [RESULTS / task.experiment / name for name in task.conditions]
-        tables = score_tables(load_runs(folders))
-        published = paper_table(split(tables[0].description.split).paper or "").rows.values()
+        runs = load_runs(folders)
+        published = paper_table(split(runs[0].description.split).paper or "").rows.values()
         best = [max(row[kind].value for row in published if kind in row) for kind in LEVEL_KINDS]
         rows.append((task.title, "the paper's best", "", "", *(f"{one:.2f}" for one in best)))
+        found = pd.concat([table.scores for table in score_tables(runs)])
         for name, title in task.conditions.items():
-            (scores,) = [
-                table.scores[table.scores["condition"] == name].set_index("level_kind")
-                for table in tables
-                if name in set(table.scores["condition"])
-            ]
+            scores = found[found["condition"] == name].set_index("level_kind")
             seeds, frames = int(scores["seeds"].min()), int(scores["frames"].min())
             shown = (f"{scores['score'][kind]:.2f}" for kind in LEVEL_KINDS)
             rows.append(("", title, str(seeds), count_text(frames), *shown))

@@ -109,7 +109,7 @@ def overrides_of(arguments: list[str]) -> list[str]:
 def test_train_commands_are_accepted(page, arguments, in_folder, monkeypatch):
     """Those that name a file of their page train, too, for one update: the first job of a sweep."""
     in_folder(page)
-    monkeypatch.setattr(feasibility, "no_pretrained", lambda config: ())  # the reader's own runs
+    monkeypatch.setattr(feasibility, "_no_pretrained", lambda config: ())  # the reader's own runs
     monkeypatch.setitem(sys.modules, "deepmind_lab", fake_deepmind_lab)
     overrides = overrides_of(arguments)
     if not overrides:

@@ -297,7 +297,8 @@ class Agent(ABC):
             )
 
     def _torsos(self) -> list[Torso]:
-        return [part for part in vars(self).values() if isinstance(part, Torso)]
+        """The networks among the attributes, each once: `actor` is often one of the others."""
+        return list(dict.fromkeys(part for part in vars(self).values() if isinstance(part, Torso)))
 
 
 def _check_fits(part: str, own: Mapping[str, Tensor], other: Mapping[str, Tensor]) -> None:

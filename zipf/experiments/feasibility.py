@@ -56,13 +56,13 @@ def problems(config: Config) -> Iterator[str]:
             f"collector.lag={config.lag}: agent={config.agent.name} does not correct for older "
             f"weights; should be at most {agent.largest_lag}"
         )
-    yield from no_pretrained(config)
+    yield from _no_pretrained(config)
     yield from _not_in_a_cluster(config)
     yield from _not_by_several_learners(config)
     yield from (line for line in _cannot_be_built(config) if line not in told)
 
 
-def no_pretrained(config: Config) -> Iterator[str]:
+def _no_pretrained(config: Config) -> Iterator[str]:
     """Why a new run cannot begin with another's weights."""
     run = config.pretrained.run
     if run is None or (config.folder / "checkpoint.pt").exists():

@@ -140,14 +140,13 @@ def write_description(
         "python": platform.python_version(),
         "device": _device_name(config.torch_device),
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "pretrained": pretrained,
-        "resumed": [],
     }
+    resumed: list[dict[str, Any]] = []
     if resumed_at is not None:
         began = check_description(config, situation)
-        began_with = ("pretrained", "resumed")
-        again = {"update": resumed_at, **{k: v for k, v in how.items() if k not in began_with}}
-        how = {k: began.get(k) for k in how} | {"resumed": [*began.get("resumed", []), again]}
+        resumed = [*began.get("resumed", []), {"update": resumed_at, **how}]
+        how = {name: began.get(name) for name in how}
+        pretrained = began.get("pretrained")
         described = began["levels"]
     else:
         described = describe_levels(
@@ -169,6 +168,8 @@ def write_description(
         "paper": split.paper if config.is_released_benchmark else None,
         "external": None,
         **how,
+        "pretrained": pretrained,
+        "resumed": resumed,
     }
     texts = {
         "config.yaml": OmegaConf.to_yaml(config.model_dump()),
