@@ -117,6 +117,10 @@ def test_a_run_says_where_its_weights_are_from_and_resumes_without_it(first, cap
     shown = run(str(whole), "--window", "last", module="zipf.report", folder=root).stdout
     told = "Seed 5 of whole began with the encoder of demo first seed 0, trained on 90 frames"
     assert told in " ".join(shown.split())
+    assert train(asked((root, whole), "name=following")) == 0
+    following = json.loads((root / "demo" / "following" / "seed5" / "run.json").read_text())
+    assert following["pretrained"]["condition"] == "whole"
+    assert following["pretrained"]["frames"] == 90 + 90
 
 
 def test_seeds_that_begin_with_seeds_of_a_condition_are_one_row(first, capsys):

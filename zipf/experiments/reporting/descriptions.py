@@ -82,7 +82,7 @@ class PretrainedDescription(_Described):
     """The run whose weights a run began with.
 
     `parts` are those of the network that it took, `frames` those that the other run had learned
-    from by then.
+    from by then, and before it the run that it began with itself.
     """
 
     experiment: Line

@@ -10,6 +10,7 @@ from torch import Tensor
 from zipf.agents.agent import Agent
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
+from zipf.experiments.running import run_folder
 from zipf.experiments.running.learners import OnlyLearner
 from zipf.experiments.running.trained import load_agent
 
@@ -48,7 +49,8 @@ def told(described: dict[str, Any]) -> str:
 
 def _read(config: Config, run: str) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any]]:
     """The weights by part of the network, and where they are from."""
-    trained = load_agent(Path(run).expanduser(), "cpu", config.plugins)
+    folder = Path(run).expanduser()
+    trained = load_agent(folder, "cpu", config.plugins)
     actor = getattr(trained.agent, "actor", None)  # agents that learn nothing have none
     parts = {} if actor is None else dict(actor.named_children())
     wanted = config.pretrained.parts
@@ -58,12 +60,14 @@ def _read(config: Config, run: str) -> tuple[dict[str, dict[str, Tensor]], dict[
             f"has {', '.join(parts) or 'no parts with weights'}"
         )
     there = trained.config
+    before = run_folder.read_description(folder).get("pretrained") or {"frames": 0}
+    frames = trained.update * there.collector.num_envs * there.collector.unroll_length
     described = {
         "experiment": there.experiment,
         "condition": there.condition,
         "seed": there.seed,
         "update": trained.update,
-        "frames": trained.update * there.collector.num_envs * there.collector.unroll_length,
+        "frames": before["frames"] + frames,
         "parts": wanted,
     }
     return {name: parts[name].state_dict() for name in wanted}, described
