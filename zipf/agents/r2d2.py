@@ -30,12 +30,11 @@ frame on. The memory before a sequence is that of the network as it is when they
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from copy import deepcopy
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import gymnasium as gym
-import numpy as np
 import torch
 from pydantic import Field
 from tensordict import TensorDict
@@ -49,6 +48,7 @@ from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.reweighting import NO_REWEIGHTING, weighted
+from zipf.agents.sequences import Sequences
 from zipf.agents.truncations import Finals
 from zipf.agents.unroll import Unroll
 from zipf.options import Options
@@ -63,22 +63,6 @@ Share = Annotated[float, Field(ge=0, le=1)]
 PositiveInt = Annotated[int, Field(ge=1)]
 
 LADDER = 7.0  # alpha of Horgan et al. 2018
-
-STEP = {  # the fields of a step in replay, beside the observation
-    "previous_action": torch.int64,
-    "previous_reward": torch.float32,
-    "is_first": torch.bool,
-    "action": torch.int64,
-    "reward": torch.float32,  # the task's and the bonus
-    "terminated": torch.bool,
-    "truncated": torch.bool,
-}
-FINAL = {  # the fields of an observation that an episode was cut at, beside the observation
-    "step": torch.int64,
-    "previous_action": torch.int64,
-    "previous_reward": torch.float32,
-    "is_first": torch.bool,
-}
 
 METRICS = ("loss", "td_error", "gradient_norm", "value", "priority", "importance_weight")
 
@@ -213,7 +197,6 @@ class R2D2(Agent):
         if options.storage == "memmap" and setting.folder is None:
             raise ValueError("agent.storage=memmap: needs a folder to keep the replay in")
         self.num_envs = setting.num_envs
-        self.unroll_length = setting.unroll_length
         self.batch_size = round(options.samples_per_insert * setting.num_envs)
         self.burn_in = options.burn_in
         self.final_observations = options.final_observations
@@ -250,12 +233,16 @@ class R2D2(Agent):
                     f"hindsight.episodes={setting.hindsight.episodes}: should be at most "
                     f"agent.replay_capacity={options.replay_capacity}"
                 )
-        weight = {} if setting.reweighting == NO_REWEIGHTING else {"weight": torch.float32}
-        self._fields = STEP | weight
+        self.sequences = Sequences(
+            setting.observation_space,
+            num_envs=setting.num_envs,
+            unroll_length=setting.unroll_length,
+            burn_in=options.burn_in,
+            final_observations=options.final_observations,
+            weighted=setting.reweighting != NO_REWEIGHTING,
+        )
         self.steps = 0  # of the optimiser
         self.replay: Replay | None = None
-        self._prefix: TensorDict | None = None  # [burn_in, B], the rows before the next unroll
-        self._prefix_memory: State = {}  # before them
 
     def initial_memory(self, batch: int) -> State:
         """The memory before the first frame of `batch` worlds."""
@@ -292,13 +279,8 @@ class R2D2(Agent):
         from zipf.agents.replay import Replay
 
         o = self.options
-        rows = self.burn_in + self.unroll_length + 1
-        item = {"steps": self._empty(rows, self._fields)}
-        if o.final_observations:
-            item["final"] = self._empty(o.final_observations, FINAL)
-        memory = {name: part[0].cpu() for name, part in self.initial_memory(1).items()}
         self.replay = Replay(
-            TensorDict({**item, "memory": TensorDict(memory)}),
+            self.sequences.empty(self.initial_memory(1)),
             capacity=o.replay_capacity,
             priority_exponent=o.priority_exponent,
             importance_exponent=o.importance_exponent,
@@ -311,8 +293,8 @@ class R2D2(Agent):
         else:
             where = "RAM, as much in every checkpoint, and again while one is read"
         return [
-            f"replay: {o.replay_capacity} sequences of {rows} rows, {in_words(self.replay.bytes)} "
-            f"of {where}",
+            f"replay: {o.replay_capacity} sequences of {self.sequences.rows} rows, "
+            f"{in_words(self.replay.bytes)} of {where}",
             f"replay: {o.samples_per_insert:g} samples per insert, batches of {self.batch_size}; "
             f"learning begins with {o.replay_min} sequences",
         ]
@@ -329,8 +311,6 @@ class R2D2(Agent):
         """
         assert self.replay is not None, "begin_learning() comes first"
         self._insert(unroll)
-        if unroll.episodes is not None:
-            self._insert_episodes(unroll.episodes)
         metrics = dict.fromkeys(METRICS, float("nan"))
         if len(self.replay) >= self.options.replay_min:
             items, index, weights = self.replay.sample(self.batch_size)
@@ -343,65 +323,17 @@ class R2D2(Agent):
         return metrics | sizes
 
     def _insert(self, unroll: Unroll) -> None:
-        assert self.replay is not None
-        item = {}
-        if self.final_observations:
-            assert unroll.final is not None
-            item["final"] = unroll.final.cpu().transpose(0, 1)
-        steps = unroll.steps.select("observation", *self._fields)
-        steps["reward"] = unroll.steps["reward"] + unroll.steps["bonus"]
-        steps = steps.cpu()
-        memory = unroll.memory
-        if self.burn_in:
-            prefix, memory = self._prefix, self._prefix_memory
-            # The collector overwrites the rows of an unroll.
-            self._prefix = steps[self.unroll_length - self.burn_in : self.unroll_length].clone()
-            assert unroll.late_memory is not None
-            self._prefix_memory = unroll.late_memory
-            if prefix is None:
-                return
-            steps = torch.cat([prefix, steps])
-        item["steps"] = steps.transpose(0, 1)
-        item["memory"] = TensorDict({k: v.cpu() for k, v in memory.items()}, self.num_envs)
-        self._store(TensorDict(item, self.num_envs))
+        """Puts an unroll into replay, and the relabelled episodes that come with it."""
+        fresh = self.sequences.of_unroll(unroll)
+        if fresh is not None:
+            self._store(fresh)
+        if unroll.episodes is not None:
+            self._insert_episodes(unroll.episodes)
 
     def _insert_episodes(self, episodes: TensorDict) -> None:
-        """Puts relabelled episodes [L, E] into replay, as sequences.
-
-        The rows before an episode's first and behind its last are empty: an episode begins and is
-        truncated in each of them, at an observation that is not there, so that they have no error.
-        """
-        rows, count = episodes.shape
-        length, burn_in = self.unroll_length, self.burn_in
-        cuts = -(-rows // length)
-        steps = self._empty(burn_in + cuts * length + 1, self._fields)
-        steps["previous_action"].fill_(-1)
-        steps["is_first"].fill_(True)
-        steps["truncated"].fill_(True)
-        steps = steps.unsqueeze(1).expand(len(steps), count).clone()
-        if "weight" in self._fields:
-            episodes = episodes.clone(recurse=False)
-            episodes["weight"] = episodes["mask"].float()
-        steps[burn_in : burn_in + rows] = episodes.select("observation", *self._fields).cpu()
-        steps["truncated"][burn_in : burn_in + rows] |= ~episodes["mask"].cpu()
-        lengths = episodes["mask"].sum(0).cpu()
-        memory = self.initial_memory(count)
-        for cut in range(cuts):
-            start = cut * length  # of the burn-in's rows, in `steps`
-            there = (lengths > start).nonzero().flatten()
-            item = {"steps": steps[start : start + burn_in + length + 1, there].transpose(0, 1)}
-            before = {name: part.cpu()[there] for name, part in memory.items()}
-            item["memory"] = TensorDict(before, len(there))
-            if self.final_observations:
-                finals = self._empty(self.final_observations, FINAL)
-                finals["step"].fill_(-1)
-                shape = len(there), self.final_observations
-                item["final"] = finals.unsqueeze(0).expand(shape).clone()
-            self._store(TensorDict(item, len(there)))
-            following = steps[max(start, burn_in) : start + length].to(self.device)
-            if cut + 1 < cuts and len(following):  # those until the next sequence's burn-in
-                with torch.no_grad(), autocast(self.device, self.precision):
-                    _, memory = self.network(Inputs.of(following), memory)
+        memory = self.initial_memory(episodes.shape[1])
+        for relabelled in self.sequences.of_episodes(episodes, memory, self._advance):
+            self._store(relabelled)
 
     def _store(self, items: TensorDict) -> None:
         """Puts sequences [N] into replay."""
@@ -411,6 +343,13 @@ class R2D2(Agent):
             with torch.no_grad():
                 _, errors, _ = self._losses(items.to(self.device))
             self.replay.update_priorities(index, self._priorities(errors))
+
+    @torch.no_grad()
+    def _advance(self, steps: TensorDict, memory: State) -> State:
+        """The memory after steps [rows, E], from that before them."""
+        with autocast(self.device, self.precision):
+            _, memory = self.network(Inputs.of(steps.to(self.device)), memory)
+        return memory
 
     def _learn(self, items: TensorDict, weights: Tensor) -> tuple[dict[str, float], Tensor]:
         """One optimiser step on sequences [B]; the metrics, and new priorities float32 [B]."""
@@ -492,19 +431,6 @@ class R2D2(Agent):
         sizes, eta = errors.abs(), self.options.priority_max_weight
         return (eta * sizes.amax(0) + (1 - eta) * sizes.mean(0)).cpu()
 
-    def _empty(self, rows: int, fields: Mapping[str, torch.dtype]) -> TensorDict:
-        """Zeros [rows] in the place of these fields and an observation."""
-        zeros = TensorDict({name: torch.zeros(rows, dtype=t) for name, t in fields.items()}, rows)
-        spaces = self.setting.observation_space.spaces.items()
-        zeros["observation"] = TensorDict(
-            {
-                name: torch.from_numpy(np.zeros((rows, *(space.shape or ())), space.dtype))
-                for name, space in spaces
-            },
-            rows,
-        )
-        return zeros
-
     def state_dict(self) -> dict[str, Any]:
         """Everything that `update` changes; with `storage=memmap` without the sequences, which are
         in the replay's files beside the checkpoint."""
@@ -535,17 +461,11 @@ class R2D2(Agent):
 
     def carried(self) -> dict[str, Any]:
         """The burn-in of the next sequences of these worlds."""
-        if self._prefix is None:
-            return {}
-        return {"steps": self._prefix.to_dict(), "memory": dict(self._prefix_memory)}
+        return self.sequences.carried()
 
     def carry(self, carried: dict[str, Any]) -> None:
         """Without a burn-in the next unroll is not inserted, as a run's first."""
-        self._prefix, self._prefix_memory = None, {}
-        if carried:
-            self._prefix = TensorDict(carried["steps"], (self.burn_in, self.num_envs))
-            memory = carried["memory"]
-            self._prefix_memory = {k: v.to(self.device) for k, v in memory.items()}
+        self.sequences.carry(carried, self.device)
 
 
 def of_actions(outputs: Tensor, action: Tensor) -> Tensor:

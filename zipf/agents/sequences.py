@@ -1,0 +1,168 @@
+"""Cutting of unrolls and relabelled episodes into the sequences that R2D2's replay holds.
+
+A sequence is a TensorDict: `steps` [burn_in + T + 1], the rows of one world; `memory`, the agent's
+before them; and, where there is room for them, `final` [K], the observations that the unroll's
+episodes were truncated at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from tensordict import TensorDict
+
+from zipf.agents.memory import State
+from zipf.agents.unroll import Unroll
+
+STEP = {  # the fields of a step in replay, beside the observation
+    "previous_action": torch.int64,
+    "previous_reward": torch.float32,
+    "is_first": torch.bool,
+    "action": torch.int64,
+    "reward": torch.float32,  # the task's and the bonus
+    "terminated": torch.bool,
+    "truncated": torch.bool,
+}
+FINAL = {  # the fields of an observation that an episode was cut at, beside the observation
+    "step": torch.int64,
+    "previous_action": torch.int64,
+    "previous_reward": torch.float32,
+    "is_first": torch.bool,
+}
+
+
+class Sequences:
+    """Cuts what a collector gives into sequences, and keeps the burn-in of the next ones.
+
+    Args:
+        observation_space: of one world.
+        num_envs: B, the worlds of an unroll.
+        unroll_length: T.
+        burn_in: rows of a sequence before its unroll.
+        final_observations: K, for how many of these a sequence has room; 0: it has none.
+        weighted: whether steps have a weight.
+    """
+
+    def __init__(
+        self,
+        observation_space: gym.spaces.Dict,
+        *,
+        num_envs: int,
+        unroll_length: int,
+        burn_in: int,
+        final_observations: int,
+        weighted: bool,
+    ):
+        self.observation_space = observation_space
+        self.num_envs = num_envs
+        self.unroll_length = unroll_length
+        self.burn_in = burn_in
+        self.final_observations = final_observations
+        self.weighted = weighted
+        self.rows = burn_in + unroll_length + 1
+        self._fields = STEP | ({"weight": torch.float32} if weighted else {})
+        self._prefix: TensorDict | None = None  # [burn_in, B], the rows before the next unroll
+        self._prefix_memory: State = {}  # before them
+
+    def empty(self, memory: State) -> TensorDict:
+        """A sequence of zeros; `memory` is that of a batch of one world."""
+        item = {"steps": self._empty(self.rows, self._fields)}
+        if self.final_observations:
+            item["final"] = self._empty(self.final_observations, FINAL)
+        of_world = {name: part[0].cpu() for name, part in memory.items()}
+        return TensorDict({**item, "memory": TensorDict(of_world)})
+
+    def of_unroll(self, unroll: Unroll) -> TensorDict | None:
+        """The sequences [B] of an unroll; None for a run's first where there is a burn-in."""
+        item = {}
+        if self.final_observations:
+            assert unroll.final is not None
+            item["final"] = unroll.final.cpu().transpose(0, 1)
+        steps = unroll.steps.select("observation", *self._fields)
+        steps["reward"] = unroll.steps["reward"] + unroll.steps["bonus"]
+        steps = steps.cpu()
+        memory = unroll.memory
+        if self.burn_in:
+            prefix, memory = self._prefix, self._prefix_memory
+            # The collector overwrites the rows of an unroll.
+            self._prefix = steps[self.unroll_length - self.burn_in : self.unroll_length].clone()
+            assert unroll.late_memory is not None
+            self._prefix_memory = unroll.late_memory
+            if prefix is None:
+                return None
+            steps = torch.cat([prefix, steps])
+        item["steps"] = steps.transpose(0, 1)
+        item["memory"] = TensorDict({k: v.cpu() for k, v in memory.items()}, self.num_envs)
+        return TensorDict(item, self.num_envs)
+
+    def of_episodes(
+        self, episodes: TensorDict, memory: State, advance: Callable[[TensorDict, State], State]
+    ) -> Iterator[TensorDict]:
+        """The sequences [N] of relabelled episodes [L, E], those of their first frames first.
+
+        The rows before an episode's first and behind its last are empty: an episode begins and is
+        truncated in each of them, at an observation that is not there, so that they have no error.
+
+        Args:
+            episodes: see `Unroll`.
+            memory: before the first frame of E worlds.
+            advance: from steps [rows, E] and the memory before them, that after them.
+        """
+        rows, count = episodes.shape
+        length, burn_in = self.unroll_length, self.burn_in
+        cuts = -(-rows // length)
+        steps = self._empty(burn_in + cuts * length + 1, self._fields)
+        steps["previous_action"].fill_(-1)
+        steps["is_first"].fill_(True)
+        steps["truncated"].fill_(True)
+        steps = steps.unsqueeze(1).expand(len(steps), count).clone()
+        if self.weighted:
+            episodes = episodes.clone(recurse=False)
+            episodes["weight"] = episodes["mask"].float()
+        steps[burn_in : burn_in + rows] = episodes.select("observation", *self._fields).cpu()
+        steps["truncated"][burn_in : burn_in + rows] |= ~episodes["mask"].cpu()
+        lengths = episodes["mask"].sum(0).cpu()
+        for cut in range(cuts):
+            start = cut * length  # of the burn-in's rows, in `steps`
+            there = (lengths > start).nonzero().flatten()
+            item = {"steps": steps[start : start + self.rows, there].transpose(0, 1)}
+            before = {name: part.cpu()[there] for name, part in memory.items()}
+            item["memory"] = TensorDict(before, len(there))
+            if self.final_observations:
+                finals = self._empty(self.final_observations, FINAL)
+                finals["step"].fill_(-1)
+                shape = len(there), self.final_observations
+                item["final"] = finals.unsqueeze(0).expand(shape).clone()
+            yield TensorDict(item, len(there))
+            following = steps[max(start, burn_in) : start + length]
+            if cut + 1 < cuts and len(following):  # those until the next sequence's burn-in
+                memory = advance(following, memory)
+
+    def _empty(self, rows: int, fields: Mapping[str, torch.dtype]) -> TensorDict:
+        """Zeros [rows] in the place of these fields and an observation."""
+        zeros = TensorDict({name: torch.zeros(rows, dtype=t) for name, t in fields.items()}, rows)
+        zeros["observation"] = TensorDict(
+            {
+                name: torch.from_numpy(np.zeros((rows, *(space.shape or ())), space.dtype))
+                for name, space in self.observation_space.spaces.items()
+            },
+            rows,
+        )
+        return zeros
+
+    def carried(self) -> dict[str, Any]:
+        """The burn-in of the next sequences of these worlds."""
+        if self._prefix is None:
+            return {}
+        return {"steps": self._prefix.to_dict(), "memory": dict(self._prefix_memory)}
+
+    def carry(self, carried: dict[str, Any], device: str) -> None:
+        """Goes on with what `carried()` gave; `{}`: the next unroll is taken as a run's first."""
+        self._prefix, self._prefix_memory = None, {}
+        if carried:
+            self._prefix = TensorDict(carried["steps"], (self.burn_in, self.num_envs))
+            self._prefix_memory = {k: v.to(device) for k, v in carried["memory"].items()}
