@@ -36,6 +36,11 @@ TASKS = (
         {
             "impala_mlp": "IMPALA, plain network",
             "impala_comparing_hindsight,precision=bfloat16": "IMPALA that learns to compare",
+            "impala_comparing_augmented,precision=bfloat16,"
+            "pretrained.run=gridworld_compact_impala_comparing_hindsight,precision=bfloat16,"
+            "collector.num_envs=64,collector.unroll_length=64": (
+                "IMPALA that begins with its encoder, augmented"
+            ),
             "imitation_comparing_augmented,precision=bfloat16": "Imitation that learns to compare",
         },
     ),
