@@ -229,6 +229,18 @@ class Agent(ABC):
             if isinstance(part, Auxiliary):
                 part.begin_with(networks[0].encoder)
 
+    def scale_learning_rates(self, factor: float) -> None:
+        """Sets the learning rates of all attributes that are optimisers, for the updates that
+        follow.
+
+        Args:
+            factor: of the learning rates that they were built with; from 0 to 1.
+        """
+        for part in vars(self).values():
+            if isinstance(part, torch.optim.Optimizer):
+                for group in part.param_groups:
+                    group["lr"] = factor * group.setdefault("initial_lr", group["lr"])
+
     def begin_learning(self) -> list[str]:
         """Allocates what learning alone needs; called once before the first `update` or
         `load_state_dict` of a run, and not for an agent that only acts.

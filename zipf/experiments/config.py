@@ -27,6 +27,7 @@ from zipf.experiments.runtime import RayOptions, RuntimeOptions, TorchrunOptions
 from zipf.options import Options
 
 PositiveInt = Annotated[int, Field(ge=1)]
+Interval = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
 Pair = Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 NAME_PATTERN = r"^[^/.][^/]*$"
@@ -69,7 +70,7 @@ class EvaluationOptions(Options):
 class ScheduleOptions(Options):
     """When files are written. `window` is the interval of updates that results are taken from."""
 
-    window: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
+    window: Interval
     log_every: PositiveInt
     checkpoint_every: PositiveInt
 
@@ -142,6 +143,7 @@ class Config(Options):
     reweighting: ReweightingOptions
     hindsight: HindsightOptions
     pretrained: PretrainedOptions = PretrainedOptions()
+    learning_rate_decay: Interval | None = None
     environment: Any
     runtime: RuntimeOptions
     collector: CollectorOptions
@@ -216,6 +218,14 @@ class Config(Options):
             return find_device(f"cuda:{os.environ.get('LOCAL_RANK', 0)}")
         return device
 
+    def learning_rate_factor(self, update: int) -> float:
+        """The factor of all learning rates in the update that follows `update` others: 1, and in
+        `learning_rate_decay` linearly towards 0."""
+        if self.learning_rate_decay is None:
+            return 1.0
+        start, end = self.learning_rate_decay
+        return min(max((end - update) / (end - start), 0.0), 1.0)
+
     @property
     def what_is_learned(self) -> dict[str, Any]:
         """The options that affect learning, flat: {"agent.discount": 0.99, ...}. A checkpoint can
@@ -223,6 +233,8 @@ class Config(Options):
         options = flatten(self.model_dump()) | {"collector.lag": self.lag}
         if self.pretrained.run is None:
             del options["pretrained.run"], options["pretrained.parts"]
+        if self.learning_rate_decay is None:
+            del options["learning_rate_decay"]
         return {name: value for name, value in options.items() if affects_learning(name)}
 
 

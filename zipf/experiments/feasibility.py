@@ -27,6 +27,14 @@ def problems(config: Config) -> Iterator[str]:
     start, end = config.schedule.window
     if start > end:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"
+    if decay := config.learning_rate_decay:
+        if decay[0] >= decay[1]:
+            yield f"learning_rate_decay={decay}: should begin before it ends"
+        elif decay[1] < config.updates:
+            yield (
+                f"learning_rate_decay={decay}: nothing would be learned from update {decay[1]} on; "
+                f"should not end before updates={config.updates}"
+            )
     split = envs.split(config.environment.split)
     train = split.levels("train")
     if split.draw == "worlds" and 0 < config.num_envs < len(train):

@@ -280,6 +280,8 @@ def _read_settings(path: Path, description: RunDescription) -> dict[str, Any]:
         flat["pretrained.run"] = f"{there.experiment} {there.condition}"
     else:
         flat = {key: value for key, value in flat.items() if not key.startswith("pretrained.")}
+    if flat.get("learning_rate_decay") is None:  # as in the runs of versions that had none
+        flat.pop("learning_rate_decay", None)
     return {
         key: value
         for key, value in flat.items()

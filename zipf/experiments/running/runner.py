@@ -243,6 +243,8 @@ class Run:
     def _learn(self, unroll: Unroll) -> dict[str, float]:
         try:
             with self.clock.part("learning"):
+                if self.config.learning_rate_decay:
+                    self.agent.scale_learning_rates(self.config.learning_rate_factor(self.update))
                 metrics = self.agent.update(unroll.to(self.device))
                 if self.device.startswith("cuda"):  # to measure the time, and because the unroll
                     torch.cuda.synchronize(self.device)  # is overwritten by the next
@@ -268,6 +270,7 @@ class Run:
             "seconds": self.clock.total,
             "frames_per_second": frames / (self.clock.training - then),
             **{f"time_{part}": seconds for part, seconds in self.clock.parts.items()},
+            **self._learning_rate_factor(),
             **self.learner.mean(
                 {
                     **self.source.metrics(),
@@ -279,6 +282,11 @@ class Run:
         if self.learner.is_first:
             self.logger.metrics(self.update, row)
         self.display.show_metrics(row)
+
+    def _learning_rate_factor(self) -> dict[str, float]:
+        if self.config.learning_rate_decay is None:
+            return {}
+        return {"learning_rate_factor": self.config.learning_rate_factor(self.update - 1)}
 
     def evaluate(self) -> None:
         """Scores the agent and writes the rows; training's random draws stay the same."""

@@ -1,0 +1,97 @@
+"""Learning rates that fall to 0: which, when, and that resuming does not notice."""
+
+import pandas as pd
+import pytest
+import torch
+from conftest import TINY, assert_equal, learned
+from test_agent import NAMES, build, unrolls
+
+from zipf.experiments import command_line
+from zipf.experiments.errors import UserError
+from zipf.experiments.running import runner
+
+
+def optimisers_of(agent):
+    return [part for part in vars(agent).values() if isinstance(part, torch.optim.Optimizer)]
+
+
+def rates(agent):
+    return [group["lr"] for part in optimisers_of(agent) for group in part.param_groups]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_optimiser_of_an_agent_is_scaled_and_back(name):
+    agent = build(name)
+    own = rates(agent)
+    agent.scale_learning_rates(0.25)
+    assert rates(agent) == [0.25 * rate for rate in own]
+    agent.scale_learning_rates(0.5)  # of what they were built with
+    assert rates(agent) == [0.5 * rate for rate in own]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_is_learned_with_a_factor_of_zero(name):
+    agent = build(name)
+    agent.begin_learning()
+    before = {key: value.clone() for key, value in agent.actor.state_dict().items()}
+    first, *others = unrolls(agent, 4)
+    agent.scale_learning_rates(0.0)
+    agent.update(first)
+    assert_equal(dict(agent.actor.state_dict()), before)
+    agent.scale_learning_rates(1.0)
+    for unroll in others:
+        agent.update(unroll)
+    after = agent.actor.state_dict()
+    assert not optimisers_of(agent) or any(not torch.equal(after[k], before[k]) for k in before)
+
+
+def test_the_factor_falls_linearly_and_is_never_zero_in_an_update():
+    config = command_line.load([*TINY, "updates=8", "learning_rate_decay=[4,8]"])
+    factors = [config.learning_rate_factor(update) for update in range(8)]
+    assert factors == [1, 1, 1, 1, 1, 0.75, 0.5, 0.25]
+    assert command_line.load([*TINY, "updates=8"]).learning_rate_factor(7) == 1
+
+
+def train(root, *options):
+    config = command_line.load([*TINY, "name=one", f"run_root={root}", *options])
+    return config.folder, runner.train(config)
+
+
+def test_a_stopped_run_goes_on_with_the_rates_of_one_left_alone(tmp_path):
+    decay = "learning_rate_decay=[2,8]"
+    whole, rc = train(tmp_path / "whole", "updates=8", decay)
+    assert rc == 0
+    for updates in (3, 6, 8):  # the rates fall from the second update on
+        parts, rc = train(tmp_path / "parts", f"updates={updates}", decay)
+        assert rc == 0
+    assert_equal(learned(parts)["agent"], learned(whole)["agent"])
+    factors = pd.read_csv(whole / "metrics.csv").set_index("update")["learning_rate_factor"]
+    assert factors.round(6).to_list() == [1, 1, 1, 0.833333, 0.666667, 0.5, 0.333333, 0.166667]
+    plain, rc = train(tmp_path / "plain", "updates=8")
+    assert rc == 0
+    assert "learning_rate_factor" not in pd.read_csv(plain / "metrics.csv")
+    assert not torch.equal(weight_of(plain), weight_of(whole))
+
+
+def weight_of(folder):
+    return learned(folder)["agent"]["network"]["policy.weight"]
+
+
+@pytest.mark.parametrize(
+    ("decay", "wrong"),
+    [
+        ("[3,3]", r"learning_rate_decay=\[3, 3\]: should begin before it ends"),
+        ("[0,7]", r"learning_rate_decay=\[0, 7\]: nothing would be learned from update 7 on"),
+        ("[1]", "learning_rate_decay"),
+        ("5", "learning_rate_decay"),
+        ("[-1,8]", "learning_rate_decay"),
+    ],
+)
+def test_a_decay_that_cannot_be_is_one_error(decay, wrong):
+    with pytest.raises(UserError, match=wrong):
+        command_line.load([*TINY, "updates=8", f"learning_rate_decay={decay}"])
+
+
+def test_it_is_in_a_runs_automatic_name():
+    asked = ["experiment=demo", "updates=8", "learning_rate_decay=[4,8]"]
+    assert command_line.load(asked).condition.endswith(",learning_rate_decay=[4,8]")
