@@ -28,7 +28,7 @@ from zipf.envs.keyboard import LEAVE, NEXT, Binding, Keys, Toggle
 from zipf.envs.labyrinth import words
 from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
-from zipf.experiments.playing import playing, screens
+from zipf.experiments.playing import playing, screens, sessions
 from zipf.experiments.playing.playing import PlayOptions
 from zipf.experiments.playing.recording import Recording
 from zipf.experiments.running import runner
@@ -696,13 +696,13 @@ def test_a_person_plays_in_a_window(monkeypatch):
 def test_a_level_shows_its_instruction_if_it_has_one(level, ending, monkeypatch, tmp_path):
     """The one at the moment: a level may give several in an episode."""
     shown: list[tuple[str, tuple[str, ...]]] = []
-    step = playing._Shows.step
+    step = sessions.Shows.step
 
     def watched(self, env, observation, text):
         shown.append((env.worlds.instruction[0].copy(), text.lines))
         step(self, env, observation, text)
 
-    monkeypatch.setattr(playing._Shows, "step", watched)
+    monkeypatch.setattr(sessions.Shows, "step", watched)
     made = envs.make_vec
     monkeypatch.setattr(envs, "make_vec", lambda *a, **k: made(*a, action_repeat=60, **k))
     said = play(f"level={level}", "policy=random", "seed=0", f"record={tmp_path}/x.gif")

@@ -14,7 +14,6 @@ import io
 import math
 import pickle
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any, cast
 
 import gymnasium as gym
@@ -24,6 +23,19 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from zipf.envs.check_steps import (
+    are_equal,
+    arrays_in,
+    copied,
+    first_step,
+    must_raise,
+    require,
+    require_dtype,
+    require_same,
+    row_of,
+    stacked,
+    visible,
+)
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 MakeVec = Callable[..., ZipfVectorEnv]
@@ -54,7 +66,7 @@ def check_vector_env(
     Raises:
         AssertionError: saying what is wrong and where.
     """
-    _require(num_envs >= 2, "check at least two worlds: one cannot show that worlds differ")
+    require(num_envs >= 2, "check at least two worlds: one cannot show that worlds differ")
     check = _Check(make_vec, make_single, num_envs, steps, seed)
     check.spaces()
     check.same_step_against_singles()
@@ -85,54 +97,60 @@ class _Check:
     def spaces(self) -> None:
         """Spaces are those of the single world, batched, and contain what is returned."""
         env, single = self.make_vec(self.n), self.make_single()
-        _same(env.num_envs, self.n, "num_envs")
-        _same(env.single_observation_space, single.observation_space, "single_observation_space")
-        _same(env.single_action_space, single.action_space, "single_action_space")
+        require_same(env.num_envs, self.n, "num_envs")
+        require_same(
+            env.single_observation_space, single.observation_space, "single_observation_space"
+        )
+        require_same(env.single_action_space, single.action_space, "single_action_space")
         for name in ("observation", "action"):
             batched = batch_space(getattr(env, f"single_{name}_space"), self.n)
-            _same(getattr(env, f"{name}_space"), batched, f"{name}_space")
-        _same(env.situation, single.get_wrapper_attr("situation"), "situation")
-        _same(env.metadata["autoreset_mode"], AutoresetMode.SAME_STEP, "default autoreset_mode")
-        _same(env.autoreset_mode, AutoresetMode.SAME_STEP, "attribute autoreset_mode")
+            require_same(getattr(env, f"{name}_space"), batched, f"{name}_space")
+        require_same(env.situation, single.get_wrapper_attr("situation"), "situation")
+        require_same(
+            env.metadata["autoreset_mode"], AutoresetMode.SAME_STEP, "default autoreset_mode"
+        )
+        require_same(env.autoreset_mode, AutoresetMode.SAME_STEP, "attribute autoreset_mode")
 
         observation, info = env.reset(seed=self.seed)
         self._contained(env, observation, info, "reset")
         for name in info.keys() - env.situation.keys():
             reserved = ("final_info", "final_obs", *_OUTCOME, *_SUCCESS)
             taken = name.startswith("_") or name in reserved
-            _require(not taken, f"info[{name!r}] of a reset: the name has another meaning")
+            require(not taken, f"info[{name!r}] of a reset: the name has another meaning")
             shape = np.shape(info[name])
-            _require(shape == (self.n,), f"info[{name!r}] must be an array [N], got shape {shape}")
+            require(shape == (self.n,), f"info[{name!r}] must be an array [N], got shape {shape}")
         for t, actions in enumerate(self.actions):
             observation, reward, terminated, truncated, info = env.step(actions)
             where = f"step {t}"
             self._contained(env, observation, info, where)
-            _dtype(reward, np.float64, (self.n,), f"{where}: reward")
-            _dtype(terminated, np.bool_, (self.n,), f"{where}: terminated")
-            _dtype(truncated, np.bool_, (self.n,), f"{where}: truncated")
+            require_dtype(reward, np.float64, (self.n,), f"{where}: reward")
+            require_dtype(terminated, np.bool_, (self.n,), f"{where}: terminated")
+            require_dtype(truncated, np.bool_, (self.n,), f"{where}: truncated")
             if "_final_info" in info:
                 final = info["final_info"]
                 for name in env.situation:
-                    _dtype(final[name], np.int64, (self.n,), f"{where}: final_info[{name!r}]")
+                    require_dtype(
+                        final[name], np.int64, (self.n,), f"{where}: final_info[{name!r}]"
+                    )
                 for name, dtype in self.outcome.items():
-                    _dtype(final[name], dtype, (self.n,), f"{where}: final_info[{name!r}]")
+                    require_dtype(final[name], dtype, (self.n,), f"{where}: final_info[{name!r}]")
                 for key, like in env.allocate().items():
                     array = info["final_obs"][key]
-                    _dtype(array, like.dtype, like.shape, f"{where}: final_obs[{key!r}]")
+                    require_dtype(array, like.dtype, like.shape, f"{where}: final_obs[{key!r}]")
         env.close()
 
     def _contained(
         self, env: ZipfVectorEnv, observation: Observation, info: dict[str, Any], where: str
     ) -> None:
-        _require(
+        require(
             observation in env.observation_space,
             f"{where}: the observation is not in the observation space: "
             + str({key: (value.dtype, value.shape) for key, value in observation.items()}),
         )
         for name, size in env.situation.items():
-            _require(name in info, f"{where}: info lacks the rank {name!r}")
-            _dtype(info[name], np.int64, (self.n,), f"{where}: info[{name!r}]")
-            _require(
+            require(name in info, f"{where}: info lacks the rank {name!r}")
+            require_dtype(info[name], np.int64, (self.n,), f"{where}: info[{name!r}]")
+            require(
                 ((info[name] >= 0) & (info[name] < size)).all(),
                 f"{where}: info[{name!r}] must be in 0 .. {size - 1}, got {info[name]}",
             )
@@ -144,50 +162,52 @@ class _Check:
         ended = 0
         observation, info = env.reset(seed=self.seed)
         starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
-        _same((observation, info), _stack(starts), f"reset(seed={self.seed})")
+        require_same((observation, info), stacked(starts), f"reset(seed={self.seed})")
         told = set(info)
         for t, actions in enumerate(self.actions):
             where = f"step {t} (SAME_STEP)"
             given = env.step(actions)
             results = [single.step(a) for single, a in zip(singles, actions, strict=True)]
             done = np.array([result[2] or result[3] for result in results])
-            _same(given[1:4], _stack([r[1:4] for r in results]), f"{where}: reward and ends")
+            require_same(
+                given[1:4], stacked([r[1:4] for r in results]), f"{where}: reward and ends"
+            )
             keys = set(told)
             if done.any():
                 keys |= {"final_info", "_final_info", "final_obs", "_final_obs"}
-            _same(set(given[4]), keys, f"{where}: keys of info")
+            require_same(set(given[4]), keys, f"{where}: keys of info")
             running = [(result[0], result[4]) for result in results]
             for i in np.flatnonzero(done):
                 ended += 1
                 final = {"final_obs": results[i][0], "final_info": results[i][4]}
                 for key, value in final.items():
-                    _require(given[4][f"_{key}"][i], f"{where}: world {i} ended, _{key} is not set")
+                    require(given[4][f"_{key}"][i], f"{where}: world {i} ended, _{key} is not set")
                     row = {name: array[i] for name, array in given[4][key].items()}
-                    _same(row, value, f"{where}: {key} of world {i}")
+                    require_same(row, value, f"{where}: {key} of world {i}")
                 running[i] = singles[i].reset()
             if done.any():
-                _same(given[4]["_final_info"], done, f"{where}: _final_info")
-                _same(given[4]["_final_obs"], done, f"{where}: _final_obs")
+                require_same(given[4]["_final_info"], done, f"{where}: _final_info")
+                require_same(given[4]["_final_obs"], done, f"{where}: _final_obs")
             now = {name: given[4][name] for name in told}
-            _same((given[0], now), _stack(running), f"{where}: after autoreset")
-        _require(ended > self.n, f"only {ended} episodes ended: check with more steps")
+            require_same((given[0], now), stacked(running), f"{where}: after autoreset")
+        require(ended > self.n, f"only {ended} episodes ended: check with more steps")
         _close(env, *singles)
 
     def next_step_against_singles(self) -> None:
         """A batch equals N worlds, each reset in the step after its episode's end."""
         env = self.make_vec(self.n, autoreset_mode=AutoresetMode.NEXT_STEP)
-        _same(env.metadata["autoreset_mode"], AutoresetMode.NEXT_STEP, "autoreset_mode")
+        require_same(env.metadata["autoreset_mode"], AutoresetMode.NEXT_STEP, "autoreset_mode")
         singles = self._singles()
         observation, info = env.reset(seed=self.seed)
         starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
-        _same((observation, info), _stack(starts), f"reset(seed={self.seed}) (NEXT_STEP)")
+        require_same((observation, info), stacked(starts), f"reset(seed={self.seed}) (NEXT_STEP)")
         told = set(info)
         done = np.zeros(self.n, np.bool_)
         for t, actions in enumerate(self.actions):
             # Actions of worlds that begin an episode are ignored, even one out of range.
             given = env.step(np.where(done, -1, actions))
             results = [
-                _first_step(single.reset()) if done[i] else single.step(actions[i])
+                first_step(single.reset()) if done[i] else single.step(actions[i])
                 for i, single in enumerate(singles)
             ]
             done = self._compare_step(given, results, told, f"step {t} (NEXT_STEP)")
@@ -196,21 +216,21 @@ class _Check:
                 mask = np.arange(self.n) == t % self.n
                 observation, info = env.reset(options={"reset_mask": mask})
                 i = t % self.n
-                start = _stack([singles[i].reset()])
+                start = stacked([singles[i].reset()])
                 rows = {name: info[name][mask] for name in told}
                 row = {key: value[mask] for key, value in observation.items()}
-                _same((row, rows), start, f"step {t} (NEXT_STEP): reset of world {i}")
+                require_same((row, rows), start, f"step {t} (NEXT_STEP): reset of world {i}")
                 done[i] = False
         _close(env, *singles)
 
     def disabled_against_singles(self) -> None:
         """A batch reset by mask equals N worlds, some of which wait before they are reset."""
         env = self.make_vec(self.n, autoreset_mode=AutoresetMode.DISABLED)
-        _same(env.metadata["autoreset_mode"], AutoresetMode.DISABLED, "autoreset_mode")
+        require_same(env.metadata["autoreset_mode"], AutoresetMode.DISABLED, "autoreset_mode")
         singles = self._singles()
         observation, info = env.reset(seed=self.seed)
         starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
-        _same((observation, info), _stack(starts), f"reset(seed={self.seed}) (DISABLED)")
+        require_same((observation, info), stacked(starts), f"reset(seed={self.seed}) (DISABLED)")
         told = set(info)
         refused = False
         for t, actions in enumerate(self.actions):
@@ -221,7 +241,7 @@ class _Check:
             if not done.any():
                 continue
             if not refused:
-                with _expects(ResetNeeded, f"{where}: stepping a world whose episode has ended"):
+                with must_raise(ResetNeeded, f"{where}: stepping a world whose episode has ended"):
                     env.step(actions)
                 refused = True
             # A world whose episode is still running is reset now and then, too.
@@ -231,8 +251,8 @@ class _Check:
             observation, info = env.reset(options={"reset_mask": mask})
             for i in np.flatnonzero(mask):
                 current[i] = singles[i].reset()
-            _same((observation, info), _stack(current), f"{where}: reset of worlds {mask}")
-        _require(refused, "no episode ended: check with more steps")
+            require_same((observation, info), stacked(current), f"{where}: reset of worlds {mask}")
+        require(refused, "no episode ended: check with more steps")
         _close(env, *singles)
 
     def _compare_step(
@@ -242,17 +262,17 @@ class _Check:
         done = np.array([result[2] or result[3] for result in results])
         current = [(r[0], {name: r[4][name] for name in told}) for r in results]
         now = {name: given[4][name] for name in told}
-        _same((given[0], now), _stack(current), f"{where}: observation and info")
-        _same(given[1:4], _stack([r[1:4] for r in results]), f"{where}: reward and ends")
+        require_same((given[0], now), stacked(current), f"{where}: observation and info")
+        require_same(given[1:4], stacked([r[1:4] for r in results]), f"{where}: reward and ends")
         keys = set(told)
         if done.any():
             keys |= {*self.outcome, *(f"_{name}" for name in self.outcome)}
-        _same(set(given[4]), keys, f"{where}: keys of info")
+        require_same(set(given[4]), keys, f"{where}: keys of info")
         for name in self.outcome if done.any() else ():
-            _same(given[4][f"_{name}"], done, f"{where}: info['_{name}']")
+            require_same(given[4][f"_{name}"], done, f"{where}: info['_{name}']")
             for i in np.flatnonzero(done):
                 value = results[i][4][name]
-                _same(given[4][name][i], value, f"{where}: {name} of world {i}")
+                require_same(given[4][name][i], value, f"{where}: {name} of world {i}")
         return done
 
     def _singles(self) -> list[gym.Env]:
@@ -262,25 +282,25 @@ class _Check:
         """The seed determines everything, however it is given; worlds do not affect each other."""
         env = self.make_vec(self.n)
         first = self._rollout(env, self.seed)
-        _same(self._rollout(env, self.seed), first, "a second rollout from the same seed")
+        require_same(self._rollout(env, self.seed), first, "a second rollout from the same seed")
         seeds = [self.seed + i for i in range(self.n)]
-        _same(self._rollout(env, seeds), first, "a rollout from a list of the same seeds")
+        require_same(self._rollout(env, seeds), first, "a rollout from a list of the same seeds")
         if math.prod(env.situation.values()) > 1:
             self._worlds_differ(env, first)
         env.close()
 
     def _worlds_differ(self, env: ZipfVectorEnv, first: list[Any]) -> None:
         other = self._rollout(env, self.seed + self.n)
-        _require(not _equal(other, first), "rollouts from different seeds are the same")
+        require(not are_equal(other, first), "rollouts from different seeds are the same")
         seeds = [self.seed + i for i in range(self.n)]
         starts = [[env.reset(seed=seed)[1]] + [env.reset()[1] for _ in range(20)] for seed in seeds]
         worlds = [[{k: v[0] for k, v in info.items()} for info in infos] for infos in starts]
-        _require(
-            any(not _equal(worlds[0], world) for world in worlds[1:]),
+        require(
+            any(not are_equal(worlds[0], world) for world in worlds[1:]),
             "worlds of different seeds draw the same episodes",
         )
-        _require(
-            any(not _equal(worlds[0][0], start) for start in worlds[0][1:]),
+        require(
+            any(not are_equal(worlds[0][0], start) for start in worlds[0][1:]),
             "reset() without a seed repeats the same episode",
         )
 
@@ -290,24 +310,22 @@ class _Check:
         expected = self._rollout(env, self.seed)
         out, final_out, other = (_filled(env) for _ in range(3))
         observation, info = env.reset(seed=self.seed, out=out)
-        _require(observation is out, "reset(out=...) must return out")
-        _same((_copied(out), info), expected[0], "reset(out=...)")
+        require(observation is out, "reset(out=...) must return out")
+        require_same((copied(out), info), expected[0], "reset(out=...)")
         for t, actions in enumerate(self.actions):
             where = f"step {t} with out and final_out"
             # Two values in turn: an observation may equal one of them, or be of bools.
             for array in final_out.values():
                 array.fill(123 * (t % 2))
-            untouched = _copied(final_out)
+            untouched = copied(final_out)
             given = env.step(actions, out=out, final_out=final_out)
-            _require(given[0] is out, f"{where}: step must return out")
+            require(given[0] is out, f"{where}: step must return out")
             if "final_obs" in given[4]:
-                _require(
-                    given[4]["final_obs"] is final_out, f"{where}: final_obs must be final_out"
-                )
-            _same(_visible(given), expected[1 + t], where)
+                require(given[4]["final_obs"] is final_out, f"{where}: final_obs must be final_out")
+            require_same(visible(given), expected[1 + t], where)
             running = ~given[4].get("_final_obs", np.zeros(self.n, dtype=np.bool_))
             for key, array in final_out.items():
-                _same(
+                require_same(
                     array[running],
                     untouched[key][running],
                     f"{where}: final_out[{key!r}] of worlds whose episode goes on",
@@ -315,31 +333,31 @@ class _Check:
         env.reset(seed=self.seed)
         for t, actions in enumerate(self.actions):
             given = env.step(actions, out=out)
-            _require(
+            require(
                 "final_obs" not in given[4],
                 f"step {t}: with out and without final_out, final_obs must be left out",
             )
             reference = {k: v for k, v in expected[1 + t][4].items() if "final_obs" not in k}
-            _same(given[:4], expected[1 + t][:4], f"step {t} with out alone")
-            _same(_visible(given)[4], reference, f"info of step {t} with out alone")
-        _same(env.observations(out=other), out, "observations(out=...)")
-        _same(env.observations(), out, "observations()")
+            require_same(given[:4], expected[1 + t][:4], f"step {t} with out alone")
+            require_same(visible(given)[4], reference, f"info of step {t} with out alone")
+        require_same(env.observations(out=other), out, "observations(out=...)")
+        require_same(env.observations(), out, "observations()")
 
         before = env.get_state()
         for name, bad in _bad_buffers(env):
-            with _expects(ValueError, f"step(out=...) with {name}"):
+            with must_raise(ValueError, f"step(out=...) with {name}"):
                 env.step(self.actions[0], out=bad)
-            with _expects(ValueError, f"reset(out=...) with {name}"):
+            with must_raise(ValueError, f"reset(out=...) with {name}"):
                 env.reset(out=bad)
-        _same(env.get_state(), before, "the state after refused buffers")
+        require_same(env.get_state(), before, "the state after refused buffers")
 
         self._fresh(env, "copy=True", lambda step: step)
         env.close()
         env = self.make_vec(self.n, copy=False)
-        _same(self._rollout(env, self.seed), expected, "a rollout with copy=False")
+        require_same(self._rollout(env, self.seed), expected, "a rollout with copy=False")
         first, second = env.step(self.actions[0])[0], env.step(self.actions[1])[0]
         for key in first:
-            _require(first[key] is second[key], f"copy=False must reuse observation {key!r}")
+            require(first[key] is second[key], f"copy=False must reuse observation {key!r}")
         self._fresh(env, "copy=False", lambda step: [*step[1:4], step[4].get("final_info", {})])
         env.close()
 
@@ -348,9 +366,9 @@ class _Check:
         env.reset(seed=self.seed)
         before: list[NDArray[Any]] = []
         for t, actions in enumerate(self.actions):
-            now = list(_arrays(part(env.step(actions))))
+            now = list(arrays_in(part(env.step(actions))))
             shared = any(np.may_share_memory(one, other) for one in before for other in now)
-            _require(not shared, f"step {t} overwrites what an earlier step returned, with {how}")
+            require(not shared, f"step {t} overwrites what an earlier step returned, with {how}")
             before = now
 
     def state(self) -> None:
@@ -362,22 +380,22 @@ class _Check:
             observation = env.step(actions)[0]
         state = env.get_state()
         for key, value in state.items():
-            _require(
+            require(
                 isinstance(value, np.ndarray) and value.dtype.kind in "biuf",
                 f"get_state()[{key!r}] must be a numeric array, got {type(value)}",
             )
-        kept = _copied(state)
+        kept = copied(state)
         rest = self._steps(env, half)
-        _same(state, kept, "a state, after its environment went on,")
+        require_same(state, kept, "a state, after its environment went on,")
         env.set_state(state)
-        _same(env.observations(), observation, "observations() after set_state")
-        _same(self._steps(env, half), rest, "steps after set_state")
+        require_same(env.observations(), observation, "observations() after set_state")
+        require_same(self._steps(env, half), rest, "steps after set_state")
         other.set_state(state)
-        _same(self._steps(other, half), rest, "steps after set_state in another environment")
-        _same(state, kept, "a state, after the environment it was set in went on,")
-        with _expects(ValueError, "set_state with a key too few"):
+        require_same(self._steps(other, half), rest, "steps after set_state in another environment")
+        require_same(state, kept, "a state, after the environment it was set in went on,")
+        with must_raise(ValueError, "set_state with a key too few"):
             env.set_state(dict(list(state.items())[1:]))
-        with _expects(ValueError, "set_state of more worlds"):
+        with must_raise(ValueError, "set_state of more worlds"):
             env.set_state({key: np.concatenate([value] * 2) for key, value in state.items()})
         _close(env, other)
 
@@ -389,8 +407,8 @@ class _Check:
         for actions in self.actions[:half]:
             env.step(actions)
         other = _pickled(env)
-        _same(other.observations(), env.observations(), "observations() after pickling")
-        _same(self._steps(other, half), self._steps(env, half), "steps after pickling")
+        require_same(other.observations(), env.observations(), "observations() after pickling")
+        require_same(self._steps(other, half), self._steps(env, half), "steps after pickling")
         _close(env, other)
 
     def forcing(self) -> None:
@@ -400,37 +418,41 @@ class _Check:
         for name, size in env.situation.items():
             for rank in (0, size - 1):
                 given = env.reset(seed=self.seed, options={name: rank})
-                _same(given[1][name], np.full(self.n, rank), f"options={{{name!r}: {rank}}}")
+                require_same(given[1][name], np.full(self.n, rank), f"options={{{name!r}: {rank}}}")
                 alone = single.reset(seed=self.seed, options={name: rank})
-                _same(_row(given, 0), alone, f"options={{{name!r}: {rank}}} in a single world")
+                require_same(
+                    row_of(given, 0), alone, f"options={{{name!r}: {rank}}} in a single world"
+                )
             ranks = np.arange(self.n) % size
-            _same(env.reset(options={name: ranks})[1][name], ranks, f"options={{{name!r}: array}}")
+            require_same(
+                env.reset(options={name: ranks})[1][name], ranks, f"options={{{name!r}: array}}"
+            )
             mask = np.arange(self.n) == self.n - 1
             given = env.reset(options={name: 0, "reset_mask": mask})
             expected = np.where(mask, 0, ranks)
-            _same(given[1][name], expected, f"options={{{name!r}: 0}} with a reset_mask")
+            require_same(given[1][name], expected, f"options={{{name!r}: 0}} with a reset_mask")
             before = env.get_state()
             for bad in (-1, size, 0.5, np.zeros(self.n + 1, dtype=np.int64)):
-                with _expects(ValueError, f"reset(options={{{name!r}: {bad}}})"):
+                with must_raise(ValueError, f"reset(options={{{name!r}: {bad}}})"):
                     env.reset(options={name: bad})
-            _same(env.get_state(), before, "the state after refused options")
+            require_same(env.get_state(), before, "the state after refused options")
         everything = {name: size - 1 for name, size in env.situation.items()}
         given = env.reset(seed=self.seed, options=everything)
         alone = single.reset(seed=self.seed, options=everything)
-        _same(_row(given, 0), alone, f"options={everything} in a single world")
+        require_same(row_of(given, 0), alone, f"options={everything} in a single world")
         given, alone = env.reset(), single.reset()
-        _same(_row(given, 0), alone, "the episode after a forced one")
-        with _expects(ValueError, "an unknown reset option"):
+        require_same(row_of(given, 0), alone, "the episode after a forced one")
+        with must_raise(ValueError, "an unknown reset option"):
             env.reset(options={"no_such_option": 0})
         for mask in (np.ones(self.n + 1, dtype=np.bool_), np.ones(self.n, dtype=np.int64)):
-            with _expects(ValueError, f"a reset_mask {mask.dtype} {mask.shape}"):
+            with must_raise(ValueError, f"a reset_mask {mask.dtype} {mask.shape}"):
                 env.reset(options={"reset_mask": mask})
         _close(env, single)
 
     def errors(self) -> None:
         """Wrong calls raise errors and change nothing."""
         env = self.make_vec(self.n)
-        with _expects(ResetNeeded, "step() before reset()"):
+        with must_raise(ResetNeeded, "step() before reset()"):
             env.step(self.actions[0])
         env.reset(seed=self.seed)
         before = env.get_state()
@@ -442,80 +464,30 @@ class _Check:
             "a column of actions": np.zeros((self.n, 1), dtype=np.int64),
             "fractional actions": np.zeros(self.n),
         }.items():
-            with _expects(ValueError, f"step() with {name}"):
+            with must_raise(ValueError, f"step() with {name}"):
                 env.step(bad)
         for seed in ([self.seed] * (self.n + 1), -1):
-            with _expects(ValueError, f"reset(seed={seed})"):
+            with must_raise(ValueError, f"reset(seed={seed})"):
                 env.reset(seed=seed)
-        _same(env.get_state(), before, "the state after refused actions and seeds")
+        require_same(env.get_state(), before, "the state after refused actions and seeds")
         narrow = self.actions[0].astype(np.int32)
-        _same(_visible(env.step(narrow)), self._rollout(env, self.seed)[1], "int32 actions")
+        require_same(visible(env.step(narrow)), self._rollout(env, self.seed)[1], "int32 actions")
         env.close()
-        with _expects(ClosedEnvironmentError, "step() after close()"):
+        with must_raise(ClosedEnvironmentError, "step() after close()"):
             env.step(self.actions[0])
-        with _expects(ClosedEnvironmentError, "reset() after close()"):
+        with must_raise(ClosedEnvironmentError, "reset() after close()"):
             env.reset()
-        with _expects(ValueError, "a batch of no worlds"):
+        with must_raise(ValueError, "a batch of no worlds"):
             self.make_vec(0)
-        with _expects(ValueError, "an unknown autoreset_mode"):
+        with must_raise(ValueError, "an unknown autoreset_mode"):
             self.make_vec(self.n, autoreset_mode="no such mode")
 
     def _rollout(self, env: ZipfVectorEnv, seed: int | list[int]) -> list[Any]:
         """Copies of what reset and every step returned, zero where the masks are not set."""
-        return [_copied(env.reset(seed=seed)), *self._steps(env, 0)]
+        return [copied(env.reset(seed=seed)), *self._steps(env, 0)]
 
     def _steps(self, env: ZipfVectorEnv, start: int) -> list[Any]:
-        return [_visible(env.step(actions)) for actions in self.actions[start:]]
-
-
-def _visible(step: Any) -> Any:
-    """A copy of a step's result in which rows outside the masks are zero."""
-    observation, reward, terminated, truncated, info = _copied(step)
-    for key, value in info.items():
-        mask = info.get(f"_{key}")
-        if mask is not None:
-            for array in value.values() if isinstance(value, dict) else [value]:
-                array[~mask] = 0
-    return observation, reward, terminated, truncated, info
-
-
-def _copied(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _copied(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return tuple(_copied(item) for item in value)
-    return np.array(value)
-
-
-def _arrays(value: Any) -> Iterator[NDArray[Any]]:
-    if isinstance(value, np.ndarray):
-        yield value
-    elif isinstance(value, dict | list | tuple):
-        for item in value.values() if isinstance(value, dict) else value:
-            yield from _arrays(item)
-
-
-def _stack(rows: list[Any]) -> Any:
-    """Results of single worlds, as a batch."""
-    if isinstance(rows[0], dict):
-        return {key: _stack([row[key] for row in rows]) for key in rows[0]}
-    if isinstance(rows[0], tuple):
-        return tuple(_stack([row[i] for row in rows]) for i in range(len(rows[0])))
-    return np.stack(rows)
-
-
-def _first_step(start: Any) -> Any:
-    """What `reset` returned, as the step that an autoreset makes of it."""
-    observation, info = start
-    return observation, 0.0, False, False, info
-
-
-def _row(batch: Any, i: int) -> Any:
-    if isinstance(batch, dict):
-        return {key: _row(value, i) for key, value in batch.items()}
-    if isinstance(batch, tuple):
-        return tuple(_row(value, i) for value in batch)
-    return batch[i]
+        return [visible(env.step(actions)) for actions in self.actions[start:]]
 
 
 def _filled(env: ZipfVectorEnv) -> Observation:
@@ -560,70 +532,6 @@ def _pickled(env: ZipfVectorEnv) -> ZipfVectorEnv:
     Pickler(stream).dump(env)
     stream.seek(0)
     return cast(ZipfVectorEnv, Unpickler(stream).load())
-
-
-def _differences(given: Any, expected: Any, path: str = "") -> Iterator[str]:
-    if isinstance(expected, dict):
-        if not isinstance(given, dict) or given.keys() != expected.keys():
-            keys = sorted(given) if isinstance(given, dict) else type(given)
-            yield f"{path or 'keys'}: {keys}, expected {sorted(expected)}"
-            return
-        for key in expected:
-            yield from _differences(given[key], expected[key], f"{path}[{key!r}]")
-    elif isinstance(expected, tuple | list):
-        if len(given) != len(expected):
-            yield f"{path or 'length'}: {len(given)} entries, expected {len(expected)}"
-            return
-        for i, (one, other) in enumerate(zip(given, expected, strict=True)):
-            yield from _differences(one, other, f"{path}[{i}]")
-    elif isinstance(expected, np.ndarray | np.generic | float | int):
-        one, other = np.asarray(given), np.asarray(expected)
-        if one.shape != other.shape:
-            yield f"{path or 'shape'}: shape {one.shape}, expected {other.shape}"
-        elif not np.array_equal(one, other):
-            first = tuple(np.argwhere(np.atleast_1d(one != other))[0].tolist())
-            at = f" at {first}" if one.shape else ""
-            one, other = np.atleast_1d(one), np.atleast_1d(other)
-            yield f"{path or 'value'}: {one[first]}{at}, expected {other[first]}"
-    elif given != expected:
-        yield f"{path or 'value'}: {given}, expected {expected}"
-
-
-def _equal(given: Any, expected: Any) -> bool:
-    return next(_differences(given, expected), None) is None
-
-
-def _require(condition: Any, message: str) -> None:
-    # An assert statement would be gone under `python -O`.
-    if not condition:
-        raise AssertionError(message)
-
-
-def _same(given: Any, expected: Any, where: str) -> None:
-    difference = next(_differences(given, expected), None)
-    _require(difference is None, f"{where} differs: {difference}")
-
-
-def _dtype(array: Any, dtype: Any, shape: tuple[int, ...], where: str) -> None:
-    _require(isinstance(array, np.ndarray), f"{where} must be an array, got {type(array)}")
-    _require(
-        array.dtype == dtype and array.shape == shape,
-        f"{where} must be {np.dtype(dtype)} {shape}, got {array.dtype} {array.shape}",
-    )
-
-
-@contextmanager
-def _expects(error: type[Exception], what: str) -> Iterator[None]:
-    try:
-        yield
-    except error as raised:
-        _require(str(raised), f"{what} must raise {error.__name__} with a message")
-    except Exception as raised:
-        raise AssertionError(
-            f"{what} must raise {error.__name__}, raised {type(raised).__name__}: {raised}"
-        ) from raised
-    else:
-        raise AssertionError(f"{what} must raise {error.__name__}, and was accepted")
 
 
 def _close(*envs: gym.Env | ZipfVectorEnv) -> None:

@@ -12,12 +12,13 @@ from zipf.envs import pcg64
 from zipf.envs.arguments import pair, whole
 from zipf.envs.labyrinth import engine
 from zipf.envs.labyrinth.actions import TABLES, commands
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.levels import LEVELS, Level, by_name
 from zipf.envs.labyrinth.scenery import Scenery
 from zipf.envs.labyrinth.state import clear, make_worlds
 from zipf.envs.labyrinth.topdown import draw_map
 from zipf.envs.labyrinth.words import VOCABULARY
-from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.labyrinth.world import World
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 

@@ -1,11 +1,9 @@
-"""One world, as the rules of a level see it, and the base class of these rules."""
+"""One world, as the rules of a level see it."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +34,6 @@ from zipf.envs.labyrinth.state import (
 from zipf.envs.labyrinth.terrain import Terrain
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.render3d import FACES_DOWN, SCREEN, SEE_THROUGH, TWO_SIDED
-
-if TYPE_CHECKING:
-    from zipf.envs.labyrinth.knowledge import Knowledge
 
 Point = tuple[float, float, float]
 
@@ -592,52 +587,3 @@ class World:
 def middle(cell: Cell) -> tuple[float, float]:
     """x and y of the middle of a cell of a text map, units."""
     return CELL * (cell[1] + 0.5), CELL * (cell[0] + 0.5)
-
-
-class Episode(ABC):
-    """The rules of a level, for one episode of one world.
-
-    The constructor builds what stays for the episode, then `begin_map` what a map begins with. A
-    map ends with `World.finish_map`; the clock goes on.
-
-    Args:
-        world: empty.
-        rng: for this episode's layout.
-    """
-
-    def __init__(self, world: World, rng: np.random.Generator) -> None:
-        self.world = world
-
-    @abstractmethod
-    def begin_map(self, rng: np.random.Generator) -> None:
-        """Places the player and everything that a map begins with."""
-
-    @abstractmethod
-    def act(self, known: Knowledge) -> int:
-        """What the level's scripted player does now: one of the fifteen actions.
-
-        It knows the rules, the instruction, and of the state of the world what `known` says: the
-        expert everything, to show that the level can be solved; the generalist what it has seen.
-        """
-
-    def renewed(self) -> Iterable[Cell]:
-        """Cells of the text map that a new map may have changed."""
-        return ()
-
-    def picked_up(self, item: int) -> None:  # noqa: B027
-        """The player has touched an item, which is gone now."""
-
-    def entered(self, zone: int) -> None:  # noqa: B027
-        """The player has entered a zone."""
-
-    def scored(self, points: int) -> None:  # noqa: B027
-        """The player has won or lost a point in combat: 1 or -1."""
-
-    def went_off(self, timer: int) -> None:  # noqa: B027
-        """A timer has gone off."""
-
-    def looked_at(self, widget: int) -> None:  # noqa: B027
-        """The player's gaze has entered a widget of the screen."""
-
-    def looked_away(self, widget: int) -> None:  # noqa: B027
-        """The player's gaze has left a widget of the screen."""

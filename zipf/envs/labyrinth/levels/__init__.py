@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from zipf.envs.labyrinth.world import Episode
+    from zipf.envs.labyrinth.episode import Episode
 
 FRAMES_PER_SECOND = 60
 

@@ -8,12 +8,13 @@ from typing import ClassVar
 import numpy as np
 
 from zipf.envs.labyrinth import themes
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.grids import Cell, random_path
 from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.mazes import MazeOptions, random_maze
 from zipf.envs.labyrinth.state import CELL
 from zipf.envs.labyrinth.steering import Ways
-from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.labyrinth.world import World
 
 SMALL = MazeOptions(11, 11, rooms=4, smallest=3, largest=5)
 LARGE = MazeOptions(17, 17, rooms=9, smallest=3, largest=3)

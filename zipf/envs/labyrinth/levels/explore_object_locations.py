@@ -7,12 +7,13 @@ from typing import ClassVar
 import numpy as np
 
 from zipf.envs.labyrinth import themes
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.levels.explore_goals import LARGE, SMALL
 from zipf.envs.labyrinth.mazes import MazeOptions, random_maze
 from zipf.envs.labyrinth.state import CELL
 from zipf.envs.labyrinth.steering import Ways
-from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.labyrinth.world import World
 
 
 class ObjectLocations(Episode):

@@ -8,12 +8,13 @@ from typing import ClassVar
 import numpy as np
 
 from zipf.envs.labyrinth import themes
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.mazes import MazeOptions, random_maze
 from zipf.envs.labyrinth.state import CELL
 from zipf.envs.labyrinth.steering import Ways
 from zipf.envs.labyrinth.words import SHAPES
-from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.labyrinth.world import World
 
 _CONSOLE = tuple(
     (r, g, b) if (r, g, b) != (170, 170, 0) else (170, 85, 0)

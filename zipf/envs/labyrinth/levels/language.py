@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.grids import Cell
 from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.layouts import Layout, Theme, build_layout
@@ -17,7 +18,6 @@ from zipf.envs.labyrinth.state import CELL, GRID
 from zipf.envs.labyrinth.steering import Ways
 from zipf.envs.labyrinth.tasks import Judge, Object
 from zipf.envs.labyrinth.words import COLOURS, SHAPES
-from zipf.envs.labyrinth.world import Episode
 
 MEDIUM = {"car": 0.8, "cassette": 0.95, "chair": 0.84, "cow": 0.81}
 """Scales of shapes that are not of their own size when they are medium."""

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from zipf.envs.labyrinth import themes
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.lasertag.arena import (
     AMMUNITION,
@@ -26,7 +27,7 @@ from zipf.envs.labyrinth.mazes import MazeOptions, random_maze
 from zipf.envs.labyrinth.mover import WIDE
 from zipf.envs.labyrinth.state import CELL
 from zipf.envs.labyrinth.steering import LARGE, NAMES, SMALL, Point, Ways, bearing, walk_to
-from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.labyrinth.world import World
 
 _FIRE = NAMES["fire"]
 _STEP = 4 / 60

@@ -7,11 +7,12 @@ from abc import abstractmethod
 
 import numpy as np
 
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.looks import Colour
 from zipf.envs.labyrinth.steering import BACKWARD, NAMES, WAIT, Ways, walk_to
 from zipf.envs.labyrinth.terrain import Terrain, make_terrain
-from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.labyrinth.world import World
 
 POOL = 100
 """How many terrains the varying levels draw from."""

@@ -8,12 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.looks import Colour
 from zipf.envs.labyrinth.screen import Place
 from zipf.envs.labyrinth.steering import look_at
-from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.labyrinth.world import World
 
 DISTANCE, HEIGHT, SIDE = 90.0, 51.0, 112.0
 """Of the screen from the eye, of its middle above the soles, and its side, units."""

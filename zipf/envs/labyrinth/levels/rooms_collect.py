@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.steering import Field, Point
-from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.labyrinth.world import World
 
 WEST, SOUTH, EAST, NORTH = -568.0, -760.0, 1016.0, 568.0
 HEIGHT = 176.0

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.grids import Cell
 from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.levels.keys_doors import COLOURS, GOAL_REWARD, random_plan, solve
 from zipf.envs.labyrinth.steering import WAIT, Ways, walk_to
-from zipf.envs.labyrinth.world import BARS, Episode, World, middle
+from zipf.envs.labyrinth.world import BARS, World, middle
 
 _HUD = (12 / 640, 12 / 480, 60 / 640, 60 / 480)
 

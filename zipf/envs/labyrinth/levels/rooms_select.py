@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.looks import Colour
 from zipf.envs.labyrinth.steering import walk_to
-from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.labyrinth.world import World
 
 HEIGHT = 128.0
 _FORMS = (

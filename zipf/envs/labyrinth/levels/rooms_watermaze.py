@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.steering import walk_to
-from zipf.envs.labyrinth.world import Episode, World
+from zipf.envs.labyrinth.world import World
 
 APOTHEM, SIDES, HEIGHT = 760.0, 16, 192.0
 STARTS, START_RADIUS = 8, 710.0

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.labyrinth import looks, themes
+from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.grids import STEPS, Cell, random_path
 from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.steering import BACKWARD, WAIT, walk_to
-from zipf.envs.labyrinth.world import Episode, World, middle
+from zipf.envs.labyrinth.world import World, middle
 
 UNIT = 20.0
 """Of height; more than a player can step up."""
