@@ -42,6 +42,7 @@ from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import (
     captions,
     comparable,
+    figures,
     markdown,
     paper,
     results,
@@ -287,6 +288,7 @@ def test_a_window_that_is_not_over_yet_is_noted(tmp_path: Path) -> None:
         ("last", windows.LastEvaluations(1)),
         ("last:10", windows.LastEvaluations(10)),
         ("scaled", "scaled"),
+        ("own", "own"),
     ],
 )
 def test_windows(text: str, window: windows.Window) -> None:
@@ -314,6 +316,30 @@ def test_a_scaled_window_has_the_same_fractions_of_a_shorter_run(tmp_path: Path)
         "Median over the evaluations at 66.7 to 100 % of each run, which are the fractions of "
         "updates 200 to 300 of the median seed (not the experiment's own window)"
     )
+
+
+def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:
+    scores = {50: (0.1,) * 3, 100: (0.2,) * 3, 200: (0.4,) * 3, 300: (0.8,) * 3}
+    write_run(tmp_path, scores, window=[100, 300])
+    write_run(tmp_path, scores, condition="r2d2", window=[50, 100])
+    write_run(tmp_path, scores, condition="r2d2", window=[200, 200], seed=1)
+    table = only_table(tmp_path, "own")
+    assert line(table, "impala", "rare")["score"] == pytest.approx(0.4)
+    assert line(table, "r2d2", "rare")["score"] == pytest.approx((0.15 + 0.4) / 2)
+    assert line(table, "r2d2", "rare")["window"] == "50:100, 200:200"
+    shown = markdown.markdown(table)
+    assert "| Condition | Seeds | Frames | Window |" in shown
+    assert "| 100 to 300 |" in shown
+    assert "| 50 to 100, 200 to 200 |" in shown
+    assert captions.caption(table).startswith(
+        "Median over the evaluations at the updates in the column Window of the median seed, ±"
+    )
+    assert figures.window_ends(table, "update") is None
+
+
+def test_where_all_runs_have_the_same_own_window_nothing_changes(runs: Path) -> None:
+    asked, usual = only_table(runs / "gridworld", "own"), only_table(runs / "gridworld")
+    assert markdown.markdown(asked) == markdown.markdown(usual)
 
 
 @pytest.mark.parametrize("text", ["", "5", "3:2", "-1:2", "a:b", "last:0", "last:25%", "1.5:2"])

@@ -63,8 +63,8 @@ def report(
         folders: run folders, or folders with runs at any depth.
         output: where `report.md`, `.tex`, the CSV files and the plots go; `<first folder>/report`
             if None.
-        window: `START:END` in updates, `last`, `last:N` or `scaled`; each experiment's own if
-            None.
+        window: `START:END` in updates, `last`, `last:N`, `scaled` or `own`; each experiment's own
+            if None.
         record: also write all tables, and what each run was, to this Markdown file; and after them
             the Markdown files in `folders` themselves, not further down.
         format: of the plots.
@@ -195,8 +195,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--window",
         metavar="WINDOW",
         help="which evaluations scores are taken from: START:END in updates (2000000:3000000 or "
-        "2M:3M), last, last:N for the last N of each run, or scaled: the window of the experiment "
-        "at the same fractions of a shorter run; default: the window of the experiment",
+        "2M:3M), last, last:N for the last N of each run, scaled: the window of the experiment "
+        "at the same fractions of a shorter run, or own: that of each run, in one table also where "
+        "they differ; default: the window of the experiment, and a table for each",
     )
     parser.add_argument(
         "--record",

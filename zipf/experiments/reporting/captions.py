@@ -9,7 +9,7 @@ from zipf.experiments.reporting.claims import published_window
 from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.experiments.reporting.windows import ScaledWindow, UpdateWindow, window_text
+from zipf.experiments.reporting.windows import OwnWindows, ScaledWindow, UpdateWindow, window_text
 from zipf.experiments.reporting.wording import EXTERNAL_MARK, PROTOCOL_SEEDS, range_text
 from zipf.references import REFERENCES
 
@@ -95,6 +95,8 @@ def _statistics(table: ScoreTable) -> list[str]:
     what = window_text(window)
     if isinstance(window, UpdateWindow | ScaledWindow):
         what = f"Median over the evaluations at {what}"
+    elif isinstance(window, OwnWindows):
+        what = "Median over the evaluations at the updates in the column Window"
     elif window.count > 1:
         what = f"Median over {what}"
     what = f"{what[0].upper()}{what[1:]}"

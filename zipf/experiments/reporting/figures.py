@@ -32,6 +32,7 @@ from zipf.experiments.reporting.styles import (
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import (
     LastEvaluations,
+    OwnWindows,
     ScaledWindow,
     UpdateWindow,
     evaluations_inside,
@@ -172,7 +173,7 @@ def _draw_curve(axis: Axes, seeds: Any, style: LineStyle, places: pd.Series | No
 def window_ends(table: ScoreTable, time: str) -> tuple[float, float] | None:
     """Between which updates or frames the window lies; None if there is none to show, or in frames
     if it is not the same for all rows."""
-    if isinstance(table.window, LastEvaluations):
+    if isinstance(table.window, LastEvaluations | OwnWindows):
         return None
     own = [run for run in table.runs if not run.description.external and len(run.evaluations)]
     lasts = {int(run.evaluations["update"].max()) for run in own}

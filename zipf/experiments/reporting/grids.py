@@ -13,6 +13,7 @@ from zipf.experiments.reporting.rows import PaperRow, Row
 from zipf.experiments.reporting.scores import other_statistic
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
+from zipf.experiments.reporting.windows import OwnWindows
 from zipf.experiments.reporting.wording import (
     KIND_NAMES,
     NONE,
@@ -74,7 +75,7 @@ class Grid:
 def main_grid(table: ScoreTable) -> Grid:
     """A line for each row of the table, a column for each level kind."""
     columns, scores = _with_plain_means(table)
-    parts = _by_row(table.rows, scores, columns, _frames(table))
+    parts = _by_row(table.rows, scores, columns, _budgets(table))
     return Grid(table.title, table.name, _leading(table), list(columns.values()), *parts)
 
 
@@ -83,9 +84,8 @@ def lower_grids(table: ScoreTable) -> Iterator[Grid]:
     kind that has several, as columns, or as lines if they are too many."""
     if table.is_capped:
         columns = {levels.column: KIND_NAMES[levels.level_kind] for levels in table.kinds}
-        parts = _by_row(
-            table.rows, other_statistic(table.scores, "capped"), columns, _frames(table)
-        )
+        capped = other_statistic(table.scores, "capped")
+        parts = _by_row(table.rows, capped, columns, _budgets(table))
         name = f"{table.name}-capped"
         yield Grid("capped scores", name, _leading(table), list(columns.values()), *parts)
     for levels in table.kinds:
@@ -96,7 +96,7 @@ def lower_grids(table: ScoreTable) -> Iterator[Grid]:
         name = f"{table.name}-{levels.level_kind}"
         if len(groups) <= MOST_COLUMNS:
             columns = dict(zip((group.column for group in groups), _names(groups), strict=True))
-            parts = _by_row(table.rows, table.group_scores, columns, _frames(table))
+            parts = _by_row(table.rows, table.group_scores, columns, _budgets(table))
             yield Grid(title, name, _leading(table), list(columns.values()), *parts)
         else:
             references = _known_references(table.group_scores, [group.column for group in groups])
@@ -134,20 +134,32 @@ def _with_plain_means(table: ScoreTable) -> tuple[dict[str, str], pd.DataFrame]:
     return columns, pd.concat(parts)
 
 
-def _frames(table: ScoreTable) -> dict[str, int]:
-    """The frames behind each row's score where they differ, else empty: there is no such column."""
-    return table.frames if table.budgets_differ else {}
+def _budgets(table: ScoreTable) -> dict[str, dict[str, str]]:
+    """By heading, a cell for each row's key: the frames behind a row's score, and the window that
+    it is taken from. What is the same for all rows has no column."""
+    budgets = {}
+    if table.budgets_differ:
+        budgets["Frames"] = {key: count_text(frames) for key, frames in table.frames.items()}
+    if isinstance(table.window, OwnWindows):
+        budgets["Window"] = {row.key: _windows(row) for row in table.rows if not row.external}
+    return budgets
+
+
+def _windows(row: Row) -> str:
+    """The windows of a row's runs, in updates."""
+    found = sorted({run.description.window or (0, 0) for run in row.runs})
+    return ", ".join(f"{count_text(start)} to {count_text(end)}" for start, end in found)
 
 
 def _leading(table: ScoreTable) -> list[str]:
-    return ["Condition", "Seeds", *(["Frames"] if _frames(table) else [])]
+    return ["Condition", "Seeds", *_budgets(table)]
 
 
 def _by_row(
     rows: Sequence[Row | PaperRow],
     frame: pd.DataFrame,
     columns: Mapping[str, str],
-    frames: Mapping[str, int],
+    budgets: Mapping[str, Mapping[str, str]],
 ) -> tuple[list[Line], list[Line]]:
     """A line for each row that has scores in these columns, which are headings by the frame's
     `column`; and the last lines, of the references that are known."""
@@ -158,13 +170,12 @@ def _by_row(
         if scores["seeds"].isna().all():
             continue  # a row of another table than the columns'
         leading = [row.title, seeds_text(int(scores["seeds"].min()))]
-        if frames:
-            leading.append(count_text(frames[row.key]) if row.key in frames else NONE)
+        leading += [cells.get(row.key, NONE) for cells in budgets.values()]
         lines.append(_line(leading, scores))
     references = []
     for one in _known_references(frame, list(columns)):
         known = frame.groupby("column")[one.name].first().reindex(list(columns))
-        leading = [one.title, *[""] * (2 if frames else 1)]
+        leading = [one.title, *[""] * (1 + len(budgets))]
         texts = [score_text(value) for value in known]
         references.append(Line(leading, texts, [""] * len(columns)))
     return lines, references

@@ -114,7 +114,7 @@ def score_frame(
                     "paper_value": published.value if published else np.nan,
                     "paper_error": error if error is not None else np.nan,
                     **references[levels.column],
-                    "window": str(window_of(row.runs[0], window)),
+                    "window": ", ".join({str(window_of(run, window)): run for run in row.runs}),
                 }
             )
     frame = pd.DataFrame(lines, columns=["row", "column", *CSV_COLUMNS])

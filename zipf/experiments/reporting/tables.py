@@ -20,6 +20,8 @@ from zipf.experiments.reporting.scores import CSV_COLUMNS, score_frame
 from zipf.experiments.reporting.windows import (
     Asked,
     LastEvaluations,
+    OwnWindows,
+    UpdateWindow,
     Window,
     evaluations_inside,
     used_window,
@@ -113,7 +115,8 @@ def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[Score
     """One table per experiment; more where runs of an experiment cannot be compared.
 
     Args:
-        window: instead of each run's own; "scaled" for that at the same fractions of shorter runs.
+        window: instead of each run's own; "scaled" for that at the same fractions of shorter runs;
+            "own" for each run's own, with those that differ in one table.
 
     Raises:
         UserError: two runs of a table are the same condition and seed, or a run names a published
@@ -128,6 +131,9 @@ def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[Score
         if not description.external:
             assert description.window is not None  # checked when it was read
             used = used_window(description.window, window)
+            own = {run.description.window for run in group.runs if not run.description.external}
+            if isinstance(used, OwnWindows) and len(own) == 1:
+                used = UpdateWindow(*description.window)
         kinds = tuple(description.levels_of(level_kind) for level_kind in LEVEL_KINDS)
         groups = tuple(part for levels in kinds for part in _parts(levels, paper))
         whole = score_frame(rows, kinds, used, group.name, description.experiment, paper)
@@ -139,7 +145,7 @@ def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[Score
                 description=description,
                 rows=rows,
                 window=used,
-                own_window=window is None or description.external is not None,
+                own_window=window in (None, "own") or description.external is not None,
                 paper=paper if whole["paper_value"].notna().any() else None,
                 kinds=kinds,
                 scores=whole,

@@ -66,26 +66,40 @@ class ScaledWindow:
         return f"scaled:{self.start}:{self.end}"
 
 
-Window = UpdateWindow | LastEvaluations | ScaledWindow
-Asked = UpdateWindow | LastEvaluations | Literal["scaled"]
-"""What a reader may ask for: a window, or each experiment's own, scaled to each run."""
+@dataclass(frozen=True)
+class OwnWindows:
+    """Of each run the window in its options, where those of a table's runs differ."""
+
+    def __str__(self) -> str:
+        return "own"
+
+
+Window = UpdateWindow | LastEvaluations | ScaledWindow | OwnWindows
+Asked = UpdateWindow | LastEvaluations | Literal["scaled", "own"]
+"""What a reader may ask for: a window; each experiment's own, scaled to each run; or each run's
+own, whether or not the other runs of its table have the same."""
 
 
 def used_window(own: tuple[int, int], asked: Asked | None) -> Window:
     """The window of an experiment whose own is `own`, in updates; None asks for that."""
+    if asked == "own":
+        return OwnWindows()
     if asked == "scaled":
         return ScaledWindow(*own)
     return asked or UpdateWindow(*own)
 
 
 def parse_window(text: str) -> Asked:
-    """The window that `text` names: `2000000:3000000`, `2M:3M`, `last`, `last:10` or `scaled`.
+    """The window that `text` names: `2000000:3000000`, `2M:3M`, `last`, `last:10`, `scaled` or
+    `own`.
 
     Raises:
         UserError: none of these.
     """
     if text == "scaled":
         return "scaled"
+    if text == "own":
+        return "own"
     if match := re.fullmatch(r"last(?::([1-9][0-9]{0,8}))?", text):
         return LastEvaluations(int(match[1] or 1))
     if match := re.fullmatch(r"([0-9]{1,12})([kM]?):([0-9]{1,12})([kM]?)", text):
@@ -97,12 +111,14 @@ def parse_window(text: str) -> Asked:
     raise UserError(
         f"window {text!r} is neither START:END in updates (2000000:3000000, 2M:3M), nor last or "
         f"last:N (the last N evaluations of each run), nor scaled (the experiment's own window, at "
-        f"the same fractions of a shorter run)"
+        f"the same fractions of a shorter run), nor own (that of each run, in one table)"
     )
 
 
 def window_text(window: Window) -> str:
     """The window in words."""
+    if isinstance(window, OwnWindows):
+        return "each run's own window"
     if isinstance(window, UpdateWindow):
         return f"updates {count_text(window.start)} to {count_text(window.end)}"
     if isinstance(window, ScaledWindow):
@@ -114,9 +130,14 @@ def window_text(window: Window) -> str:
     return f"the last {window.count} evaluations" if window.count > 1 else "the last evaluation"
 
 
-def window_of(run: Run, window: Window) -> Window:
+def window_of(run: Run, window: Window) -> UpdateWindow | LastEvaluations | ScaledWindow:
     """The window that a run of a table is scored over: an external agent's last evaluation."""
-    return LastEvaluations(1) if run.description.external else window
+    if run.description.external:
+        return LastEvaluations(1)
+    if isinstance(window, OwnWindows):
+        assert run.description.window is not None  # checked when it was read
+        return UpdateWindow(*run.description.window)
+    return window
 
 
 def evaluations_inside(run: Run, window: Window) -> pd.DataFrame:
