@@ -41,6 +41,7 @@ TASKS = (
             "collector.num_envs=64,collector.unroll_length=64": (
                 "IMPALA that begins with its encoder, augmented"
             ),
+            "impala_comparing_settled": "The same, with a learning rate that falls to 0",
             "imitation_comparing_augmented,precision=bfloat16": "Imitation that learns to compare",
         },
     ),
@@ -57,6 +58,7 @@ TASKS = (
 
 
 def tail() -> list[str]:
+    """The table's lines. Frames are those of the runs that an agent began with, too."""
     rows: list[tuple[str, ...]] = []
     for task in TASKS:
         folders = [RESULTS / task.experiment / name for name in task.conditions]
@@ -64,10 +66,12 @@ def tail() -> list[str]:
         published = paper_table(split(runs[0].description.split).paper or "").rows.values()
         best = [max(row[kind].value for row in published if kind in row) for kind in LEVEL_KINDS]
         rows.append((task.title, "the paper's best", "", "", *(f"{one:.2f}" for one in best)))
-        found = pd.concat([table.scores for table in score_tables(runs)])
+        found = pd.concat([table.scores for table in score_tables(runs, "own")])
         for name, title in task.conditions.items():
             scores = found[found["condition"] == name].set_index("level_kind")
             seeds, frames = int(scores["seeds"].min()), int(scores["frames"].min())
+            of_row = [run.description for run in runs if run.description.condition == name]
+            frames += max(run.pretrained.frames if run.pretrained else 0 for run in of_row)
             shown = (f"{scores['score'][kind]:.2f}" for kind in LEVEL_KINDS)
             rows.append(("", title, str(seeds), count_text(frames), *shown))
     heading = ("Task", "Agent", "Seeds", "Frames", *(KIND_NAMES[kind] for kind in LEVEL_KINDS))
