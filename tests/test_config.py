@@ -325,6 +325,17 @@ def test_a_sweep_is_checked_before_it_starts():
     assert any("gridwrld" in line for line in lines)
 
 
+def test_the_command_line_changes_parts_of_a_row():
+    start = ["experiment=gridworld", "condition=impala_byol"]
+    usual = command_line.load(start).row
+    asked = command_line.load([*start, 'row.title="Ours, longer"', "row.line=dashed"]).row
+    assert asked == usual.model_copy(update={"title": "Ours, longer", "line": "dashed"})
+    assert command_line.load([*start, "name=ours", 'row.title="Ours"']).row.title == "Ours"
+    assert command_line.load([*start, "name=ours"]).row.title == "ours"
+    with pytest.raises(UserError, match=r"row.titel: no such option; did you mean row.title"):
+        command_line.load([*start, "row.titel=Ours"])
+
+
 CONDITIONS = [
     (["experiment=gridworld"], "impala"),
     (["experiment=gridworld", "memory=mlp"], "impala_mlp"),

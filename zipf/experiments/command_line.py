@@ -67,6 +67,7 @@ def read(overrides: list[str]) -> Config:
     values["condition"] = _name(composed) if name is None else name
     named = isinstance(values["condition"], str) and values["condition"]
     values["row"] = _row(values["condition"]) if named else {"title": "unnamed"}
+    values["row"] |= _asked_of_row(parsed, composed)
     del values["without_instruction"]
     try:
         config = schema().model_validate(values)
@@ -183,6 +184,13 @@ def _row(condition: str) -> dict[str, Any]:
     row = composing.condition_file(base).get("row") if base in choices("condition") else None
     row = row or {"title": base}
     return {**row, "title": ", ".join([row.get("title", base), *changes])}
+
+
+def _asked_of_row(overrides: list[Override], composed: Composed) -> dict[str, Any]:
+    """What the command line says of the row: `row.title="..."`."""
+    asked = {one.key_or_group for one in overrides}
+    row = composed.values["row"] or {}
+    return {part: value for part, value in row.items() if f"row.{part}" in asked}
 
 
 def _advice(parser: OverridesParser, text: str) -> str:
