@@ -83,13 +83,14 @@ WORLDS = [
             "impala,network=comparing,precision=bfloat16,network.comparison=given": Agent(
                 "IMPALA + LSTM, comparison given", "#33bbee", "--"
             ),
+            "impala_given_augmented": Agent("Given, then augmented", "#ee7733", "-."),
             "impala_comparing_hindsight,precision=bfloat16": Agent(
                 "IMPALA, comparison learned, hindsight", "#ee3377"
             ),
             "impala_comparing_augmented,precision=bfloat16,"
             "pretrained.run=gridworld_compact_impala_comparing_hindsight,precision=bfloat16,"
             "collector.num_envs=64,collector.unroll_length=64": Agent(
-                "Begins with its encoder, augmented", "#cc3311", "--"
+                "Learned, then augmented", "#cc3311", "--"
             ),
             "imitation_comparing_augmented,precision=bfloat16": Agent(
                 "Imitation, comparison learned", "#009988"
