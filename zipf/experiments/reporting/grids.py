@@ -18,6 +18,7 @@ from zipf.experiments.reporting.wording import (
     KIND_NAMES,
     NONE,
     count_text,
+    interval_text,
     score_text,
     seeds_text,
     short_name,
@@ -147,8 +148,8 @@ def _budgets(table: ScoreTable) -> dict[str, dict[str, str]]:
 
 def _windows(row: Row) -> str:
     """The windows of a row's runs, in updates."""
-    found = sorted({run.description.window or (0, 0) for run in row.runs})
-    return ", ".join(f"{count_text(start)} to {count_text(end)}" for start, end in found)
+    found = {run.description.window for run in row.runs if run.description.window}
+    return ", ".join(interval_text(*window) for window in sorted(found))
 
 
 def _leading(table: ScoreTable) -> list[str]:

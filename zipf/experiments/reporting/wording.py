@@ -47,6 +47,11 @@ def range_text(counts: Sequence[int]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
+def interval_text(start: int, end: int) -> str:
+    """`150 to 1,000`, and both numbers also where they are the same."""
+    return f"{count_text(start)} to {count_text(end)}"
+
+
 def duration_text(seconds: float) -> str:
     """`45 s`, `12 min`, `3 h 05 min`."""
     if seconds < 60:
