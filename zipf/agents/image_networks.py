@@ -139,7 +139,7 @@ class ResNet(nn.Module):
         self.size = height * width * channels
 
     def forward(self, image: Tensor) -> Tensor:
-        return self.layers(image.permute(0, 3, 1, 2) / 255.0)
+        return self.layers[1:](convolve_pixels(image, self.layers[0], centred=False))
 
 
 class ShallowNet(nn.Module):
@@ -166,7 +166,7 @@ class ShallowNet(nn.Module):
         self.layers.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, image: Tensor) -> Tensor:
-        return self.layers(pixels(image, centred=self.centred))
+        return self.layers[1:](convolve_pixels(image, self.layers[0], centred=self.centred))
 
 
 def dense_layer(inputs: int, options: ShallowOptions) -> nn.Sequential:
@@ -175,10 +175,20 @@ def dense_layer(inputs: int, options: ShallowOptions) -> nn.Sequential:
     return nn.Sequential(nn.Linear(inputs, options.size), *norm, nn.ReLU())
 
 
-def pixels(image: Tensor, *, centred: bool) -> Tensor:
-    """Images uint8 [N, H, W, C] as float32 [N, C, H, W] in [0, 1]; in [-1, 1] if `centred`."""
-    image = image.permute(0, 3, 1, 2)
-    return image / 127.5 - 1 if centred else image / 255.0
+def convolve_pixels(image: Tensor, convolution: nn.Module, *, centred: bool) -> Tensor:
+    """A convolution of images uint8 [N, H, W, C] whose pixels are scaled to [0, 1], or to [-1, 1]
+    if `centred`: [N, F, h, w].
+
+    Its weights are scaled in the place of the pixels, which saves passes over the largest tensor
+    there is, and bfloat16 holds every byte as it is. Centred pixels are not padded.
+    """
+    assert isinstance(convolution, nn.Conv2d)
+    assert convolution.bias is not None
+    weight, bias = convolution.weight / 255.0, convolution.bias
+    if centred:  # W (2 p / 255 - 1) + b
+        weight, bias = 2 * weight, bias - convolution.weight.sum((1, 2, 3))
+    pixels = image.permute(0, 3, 1, 2).to(_compute_dtype(image))
+    return F.conv2d(pixels, weight, bias, convolution.stride, convolution.padding)
 
 
 class InstructedNet(nn.Module):
@@ -202,6 +212,13 @@ class InstructedNet(nn.Module):
         self.size = options.size
         self.centred = options.normalise
 
+    def convolve(self, layer: int, seen: Tensor) -> Tensor:
+        """A convolution of the image, for the first, or of what the one before has found."""
+        convolution = self.convolutions[layer]
+        if layer == 0:
+            return convolve_pixels(seen, convolution, centred=self.centred)
+        return convolution(seen)
+
 
 class FiLMNet(InstructedNet):
     """Feature-wise linear modulation (Perez et al. 2018): after each convolution, and before its
@@ -218,10 +235,10 @@ class FiLMNet(InstructedNet):
         self.dense = dense_layer(self.grid.numel(), options)
 
     def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
-        seen = pixels(image, centred=self.centred)
-        for convolution, modulation in zip(self.convolutions, self.modulations, strict=True):
+        seen = image
+        for layer, modulation in enumerate(self.modulations):
             scale, shift = modulation(instruction)[:, :, None, None].chunk(2, 1)
-            seen = ((1 + scale) * convolution(seen) + shift).relu()
+            seen = ((1 + scale) * self.convolve(layer, seen) + shift).relu()
         return self.dense(seen.flatten(1))
 
 
@@ -244,9 +261,9 @@ class AttentionNet(InstructedNet):
         self.dense = dense_layer(self.grid.numel() + read, options)
 
     def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
-        seen = pixels(image, centred=self.centred)
-        for convolution in self.convolutions:
-            seen = convolution(seen).relu()
+        seen = image
+        for layer in range(len(self.convolutions)):
+            seen = self.convolve(layer, seen).relu()
         weights = self.weights(seen, instruction)
         found = weights @ seen.flatten(2).transpose(1, 2).to(weights.dtype)
         parts = (seen.flatten(1), found.flatten(1), weights.flatten(1))
