@@ -336,6 +336,13 @@ def test_the_command_line_changes_parts_of_a_row():
         command_line.load([*start, "row.titel=Ours"])
 
 
+def test_an_option_without_its_group_is_found_in_all_groups():
+    with pytest.raises(UserError, match=r"lag: no such option; did you mean collector.lag\?"):
+        command_line.load(["experiment=gridworld", "lag=0"])
+    with pytest.raises(UserError, match=r"did you mean memory.size or network.size\?"):
+        command_line.load(["experiment=gridworld_compact", "size=64"])
+
+
 CONDITIONS = [
     (["experiment=gridworld"], "impala"),
     (["experiment=gridworld", "memory=mlp"], "impala_mlp"),

@@ -139,7 +139,8 @@ def parts() -> list[str]:
 
 
 def nearest(name: str, accepted: list[str]) -> str:
-    """The end of an error message: the most similar names, or all that are accepted."""
+    """The end of an error message: the same name in other groups, the most similar names, or all
+    that are accepted."""
     group, dot, option = name.rpartition(".")
     within = [other for other in accepted if other.rpartition(".")[0] == group]
     if dot and within:  # the group is right: compare the rest only
@@ -147,7 +148,8 @@ def nearest(name: str, accepted: list[str]) -> str:
         close = [f"{group}.{other}" for other in close]
         accepted = within
     else:
-        close = difflib.get_close_matches(name, accepted, n=3)
+        close = [other for other in accepted if other.rpartition(".")[2] == name]
+        close = close or difflib.get_close_matches(name, accepted, n=3)
     if close:
         return f"did you mean {' or '.join(close)}?"
     return f"should be one of {', '.join(sorted(accepted))}"
