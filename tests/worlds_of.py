@@ -52,7 +52,7 @@ def needs(
         return f"splits with such questions: {', '.join(filter(asks, envs.all_splits()))}"
     if auxiliary == "vision_language" and not speaks(experiment):
         return "needs an instruction"
-    if network in ("film", "attention") and not speaks(experiment):
+    if network in ("film", "attention", "matching") and not speaks(experiment):
         return "reads images by an instruction"
     if augmentation != "none" and envs.family_of_split(split).symmetries is None:
         return "declare no symmetries"

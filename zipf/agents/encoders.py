@@ -25,6 +25,7 @@ from zipf.agents.image_networks import (
     EncoderOptions,
     ImageNetwork,
     InstructedNet,
+    MatchingNet,
     NetworkOptions,
     image_network,
 )
@@ -177,6 +178,7 @@ class Encoder(nn.Module):
 
     Attributes:
         encoders: for each of `names`, the parts it reads, an encoder of [N, ...] -> [N, its size].
+        texts: the names of the parts that are texts.
         size: of the result.
 
     Raises:
@@ -204,6 +206,7 @@ class Encoder(nn.Module):
         codes.sort(key=lambda name: (-math.prod(space[name].shape or ()), name))
 
         self.size = 0
+        self.texts = texts
         self.names: list[tuple[str, ...]] = []
         self.encoders = nn.ModuleList()
         told = InstructionEncoder.size * len(texts)
@@ -233,6 +236,18 @@ class Encoder(nn.Module):
         for network in networks:
             network.compile()
         return len(networks)
+
+    def match(self, observation: dict[str, Tensor], asked: dict[str, Tensor]) -> Tensor:
+        """How well images show what instructions name, by `network=matching`: the images of
+        `{name: [N, ...]}` and the texts of `{name: [G, ...]}` -> float32 [N, G], the largest of
+        the scores of all places (softly: the logarithm of the sum of their exponentials)."""
+        told = torch.cat([self.reader(name)(asked[name]) for name in self.texts], -1)
+        scores = [
+            network.matcher(observation[names[0]], told)
+            for names, network in zip(self.names, self.encoders, strict=True)
+            if isinstance(network, MatchingNet)
+        ]
+        return torch.cat(scores, 1).logsumexp(1)
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """`{name: [N, ...]}` -> `[N, size]`."""

@@ -18,10 +18,12 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import torch
+import torch.nn.functional as F
 from pydantic import Field
 from tensordict import TensorDict
 from torch import Tensor
 
+from zipf.agents.encoders import Encoder
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast
 from zipf.options import Options
 
@@ -42,7 +44,8 @@ class AchievedOptions(Options):
     episodes that achieved a goal, asked for or not, are kept of each goal, and updates draw from
     these, every goal as often as the others. `reward` is what success pays. `policy_cost` and
     `value_cost` are c_p and c_v, and after `fade` updates they are 0; None: they stay as they are.
-    `advantage` and `value_cost` are of actor-critics alone; R2D2 needs no costs.
+    `advantage` and `value_cost` are of actor-critics alone; R2D2 needs no costs. `matching_cost`
+    times the contrastive loss of `network=matching` is added.
     """
 
     name: Literal["achieved"]
@@ -54,6 +57,7 @@ class AchievedOptions(Options):
     policy_cost: NotNegative
     value_cost: NotNegative
     fade: Annotated[int, Field(ge=1)] | None
+    matching_cost: NotNegative = 0.0
 
     def share(self, updates: int) -> float:
         """Of the costs, after so many updates."""
@@ -83,13 +87,15 @@ def hindsight_loss(
     """
     if isinstance(options, NoHindsightOptions):
         return 0.0, {}
+    matching, matched = matching_loss(network.encoder, episodes, options, precision=precision)
     share = options.share(updates)
     if episodes is None or share == 0:
         nothing = torch.tensor(float("nan"))
-        return 0.0, {
+        return matching, {
             "hindsight_policy_loss": nothing,
             "hindsight_value_loss": nothing,
             "hindsight_episodes": torch.tensor(0.0),
+            **matched,
         }
     mask = episodes["mask"]
     with autocast(mask.device.type, precision):
@@ -102,11 +108,40 @@ def hindsight_loss(
     policy_loss = -(log_pi * factor * mask).sum() / frames
     value_loss = 0.5 * (better.square() * mask).sum() / frames
     loss = share * (options.policy_cost * policy_loss + options.value_cost * value_loss)
-    return loss, {
+    return loss + matching, {
         "hindsight_policy_loss": policy_loss,
         "hindsight_value_loss": value_loss,
         "hindsight_episodes": torch.tensor(float(mask.shape[1])),
+        **matched,
     }
+
+
+def matching_loss(
+    encoder: Encoder,
+    episodes: TensorDict | None,
+    options: AchievedOptions,
+    *,
+    precision: Literal["float32", "bfloat16"] = "float32",
+) -> tuple[Tensor | float, dict[str, Tensor]]:
+    """The contrastive loss of the last frames of relabelled episodes [L, E], times its cost, and
+    the metric `matching_accuracy`: how often the achieved goal matches best of those in the batch.
+
+    Without such an episode the loss is 0 and the metric NaN; without a cost there is no metric.
+    """
+    if not options.matching_cost:
+        return 0.0, {}
+    if episodes is None:
+        return 0.0, {"matching_accuracy": torch.tensor(float("nan"))}
+    ends = episodes["mask"].sum(0) - 1
+    each = torch.arange(len(ends), device=ends.device)
+    last = {name: frames[ends, each] for name, frames in episodes["observation"].items()}
+    texts = [last[name] for name in encoder.texts]
+    goals, goal = torch.cat(texts, 1).unique(dim=0, return_inverse=True)
+    parts = goals.split([text.shape[1] for text in texts], 1)
+    with autocast(goal.device.type, precision):
+        scores = encoder.match(last, dict(zip(encoder.texts, parts, strict=True)))
+    loss = options.matching_cost * F.cross_entropy(scores, goal)
+    return loss, {"matching_accuracy": (scores.argmax(-1) == goal).float().mean()}
 
 
 def discounted_returns(rewards: Tensor, discount: float) -> Tensor:

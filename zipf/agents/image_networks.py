@@ -93,11 +93,24 @@ class AttentionOptions(ShallowOptions):
     key_size: Size
 
 
+class MatchingOptions(ShallowOptions):
+    """As shallow, and places of the image are matched with the instruction.
+
+    `match_channels` are those of the convolutions whose keys are matched, with the kernels and
+    strides of the others; one of 3 x 3 follows. Keys and queries have `key_size` numbers.
+    """
+
+    name: Literal["matching"]  # type: ignore[assignment]
+    match_channels: Annotated[list[Size], Field(min_length=1)]
+    key_size: Size
+
+
 NetworkOptions = Annotated[
     ResNetOptions
     | ShallowOptions
     | FiLMOptions
     | AttentionOptions
+    | MatchingOptions
     | CompactOptions
     | ComparingOptions,
     Field(discriminator="name"),
@@ -277,6 +290,91 @@ class AttentionNet(InstructedNet):
         return (queries @ keys.transpose(1, 2) / self.key_size**0.5).softmax(-1)
 
 
+class Matcher(nn.Module):
+    """How well each place of an image shows what an instruction names.
+
+    A place has a key, what convolutions find there, and an instruction a query, linear in its code:
+    score = e^s cos(key, query) + offset, where s is learned and the offset, linear in what
+    convolutions find, is the place's own, whatever is asked for. Images and texts that meet in
+    cosines: Radford et al. 2021. `zipf.agents.hindsight` has a loss for it.
+    """
+
+    def __init__(self, shape: tuple[int, ...], options: MatchingOptions, instruction: int):
+        super().__init__()
+        inputs = [shape[2], *options.match_channels]
+        layers = zip(inputs[:-1], inputs[1:], options.kernels, options.strides, strict=True)
+        self.convolutions = nn.ModuleList(nn.Conv2d(*layer) for layer in layers)
+        self.convolutions.append(nn.Conv2d(inputs[-1], inputs[-1], 3, padding=1))
+        self.convolutions.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.key = nn.Linear(inputs[-1], options.key_size)
+        self.query = nn.Linear(instruction, options.key_size)
+        self.offset = nn.Linear(inputs[-1], 1)
+        self.sharpness = nn.Parameter(torch.tensor(2.0))
+        self.centred = options.normalise
+
+    def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
+        """The scores of all G instructions in all places: uint8 [N, H, W, C], [G, instruction size]
+        -> float32 [N, places, G]."""
+        keys, offset = self._read(image)
+        queries = self._queries(instruction)
+        with torch.autocast(image.device.type, enabled=False):
+            return self.sharpness.exp() * (keys @ queries.T) + offset
+
+    def each(self, image: Tensor, instruction: Tensor) -> Tensor:
+        """The scores of each image's own instruction: uint8 [N, H, W, C], [N, instruction size] ->
+        float32 [N, places]."""
+        keys, offset = self._read(image)
+        queries = self._queries(instruction)
+        with torch.autocast(image.device.type, enabled=False):
+            return (self.sharpness.exp() * (keys @ queries.unsqueeze(-1)) + offset).squeeze(-1)
+
+    def _read(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """Keys of length 1 [N, places, key size] and offsets [N, places, 1], float32."""
+        seen = convolve_pixels(image, self.convolutions[0], centred=self.centred).relu()
+        for convolution in self.convolutions[1:]:
+            seen = convolution(seen).relu()
+        places = seen.flatten(2).transpose(1, 2)
+        return F.normalize(self.key(places).float(), dim=-1), self.offset(places).float()
+
+    def _queries(self, instruction: Tensor) -> Tensor:
+        return F.normalize(self.query(instruction).float(), dim=-1)
+
+
+class MatchingNet(InstructedNet):
+    """A network that does not read the instruction, and a `Matcher` that tells it where to look.
+
+    The dense layer reads what the convolutions found, the matcher's score in every place, and of
+    softmax(scores) the mean place (x, y in [-1, 1]; a spatial soft argmax, Levine et al. 2016) and
+    the mean score. So all that it is told of the instruction is where things are: what it learns
+    to do about one goal holds for any other.
+    """
+
+    places: Tensor
+
+    def __init__(self, shape: tuple[int, ...], options: MatchingOptions, instruction: int):
+        super().__init__(shape, options)
+        self.matcher = Matcher(shape, options, instruction)
+        _, rows, columns = self.grid
+        y, x = torch.linspace(-1, 1, rows), torch.linspace(-1, 1, columns)
+        places = torch.stack([x.repeat(rows), y.repeat_interleave(columns)], -1)
+        self.register_buffer("places", places, persistent=False)
+        self.dense = dense_layer(self.grid.numel() + rows * columns + 3, options)
+
+    def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
+        seen = image
+        for layer in range(len(self.convolutions)):
+            seen = self.convolve(layer, seen).relu()
+        scores = self.matcher.each(image, instruction)
+        with torch.autocast(image.device.type, enabled=False):
+            weights = scores.softmax(-1)
+            mean = (weights * scores).sum(-1, keepdim=True)
+            parts = (seen.flatten(1), _TAMED * scores, weights @ self.places, _TAMED * mean)
+        return self.dense(torch.cat([part.to(seen.dtype) for part in parts], 1))
+
+
+_TAMED = 0.25  # ours: scores reach 10 and more, what convolutions find is near 1
+
+
 class PatchEncoder(nn.Module):
     """Patches, each embedded alike, then a dense layer: uint8 [N, H, W, C] -> [N, F].
 
@@ -431,7 +529,7 @@ def image_network(
         ValueError: it cannot read images of that size, or needs an instruction.
     """
     match options:
-        case FiLMOptions() | AttentionOptions() if not instruction:
+        case FiLMOptions() | AttentionOptions() | MatchingOptions() if not instruction:
             raise ValueError(
                 f"network={options.name} reads images by an instruction, and the observations have "
                 "none; choose network=shallow"
@@ -440,6 +538,8 @@ def image_network(
             return FiLMNet(shape, options, instruction)
         case AttentionOptions():
             return AttentionNet(shape, options, instruction)
+        case MatchingOptions():
+            return MatchingNet(shape, options, instruction)
         case ResNetOptions():
             return ResNet(shape, options)
         case ShallowOptions():

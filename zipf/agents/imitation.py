@@ -30,7 +30,7 @@ from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.averaging import average_gradients
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary, build_recorder
-from zipf.agents.hindsight import NoHindsightOptions
+from zipf.agents.hindsight import NoHindsightOptions, matching_loss
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
@@ -208,15 +208,18 @@ class Imitation(Agent):
         options = self.setting.hindsight
         if isinstance(options, NoHindsightOptions):
             return 0.0, {}
+        matching, matched = matching_loss(
+            self.network.encoder, episodes, options, precision=self.precision
+        )
         if episodes is None:
-            return 0.0, {"hindsight_accuracy": torch.tensor(float("nan"))}
+            return matching, {"hindsight_accuracy": torch.tensor(float("nan")), **matched}
         mask, action = episodes["mask"], episodes["action"]
         with autocast(self.device, self.precision):
             logits, _, _ = self.network(Inputs.of(episodes), self.initial_memory(mask.shape[1]))
         loss = F.cross_entropy(logits[mask], action[mask])
         accuracy = (logits.argmax(-1) == action)[mask].float().mean()
         cost = options.policy_cost * options.share(self.updates)
-        return cost * loss, {"hindsight_accuracy": accuracy}
+        return cost * loss + matching, {"hindsight_accuracy": accuracy, **matched}
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that `update` changes."""

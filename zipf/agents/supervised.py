@@ -29,7 +29,7 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.averaging import average_gradients
-from zipf.agents.hindsight import NoHindsightOptions
+from zipf.agents.hindsight import NoHindsightOptions, matching_loss
 from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
@@ -170,13 +170,17 @@ class Supervised(Agent):
         options = self.setting.hindsight
         if isinstance(options, NoHindsightOptions):
             return 0.0, {}
+        matching, matched = matching_loss(
+            self.network.encoder, questions, options, precision=self.precision
+        )
         if questions is None:
-            return 0.0, {"hindsight_accuracy": torch.tensor(float("nan"))}
+            return matching, {"hindsight_accuracy": torch.tensor(float("nan")), **matched}
         answer = questions["action"][0]
         with autocast(self.device, self.precision):
             logits = self.network(Inputs.of(questions), self.initial_memory(len(answer)))[0]
         loss = options.policy_cost * options.share(self.updates) * F.cross_entropy(logits, answer)
-        return loss, {"hindsight_accuracy": (logits.argmax(-1) == answer).float().mean()}
+        accuracy = (logits.argmax(-1) == answer).float().mean()
+        return loss + matching, {"hindsight_accuracy": accuracy, **matched}
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that `update` changes."""

@@ -144,6 +144,12 @@ def _lacks_goals(config: Config) -> Iterator[str]:
             f"hindsight={config.hindsight.name}: the worlds of {family.name} do not say what an "
             "episode asks for; choose hindsight=none"
         )
+    cost = getattr(config.hindsight, "matching_cost", 0.0)
+    if cost and config.network.name != "matching":
+        yield (
+            f"hindsight.matching_cost={cost}: network={config.network.name} matches no images with "
+            "instructions; choose 0, or network=matching"
+        )
 
 
 def has_instruction(environment: dict[str, Any]) -> bool:
