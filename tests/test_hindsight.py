@@ -14,11 +14,13 @@ from scipy.stats import chisquare
 from tensordict import TensorDict
 from test_agent import LSTM, NAMES, build, unrolls
 from test_impala import OPTIONS as IMPALA
+from test_instructed_networks import MATCHING, SPACE
 
 from zipf import envs
 from zipf.agents import agents
 from zipf.agents.agent import Setting
-from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions, hindsight_loss
+from zipf.agents.encoders import Encoder
+from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions, hindsight_loss, matching_loss
 from zipf.agents.impala import Impala
 from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
@@ -390,6 +392,48 @@ def test_the_loss_is_its_definition(advantage):
     only_policy = options.model_copy(update={"value_cost": 0.0})
     hindsight_loss(network, episodes, only_policy, discount=0.9, updates=0)[0].backward()
     assert not bias.grad.any()
+
+
+def questions_of(lengths, goals):
+    """Relabelled episodes [L, E] with images and texts, each frame of an episode with its goal."""
+    SPACE.seed(1)
+    frames = [[SPACE.sample() for _ in lengths] for _ in range(max(lengths))]
+    image = torch.tensor(np.array([[one["image"] for one in row] for row in frames]))
+    instruction = torch.zeros(max(lengths), len(lengths), 4, dtype=torch.int64)
+    instruction[:, :, 0] = torch.tensor(goals)
+    mask = torch.arange(max(lengths))[:, None] < torch.tensor(lengths)
+    observation = TensorDict({"image": image, "instruction": instruction}, mask.shape)
+    return TensorDict({"observation": observation, "mask": mask}, mask.shape)
+
+
+def test_the_contrastive_loss_is_its_definition():
+    """Of the last frames, among the different goals of the batch."""
+    torch.manual_seed(0)
+    encoder = Encoder(SPACE, MATCHING)
+    lengths, goals = [3, 1, 2, 3], [5, 2, 5, 7]
+    episodes = questions_of(lengths, goals)
+    options = OPTIONS.model_copy(update={"matching_cost": 0.5})
+    expected = 0.0
+    for e, length in enumerate(lengths):
+        last = episodes["observation"][length - 1, e : e + 1]
+        matches = {}
+        for goal in (2, 5, 7):
+            asked = {"instruction": torch.tensor([[goal, 0, 0, 0]])}
+            matches[goal] = encoder.match(last, asked).item()
+        total = sum(np.exp(match) for match in matches.values())
+        expected -= np.log(np.exp(matches[goals[e]]) / total)
+    loss, metrics = matching_loss(encoder, episodes, options)
+    assert loss.item() == pytest.approx(0.5 * expected / 4, rel=1e-4)
+    assert matching_loss(encoder, episodes, OPTIONS) == (0.0, {})
+    nothing, told = matching_loss(encoder, None, options)
+    assert nothing == 0.0
+    assert told.keys() == metrics.keys()
+    optimiser = torch.optim.Adam(encoder.parameters(), lr=1e-2)
+    for _ in range(60):
+        optimiser.zero_grad()
+        matching_loss(encoder, episodes, options)[0].backward()
+        optimiser.step()
+    assert matching_loss(encoder, episodes, options)[1]["matching_accuracy"] == 1
 
 
 def test_the_costs_fade():

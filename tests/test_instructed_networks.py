@@ -6,7 +6,12 @@ import pytest
 import torch
 
 from zipf.agents.encoders import Encoder
-from zipf.agents.image_networks import AttentionOptions, FiLMOptions, ShallowOptions
+from zipf.agents.image_networks import (
+    AttentionOptions,
+    FiLMOptions,
+    MatchingOptions,
+    ShallowOptions,
+)
 
 VALUES = {
     "channels": [3, 5],
@@ -22,6 +27,7 @@ VALUES = {
 SHALLOW = ShallowOptions(name="shallow", **VALUES)
 FILM = FiLMOptions(name="film", **VALUES)
 ATTENTION = AttentionOptions(name="attention", heads=2, key_size=3, **VALUES)
+MATCHING = MatchingOptions(name="matching", match_channels=[4, 6], key_size=5, **VALUES)
 IMAGE = gym.spaces.Box(0, 255, (12, 14, 3), np.uint8)
 TEXT = gym.spaces.Box(0, 9, (4,), np.int64)
 SPACE = gym.spaces.Dict(image=IMAGE, instruction=TEXT)
@@ -126,7 +132,65 @@ def test_attention_is_its_definition(normalise):
         torch.testing.assert_close(encoded[n, :7], expected, atol=1e-5, rtol=1e-4)
 
 
-@pytest.mark.parametrize("options", [FILM, ATTENTION], ids=["film", "attention"])
+def padded(seen):
+    return torch.nn.functional.pad(seen, (1, 1, 1, 1))
+
+
+def scores_of(matcher, image, told, normalise):
+    """The scores of one image [H, W, C] and one instruction, place by place."""
+    seen = scaled(image, normalise)
+    *strided, last = matcher.convolutions
+    for convolution in strided:
+        seen = convolved(convolution, seen).clamp(min=0)
+    seen = convolved(last, padded(seen)).clamp(min=0)
+    query = matcher.query(told)
+    scores = []
+    for place in seen.flatten(1).T:
+        key = matcher.key(place)
+        cosine = key @ query / (key.norm() * query.norm())
+        scores.append(matcher.sharpness.exp() * cosine + matcher.offset(place)[0])
+    return torch.stack(scores)
+
+
+@pytest.mark.parametrize("normalise", [False, True])
+@torch.no_grad()
+def test_matching_is_its_definition(normalise):
+    encoder, network, reader = built(MATCHING.model_copy(update={"normalise": normalise}))
+    given = observations()
+    told, encoded = reader(given["instruction"]), encoder(given)
+    rows, columns = 3, 4
+    for n in range(3):
+        seen = scaled(given["image"][n], normalise)
+        for convolution in network.convolutions:
+            seen = convolved(convolution, seen).clamp(min=0)
+        scores = scores_of(network.matcher, given["image"][n], told[n], normalise)
+        weights = scores.exp() / scores.exp().sum()
+        x = sum(weights[i] * (2 * (i % columns) / (columns - 1) - 1) for i in range(rows * columns))
+        y = sum(weights[i] * (2 * (i // columns) / (rows - 1) - 1) for i in range(rows * columns))
+        mean = (weights * scores).sum()
+        parts = torch.cat([seen.flatten(), scores / 4, torch.stack([x, y, mean / 4])])
+        torch.testing.assert_close(
+            encoded[n, :7], dense(network, parts, normalise), atol=1e-5, rtol=1e-4
+        )
+    asked = {"instruction": given["instruction"][:2]}
+    matches = encoder.match(given, asked)
+    for n in range(3):
+        for g in range(2):
+            scores = scores_of(network.matcher, given["image"][n], told[g], normalise)
+            torch.testing.assert_close(matches[n, g], scores.exp().sum().log())
+
+
+def test_a_fixed_matcher_learns_nothing():
+    encoder, network, reader = built(MATCHING.model_copy(update={"matcher": "fixed"}))
+    encoder(observations()).square().sum().backward()
+    fixed = {*network.matcher.parameters(), *reader.parameters()}
+    for name, parameter in encoder.named_parameters():
+        assert (parameter.grad is None) == (parameter in fixed), name
+
+
+@pytest.mark.parametrize(
+    "options", [FILM, ATTENTION, MATCHING], ids=["film", "attention", "matching"]
+)
 def test_the_instruction_changes_what_is_read_of_the_image(options):
     """Every parameter learns, and in bfloat16, too; without an instruction there is an error."""
     encoder, network, _ = built(options)

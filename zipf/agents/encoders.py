@@ -26,6 +26,7 @@ from zipf.agents.image_networks import (
     ImageNetwork,
     InstructedNet,
     MatchingNet,
+    MatchingOptions,
     NetworkOptions,
     image_network,
 )
@@ -218,6 +219,8 @@ class Encoder(nn.Module):
             self._add(vectors, VectorEncoder([space[name] for name in vectors], options))
         for name in texts:
             self._add([name], InstructionEncoder(vocabulary(space[name])))
+            if isinstance(options, MatchingOptions) and options.matcher == "fixed":
+                self.reader(name).requires_grad_(False)
         if not self.names:
             raise ValueError(f"the observations are {space}: there is nothing to read")
 

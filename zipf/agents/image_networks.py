@@ -97,12 +97,14 @@ class MatchingOptions(ShallowOptions):
     """As shallow, and places of the image are matched with the instruction.
 
     `match_channels` are those of the convolutions whose keys are matched, with the kernels and
-    strides of the others; one of 3 x 3 follows. Keys and queries have `key_size` numbers.
+    strides of the others; one of 3 x 3 follows. Keys and queries have `key_size` numbers. With
+    `matcher` "fixed" the matcher and the encoder of the instruction stay as they begin.
     """
 
     name: Literal["matching"]  # type: ignore[assignment]
     match_channels: Annotated[list[Size], Field(min_length=1)]
     key_size: Size
+    matcher: Literal["learned", "fixed"] = "learned"
 
 
 NetworkOptions = Annotated[
@@ -354,6 +356,7 @@ class MatchingNet(InstructedNet):
     def __init__(self, shape: tuple[int, ...], options: MatchingOptions, instruction: int):
         super().__init__(shape, options)
         self.matcher = Matcher(shape, options, instruction)
+        self.matcher.requires_grad_(options.matcher == "learned")
         _, rows, columns = self.grid
         y, x = torch.linspace(-1, 1, rows), torch.linspace(-1, 1, columns)
         places = torch.stack([x.repeat(rows), y.repeat_interleave(columns)], -1)

@@ -73,6 +73,8 @@ def problems(config: Config) -> Iterator[str]:
 def _no_pretrained(config: Config) -> Iterator[str]:
     """Why a new run cannot begin with another's weights."""
     run = config.pretrained.run
+    if run is None and getattr(config.network, "matcher", "learned") == "fixed":
+        yield "network.matcher=fixed: keeps random weights without pretrained.run; choose learned"
     if run is None or (config.folder / "checkpoint.pt").exists():
         return
     try:
