@@ -531,6 +531,14 @@ def test_such_options_in_worlds_that_cannot_be_relabelled_are_one_clear_line(mon
     assert len(str(error.value).splitlines()) == 1
 
 
+def test_a_loss_or_a_matcher_that_could_not_learn_is_one_clear_line():
+    finding = ["experiment=playroom_find_compact", "condition=supervised_matching"]
+    with pytest.raises(UserError, match=r"matching_cost=1.0: network=film .* network=matching"):
+        command_line.load([*finding, "network=film"])
+    with pytest.raises(UserError, match=r"matcher=fixed: .* without pretrained.run; .*learned"):
+        command_line.load([*finding, "network.matcher=fixed"])
+
+
 R2D2 = ["agent.burn_in=2", "agent.replay_min=6", "agent.replay_capacity=24", "agent.storage=ram"]
 RUNS = {
     "impala": ["experiment=demo", "collector.lag=1"],
@@ -541,6 +549,10 @@ RUNS = {
     "supervised": [
         *("experiment=playroom_find_compact", "condition=supervised_hindsight_augmented"),
         *("environment.image_size=[36,48]", "memory=mlp", "exploration=none", "hindsight.fade=5"),
+    ],
+    "supervised, matching": [
+        *("experiment=playroom_find_compact", "condition=supervised_matching", "network=matching"),
+        *("environment.image_size=[36,48]", "memory=mlp", "exploration=none"),
     ],
 }
 

@@ -162,3 +162,26 @@ def test_a_run_without_checkpoint_has_no_weights(first, tmp_path):
     (tmp_path / "copy" / "checkpoint.pt").unlink()
     with pytest.raises(UserError, match=r"has no checkpoint\.pt"):
         command_line.load(asked(first, "name=without", f"pretrained.run={tmp_path / 'copy'}"))
+
+
+def test_a_fixed_matcher_stays_what_another_run_has_learned(tmp_path):
+    """Also after a run is resumed, which reads the other run no more."""
+    _, *tiny = TINY  # without its experiment
+    small = [*tiny, "environment.image_size=[36,48]", f"run_root={tmp_path}"]
+    finding = ["experiment=playroom_find_compact", "condition=supervised_matching", "updates=3"]
+    network = ["network=matching", "memory=mlp", "exploration=none"]
+    assert train([*small, *finding, *network, "name=names"]) == 0
+    names = tmp_path / "playroom_find_compact" / "names" / "seed0"
+    lifting = ["experiment=playroom_lift_compact", "name=lift", "network=matching"]
+    fixed = ["network.matcher=fixed", f"pretrained.run={names}"]
+    taken = learned(names)["agent"]["network"]
+    for updates in (2, 4):
+        assert train([*small, *lifting, *fixed, f"updates={updates}"]) == 0
+        if names.exists():
+            shutil.rmtree(names)
+    ours = learned(tmp_path / "playroom_lift_compact" / "lift" / "seed0")["agent"]["network"]
+    kept = [name for name in taken if "matcher" in name or "lstm" in name or "embedding" in name]
+    assert len(kept) > 10
+    assert_equal({name: ours[name] for name in kept}, {name: taken[name] for name in kept})
+    name = "encoder.encoders.0.dense.0.weight"
+    assert not torch.equal(ours[name], taken[name])
