@@ -110,6 +110,7 @@ WORLDS = [
             "supervised_hindsight_augmented,network=film": Agent(
                 "Augmentation and a memory of goals", "#009988"
             ),
+            "supervised_matching": Agent("The same, and matching", "#cc3311"),
         },
         "blind",
         of_target,

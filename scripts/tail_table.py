@@ -50,6 +50,7 @@ TASKS = (
         {
             "supervised,network=film": "Classifier",
             "supervised_hindsight_augmented,network=film": "Classifier with a memory of questions",
+            "supervised_matching": "The same, which matches names with places",
         },
     ),
     Task("Lifting a toy", "playroom_lift_compact", {"impala,network=film": "IMPALA"}),

@@ -617,3 +617,15 @@ def test_relabelled_episodes_in_replay_have_the_weight_one():
     inside = (items["steps", "weight"] == 1).sum(1).tolist()
     assert set(inside) == {4, 2}
     assert np.isfinite(made._learn(items, torch.ones(8))[0]["loss"])
+
+
+def test_a_checkpoint_from_before_an_option_was_added_fits():
+    """Its value that changes nothing is none of the options of a checkpoint."""
+    _, *tiny = TINY
+    finding = [*tiny, "experiment=playroom_find_compact", "condition=supervised_matching"]
+    others = ["network=matching", "memory=mlp", "exploration=none", "updates=1", "run_root=runs"]
+    names = {"network.matcher", "hindsight.matching_cost"}
+    config = command_line.load([*finding, *others])
+    assert names & config.what_is_learned.keys() == {"hindsight.matching_cost"}
+    config = command_line.load([*finding, *others, "hindsight.matching_cost=0"])
+    assert not names & config.what_is_learned.keys()

@@ -108,6 +108,14 @@ NOT_LEARNED = frozenset(
     ]
 )
 
+# Options that checkpoints of this version may lack, because they were made before these were added,
+# with the values that change nothing.
+ADDED_SINCE = {
+    "learning_rate_decay": None,
+    "network.matcher": "learned",
+    "hindsight.matching_cost": 0.0,
+}
+
 
 def affects_learning(option: str) -> bool:
     """Whether an option, such as `agent.discount`, affects what is learned."""
@@ -233,8 +241,9 @@ class Config(Options):
         options = flatten(self.model_dump()) | {"collector.lag": self.lag}
         if self.pretrained.run is None:
             del options["pretrained.run"], options["pretrained.parts"]
-        if self.learning_rate_decay is None:
-            del options["learning_rate_decay"]
+        for name, usual in ADDED_SINCE.items():
+            if name in options and options[name] == usual:
+                del options[name]
         return {name: value for name, value in options.items() if affects_learning(name)}
 
 
