@@ -63,6 +63,14 @@ def scaled(image, normalise):
     return image / 255 * 2 - 1 if normalise else image / 255
 
 
+def found_by(convolutions, image, normalise):
+    """What convolutions without padding find in one image [H, W, C], a ReLU behind each."""
+    seen = scaled(image, normalise)
+    for convolution in convolutions:
+        seen = convolved(convolution, seen).clamp(min=0)
+    return seen
+
+
 def dense(network, features, normalise):
     """The dense layer of a network, on one vector."""
     outputs = network.dense[0](features)
@@ -116,9 +124,7 @@ def test_attention_is_its_definition(normalise):
     given = observations()
     told, encoded = reader(given["instruction"]), encoder(given)
     for n in range(3):
-        seen = scaled(given["image"][n], normalise)
-        for convolution in network.convolutions:
-            seen = convolved(convolution, seen).clamp(min=0)
+        seen = found_by(network.convolutions, given["image"][n], normalise)
         places = seen.flatten(1).T
         found, weights = [], []
         for head in range(2):
@@ -138,10 +144,8 @@ def padded(seen):
 
 def scores_of(matcher, image, told, normalise):
     """The scores of one image [H, W, C] and one instruction, place by place."""
-    seen = scaled(image, normalise)
     *strided, last = matcher.convolutions
-    for convolution in strided:
-        seen = convolved(convolution, seen).clamp(min=0)
+    seen = found_by(strided, image, normalise)
     seen = convolved(last, padded(seen)).clamp(min=0)
     query = matcher.query(told)
     scores = []
@@ -160,9 +164,7 @@ def test_matching_is_its_definition(normalise):
     told, encoded = reader(given["instruction"]), encoder(given)
     rows, columns = 3, 4
     for n in range(3):
-        seen = scaled(given["image"][n], normalise)
-        for convolution in network.convolutions:
-            seen = convolved(convolution, seen).clamp(min=0)
+        seen = found_by(network.convolutions, given["image"][n], normalise)
         scores = scores_of(network.matcher, given["image"][n], told[n], normalise)
         weights = scores.exp() / scores.exp().sum()
         x = sum(weights[i] * (2 * (i % columns) / (columns - 1) - 1) for i in range(rows * columns))

@@ -81,6 +81,7 @@ def hindsight_loss(
 
     The memory is unrolled from before each episode's first frame. Without such an episode, or once
     the costs are 0, the loss is 0 and the metrics are NaN; without hindsight there are no metrics.
+    The contrastive loss of a matcher, which does not fade, is added (`matching_loss`).
 
     Args:
         updates: made before this one.

@@ -206,6 +206,16 @@ def convolve_pixels(image: Tensor, convolution: nn.Module, *, centred: bool) -> 
     return F.conv2d(pixels, weight, bias, convolution.stride, convolution.padding)
 
 
+def convolve_image(image: Tensor, convolutions: nn.ModuleList, *, centred: bool) -> Tensor:
+    """Convolutions of images one after another, each with its ReLU; the first as
+    `convolve_pixels`."""
+    first, *others = convolutions
+    seen = convolve_pixels(image, first, centred=centred).relu()
+    for convolution in others:
+        seen = convolution(seen).relu()
+    return seen
+
+
 class InstructedNet(nn.Module):
     """The base of networks that read an image by an instruction: strided convolutions, then a dense
     layer, as `ShallowNet`: uint8 [N, H, W, C], [N, instruction size] -> [N, F].
@@ -227,13 +237,6 @@ class InstructedNet(nn.Module):
         self.size = options.size
         self.centred = options.normalise
 
-    def convolve(self, layer: int, seen: Tensor) -> Tensor:
-        """A convolution of the image, for the first, or of what the one before has found."""
-        convolution = self.convolutions[layer]
-        if layer == 0:
-            return convolve_pixels(seen, convolution, centred=self.centred)
-        return convolution(seen)
-
 
 class FiLMNet(InstructedNet):
     """Feature-wise linear modulation (Perez et al. 2018): after each convolution, and before its
@@ -250,10 +253,12 @@ class FiLMNet(InstructedNet):
         self.dense = dense_layer(self.grid.numel(), options)
 
     def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
-        seen = image
+        seen = convolve_pixels(image, self.convolutions[0], centred=self.centred)
         for layer, modulation in enumerate(self.modulations):
+            if layer > 0:
+                seen = self.convolutions[layer](seen)
             scale, shift = modulation(instruction)[:, :, None, None].chunk(2, 1)
-            seen = ((1 + scale) * self.convolve(layer, seen) + shift).relu()
+            seen = ((1 + scale) * seen + shift).relu()
         return self.dense(seen.flatten(1))
 
 
@@ -276,9 +281,7 @@ class AttentionNet(InstructedNet):
         self.dense = dense_layer(self.grid.numel() + read, options)
 
     def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
-        seen = image
-        for layer in range(len(self.convolutions)):
-            seen = self.convolve(layer, seen).relu()
+        seen = convolve_image(image, self.convolutions, centred=self.centred)
         weights = self.weights(seen, instruction)
         found = weights @ seen.flatten(2).transpose(1, 2).to(weights.dtype)
         parts = (seen.flatten(1), found.flatten(1), weights.flatten(1))
@@ -332,9 +335,7 @@ class Matcher(nn.Module):
 
     def _read(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Keys of length 1 [N, places, key size] and offsets [N, places, 1], float32."""
-        seen = convolve_pixels(image, self.convolutions[0], centred=self.centred).relu()
-        for convolution in self.convolutions[1:]:
-            seen = convolution(seen).relu()
+        seen = convolve_image(image, self.convolutions, centred=self.centred)
         places = seen.flatten(2).transpose(1, 2)
         return F.normalize(self.key(places).float(), dim=-1), self.offset(places).float()
 
@@ -343,12 +344,12 @@ class Matcher(nn.Module):
 
 
 class MatchingNet(InstructedNet):
-    """A network that does not read the instruction, and a `Matcher` that tells it where to look.
+    """Convolutions that do not read the instruction, and a `Matcher` that tells where to look.
 
     The dense layer reads what the convolutions found, the matcher's score in every place, and of
     softmax(scores) the mean place (x, y in [-1, 1]; a spatial soft argmax, Levine et al. 2016) and
-    the mean score. So all that it is told of the instruction is where things are: what it learns
-    to do about one goal holds for any other.
+    the mean score. So all that it makes of the instruction is where things are, which is the same
+    for one goal and for any other.
     """
 
     places: Tensor
@@ -364,9 +365,7 @@ class MatchingNet(InstructedNet):
         self.dense = dense_layer(self.grid.numel() + rows * columns + 3, options)
 
     def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
-        seen = image
-        for layer in range(len(self.convolutions)):
-            seen = self.convolve(layer, seen).relu()
+        seen = convolve_image(image, self.convolutions, centred=self.centred)
         scores = self.matcher.each(image, instruction)
         with torch.autocast(image.device.type, enabled=False):
             weights = scores.softmax(-1)

@@ -13,6 +13,8 @@ from zipf import envs
 from zipf.agents.agent import agents
 from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.free_space import free_ram, in_words
+from zipf.agents.hindsight import AchievedOptions
+from zipf.agents.image_networks import MatchingOptions
 from zipf.agents.network import ActorCritic
 from zipf.experiments.augmentation import build_augmentation
 from zipf.experiments.config import Config, find_device, flatten
@@ -65,6 +67,7 @@ def problems(config: Config) -> Iterator[str]:
             f"weights; should be at most {agent.largest_lag}"
         )
     yield from _no_pretrained(config)
+    yield from _no_matcher(config)
     yield from _not_in_a_cluster(config)
     yield from _not_by_several_learners(config)
     yield from (line for line in _cannot_be_built(config) if line not in told)
@@ -73,8 +76,6 @@ def problems(config: Config) -> Iterator[str]:
 def _no_pretrained(config: Config) -> Iterator[str]:
     """Why a new run cannot begin with another's weights."""
     run = config.pretrained.run
-    if run is None and getattr(config.network, "matcher", "learned") == "fixed":
-        yield "network.matcher=fixed: keeps random weights without pretrained.run; choose learned"
     if run is None or (config.folder / "checkpoint.pt").exists():
         return
     try:
@@ -84,6 +85,21 @@ def _no_pretrained(config: Config) -> Iterator[str]:
             raise UserError(f"{folder}: has no checkpoint.pt")
     except (UserError, RuntimeError, ValueError) as error:  # or no such home, or a zero byte
         yield f"pretrained.run={run:.200}: {error}"
+
+
+def _no_matcher(config: Config) -> Iterator[str]:
+    """Options of a matcher that there is not, or that could not have learned."""
+    network, hindsight = config.network, config.hindsight
+    if isinstance(network, MatchingOptions):
+        if network.matcher == "fixed" and config.pretrained.run is None:
+            yield (
+                "network.matcher=fixed: keeps random weights without pretrained.run; choose learned"
+            )
+    elif isinstance(hindsight, AchievedOptions) and hindsight.matching_cost:
+        yield (
+            f"hindsight.matching_cost={hindsight.matching_cost}: network={network.name} matches no "
+            "images with instructions; choose 0, or network=matching"
+        )
 
 
 def _not_in_a_cluster(config: Config) -> Iterator[str]:
@@ -145,12 +161,6 @@ def _lacks_goals(config: Config) -> Iterator[str]:
         yield (
             f"hindsight={config.hindsight.name}: the worlds of {family.name} do not say what an "
             "episode asks for; choose hindsight=none"
-        )
-    cost = getattr(config.hindsight, "matching_cost", 0.0)
-    if cost and config.network.name != "matching":
-        yield (
-            f"hindsight.matching_cost={cost}: network={config.network.name} matches no images with "
-            "instructions; choose 0, or network=matching"
         )
 
 
