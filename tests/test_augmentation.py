@@ -34,10 +34,11 @@ def random_images(n, shape=(6, 8, 3)):
     return np.random.default_rng(0).integers(1, 256, (n, *shape), dtype=np.uint8)
 
 
-def test_images_are_changed_as_the_options_say():
+@pytest.mark.parametrize("more", [{}, {"scale": [0.4, 2.5]}], ids=["as large", "scaled"])
+def test_images_are_changed_as_the_options_say(more):
     """Each pixel by its definition; the worlds outside of the mask as they were."""
     n = 40
-    chosen = options(channels=True, shift=2, cutout=3)
+    chosen = options(channels=True, shift=2, cutout=3, **more)
     augmentation = Augmentation(chosen, IMAGE, n, seed=0)
     augmentation.begin(everywhere(n))
     before, mask = random_images(n), np.arange(n) % 4 > 0
@@ -48,14 +49,20 @@ def test_images_are_changed_as_the_options_say():
     for i in np.flatnonzero(mask):
         down, right = state["shift"][i]
         top, left = (state["centre"][i] * (6, 8)).astype(int) - 1
+        scale = state["scale"][i]
         for r, c, k in itertools.product(range(6), range(8), range(3)):
             if top <= r < top + 3 and left <= c < left + 3:
                 assert image[i, r, c, k] == 0
             else:
-                row, column = np.clip(r - down, 0, 5), np.clip(c - right, 0, 7)
+                # From the image's centre, so many pixels times the scale are seen before the shift.
+                row = np.clip(np.round((r - down - 2.5) / scale + 2.5), 0, 5).astype(int)
+                column = np.clip(np.round((c - right - 3.5) / scale + 3.5), 0, 7).astype(int)
                 assert image[i, r, c, k] == before[i, row, column, state["order"][i, k]]
     assert len(np.unique(state["order"], axis=0)) == 6
     assert set(state["shift"].ravel()) == {-2, -1, 0, 1, 2}
+    least, largest = chosen.scale
+    assert least <= state["scale"].min() <= state["scale"].max() <= largest
+    assert (state["scale"] <= 1).mean() > 0.3  # on a logarithmic scale half of them
 
 
 def test_draws_last_for_an_episode():
@@ -235,6 +242,8 @@ def test_what_cannot_be_augmented_is_refused():
         Augmentation(options(shift=1), codes, 2, seed=0)
     with pytest.raises(ValueError, match="changes nothing"):
         Augmentation(options(), IMAGE, 2, seed=0)
+    with pytest.raises(ValueError, match="must not be larger"):
+        options(scale=[2, 1])
 
 
 def test_hindsight_relabels_what_the_augmentation_shows():

@@ -7,18 +7,21 @@ worlds as they are.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from zipf.agents.encoders import is_image
 from zipf.compiled import compiled
 from zipf.envs.family import Symmetries
 from zipf.options import Options
+
+Factor = Annotated[float, Field(ge=0.1, le=10)]
 
 
 class NoAugmentationOptions(Options):
@@ -32,8 +35,10 @@ class RandomAugmentationOptions(Options):
 
     `symmetries`: one of those that the worlds' family declares. Images: `channels`: an order of
     the three colours; `shift`: whole pixels by which the image is moved down and to the right, from
-    -shift to shift, its border repeated (Kostrikov et al. 2021); `cutout`: the side of a black
-    square whose centre is anywhere in the image (DeVries and Taylor 2017).
+    -shift to shift, its border repeated (Kostrikov et al. 2021); `scale`: least and largest factor
+    by which it is enlarged around its centre before, log-uniformly (Simonyan and Zisserman 2015);
+    `cutout`: the side of a black square whose centre is anywhere in the image (DeVries and Taylor
+    2017).
     """
 
     name: Literal["random"]
@@ -41,6 +46,14 @@ class RandomAugmentationOptions(Options):
     channels: bool
     shift: Annotated[int, Field(ge=0, le=255)]
     cutout: Annotated[int, Field(ge=0, le=255)]
+    scale: list[Factor] = Field([1.0, 1.0], min_length=2, max_length=2)
+
+    @field_validator("scale")
+    @classmethod
+    def _in_order(cls, scale: list[float]) -> list[float]:
+        if scale[0] > scale[1]:
+            raise ValueError("the first must not be larger than the second")
+        return scale
 
 
 AugmentationOptions = Annotated[
@@ -77,12 +90,15 @@ class Augmentation:
                 "augmentation.symmetries=false"
             )
         self.images = [name for name, part in space.items() if is_image(part)]
-        of_images = {"channels": options.channels, "shift": options.shift, "cutout": options.cutout}
-        chosen = [name for name, value in of_images.items() if value]
+        of_images = {
+            "channels": options.channels,
+            "shift": options.shift > 0,
+            "scale": options.scale != [1, 1],
+            "cutout": options.cutout > 0,
+        }
+        chosen = [name for name, changes in of_images.items() if changes]
         if chosen and not self.images:
-            raise ValueError(
-                f"augmentation.{chosen[0]}: the observations have no image; choose false or 0"
-            )
+            raise ValueError(f"augmentation.{chosen[0]}: the observations have no image to change")
         if not chosen and not options.symmetries:
             raise ValueError(
                 "augmentation=random: changes nothing with these values; choose augmentation=none"
@@ -109,6 +125,9 @@ class Augmentation:
             drawn["order"] = self._rng.permuted(np.tile(np.arange(3), (n, 1)), axis=1)
         if o.shift:
             drawn["shift"] = self._rng.integers(-o.shift, o.shift + 1, size=(n, 2))
+        if o.scale != [1, 1]:
+            least, largest = np.log(o.scale)
+            drawn["scale"] = np.exp(self._rng.uniform(least, largest, n))
         if o.cutout:
             drawn["centre"] = self._rng.random((n, 2))
         return drawn
@@ -124,13 +143,14 @@ class Augmentation:
         symmetry: NDArray[np.int64],
         order: NDArray[np.int64],
         shift: NDArray[np.int64],
+        scale: NDArray[np.float64],
         centre: NDArray[np.float64],
     ) -> None:
         if self.symmetries is not None:
             self.symmetries(observation, symmetry, mask)
         if self._change_images:
             for name in self.images:
-                _change(observation[name], mask, order, shift, centre, self.options.cutout)
+                _change(observation[name], mask, order, shift, scale, centre, self.options.cutout)
 
     def observe_episode(self, observation: dict[str, NDArray], world: int) -> None:
         """Changes the observations `{name: [frames, ...]}` of the running episode of one world, in
@@ -180,8 +200,8 @@ class Augmentation:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continues from `state_dict()`."""
         self._rng.bit_generator.state = state["generator"]
-        for name, drawn in self._drawn.items():
-            drawn[:] = state[name]
+        for name in state.keys() - {"generator"}:
+            self._drawn[name][:] = state[name]
 
 
 def _unchanged(n: int) -> dict[str, NDArray]:
@@ -190,6 +210,7 @@ def _unchanged(n: int) -> dict[str, NDArray]:
         "symmetry": np.zeros(n, np.int64),
         "order": np.tile(np.arange(3), (n, 1)),
         "shift": np.zeros((n, 2), np.int64),
+        "scale": np.ones(n),
         "centre": np.zeros((n, 2)),  # of the square, in sides of the image
     }
 
@@ -202,15 +223,31 @@ def _replace_actions(fields: dict[str, NDArray], table: NDArray[np.int64]) -> No
 
 
 @compiled()
-def _change(image, mask, orders, shifts, centres, side):
+def _source(pixel, size, scale):
+    """The pixel of a row of `size` that is nearest to what is seen in another after scaling."""
+    source = math.floor((pixel + 0.5 - size / 2) / scale + size / 2)
+    return min(max(source, 0), size - 1)
+
+
+@compiled()
+def _change(image, mask, orders, shifts, scales, centres, side):
     """Changes images uint8 [N, H, W, C] in place."""
     _, height, width, channels = image.shape
     before = np.empty((height, width, channels), np.uint8)
+    columns = np.empty(width, np.int64)
     for i in range(len(image)):
         if not mask[i]:
             continue
         down, right = shifts[i]
-        if down or right:
+        if scales[i] != 1:
+            before[:] = image[i]
+            for c in range(width):
+                columns[c] = _source(c - right, width, scales[i])
+            for r in range(height):
+                row = before[_source(r - down, height, scales[i])]
+                for c in range(width):
+                    image[i, r, c] = row[columns[c]]
+        elif down or right:
             before[:] = image[i]
             for r in range(height):
                 source, target = before[min(max(r - down, 0), height - 1)], image[i, r]
