@@ -242,7 +242,7 @@ def test_what_cannot_be_augmented_is_refused():
         Augmentation(options(shift=1), codes, 2, seed=0)
     with pytest.raises(ValueError, match="changes nothing"):
         Augmentation(options(), IMAGE, 2, seed=0)
-    with pytest.raises(ValueError, match="must not be larger"):
+    with pytest.raises(ValueError, match="should not be larger"):
         options(scale=[2, 1])
 
 

@@ -257,6 +257,14 @@ MISTAKES = [
     (["experiment=demo", "memory.size=1000000000"], ["memory.size=1000000000", "at most 65536"]),
     (["experiment=demo", "memory.size=65536", "memory.layers=60"], ["memory.size", "of RAM"]),
     (["experiment=demo", "memory=lstm", "memory.layers=60000"], ["memory.size", "too many"]),
+    (
+        ["experiment=playroom_lift_compact", "network.strides=[4,2,1]"],
+        ["network.strides=[4, 2, 1]: should have as many numbers as network.channels"],
+    ),
+    (
+        ["experiment=demo", "augmentation=random", "augmentation.scale=[2,1]"],
+        ["augmentation.scale=[2, 1]: the first should not be larger"],
+    ),
     (["experiment=demo", "network.channels=70000"], ["network.channels=70000", "at most 65536"]),
     (["experiment=demo", "collector.num_envs=1000000000"], ["collector.num_envs", "TB of RAM"]),
     (

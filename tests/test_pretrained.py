@@ -145,6 +145,7 @@ def test_seeds_that_begin_with_seeds_of_a_condition_are_one_row(first, capsys):
     [
         (["pretrained.run=nowhere"], "pretrained.run=nowhere: nowhere: is no run's folder"),
         (["pretrained.parts=[mind]"], "has no 'mind'; it has encoder, memory, "),
+        (["pretrained.parts=[encoder.words]"], "has no 'encoder.words'; it has encoder, memory, "),
         (["pretrained.parts=[]"], "pretrained.parts=[]: "),
         (["network.size=24"], "is [24"),
     ],
@@ -175,6 +176,12 @@ def test_a_fixed_matcher_stays_what_another_run_has_learned(tmp_path):
     lifting = ["experiment=playroom_lift_compact", "name=lift", "network=matching"]
     fixed = ["network.matcher=fixed", f"pretrained.run={names}"]
     taken = learned(names)["agent"]["network"]
+    alone = "pretrained.parts=[encoder.image.matcher,encoder.instruction]"
+    begun = runner.Run(command_line.load([*small, *lifting, *fixed, alone, "updates=2"]))
+    for name, weights in begun.agent.network.encoder.state_dict().items():
+        of_matcher = "matcher" in name or "lstm" in name or "embedding" in name
+        assert torch.equal(weights, taken[f"encoder.{name}"]) == of_matcher, name
+    begun.close()
     for updates in (2, 4):
         assert train([*small, *lifting, *fixed, f"updates={updates}"]) == 0
         if names.exists():

@@ -209,8 +209,8 @@ class Agent(ABC):
         Agents without one may take what they like.
 
         Args:
-            weights: a state dictionary for each part to take, by the part's name in both networks,
-                such as `encoder` or `memory`.
+            weights: a state dictionary for each part to take, by the part's name in both networks
+                (`Torso.parts`), such as `encoder` or `memory`.
 
         Raises:
             ValueError: the network has no such part, or one of another shape.
@@ -219,7 +219,7 @@ class Agent(ABC):
         if not networks:
             raise ValueError("this agent has no network that takes the weights of another")
         for network in networks:
-            parts = dict(network.named_children())
+            parts = network.parts()
             for name, state in weights.items():
                 if name not in parts:
                     raise ValueError(f"no part {name!r}: the network has {', '.join(parts)}")

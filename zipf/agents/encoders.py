@@ -233,6 +233,16 @@ class Encoder(nn.Module):
         """The encoder that reads a part."""
         return next(e for n, e in zip(self.names, self.encoders, strict=True) if name in n)
 
+    def parts(self) -> dict[str, nn.Module]:
+        """The encoders by what they read, such as `instruction`, and the matcher of an image's,
+        such as `image.matcher`."""
+        parts: dict[str, nn.Module] = {}
+        for names, encoder in zip(self.names, self.encoders, strict=True):
+            parts["+".join(names)] = encoder
+            if isinstance(encoder, MatchingNet):
+                parts[f"{names[0]}.matcher"] = encoder.matcher
+        return parts
+
     def compile_images(self) -> int:
         """Compiles the networks that read images (`torch.compile`); returns how many there are."""
         networks = [e for e in self.encoders if isinstance(e, ImageNetwork)]

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import torch
 import torch.nn.functional as F
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 from torch import Tensor, nn
 
 from zipf.options import Options
@@ -76,6 +76,14 @@ class ShallowOptions(EncoderOptions):
     strides: Annotated[list[Size], Field(min_length=1)]
     size: Size
     normalise: bool
+
+    @field_validator("kernels", "strides", "match_channels", check_fields=False)
+    @classmethod
+    def _as_many(cls, numbers: list[int], info: ValidationInfo) -> list[int]:
+        """Every convolution has channels, a kernel and a stride."""
+        if len(numbers) != len(info.data.get("channels", numbers)):
+            raise ValueError("should have as many numbers as network.channels")
+        return numbers
 
 
 class FiLMOptions(ShallowOptions):

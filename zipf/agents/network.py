@@ -104,6 +104,12 @@ class Torso(nn.Module):
         self.encoder = Encoder(observation_space, network)
         self.memory = build_memory(self.encoder.size + self.actions + 1, memory)
 
+    def parts(self) -> dict[str, nn.Module]:
+        """What another network can begin with: children, such as `memory`, and parts of the
+        encoder, such as `encoder.instruction`."""
+        parts = {f"encoder.{name}": part for name, part in self.encoder.parts().items()}
+        return dict(self.named_children()) | parts
+
     def remember(self, inputs: Inputs, state: State) -> tuple[Tensor, Tensor, State]:
         """Unrolls `[T, B]` frames from the memory's `state`.
 

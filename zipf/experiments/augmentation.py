@@ -52,7 +52,7 @@ class RandomAugmentationOptions(Options):
     @classmethod
     def _in_order(cls, scale: list[float]) -> list[float]:
         if scale[0] > scale[1]:
-            raise ValueError("the first must not be larger than the second")
+            raise ValueError("the first should not be larger than the second")
         return scale
 
 

@@ -282,7 +282,8 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             yield f"{name}: no such option here"
         else:
             kind = problem.get("ctx", {}).get("pattern", problem["type"])
-            message = _IN_WORDS.get(kind, problem["msg"].removeprefix("Input "))
+            message = _IN_WORDS.get(kind, problem["msg"])
+            message = message.removeprefix("Input ").removeprefix("Value error, ")
             yield f"{name}={problem['input']!s:.200}: {message}"
 
 

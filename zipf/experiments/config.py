@@ -92,7 +92,8 @@ class PretrainedOptions(Options):
     """What of another run's weights a new run begins with.
 
     `run` is the other run's folder; None: all weights are drawn from the seed. `parts` are those of
-    the agents' networks that are taken: `encoder`, `memory`, and heads of the same name.
+    the agents' networks that are taken: `encoder`, `memory`, heads of the same name, and of the
+    encoder also what reads one part of the observations, such as `encoder.instruction`.
     """
 
     run: Annotated[str, Field(min_length=1)] | None = None

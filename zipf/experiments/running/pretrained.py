@@ -8,6 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from zipf.agents.agent import Agent
+from zipf.agents.network import Torso
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import run_folder
@@ -52,7 +53,10 @@ def _read(config: Config, run: str) -> tuple[dict[str, dict[str, Tensor]], dict[
     folder = Path(run).expanduser()
     trained = load_agent(folder, "cpu", config.plugins)
     actor = getattr(trained.agent, "actor", None)  # agents that learn nothing have none
-    parts = {} if actor is None else dict(actor.named_children())
+    if isinstance(actor, Torso):
+        parts = actor.parts()
+    else:
+        parts = {} if actor is None else dict(actor.named_children())
     wanted = config.pretrained.parts
     if unknown := [name for name in wanted if name not in parts]:
         raise UserError(
