@@ -1,6 +1,6 @@
 """Options of small networks, for tests."""
 
-from zipf.agents.image_networks import CompactOptions
+from zipf.agents.network_options import CompactOptions
 
 
 def compact(patch=9, channels=8, size=16, head_size=0):

@@ -31,10 +31,10 @@ from zipf.agents.auxiliary.byol import (
     random_shift,
 )
 from zipf.agents.auxiliary.reconstruction import VisionLanguageOptions, VisionOptions
-from zipf.agents.image_networks import ResNetOptions, ShallowOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs
+from zipf.agents.network_options import ResNetOptions, ShallowOptions
 from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import VMPO, VMPOOptions
 from zipf.experiments import command_line

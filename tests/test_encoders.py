@@ -12,15 +12,15 @@ from networks import compact
 
 from zipf import envs
 from zipf.agents.encoders import CodeEncoder, Encoder, InstructionEncoder, VectorEncoder
-from zipf.agents.image_networks import (
+from zipf.agents.image_networks import ResNet
+from zipf.agents.memory import LSTMOptions, MLPOptions
+from zipf.agents.network import ActorCritic, Inputs
+from zipf.agents.network_options import (
     CompactOptions,
     ComparingOptions,
-    ResNet,
     ResNetOptions,
     ShallowOptions,
 )
-from zipf.agents.memory import LSTMOptions, MLPOptions
-from zipf.agents.network import ActorCritic, Inputs
 
 COMPACT = compact(patch=9, channels=5, size=7, head_size=0)
 SIZES = {"code_channels": 4, "code_size": 6, "vector_layers": [5]}

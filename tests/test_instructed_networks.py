@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from zipf.agents.encoders import Encoder
-from zipf.agents.image_networks import (
+from zipf.agents.network_options import (
     AttentionOptions,
     FiLMOptions,
     MatchingOptions,

@@ -9,10 +9,10 @@ import torch
 
 from zipf.agents import impala
 from zipf.agents.agent import Setting
-from zipf.agents.image_networks import CompactOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
+from zipf.agents.network_options import CompactOptions
 from zipf.agents.returns import vtrace
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.running.collector import Collector

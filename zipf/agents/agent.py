@@ -40,9 +40,9 @@ from zipf.agents.auxiliary import NO_AUXILIARY, Auxiliary, AuxiliaryOptions
 from zipf.agents.critics import SCALAR, CriticOptions
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions
 from zipf.agents.hindsight import NO_HINDSIGHT, HindsightOptions
-from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso
+from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import NO_REWEIGHTING, ReweightingOptions
 from zipf.agents.unroll import Unroll
 

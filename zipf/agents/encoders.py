@@ -21,14 +21,18 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from zipf.agents.image_networks import (
+from zipf.agents.image_networks import ComparingEncoder, PatchEncoder, ResNet, ShallowNet
+from zipf.agents.instructed_networks import AttentionNet, FiLMNet, InstructedNet, MatchingNet
+from zipf.agents.network_options import (
+    AttentionOptions,
+    CompactOptions,
+    ComparingOptions,
     EncoderOptions,
-    ImageNetwork,
-    InstructedNet,
-    MatchingNet,
+    FiLMOptions,
     MatchingOptions,
     NetworkOptions,
-    image_network,
+    ResNetOptions,
+    ShallowOptions,
 )
 
 LARGEST_VOCABULARY = 2**16  # ours: integers beyond that are quantities rather than words
@@ -134,6 +138,44 @@ class InstructionEncoder(nn.Module):
         place = torch.arange(instruction.shape[-1], device=outputs.device)
         last = torch.where(instruction != 0, place, 0).amax(-1)
         return outputs[torch.arange(len(outputs), device=outputs.device), last]
+
+
+ImageNetwork = ResNet | ShallowNet | InstructedNet | PatchEncoder
+
+
+def image_network(
+    shape: tuple[int, ...], options: NetworkOptions, instruction: int = 0
+) -> ImageNetwork:
+    """The network that the options name, for images [H, W, C].
+
+    Args:
+        shape: of the images.
+        options: which network.
+        instruction: size of the encoded instruction, 0 for none.
+
+    Raises:
+        ValueError: it cannot read images of that size, or needs an instruction.
+    """
+    match options:
+        case FiLMOptions() | AttentionOptions() | MatchingOptions() if not instruction:
+            raise ValueError(
+                f"network={options.name} reads images by an instruction, and the observations have "
+                "none; choose network=shallow"
+            )
+        case FiLMOptions():
+            return FiLMNet(shape, options, instruction)
+        case AttentionOptions():
+            return AttentionNet(shape, options, instruction)
+        case MatchingOptions():
+            return MatchingNet(shape, options, instruction)
+        case ResNetOptions():
+            return ResNet(shape, options)
+        case ShallowOptions():
+            return ShallowNet(shape, options)
+        case ComparingOptions():
+            return ComparingEncoder(shape, options)
+        case CompactOptions():
+            return PatchEncoder(shape, options)
 
 
 PartEncoder = ImageNetwork | CodeEncoder | VectorEncoder | InstructionEncoder

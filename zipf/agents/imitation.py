@@ -31,9 +31,9 @@ from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.averaging import average_gradients
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary, build_recorder
 from zipf.agents.hindsight import NoHindsightOptions, matching_loss
-from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
+from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
 from zipf.options import Options

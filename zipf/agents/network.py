@@ -14,8 +14,8 @@ from torch import Tensor, nn
 from zipf.agents.critics import SCALAR, CriticOptions, build_critic
 from zipf.agents.encoders import Encoder
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary
-from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State, build_memory
+from zipf.agents.network_options import NetworkOptions
 
 
 class Inputs(NamedTuple):

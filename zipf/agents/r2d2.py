@@ -43,9 +43,9 @@ from torch import Tensor
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.critics import SCALAR, CriticOptions, build_critic
 from zipf.agents.hindsight import AchievedOptions
-from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
+from zipf.agents.network_options import NetworkOptions
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.reweighting import NO_REWEIGHTING, weighted
 from zipf.agents.sequences import Sequences

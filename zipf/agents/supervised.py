@@ -30,9 +30,9 @@ from torch import Tensor
 from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.averaging import average_gradients
 from zipf.agents.hindsight import NoHindsightOptions, matching_loss
-from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso, autocast, head, in_full
+from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
 from zipf.options import Options

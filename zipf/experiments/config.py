@@ -18,8 +18,8 @@ from zipf.agents.critics import CriticOptions
 from zipf.agents.episodic import EpisodicOptions
 from zipf.agents.exploration import ExplorationOptions
 from zipf.agents.hindsight import HindsightOptions
-from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.memory import MemoryOptions
+from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import ReweightingOptions
 from zipf.experiments.augmentation import AugmentationOptions
 from zipf.experiments.errors import UserError

@@ -14,8 +14,8 @@ from zipf.agents.agent import agents
 from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.hindsight import AchievedOptions
-from zipf.agents.image_networks import MatchingOptions
 from zipf.agents.network import ActorCritic
+from zipf.agents.network_options import MatchingOptions
 from zipf.experiments.augmentation import build_augmentation
 from zipf.experiments.config import Config, find_device, flatten
 from zipf.experiments.errors import UserError

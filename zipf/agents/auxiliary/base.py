@@ -23,8 +23,8 @@ import torch
 from torch import Tensor, nn
 
 from zipf.agents.encoders import Encoder
-from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.network import Inputs, Torso
+from zipf.agents.network_options import NetworkOptions
 from zipf.options import Options, name_of
 
 

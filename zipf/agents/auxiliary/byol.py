@@ -21,8 +21,8 @@ from torch import Tensor, nn
 
 from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
 from zipf.agents.encoders import Encoder, is_image
-from zipf.agents.image_networks import NetworkOptions
 from zipf.agents.network import Inputs, Torso, head
+from zipf.agents.network_options import NetworkOptions
 
 Size = Annotated[int, Field(ge=1)]
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]

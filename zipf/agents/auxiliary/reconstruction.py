@@ -17,14 +17,9 @@ from torch import Tensor, nn
 from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
 from zipf.agents.averaging import average
 from zipf.agents.encoders import is_image, is_text, vocabulary
-from zipf.agents.image_networks import (
-    NetworkOptions,
-    ResidualBlock,
-    ResNetOptions,
-    ShallowOptions,
-    largest_patch,
-)
+from zipf.agents.image_networks import ResidualBlock, largest_patch
 from zipf.agents.network import Inputs, Torso
+from zipf.agents.network_options import NetworkOptions, ResNetOptions, ShallowOptions
 
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(gt=0, le=1)]
