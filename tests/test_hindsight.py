@@ -419,7 +419,7 @@ def test_the_contrastive_loss_is_its_definition():
         matches = {}
         for goal in (2, 5, 7):
             asked = {"instruction": torch.tensor([[goal, 0, 0, 0]])}
-            matches[goal] = encoder.match(last, asked).item()
+            matches[goal] = encoder.match(last, asked).logsumexp(1).item()
         total = sum(np.exp(match) for match in matches.values())
         expected -= np.log(np.exp(matches[goals[e]]) / total)
     loss, metrics = matching_loss(encoder, episodes, options)
@@ -434,6 +434,38 @@ def test_the_contrastive_loss_is_its_definition():
         matching_loss(encoder, episodes, options)[0].backward()
         optimiser.step()
     assert matching_loss(encoder, episodes, options)[1]["matching_accuracy"] == 1
+
+
+def test_the_contrastive_loss_of_regions_is_its_definition():
+    """Of the places that the last action points at; the achieved goal elsewhere is wrong, too."""
+    torch.manual_seed(0)
+    encoder = Encoder(SPACE, MATCHING)
+    lengths, goals = [3, 1, 2, 3], [5, 2, 5, 7]
+    halves = [[0, 0, 1, 0.5], [0, 0.5, 1, 1], [0, 0, 1, 0.5], [0, 0, 1, 1]]
+    episodes = questions_of(lengths, goals)
+    episodes["region"] = torch.rand(3, 4, 4)
+    expected, right = 0.0, 0
+    for e, length in enumerate(lengths):
+        episodes["region"][length - 1, e] = torch.tensor(halves[e])
+        last = episodes["observation"][length - 1, e : e + 1]
+        there, elsewhere = {}, 0.0
+        for goal in (2, 5, 7):
+            asked = {"instruction": torch.tensor([[goal, 0, 0, 0]])}
+            there[goal] = 0.0
+            for (down, across), score in zip(
+                encoder.places().tolist(), encoder.match(last, asked)[0, :, 0].tolist(), strict=True
+            ):
+                top, left, bottom, right_side = halves[e]
+                if top <= down < bottom and left <= across < right_side:
+                    there[goal] += np.exp(score)
+                elif goal == goals[e]:
+                    elsewhere += np.exp(score)
+        expected -= np.log(there[goals[e]] / (sum(there.values()) + elsewhere))
+        right += there[goals[e]] >= max(elsewhere, *there.values())
+    options = OPTIONS.model_copy(update={"matching_cost": 0.5})
+    loss, metrics = matching_loss(encoder, episodes, options)
+    assert loss.item() == pytest.approx(0.5 * expected / 4, rel=1e-4)
+    assert metrics["matching_accuracy"] == right / 4
 
 
 def test_the_costs_fade():

@@ -179,7 +179,32 @@ def test_matching_is_its_definition(normalise):
     for n in range(3):
         for g in range(2):
             scores = scores_of(network.matcher, given["image"][n], told[g], normalise)
-            torch.testing.assert_close(matches[n, g], scores.exp().sum().log())
+            torch.testing.assert_close(matches[n, :, g], scores)
+
+
+def test_places_are_where_the_matcher_reads():
+    """A change of pixels around a place's centre changes its scores, and those of places further
+    than a receptive field away stay."""
+    encoder, _, _ = built(MATCHING)
+    given = observations()
+    height, width = given["image"].shape[1:3]
+    before = encoder.match(given, {"instruction": given["instruction"]})
+    places = encoder.places()
+    assert len(places) == before.shape[1] == 12
+    reach = {side: 0.0 for side in ("down", "across")}
+    for r in range(height):
+        for c in range(width):
+            changed = given["image"].clone()
+            changed[:, r, c] = 255 - changed[:, r, c]
+            after = encoder.match(
+                {**given, "image": changed}, {"instruction": given["instruction"]}
+            )
+            moved = (after != before).any(2).any(0)
+            for place in places[moved]:
+                reach["down"] = max(reach["down"], abs(place[0].item() * height - r - 0.5))
+                reach["across"] = max(reach["across"], abs(place[1].item() * width - c - 0.5))
+    # Kernels 4 and 3, strides 2 and 1, then 3 x 3: 12 pixels, half of them on either side.
+    assert reach == pytest.approx({"down": 5.5, "across": 5.5})
 
 
 def test_a_fixed_matcher_learns_nothing():

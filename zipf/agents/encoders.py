@@ -22,7 +22,13 @@ import torch
 from torch import Tensor, nn
 
 from zipf.agents.image_networks import ComparingEncoder, PatchEncoder, ResNet, ShallowNet
-from zipf.agents.instructed_networks import AttentionNet, FiLMNet, InstructedNet, MatchingNet
+from zipf.agents.instructed_networks import (
+    AttentionNet,
+    FiLMNet,
+    InstructedNet,
+    Matcher,
+    MatchingNet,
+)
 from zipf.agents.network_options import (
     AttentionOptions,
     CompactOptions,
@@ -293,16 +299,24 @@ class Encoder(nn.Module):
         return len(networks)
 
     def match(self, observation: dict[str, Tensor], asked: dict[str, Tensor]) -> Tensor:
-        """How well images show what instructions name, by `network=matching`: the images of
-        `{name: [N, ...]}` and the texts of `{name: [G, ...]}` -> float32 [N, G], the largest of
-        the scores of all places (softly: the logarithm of the sum of their exponentials)."""
+        """How well the places of images show what instructions name, by `network=matching`: the
+        images of `{name: [N, ...]}` and the texts of `{name: [G, ...]}` -> float32 [N, P, G]."""
         told = torch.cat([self.reader(name)(asked[name]) for name in self.texts], -1)
-        scores = [
-            network.matcher(observation[names[0]], told)
+        matched = [(names[0], matcher) for names, matcher in self._matchers()]
+        return torch.cat([matcher(observation[name], told) for name, matcher in matched], 1)
+
+    def places(self) -> Tensor:
+        """The centres of the places of `match`, float32 [P, 2]: down and to the right, in sides of
+        the image."""
+        return torch.cat([matcher.centres for _, matcher in self._matchers()])
+
+    def _matchers(self) -> list[tuple[tuple[str, ...], Matcher]]:
+        """The matchers, with what they read."""
+        return [
+            (names, network.matcher)
             for names, network in zip(self.names, self.encoders, strict=True)
             if isinstance(network, MatchingNet)
         ]
-        return torch.cat(scores, 1).logsumexp(1)
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """`{name: [N, ...]}` -> `[N, size]`."""

@@ -127,6 +127,11 @@ def matching_loss(
     """The contrastive loss of the last frames of relabelled episodes [L, E], times its cost, and
     the metric `matching_accuracy`: how often the achieved goal matches best of those in the batch.
 
+    It is the cross-entropy of softmax_g(m_g), where m_g = log sum_p e^s_pg over the places p. Where
+    episodes have a `region` [L, E, 4], the part of the image that the last action points at (as
+    `ZipfVectorEnv.action_regions`), the sum is over the places there, and the softmax has one more
+    term, the achieved goal in all other places: it is seen where it was pointed at.
+
     Without such an episode the loss is 0 and the metric NaN; without a cost there is no metric.
     """
     if not options.matching_cost:
@@ -141,8 +146,20 @@ def matching_loss(
     parts = goals.split([text.shape[1] for text in texts], 1)
     with autocast(goal.device.type, precision):
         scores = encoder.match(last, dict(zip(encoder.texts, parts, strict=True)))
-    loss = options.matching_cost * F.cross_entropy(scores, goal)
-    return loss, {"matching_accuracy": (scores.argmax(-1) == goal).float().mean()}
+    if "region" in episodes.keys():
+        top, left, bottom, right = episodes["region"][ends, each].unsqueeze(1).unbind(-1)
+        down, across = encoder.places().unbind(-1)
+        there = (top <= down) & (down < bottom) & (left <= across) & (across < right)  # [E, P]
+        own = scores[each, :, goal].masked_fill(there, _NOWHERE).logsumexp(1, keepdim=True)
+        named = scores.masked_fill(~there.unsqueeze(-1), _NOWHERE).logsumexp(1)
+        matches = torch.cat([named, own], 1)
+    else:
+        matches = scores.logsumexp(1)
+    loss = options.matching_cost * F.cross_entropy(matches, goal)
+    return loss, {"matching_accuracy": (matches.argmax(-1) == goal).float().mean()}
+
+
+_NOWHERE = -1e4  # far below any score, and finite: minus infinity everywhere has no gradient
 
 
 def discounted_returns(rewards: Tensor, discount: float) -> Tensor:

@@ -96,16 +96,24 @@ class AttentionNet(InstructedNet):
 
 
 class Matcher(nn.Module):
-    """How well each place of an image shows what an instruction names.
+    """How well each of P places of an image shows what an instruction names.
 
     A place has a key, what convolutions find there, and an instruction a query, linear in its code:
     score = e^s cos(key, query) + offset, where s is learned and the offset, linear in what
     convolutions find, is the place's own, whatever is asked for. Images and texts that meet in
     cosines: Radford et al. 2021. `zipf.agents.hindsight` has a loss for it.
+
+    Attributes:
+        centres: of the places, float32 [P, 2]: down and to the right, in sides of the image.
     """
+
+    centres: Tensor
 
     def __init__(self, shape: tuple[int, ...], options: MatchingOptions, instruction: int):
         super().__init__()
+        rows = _centres(shape[0], options)
+        columns = _centres(shape[1], options)
+        self.register_buffer("centres", torch.cartesian_prod(rows, columns), persistent=False)
         inputs = [shape[2], *options.match_channels]
         layers = zip(inputs[:-1], inputs[1:], options.kernels, options.strides, strict=True)
         self.convolutions = nn.ModuleList(nn.Conv2d(*layer) for layer in layers)
@@ -119,7 +127,7 @@ class Matcher(nn.Module):
 
     def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
         """The scores of all G instructions in all places: uint8 [N, H, W, C], [G, instruction size]
-        -> float32 [N, places, G]."""
+        -> float32 [N, P, G]."""
         keys, offset = self._read(image)
         queries = self._queries(instruction)
         with torch.autocast(image.device.type, enabled=False):
@@ -127,20 +135,30 @@ class Matcher(nn.Module):
 
     def each(self, image: Tensor, instruction: Tensor) -> Tensor:
         """The scores of each image's own instruction: uint8 [N, H, W, C], [N, instruction size] ->
-        float32 [N, places]."""
+        float32 [N, P]."""
         keys, offset = self._read(image)
         queries = self._queries(instruction)
         with torch.autocast(image.device.type, enabled=False):
             return (self.sharpness.exp() * (keys @ queries.unsqueeze(-1)) + offset).squeeze(-1)
 
     def _read(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """Keys of length 1 [N, places, key size] and offsets [N, places, 1], float32."""
+        """Keys of length 1 [N, P, key size] and offsets [N, P, 1], float32."""
         seen = convolve_image(image, self.convolutions, centred=self.centred)
         places = seen.flatten(2).transpose(1, 2)
         return F.normalize(self.key(places).float(), dim=-1), self.offset(places).float()
 
     def _queries(self, instruction: Tensor) -> Tensor:
         return F.normalize(self.query(instruction).float(), dim=-1)
+
+
+def _centres(side: int, options: MatchingOptions) -> Tensor:
+    """The centres of what strided convolutions read along a side of so many pixels, in sides."""
+    centre, apart, places = 0.5, 1, side
+    for kernel, stride in zip(options.kernels, options.strides, strict=True):
+        centre += apart * (kernel - 1) / 2
+        apart *= stride
+        places = (places - kernel) // stride + 1
+    return (centre + apart * torch.arange(places)) / side
 
 
 class MatchingNet(InstructedNet):

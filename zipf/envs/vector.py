@@ -67,6 +67,9 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         reports_success: whether episodes end with a success or a failure. Where it is False,
             `success` is left out of all infos.
         achieves: whether the family tells what an episode has achieved, see `report_achieved`.
+        action_regions: float32 [actions, 4], the part of the image that the action points at when
+            it ends an episode (top, left, bottom, right, in sides of the image): what is achieved
+            is there, and nothing else. None where actions do not point.
 
     Raises:
         ValueError: for an argument out of range, or an action space other than a `Discrete` that
@@ -78,6 +81,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     situation: dict[str, int]
     reports_success: bool = True
     achieves: bool = False
+    action_regions: NDArray[np.float32] | None = None
 
     def __init__(
         self,

@@ -61,6 +61,9 @@ AugmentationOptions = Annotated[
 ]
 
 
+Draw = dict[str, NDArray]  # what was drawn for episodes, {name: [N, ...]}
+
+
 class Augmentation:
     """Draws changes of the episodes of N worlds and makes them.
 
@@ -90,6 +93,7 @@ class Augmentation:
                 "augmentation.symmetries=false"
             )
         self.images = [name for name, part in space.items() if is_image(part)]
+        self._sides = np.array([space[name].shape for name in self.images[:1]])[:, :2].ravel()
         of_images = {
             "channels": options.channels,
             "shift": options.shift > 0,
@@ -116,7 +120,7 @@ class Augmentation:
         for name, values in self._draw(int(mask.sum())).items():
             self._drawn[name][mask] = values
 
-    def _draw(self, n: int) -> dict[str, NDArray]:
+    def _draw(self, n: int) -> Draw:
         """The changes of `n` episodes."""
         o, drawn = self.options, _unchanged(n)
         if self.symmetries is not None:
@@ -152,11 +156,12 @@ class Augmentation:
             for name in self.images:
                 _change(observation[name], mask, order, shift, scale, centre, self.options.cutout)
 
-    def observe_episode(self, observation: dict[str, NDArray], world: int) -> None:
+    def observe_episode(self, observation: dict[str, NDArray], world: int) -> Draw:
         """Changes the observations `{name: [frames, ...]}` of the running episode of one world, in
-        place."""
+        place; returns what was drawn for it."""
         drawn = {name: values[world : world + 1] for name, values in self._drawn.items()}
         self._change_frames(observation, drawn)
+        return drawn
 
     def actions_to_worlds(self, fields: dict[str, NDArray], world: int) -> None:
         """Makes the actions in the fields `{name: [frames]}` of the running episode of one world
@@ -164,15 +169,25 @@ class Augmentation:
         if self.symmetries is not None:
             _replace_actions(fields, self.symmetries.actions[self._drawn["symmetry"][world]])
 
-    def change_episode(self, observation: dict[str, NDArray], fields: dict[str, NDArray]) -> None:
+    def change_episode(self, observation: dict[str, NDArray], fields: dict[str, NDArray]) -> Draw:
         """Changes an episode, as a world has it, by a draw of its own, in place: observations
-        `{name: [frames, ...]}`, and the actions in `fields` `{name: [frames]}`."""
+        `{name: [frames, ...]}`, and the actions in `fields` `{name: [frames]}`; returns the draw.
+        """
         drawn = self._draw(1)
         self._change_frames(observation, drawn)
         if self.symmetries is not None:
             _replace_actions(fields, self._inverse[drawn["symmetry"][0]])
+        return drawn
 
-    def _change_frames(self, observation: dict[str, NDArray], drawn: dict[str, NDArray]) -> None:
+    def move(self, regions: NDArray[np.float32], drawn: Draw) -> NDArray[np.float32]:
+        """Where the draw of an episode moves regions of its images to, [..., 4] -> [..., 4] (top,
+        left, bottom, right, in sides of the image). Sides on the image's border stay there, since
+        it is repeated; symmetries change what regions stand for, and not here."""
+        down, right = drawn["shift"][0] / self._sides
+        moved = (regions - 0.5) * drawn["scale"][0] + 0.5 + np.array([down, right, down, right])
+        return np.where((regions > 0) & (regions < 1), moved, regions).astype(np.float32)
+
+    def _change_frames(self, observation: dict[str, NDArray], drawn: Draw) -> None:
         """Changes all frames as one draw says."""
         frames = len(next(iter(observation.values())))
         repeated = {name: np.repeat(values, frames, axis=0) for name, values in drawn.items()}
@@ -204,7 +219,7 @@ class Augmentation:
             self._drawn[name][:] = state[name]
 
 
-def _unchanged(n: int) -> dict[str, NDArray]:
+def _unchanged(n: int) -> Draw:
     """The draws that change nothing."""
     return {
         "symmetry": np.zeros(n, np.int64),

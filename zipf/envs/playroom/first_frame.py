@@ -17,6 +17,7 @@ from zipf.envs.splits import KINDS, Split
 from zipf.envs.vector import Observation
 
 LEFT, RIGHT = 0, 1
+_HALVES = np.array([[0, 0, 1, 0.5], [0, 0.5, 1, 1]], np.float32)  # top, left, bottom, right
 
 
 class FirstFrameVectorEnv(PlayroomVectorEnv):
@@ -48,6 +49,7 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
         if not self.level.finding:
             raise ValueError(f"level 'playroom/{level}' has no object on the left and on the right")
         self.single_action_space = spaces.Discrete(2)
+        self.action_regions = _HALVES
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._pointed_at = np.zeros(num_envs, np.int64)  # of the two objects, the target first
         # An answer changes nothing in view: a frame is drawn once, and shown before and after it.

@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from zipf.agents.hindsight import AchievedOptions
 from zipf.envs.goals import Goal
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.augmentation import Augmentation
+from zipf.experiments.augmentation import Augmentation, Draw
 from zipf.experiments.running.goal_memory import Episode, GoalMemory, Parts
 
 _FIELDS = {
@@ -55,6 +55,7 @@ class Hindsight:
     ):
         env.report_achieved()
         self.options = options
+        self._regions = env.action_regions if options.matching_cost else None
         self.goal = goal
         self.reward = reward
         self._teacher = teacher
@@ -129,9 +130,8 @@ class Hindsight:
         none: those since the last call, or some of the memory's."""
         chosen, self._chosen, self._candidates = self._chosen, [], 0
         if self._memory is not None:
-            chosen = self._memory.draw(self.options.episodes, self._generator)
-            if self.augmentation is not None:
-                chosen = [self._changed(episode, self.augmentation) for episode in chosen]
+            kept = self._memory.draw(self.options.episodes, self._generator)
+            chosen = [self._changed(episode) for episode in kept]
         if not chosen:
             return None
         lengths = torch.tensor([len(fields["reward"]) for _, fields in chosen])
@@ -183,8 +183,11 @@ class Hindsight:
         self.goal.write(observation, np.repeat(goal[None], len(everywhere), axis=0), everywhere)
         fields["reward"][-1] = self.reward
         fields.pop("label", None)
-        if self.augmentation is not None and self._memory is None:
-            self.augmentation.observe_episode(observation, world)
+        if self._memory is None:
+            drawn = None
+            if self.augmentation is not None:
+                drawn = self.augmentation.observe_episode(observation, world)
+            self._point(fields, drawn)
         elif self.augmentation is not None:
             self.augmentation.actions_to_worlds(fields, world)
         return observation, fields
@@ -206,11 +209,22 @@ class Hindsight:
         fields = {name: part[rows, world] for name, part in self._fields.items()}
         return observation, fields
 
-    def _changed(self, episode: Episode, augmentation: Augmentation) -> Episode:
+    def _changed(self, episode: Episode) -> Episode:
         """A copy of an episode of the memory, augmented anew."""
         observation, fields = ({name: part.copy() for name, part in p.items()} for p in episode)
-        augmentation.change_episode(observation, fields)
+        drawn = None
+        if self.augmentation is not None:
+            drawn = self.augmentation.change_episode(observation, fields)
+        self._point(fields, drawn)
         return observation, fields
+
+    def _point(self, fields: Parts, drawn: Draw | None) -> None:
+        """Adds the regions of the image that the actions point at, where they do, as the draw of
+        the augmentation has moved them."""
+        if self._regions is not None:
+            fields["region"] = self._regions[fields["action"]]
+            if self.augmentation is not None and drawn is not None:
+                fields["region"] = self.augmentation.move(fields["region"], drawn)
 
     def _grow(self, rows: int) -> None:
         """Makes room for longer episodes; no frame has been overwritten yet."""
