@@ -15,6 +15,7 @@ from zipf.agents.supervised import Supervised, SupervisedOptions
 from zipf.envs.check import check_vector_env
 from zipf.envs.playroom.first_frame import LEFT, RIGHT, FirstFrameVectorEnv
 from zipf.envs.single import SingleWorld
+from zipf.experiments.augmentation import Augmentation, RandomAugmentationOptions
 from zipf.experiments.running.agent_policy import AgentPolicy
 from zipf.experiments.running.collector import Collector
 from zipf.experiments.running.evaluator import play
@@ -206,6 +207,65 @@ def test_with_hindsight_it_learns_relabelled_questions_too(kept):
         unroll.episodes = None
         assert loss == pytest.approx(plain.update(unroll)["loss"] + expected, rel=1e-5)
         plain.load_state_dict(made.state_dict())
+
+
+class Painted(FirstFrameVectorEnv):
+    """Each half of a frame has the colour of its object's rank."""
+
+    def _observe(self, out, mask):
+        super()._observe(out, mask)
+        middle = out["image"].shape[2] // 2
+        for i in np.flatnonzero(mask):
+            objects = self.worlds.ranks[i, :2][:: 1 if self._side[i] == LEFT else -1]
+            out["image"][i, :, :middle], out["image"][i, :, middle:] = 5 * objects[:, None, None]
+
+
+@pytest.mark.parametrize("kept", [None, 3])
+@pytest.mark.parametrize("augmented", [False, True])
+def test_relabelled_questions_tell_where_the_named_object_is(kept, augmented):
+    """Also in a mirror, moved and scaled: where they say there is nothing but its colour."""
+    level = "supervised/find_shape_uniform"
+    options = AchievedOptions(
+        name="achieved", episodes=100, length=None, kept_per_goal=kept, reward=1.0,
+        advantage="none", policy_cost=1.0, value_cost=0.0, fade=None, matching_cost=1.0,
+    )  # fmt: skip
+    env, augmentation = Painted(20, level), None
+    if augmented:
+        changes = RandomAugmentationOptions(
+            name="random", symmetries=True, channels=False, shift=12, cutout=0, scale=[0.4, 1.4]
+        )
+        space, symmetries = (
+            env.single_observation_space, envs.symmetries(envs.split("playroom_find"), env)
+        )  # fmt: skip
+        augmentation = Augmentation(changes, space, 20, seed=0, symmetries=symmetries)
+    goal = envs.goal(f"playroom/{level}", env)
+    collector = Collector(
+        env, classifier(env), unroll_length=10, seed=1, goal=goal, hindsight=options,
+        augmentation=augmentation,
+    )  # fmt: skip
+    questions = collector.collect().episodes
+    toys = FirstFrameVectorEnv(50, level)
+    frames, _ = toys.reset(seed=0, options={"target": np.arange(50), "other": 0})
+    rank_of = {words.tobytes(): rank for rank, words in enumerate(frames["instruction"])}
+    sides, edges = set(), set()
+    for question in questions[0]:
+        image = question["observation", "image"].numpy()
+        width = image.shape[1]
+        top, left, bottom, right = question["region"].tolist()
+        assert (top, bottom) == (0, 1)
+        # A pixel at the edge may show either.
+        shown = image[:, np.ceil(left * width).astype(int) + 1 : int(right * width) - 1]
+        rank = rank_of[question["observation", "instruction"].numpy().tobytes()]
+        assert shown.size > 1000
+        assert (shown == 5 * rank).all()
+        sides.add(int(question["action"]))
+        edges.add(round(max(left, 1 - right), 3))
+    assert sides == {LEFT, RIGHT}
+    assert (len(edges) > 20) == augmented
+    plain = options.model_copy(update={"matching_cost": 0.0})
+    without = Collector(Painted(20, level), classifier(env), unroll_length=10, seed=1, goal=goal,
+                        hindsight=plain)  # fmt: skip
+    assert "region" not in without.collect().episodes
 
 
 def test_answers_are_random_in_training_and_its_best_in_evaluation():
