@@ -40,8 +40,8 @@ TASKS = (
             "impala_comparing_augmented,precision=bfloat16,"
             "pretrained.run=gridworld_compact_impala_comparing_hindsight,precision=bfloat16,"
             "collector.num_envs=64,collector.unroll_length=64": "The same, then augmented",
-            "impala_comparing_settled_whole": "The same, then on whole episodes, with a learning rate "
-            "that falls to 0",
+            "impala_comparing_settled_whole": "The same, then on whole episodes, with a learning "
+            "rate that falls to 0",
             "imitation_comparing_augmented,precision=bfloat16": "Imitation that learns to compare",
         },
     ),

@@ -75,6 +75,7 @@ def test_draws_last_for_an_episode():
     assert np.array_equal(after["order"][~some], before["order"][~some])
     assert not np.array_equal(after["order"][some], before["order"][some])
     other = Augmentation(options(channels=True), IMAGE, 50, seed=1)
+    del after["scale"]  # as before images were scaled
     other.load_state_dict(after)
     for one in (augmentation, other):
         one.begin(everywhere(50))
@@ -238,7 +239,7 @@ def test_what_cannot_be_augmented_is_refused():
     with pytest.raises(ValueError, match="declare no symmetries"):
         Augmentation(options(symmetries=True), IMAGE, 2, seed=0)
     codes = gym.spaces.Dict(codes=gym.spaces.MultiDiscrete([3, 3]))
-    with pytest.raises(ValueError, match="the observations have no image"):
+    with pytest.raises(ValueError, match=r"shift: the observations have no image; choose 0"):
         Augmentation(options(shift=1), codes, 2, seed=0)
     with pytest.raises(ValueError, match="changes nothing"):
         Augmentation(options(), IMAGE, 2, seed=0)

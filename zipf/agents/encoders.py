@@ -284,12 +284,9 @@ class Encoder(nn.Module):
     def parts(self) -> dict[str, nn.Module]:
         """The encoders by what they read, such as `instruction`, and the matcher of an image's,
         such as `image.matcher`."""
-        parts: dict[str, nn.Module] = {}
-        for names, encoder in zip(self.names, self.encoders, strict=True):
-            parts["+".join(names)] = encoder
-            if isinstance(encoder, MatchingNet):
-                parts[f"{names[0]}.matcher"] = encoder.matcher
-        return parts
+        named = zip(self.names, self.encoders, strict=True)
+        matchers = {f"{name}.matcher": matcher for name, matcher in self._matchers().items()}
+        return {"+".join(names): encoder for names, encoder in named} | matchers
 
     def compile_images(self) -> int:
         """Compiles the networks that read images (`torch.compile`); returns how many there are."""
@@ -302,21 +299,21 @@ class Encoder(nn.Module):
         """How well the places of images show what instructions name, by `network=matching`: the
         images of `{name: [N, ...]}` and the texts of `{name: [G, ...]}` -> float32 [N, P, G]."""
         told = torch.cat([self.reader(name)(asked[name]) for name in self.texts], -1)
-        matched = [(names[0], matcher) for names, matcher in self._matchers()]
-        return torch.cat([matcher(observation[name], told) for name, matcher in matched], 1)
+        scores = [matcher(observation[name], told) for name, matcher in self._matchers().items()]
+        return torch.cat(scores, 1)
 
     def places(self) -> Tensor:
         """The centres of the places of `match`, float32 [P, 2]: down and to the right, in sides of
         the image."""
-        return torch.cat([matcher.centres for _, matcher in self._matchers()])
+        return torch.cat([matcher.centres for matcher in self._matchers().values()])
 
-    def _matchers(self) -> list[tuple[tuple[str, ...], Matcher]]:
-        """The matchers, with what they read."""
-        return [
-            (names, network.matcher)
+    def _matchers(self) -> dict[str, Matcher]:
+        """The matchers by the images that they read."""
+        return {
+            names[0]: network.matcher
             for names, network in zip(self.names, self.encoders, strict=True)
             if isinstance(network, MatchingNet)
-        ]
+        }
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """`{name: [N, ...]}` -> `[N, size]`."""

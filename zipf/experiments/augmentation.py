@@ -93,16 +93,13 @@ class Augmentation:
                 "augmentation.symmetries=false"
             )
         self.images = [name for name, part in space.items() if is_image(part)]
-        self._sides = np.array([space[name].shape for name in self.images[:1]])[:, :2].ravel()
-        of_images = {
-            "channels": options.channels,
-            "shift": options.shift > 0,
-            "scale": options.scale != [1, 1],
-            "cutout": options.cutout > 0,
-        }
-        chosen = [name for name, changes in of_images.items() if changes]
+        self._space = space
+        chosen = [name for name, off in _OF_IMAGES.items() if getattr(options, name) != off]
         if chosen and not self.images:
-            raise ValueError(f"augmentation.{chosen[0]}: the observations have no image to change")
+            raise ValueError(
+                f"augmentation.{chosen[0]}: the observations have no image; choose "
+                f"{_OF_IMAGES[chosen[0]]}"
+            )
         if not chosen and not options.symmetries:
             raise ValueError(
                 "augmentation=random: changes nothing with these values; choose augmentation=none"
@@ -183,7 +180,8 @@ class Augmentation:
         """Where the draw of an episode moves regions of its images to, [..., 4] -> [..., 4] (top,
         left, bottom, right, in sides of the image). Sides on the image's border stay there, since
         it is repeated; symmetries change what regions stand for, and not here."""
-        down, right = drawn["shift"][0] / self._sides
+        height, width, _ = self._space[self.images[0]].shape or ()
+        down, right = drawn["shift"][0] / (height, width)
         moved = (regions - 0.5) * drawn["scale"][0] + 0.5 + np.array([down, right, down, right])
         return np.where((regions > 0) & (regions < 1), moved, regions).astype(np.float32)
 
@@ -217,6 +215,10 @@ class Augmentation:
         self._rng.bit_generator.state = state["generator"]
         for name in state.keys() - {"generator"}:
             self._drawn[name][:] = state[name]
+
+
+# What changes images, with the values that do not.
+_OF_IMAGES = {"channels": False, "shift": 0, "scale": [1, 1], "cutout": 0}
 
 
 def _unchanged(n: int) -> Draw:
