@@ -656,7 +656,12 @@ def test_a_checkpoint_from_before_an_option_was_added_fits():
     _, *tiny = TINY
     finding = [*tiny, "experiment=playroom_find_compact", "condition=supervised_matching"]
     others = ["network=matching", "memory=mlp", "exploration=none", "updates=1", "run_root=runs"]
-    names = {"network.matcher", "hindsight.matching_cost", "augmentation.scale"}
+    names = {
+        "network.matcher",
+        "network.remember_instruction",
+        "hindsight.matching_cost",
+        "augmentation.scale",
+    }
     config = command_line.load([*finding, *others])
     assert names & config.what_is_learned.keys() == {"hindsight.matching_cost"}
     config = command_line.load([*finding, *others, "hindsight.matching_cost=0"])

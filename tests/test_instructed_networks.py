@@ -207,6 +207,19 @@ def test_places_are_where_the_matcher_reads():
     assert reach == pytest.approx({"down": 5.5, "across": 5.5})
 
 
+@torch.no_grad()
+def test_the_instruction_can_be_left_to_the_matcher():
+    encoder, _, _ = built(MATCHING)
+    alone, _, _ = built(MATCHING.model_copy(update={"remember_instruction": False}))
+    alone.load_state_dict(encoder.state_dict())
+    given = observations()
+    assert encoder.size - alone.size == 32
+    # The image comes first and the instruction last.
+    torch.testing.assert_close(alone(given), encoder(given)[:, : alone.size])
+    other = {**given, "instruction": given["instruction"].roll(1, 0)}
+    assert not torch.allclose(alone(other), alone(given))
+
+
 def test_a_fixed_matcher_learns_nothing():
     encoder, network, reader = built(MATCHING.model_copy(update={"matcher": "fixed"}))
     encoder(observations()).square().sum().backward()

@@ -225,6 +225,9 @@ def is_codes(space: gym.Space) -> bool:
 class Encoder(nn.Module):
     """Encodes every part of a dictionary observation and concatenates ("flatten+concat").
 
+    With `remember_instruction` False texts are left out of the result: the images' network reads
+    them.
+
     Attributes:
         encoders: for each of `names`, the parts it reads, an encoder of [N, ...] -> [N, its size].
         texts: the names of the parts that are texts.
@@ -271,6 +274,10 @@ class Encoder(nn.Module):
                 self.reader(name).requires_grad_(False)
         if not self.names:
             raise ValueError(f"the observations are {space}: there is nothing to read")
+        self._left_out: list[tuple[str, ...]] = []
+        if isinstance(options, MatchingOptions) and not options.remember_instruction:
+            self._left_out = [(name,) for name in texts]
+            self.size -= told
 
     def _add(self, names: list[str], encoder: PartEncoder) -> None:
         self.names.append(tuple(names))
@@ -327,7 +334,9 @@ class Encoder(nn.Module):
             if isinstance(encode, InstructedNet):
                 told = [encoded[n] for n, e in parts if isinstance(e, InstructionEncoder)]
                 encoded[names] = encode(observation[names[0]], torch.cat(told, -1))
-        return torch.cat([encoded[names] for names in self.names], -1)
+        return torch.cat(
+            [encoded[names] for names in self.names if names not in self._left_out], -1
+        )
 
 
 def vocabulary(space: gym.Space) -> int:

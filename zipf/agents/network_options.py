@@ -103,13 +103,15 @@ class MatchingOptions(ShallowOptions):
 
     `match_channels` are those of the convolutions whose keys are matched, with the kernels and
     strides of the others; one of 3 x 3 follows. Keys and queries have `key_size` numbers. With
-    `matcher` "fixed" the matcher and the encoder of the instruction stay as they begin.
+    `matcher` "fixed" the matcher and the encoder of the instruction stay as they begin. Without
+    `remember_instruction` the memory does not read the encoded instruction: the matcher alone does.
     """
 
     name: Literal["matching"]  # type: ignore[assignment]
     match_channels: Annotated[list[Size], Field(min_length=1)]
     key_size: Size
     matcher: Literal["learned", "fixed"] = "learned"
+    remember_instruction: bool = True
 
 
 NetworkOptions = Annotated[

@@ -114,6 +114,7 @@ NOT_LEARNED = frozenset(
 ADDED_SINCE = {
     "learning_rate_decay": None,
     "network.matcher": "learned",
+    "network.remember_instruction": True,
     "hindsight.matching_cost": 0.0,
     "augmentation.scale": [1.0, 1.0],
 }
