@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+import torch
 from omegaconf import OmegaConf
 from worlds_of import chosen, needs
 
@@ -207,7 +208,7 @@ MISTAKES = [
     (["experiment=demo", "updates=many"], ["updates=many", "integer"]),
     (["experiment=demo", "updates=0"], ["updates=0", "greater"]),
     (["experiment=demo", "agent.learning_rate=fast"], ["agent.learning_rate=fast", "number"]),
-    (["experiment=demo", "precision=half"], ["precision=half", "bfloat16"]),
+    (["experiment=demo", "precision=half"], ["precision=half", "auto", "bfloat16"]),
     (["experiment=demo", "resume=perhaps"], ["resume=perhaps", "must"]),
     (["experiment=demo", "device=gpu"], ["device=gpu"]),
     (["experiment=demo", "device=cuda:99"], ["device=cuda:99", "CUDA", "device=cpu"]),
@@ -274,6 +275,35 @@ MISTAKES = [
     (["experiment=demo", "environment.num_maps=1000000000"], ["num_maps must be at most 10000"]),
     (["experiment=demo", "environment.max_steps=99999999999999999999"], ["max_steps must be at"]),
 ]
+
+
+@pytest.mark.parametrize("has", [True, False])
+def test_automatic_precision_is_what_the_device_computes_fast(has, monkeypatch):
+    """In the checked options, which is what files tell, and only where it was asked for."""
+    monkeypatch.setattr(config, "has_bfloat16", lambda device: has and device == "cpu")
+    overrides = ["experiment=playroom_lift_compact", "device=cpu"]
+    loaded = command_line.load(overrides)
+    assert loaded.condition == "impala"
+    assert loaded.precision == loaded.what_is_learned["precision"]
+    assert loaded.precision == ("bfloat16" if has else "float32")
+    for precision in ("float32", "bfloat16"):
+        assert command_line.load([*overrides, f"precision={precision}"]).precision == precision
+
+
+@pytest.mark.parametrize(
+    ("capabilities", "has"),
+    [
+        ({"architecture": "x86_64", "avx2": True, "avx512_bf16": False, "amx_bf16": False}, False),
+        ({"architecture": "x86_64", "avx2": True, "avx512_bf16": True, "amx_bf16": False}, True),
+        ({"architecture": "aarch64", "neon": True, "bf16": True}, True),
+        ({"architecture": "aarch64", "neon": True, "bf16": False}, False),
+    ],
+)
+def test_instructions_for_bfloat16_are_asked_for(capabilities, has, monkeypatch):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert config.has_bfloat16("cpu") == config.has_bfloat16("auto") == has
+    assert not config.has_bfloat16("cuda:0")
 
 
 @pytest.mark.parametrize(("overrides", "told"), MISTAKES, ids=[str(m[0]) for m in MISTAKES])
@@ -385,6 +415,8 @@ CONDITIONS = [
         "r2d2,agent.priority_exponent=0.0",
     ),
     (["experiment=demo", "condition=impala_mlp"], "impala_mlp"),
+    (["experiment=playroom_lift_compact"], "impala"),
+    (["experiment=gridworld", "precision=auto"], "impala,precision=auto"),
     (["experiment=demo", "condition=impala", "network=resnet"], "impala,network=resnet"),
     (
         ["experiment=demo", "condition=impala_mlp", "agent.discount=0.9"],

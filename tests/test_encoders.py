@@ -347,6 +347,18 @@ def test_an_instruction_is_read_to_its_last_word():
     assert not torch.allclose(padded, encoder({"image": image, "instruction": reordered}))
 
 
+@torch.no_grad()
+def test_instructions_are_read_in_float32_under_autocast():
+    """Which all CPUs can; what is returned has the precision of the rest."""
+    torch.manual_seed(0)
+    reader = InstructionEncoder(50)
+    codes = torch.randint(50, (6, 5))
+    exact = reader(codes)
+    assert (exact != exact.bfloat16().float()).any()
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(reader(codes), exact.bfloat16())
+
+
 @pytest.mark.parametrize(
     ("space", "told"),
     [

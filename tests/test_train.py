@@ -557,6 +557,17 @@ def test_what_is_compiled_learns_the_same(tmp_path):
     assert evaluate_run(EvaluateOptions(run=str(compiled.folder), episodes=2))[0] == 3
 
 
+@pytest.mark.parametrize("has", [True, False])
+def test_a_run_tells_its_precision_and_where_that_is_slow(has, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(runner, "has_bfloat16", lambda device: has)
+    arguments = [*TINY, "updates=1", "precision=bfloat16", f"run_root={tmp_path}"]
+    config = command_line.load(arguments)
+    assert runner.train(config) == 0
+    for told in (capsys.readouterr().out, (config.folder / "train.log").read_text()):
+        assert "a new run, on cpu in bfloat16" in told
+        assert ("several times as long as with precision=float32" in told) == (not has)
+
+
 def test_what_cannot_be_compiled_is_one_line(trained, monkeypatch):
     import torch._inductor.config as inductor
 

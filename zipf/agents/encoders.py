@@ -21,7 +21,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from zipf.agents.image_networks import ComparingEncoder, PatchEncoder, ResNet, ShallowNet
+from zipf.agents.image_networks import (
+    ComparingEncoder,
+    PatchEncoder,
+    ResNet,
+    ShallowNet,
+    compute_dtype,
+)
 from zipf.agents.instructed_networks import (
     AttentionNet,
     FiLMNet,
@@ -129,7 +135,8 @@ class InstructionEncoder(nn.Module):
     """Word embeddings and an LSTM, its output at the last word: int64 [N, L] -> [N, 32].
 
     Sizes 32 and 32 from the paper's architecture table. Zeros behind the last other word are
-    padding; a zero before it is a word like any other, whose embedding is zero.
+    padding; a zero before it is a word like any other, whose embedding is zero. Under autocast the
+    LSTM computes in float32: not all CPUs have one in bfloat16.
     """
 
     size = 32
@@ -140,7 +147,9 @@ class InstructionEncoder(nn.Module):
         self.lstm = nn.LSTM(32, self.size, batch_first=True)
 
     def forward(self, instruction: Tensor) -> Tensor:
-        outputs, _ = self.lstm(self.embedding(instruction))
+        with torch.autocast(instruction.device.type, enabled=False):
+            outputs, _ = self.lstm(self.embedding(instruction))
+        outputs = outputs.to(compute_dtype(instruction))
         place = torch.arange(instruction.shape[-1], device=outputs.device)
         last = torch.where(instruction != 0, place, 0).amax(-1)
         return outputs[torch.arange(len(outputs), device=outputs.device), last]

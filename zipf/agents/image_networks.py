@@ -97,7 +97,7 @@ def convolve_pixels(image: Tensor, convolution: nn.Module, *, centred: bool) -> 
     weight, bias = convolution.weight / 255.0, convolution.bias
     if centred:  # W (2 p / 255 - 1) + b
         weight, bias = 2 * weight, bias - convolution.weight.sum((1, 2, 3))
-    pixels = image.permute(0, 3, 1, 2).to(_compute_dtype(image))
+    pixels = image.permute(0, 3, 1, 2).to(compute_dtype(image))
     return F.conv2d(pixels, weight, bias, convolution.stride, convolution.padding)
 
 
@@ -134,7 +134,7 @@ class PatchEncoder(nn.Module):
         self.mix = nn.Linear(self.patches * options.channels, options.size)
 
     def forward(self, image: Tensor) -> Tensor:
-        patches = self.cut(image).to(_compute_dtype(image))
+        patches = self.cut(image).to(compute_dtype(image))
         return self.mix(self.embedded(patches)).relu()
 
     def cut(self, image: Tensor) -> Tensor:
@@ -193,7 +193,7 @@ class ComparingEncoder(PatchEncoder):
             self.register_buffer("codes", _codes_of_colours(self.patch, shape[2]), persistent=False)
 
     def forward(self, image: Tensor) -> Tensor:
-        patches = self.cut(image).to(_compute_dtype(image))
+        patches = self.cut(image).to(compute_dtype(image))
         if self.key is None:
             alike = self.same(patches)
         else:
@@ -243,6 +243,6 @@ def largest_patch(height: int, width: int) -> int:
     return max(size for size in range(1, 13) if height % size == 0 and width % size == 0)
 
 
-def _compute_dtype(tensor: Tensor) -> torch.dtype:
+def compute_dtype(tensor: Tensor) -> torch.dtype:
     kind = tensor.device.type
     return torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else torch.float32

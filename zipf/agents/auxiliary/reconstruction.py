@@ -203,7 +203,8 @@ class InstructionDecoder(nn.Module):
     """Predicts each word from the memory's output and the words before it.
 
     An LSTM of 32 units over embeddings of 32 (Hill et al. 2020 in its later version). Its initial
-    state is a linear map of the memory's output; it reads the true words (teacher forcing).
+    state is a linear map of the memory's output; it reads the true words (teacher forcing). Under
+    autocast the LSTM computes in float32: not all CPUs have one in bfloat16.
     """
 
     def __init__(self, core_size: int, vocabulary: int):
@@ -215,10 +216,11 @@ class InstructionDecoder(nn.Module):
 
     def forward(self, core: Tensor, instruction: Tensor) -> Tensor:
         """`[N, core]` and int64 `[N, L]` -> logits `[N, L, vocabulary]`."""
-        hidden, cell = self.state(core).unsqueeze(0).chunk(2, -1)
+        hidden, cell = self.state(core).float().unsqueeze(0).chunk(2, -1)
         before = F.pad(instruction[:, :-1], (1, 0))
-        embedded = self.embedding(before).to(hidden.dtype)
-        outputs, _ = self.lstm(embedded, (hidden.contiguous(), cell.contiguous()))
+        with torch.autocast(core.device.type, enabled=False):
+            state = hidden.contiguous(), cell.contiguous()
+            outputs, _ = self.lstm(self.embedding(before), state)
         return self.words(outputs)
 
 

@@ -23,6 +23,7 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
         UserError: the network cannot read these observations, they lack what the auxiliary loss
             is about, or there is no image encoder to compile.
     """
+    assert config.precision != "auto"  # the schema has resolved it
     setting = Setting(
         env.single_observation_space,
         env.single_action_space,

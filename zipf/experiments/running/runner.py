@@ -14,7 +14,7 @@ from zipf import envs
 from zipf.agents.agent import Agent
 from zipf.agents.unroll import Unroll
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.config import Config
+from zipf.experiments.config import Config, has_bfloat16
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, learners, pretrained, run_folder
 from zipf.experiments.running.allocator import keep_freed_ram
@@ -181,8 +181,15 @@ class Run:
             self._begin_files()
         self._logged = self.clock.training, self.update
         state = "a new run" if self.is_new else f"resumes at update {self.update}"
-        self.display.say(f"{self.name}: {state}, on {self.device}, in {self.folder}")
-        self._write(f"{self.name}: {state}, on {self.device}")
+        precision = self.config.precision
+        where = f"on {self.device} in {precision}"
+        self.display.say(f"{self.name}: {state}, {where}, in {self.folder}")
+        self._write(f"{self.name}: {state}, {where}")
+        if precision == "bfloat16" and not has_bfloat16(self.device):
+            self._tell(
+                "precision=bfloat16: this device has no instructions for it and takes several "
+                "times as long as with precision=float32"
+            )
         if self._pretrained:
             self._tell(pretrained.told(self._pretrained))
         for note in self._notes:
