@@ -4,14 +4,13 @@ import math
 from collections.abc import Sequence
 
 import pymunk
-from pymunk._chipmunk_cffi import lib
 
+from zipf.envs.playroom.chipmunk import address
 from zipf.envs.playroom.constants import (
     AGENT_MASS,
     AGENT_RADIUS,
     DAMPING,
     FRAME,
-    FRAMES,
     FURNITURE_SIZE,
     ROOM,
 )
@@ -91,7 +90,6 @@ class Room:
             shape.friction = 0.5
         self.shapes: list[pymunk.Shape] = []
         self.bodies = [self.agent, *self.objects]
-        self.layers: list[int] = []
 
     def begin(
         self,
@@ -129,19 +127,19 @@ class Room:
                 disc.unsafe_set_radius((length + width) / 4)
                 self.shapes.append(disc)
             self.shapes[j].filter = _LAYERS[GROUND_LAYER]
-        self.layers = [GROUND_LAYER] * len(self.objects)
         self.space = pymunk.Space()
         self.space.iterations = _ITERATIONS
         self.space.collision_slop = _SLOP
         self.space.damping = math.exp(-DAMPING)
         self.space.add(*self._still, *self.bodies, *self._fixed, self._disc, *self.shapes)
 
-    def set_layers(self, layers: Sequence[int]) -> None:
-        """Sets what each object collides with, GROUND_LAYER .. TRAY_LAYER."""
-        for j, layer in enumerate(layers):
-            if layer != self.layers[j]:
-                self.shapes[j].filter = _LAYERS[layer]
-        self.layers = list(layers)
+    def addresses(self) -> tuple[int, list[int]]:
+        """Where the episode's space is in memory, and the bodies of the agent and the objects."""
+        return address(self.space._space), [address(body._body) for body in self.bodies]
+
+    def set_layer(self, item: int, layer: int) -> None:
+        """Sets what an object collides with, GROUND_LAYER .. TRAY_LAYER; at first GROUND_LAYER."""
+        self.shapes[item].filter = _LAYERS[layer]
 
     def place(self, item: int, x: float, y: float, angle: float) -> None:
         """Puts an object somewhere on the floor plane; it keeps its velocity."""
@@ -170,24 +168,6 @@ class Room:
         back = (vx * dx + vy * dy) / (dx * dx + dy * dy)
         if back < 0:
             agent.velocity = vx - back * dx, vy - back * dy
-
-    def step(self, force: Sequence[float]) -> None:
-        """Simulates the frames of one action, with a force (x, y) on the agent, newtons."""
-        # Chipmunk without pymunk's methods, which here do nothing else and take as long again.
-        space, agent = self.space._space, self.agent._body
-        x, y = force
-        for _ in range(FRAMES):
-            if x or y:
-                lib.cpBodySetForce(agent, (x, y))  # Chipmunk clears it after every frame
-            lib.cpSpaceStep(space, FRAME)
-
-    def poses(self) -> list[float]:
-        """x, y and angle of the agent and then of each object, as one flat list."""
-        values: list[float] = []
-        for body in self.bodies:
-            place = lib.cpBodyGetPosition(body._body)
-            values += (place.x, place.y, lib.cpBodyGetAngle(body._body))
-        return values
 
 
 def _place(body: pymunk.Body, x: float, y: float, angle: float) -> None:

@@ -10,13 +10,13 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs.playroom import hand, judgement, layout, levels
+from zipf.envs.playroom import chipmunk, hand, judgement, layout, levels
 from zipf.envs.playroom.achieved import Achievement, achieved
 from zipf.envs.playroom.actions import ACTIONS
 from zipf.envs.playroom.constants import EXPONENT_BOUNDS, REACH_BOUNDS
 from zipf.envs.playroom.looks import LOOKS
 from zipf.envs.playroom.room import Room
-from zipf.envs.playroom.state import YAW, make_commands, make_worlds
+from zipf.envs.playroom.state import GROUND_LAYER, YAW, make_commands, make_worlds
 from zipf.envs.playroom.view import View, extents_of
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
@@ -110,6 +110,10 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             extents=extents_of(self.object_names),
         )
         self.rooms: list[Room | None] = [None] * n
+        self._physics = chipmunk.functions()
+        self._spaces = np.zeros(n, np.int64)  # addresses, of the rooms of episodes that have begun
+        self._bodies = np.zeros((n, count + 1), np.int64)
+        self._layers = np.full((n, count), GROUND_LAYER)  # as they are in the physics
         self._instructions = np.zeros((n, levels.VOCABULARY.length), np.int64)
         self._texts = np.full(n, "", "<U40")
         self._side = np.zeros(n, np.int64)
@@ -164,6 +168,8 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             np.concatenate([worlds.objects[i, :, :3], sizes], axis=1).tolist(),
             worlds.furniture[i].tolist() if self.level.furnished else [],
         )
+        self._spaces[i], self._bodies[i] = room.addresses()
+        self._layers[i] = GROUND_LAYER
 
     def _advance(
         self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
@@ -190,29 +196,33 @@ class PlayroomVectorEnv(ZipfVectorEnv):
 
     def _simulate(self, mask: NDArray[np.bool_]) -> None:
         """Runs the physics of a step: moves the agents and objects of the worlds of `mask`."""
-        worlds, commands = self.worlds, self._commands
-        layers, forces = commands.layers.tolist(), commands.forces.tolist()
-        drives, turned = commands.drives.tolist(), commands.turned.tolist()
-        hands = worlds.hands.tolist()
-        rows = np.flatnonzero(mask).tolist()
-        flat: list[float] = []
-        for i in rows:
-            room = self.rooms[i]
-            assert room is not None
-            if layers[i] != room.layers:
-                room.set_layers(layers[i])
-            if turned[i] >= 0:
-                room.place(turned[i], *worlds.objects[i, turned[i], :3].tolist())
-                room.move_agent(*worlds.agents[i, :2].tolist())
-            if hands[i] >= 0:
-                room.move_agent(*worlds.agents[i, :2].tolist())
-                room.carry(hands[i], worlds.objects[i, hands[i], :2].tolist(), drives[i])
-            room.step(forces[i])
-            flat += room.poses()
-        poses = np.array(flat).reshape(len(rows), -1, 3)
-        stepped = slice(None) if len(rows) == self.num_envs else rows  # a slice is much faster
-        worlds.agents[stepped, :2] = poses[:, 0, :2]
-        worlds.objects[stepped, :, :3] = poses[:, 1:]
+        worlds, commands, hands = self.worlds, self._commands, self.worlds.hands
+        for i, j in np.argwhere(mask[:, None] & (commands.layers != self._layers)).tolist():
+            self._room(i).set_layer(j, int(commands.layers[i, j]))
+        np.copyto(self._layers, commands.layers, where=mask[:, None])
+        for i in np.flatnonzero(mask & (commands.turned >= 0)).tolist():
+            room, item = self._room(i), int(commands.turned[i])
+            room.place(item, *worlds.objects[i, item, :3].tolist())
+            room.move_agent(*worlds.agents[i, :2].tolist())
+        for i in np.flatnonzero(mask & (hands >= 0)).tolist():
+            room, item = self._room(i), int(hands[i])
+            room.move_agent(*worlds.agents[i, :2].tolist())
+            room.carry(item, worlds.objects[i, item, :2].tolist(), commands.drives[i].tolist())
+        chipmunk.simulate(
+            mask,
+            self._physics,
+            self._spaces,
+            self._bodies,
+            commands.forces,
+            worlds.agents,
+            worlds.objects,
+        )
+
+    def _room(self, i: int) -> Room:
+        """The room of an episode that has begun."""
+        room = self.rooms[i]
+        assert room is not None
+        return room
 
     def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
         self._view.draw(out["image"], mask)
@@ -293,6 +303,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
+        self._physics = chipmunk.functions()
         self._replay(self._seeded, self._lengths)
 
 

@@ -1,0 +1,73 @@
+"""The compiled calls of Chipmunk beside pymunk's own methods."""
+
+import numpy as np
+import pytest
+
+from zipf.envs.playroom import chipmunk
+from zipf.envs.playroom.constants import FRAME, FRAMES
+from zipf.envs.playroom.room import Room
+from zipf.envs.playroom.state import ANGLE, AX, AY, YAW, X, Y
+
+WORLDS, OBJECTS = 3, 4
+
+
+def rooms(seed: int) -> list[Room]:
+    """Rooms whose objects lie around the agent, so that it pushes them."""
+    rng = np.random.default_rng(seed)
+    made = [Room(OBJECTS, furnished=True) for _ in range(WORLDS)]
+    for room in made:
+        places = rng.uniform(-1.5, 1.5, (OBJECTS, 2))
+        sizes = rng.uniform(0.1, 0.5, (OBJECTS, 2))
+        angles = rng.uniform(-3, 3, (OBJECTS, 1))
+        objects = np.concatenate([places, angles, sizes], axis=1)
+        room.begin([0.0, 0.0], objects.tolist(), [[1.2, 1.5, 0.3], [-1.5, -1.5, 0.1]])
+    return made
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_compiled_physics_is_pymunks(seed: int) -> None:
+    """To the bit, for the worlds of the mask, where others stay as they are."""
+    ours, theirs = rooms(seed), rooms(seed)
+    found = [room.addresses() for room in ours]
+    spaces = np.array([space for space, _ in found])
+    bodies = np.array([of_room for _, of_room in found])
+    agents, objects = np.zeros((WORLDS, 6)), np.zeros((WORLDS, OBJECTS, 5))
+    rng = np.random.default_rng(seed)
+    pushed = 0.0
+    for step in range(60):
+        forces = rng.uniform(-400, 400, (WORLDS, 2)) * (rng.random((WORLDS, 1)) < 0.8)
+        mask = rng.random(WORLDS) < 0.7
+        before = agents.copy(), objects.copy()
+        chipmunk.simulate(mask, chipmunk.functions(), spaces, bodies, forces, agents, objects)
+        for i, room in enumerate(theirs):
+            if not mask[i]:
+                assert (agents[i] == before[0][i]).all()
+                assert (objects[i] == before[1][i]).all()
+                continue
+            for _ in range(FRAMES):
+                room.agent.force = tuple(forces[i])
+                room.space.step(FRAME)
+            assert tuple(agents[i, [AX, AY]]) == tuple(room.agent.position)
+            for j, body in enumerate(room.objects):
+                assert tuple(objects[i, j, [X, Y, ANGLE]]) == (*body.position, body.angle)
+        if step:
+            pushed = max(pushed, abs(objects[:, :, X] - before[1][:, :, X])[mask].max(initial=0))
+    assert pushed > 0.05
+    assert not agents[:, YAW].any()
+
+
+def test_addresses_are_of_the_episode() -> None:
+    """A new episode has another space, and the same bodies."""
+    room = rooms(0)[0]
+    space, bodies = room.addresses()
+    kept = room.space  # or its memory might be used again
+    room.begin([0.5, 0.0], [[1.0, 1.0, 0.0, 0.2, 0.2]] * OBJECTS, [[1.2, 1.5, 0.3]] * 2)
+    assert room.space is not kept
+    assert room.addresses()[0] != space
+    assert room.addresses()[1] == bodies
+
+
+def test_windows_passes_vectors_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chipmunk.sys, "platform", "win32")
+    with pytest.raises(RuntimeError, match="runs on Linux and macOS"):
+        Room(1, furnished=False).addresses()
