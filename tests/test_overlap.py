@@ -232,7 +232,10 @@ def test_an_error_in_collection_is_raised_after_learning():
     overlap.close()
 
 
-def test_an_interrupt_while_waiting_stops_collection():
+def test_an_interrupt_while_waiting_stops_collection(request):
+    # A shell's background jobs begin with the signal ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     worlds = Worlds(lambda step: os.kill(os.getpid(), signal.SIGINT) if step == 3 else None)
     overlap = Overlap(worlds, Nobody())
     with pytest.raises(KeyboardInterrupt):
