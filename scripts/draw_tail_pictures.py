@@ -66,7 +66,7 @@ def of_map_and_target(situations: pd.DataFrame) -> NDArray[np.float64]:
 
 
 def of_target(situations: pd.DataFrame) -> NDArray[np.float64]:
-    """The shares of what is asked for in finding, whatever else is there."""
+    """The shares of what is asked for in the playroom, whatever else is there."""
     return distributions.zipfian(50, 3)[situations["target"]]
 
 
@@ -111,6 +111,21 @@ WORLDS = [
                 "Augmentation and a memory of goals", "#009988"
             ),
             "supervised_matching": Agent("The same, and matching", "#cc3311"),
+        },
+        "blind",
+        of_target,
+    ),
+    World(
+        "lifting",
+        "playroom_lift",
+        "playroom_lift_compact",
+        {
+            "impala,network=film": Agent("IMPALA, modulated by the instruction", "#000000"),
+            "impala_matching": Agent("IMPALA, told where by a matcher", "#cc3311"),
+            "impala_matching_settled": Agent(
+                "The same, then with a falling learning rate", "#ee7733"
+            ),
+            "imitation_matching": Agent("Imitation, told where by a matcher", "#009988"),
         },
         "blind",
         of_target,

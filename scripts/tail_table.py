@@ -52,9 +52,19 @@ TASKS = (
             "supervised,network=film": "Classifier",
             "supervised_hindsight_augmented,network=film": "Classifier with a memory of questions",
             "supervised_matching": "The same, which matches names with places",
+            "supervised_matching_scaled": "The same, for lifting: pictures of other sizes, too",
         },
     ),
-    Task("Lifting a toy", "playroom_lift_compact", {"impala,network=film": "IMPALA"}),
+    Task(
+        "Lifting a toy",
+        "playroom_lift_compact",
+        {
+            "impala,network=film": "IMPALA",
+            "impala_matching": "IMPALA, told where by a matcher learned in finding",
+            "impala_matching_settled": "The same, then with a learning rate that falls to 0",
+            "imitation_matching": "Imitation, told where by a matcher learned in finding",
+        },
+    ),
 )
 
 
