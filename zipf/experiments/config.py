@@ -331,7 +331,9 @@ def find_device(device: str) -> str:
 def has_bfloat16(device: str) -> bool:
     """Whether a device, or the one that is chosen by `auto`, has instructions for bfloat16. Without
     them it computes the same, several times slower than in float32."""
-    if device.startswith("cuda") or (device == "auto" and torch.cuda.is_available()):
+    if device == "auto":
+        device = find_device(device)
+    if device.startswith("cuda"):
         return torch.cuda.is_available() and torch.cuda.is_bf16_supported(including_emulation=False)
     # Older versions of PyTorch do not tell.
     known = torch.cpu.get_capabilities() if hasattr(torch.cpu, "get_capabilities") else {}

@@ -6,17 +6,20 @@ registers, as two doubles are passed and as LLVM returns a pair. On Windows it i
 """
 
 import sys
+from functools import cache
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 from pymunk._chipmunk_cffi import ffi, lib
 
 from zipf.compiled import compiled
 from zipf.envs.playroom.constants import FRAME, FRAMES
 from zipf.envs.playroom.state import ANGLE, AX, AY, X, Y
+from zipf.envs.render3d.lanes import written
 
 _STEP, _SET_FORCE, _POSITION, _ANGLE = range(4)
 _NAMES = ("cpSpaceStep", "cpBodySetForce", "cpBodyGetPosition", "cpBodyGetAngle")
@@ -29,7 +32,8 @@ def address(pointer: Any) -> int:
     return int(ffi.cast("intptr_t", pointer))
 
 
-def functions() -> np.ndarray:
+@cache
+def functions() -> NDArray[np.int64]:
     """The addresses of what `simulate` calls, int64 [4]. They differ between processes."""
     return np.array([address(ffi.addressof(lib, name)) for name in _NAMES])
 
@@ -40,7 +44,7 @@ _NUMBER, _POINTER = ir.DoubleType(), ir.IntType(8).as_pointer()
 _NOTHING, _VECTOR = ir.VoidType(), ir.LiteralStructType([_NUMBER, _NUMBER])
 
 
-def _call(builder: Any, returns: Any, function: Any, of: Any, *numbers: Any) -> Any:
+def _call(builder: Any, function: Any, of: Any, *numbers: Any, returns: Any = _NOTHING) -> Any:
     """Calls the function at an address with a pointer, given as an address, and numbers."""
     taken = [_POINTER] + [_NUMBER] * len(numbers)
     pointer = builder.inttoptr(function, ir.FunctionType(returns, taken).as_pointer())
@@ -49,26 +53,18 @@ def _call(builder: Any, returns: Any, function: Any, of: Any, *numbers: Any) -> 
 
 @_intrinsic
 def _step(typingctx: Any, function: Any, space: Any, seconds: Any) -> Any:
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        _call(builder, _NOTHING, *args)
-        return context.get_dummy_value()
-
-    return types.void(types.int64, types.int64, types.float64), codegen
+    return written([types.int64, types.int64, types.float64], _call)
 
 
 @_intrinsic
 def _set_force(typingctx: Any, function: Any, body: Any, x: Any, y: Any) -> Any:
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        _call(builder, _NOTHING, *args)
-        return context.get_dummy_value()
-
-    return types.void(types.int64, types.int64, types.float64, types.float64), codegen
+    return written([types.int64, types.int64, types.float64, types.float64], _call)
 
 
 @_intrinsic
 def _position(typingctx: Any, function: Any, body: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        vector = _call(builder, _VECTOR, *args)
+        vector = _call(builder, *args, returns=_VECTOR)
         both = [builder.extract_value(vector, k) for k in range(2)]
         return context.make_tuple(builder, signature.return_type, both)
 
@@ -78,7 +74,7 @@ def _position(typingctx: Any, function: Any, body: Any) -> Any:
 @_intrinsic
 def _angle(typingctx: Any, function: Any, body: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return _call(builder, _NUMBER, *args)
+        return _call(builder, *args, returns=_NUMBER)
 
     return types.float64(types.int64, types.int64), codegen
 

@@ -110,7 +110,6 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             extents=extents_of(self.object_names),
         )
         self.rooms: list[Room | None] = [None] * n
-        self._physics = chipmunk.functions()
         self._spaces = np.zeros(n, np.int64)  # addresses, of the rooms of episodes that have begun
         self._bodies = np.zeros((n, count + 1), np.int64)
         self._layers = np.full((n, count), GROUND_LAYER)  # as they are in the physics
@@ -210,7 +209,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             room.carry(item, worlds.objects[i, item, :2].tolist(), commands.drives[i].tolist())
         chipmunk.simulate(
             mask,
-            self._physics,
+            chipmunk.functions(),
             self._spaces,
             self._bodies,
             commands.forces,
@@ -303,7 +302,6 @@ class PlayroomVectorEnv(ZipfVectorEnv):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._physics = chipmunk.functions()
         self._replay(self._seeded, self._lengths)
 
 
