@@ -64,7 +64,6 @@ SMALL = [
     "collector.num_envs=6",
     "collector.unroll_length=5",
     "environment.max_steps=9",
-    "network=compact",
 ]
 EXPERIMENTS = ("demo", "playroom_lift_compact", "playroom_find_compact")
 TIMED = r"^(?:seconds|frames_per_second|time_.*)$"
@@ -137,14 +136,13 @@ def small_runs(variants: Sequence[list[str]]) -> Iterator[list[str]]:
         problems = ""
         for experiment in EXPERIMENTS:
             chosen = [f"experiment={experiment}", f"condition={condition}"]
-            small = SMALL if "comparing" not in condition else SMALL[:-1]
             try:
-                command_line.load([*chosen, *small])
+                command_line.load([*chosen, *SMALL])
             except UserError as error:
                 problems += f"\n{error}"
                 continue
             for variant in variants:
-                arguments = [*chosen, *small, *variant]
+                arguments = [*chosen, *SMALL, *variant]
                 try:
                     command_line.load(arguments)
                 except UserError:
