@@ -325,6 +325,12 @@ def main() -> None:
             for row in pair:
                 row.measure(arguments.seconds)
 
+    parts = Parts(
+        LEVEL, 256, {"_advance": "rules", "_begin": "beginning", "_observe": "drawing"}, "rest"
+    )
+    parts.stagger(256)
+    Row("", 256, parts.run).measure(arguments.repetitions * arguments.seconds)
+
     base = released.median if released is not None else ORIGINAL_FRAMES_PER_SECOND
     table = Table(title=f"{LEVEL}, one core, random actions, resets included", title_justify="left")
     table.add_column("", no_wrap=True)
@@ -345,6 +351,10 @@ def main() -> None:
     console.print(table)
     if released is None:
         console.print(f"original: {ORIGINAL_SOURCE}.", highlight=False)
+    spent = ", ".join(f"{part} {256 * us:.0f}" for part, us in parts.microseconds().items())
+    console.print(
+        f"Microseconds of a step of the batch of 256 with out=: {spent}.", highlight=False
+    )
     console.print(
         f"RAM: {bytes_per_world():.0f} bytes for each further world, besides the observations "
         "(goal < 1024)",
