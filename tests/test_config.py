@@ -235,6 +235,7 @@ MISTAKES = [
         ["experiment=playroom_find", "condition=supervised", "exploration=count"],
         ["exploration=count", "exploration=none"],
     ),
+    (["experiment=gridworld_compact", "agent=imitation"], ["exploration=count", "rewards"]),
     (["experiment=demo", "condition=vmpo", "agent=r2d2", "auxiliary=byol"], ["auxiliary=byol"]),
     (["experiment=demo", "agent=r2d2", "episodic=mem"], ["episodic=mem", "agent=imitation or imp"]),
     (["experiment=demo", "seed=100000000000000000000"], ["seed=1", "less than"]),

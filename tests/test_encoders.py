@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from networks import compact
 
 from zipf import envs
+from zipf.agents.auxiliary.reconstruction import InstructionDecoder, word_cross_entropy
 from zipf.agents.encoders import CodeEncoder, Encoder, InstructionEncoder, VectorEncoder
 from zipf.agents.image_networks import ResNet
 from zipf.agents.memory import LSTMOptions, MLPOptions
@@ -345,6 +346,21 @@ def test_an_instruction_is_read_to_its_last_word():
     assert not torch.allclose(padded, encoder({"image": image, "instruction": longer}))
     reordered = torch.tensor([[9, 4, 2, 0, 0, 0]])
     assert not torch.allclose(padded, encoder({"image": image, "instruction": reordered}))
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "uint16", "int32"])
+@torch.no_grad()
+def test_an_instruction_may_be_of_any_integers(dtype):
+    torch.manual_seed(0)
+    words = gym.spaces.Box(0, 10, (6,), dtype)
+    encoder = Encoder(gym.spaces.Dict(instruction=words), COMPACT)
+    decoder = InstructionDecoder(5, 11)
+    codes, core = np.array([[4, 9, 2, 0, 0, 0]]), torch.randn(1, 5)
+    told, usual = torch.from_numpy(codes.astype(dtype)), torch.from_numpy(codes)
+    assert torch.equal(encoder({"instruction": told}), encoder({"instruction": usual}))
+    logits = decoder(core, told)
+    assert torch.equal(logits, decoder(core, usual))
+    assert word_cross_entropy(logits, told) == word_cross_entropy(logits, usual)
 
 
 @torch.no_grad()

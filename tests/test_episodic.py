@@ -350,6 +350,20 @@ def test_images_are_alike_that_differ_as_noisy_copies_do():
         assert found == pairs, noise
 
 
+def test_contrasts_are_in_float32_under_autocast():
+    """bfloat16 would take bright images that differ for copies of each other."""
+    rng = np.random.default_rng(0)
+    image = torch.tensor(rng.integers(200, 240, size=(12, 9, 9, 3)), dtype=torch.uint8)
+    image[7] = image[2]
+    one, other = torch.randn(2, 12, 8, generator=torch.Generator().manual_seed(0))
+    same = alike(image, 0.01)
+    losses = contrastive_losses(one, other, same, 0.2)
+    assert same.sum() == 14
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(alike(image, 0.01), same)
+        assert torch.equal(contrastive_losses(one, other, same, 0.2), losses)
+
+
 def share_of_rare(seed, updates=200, images=20):
     """Of situations drawn by Zipf's law: the share of the rarer three quarters among the rows of
     the dictionary, after the encoder has learned from the contrastive loss alone."""

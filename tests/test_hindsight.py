@@ -306,9 +306,44 @@ def test_with_a_teacher_every_episode_is_kept_with_its_labels_for_what_it_was_as
         assert fields.keys() == {"action", "reward", "previous_action", "previous_reward"}
 
 
+def test_with_a_teacher_a_matcher_learns_from_what_was_achieved_alone():
+    """Episodes that failed at what they were asked for are kept, and say so."""
+    env = envs.make_vec(LEVEL, WORLDS, observation="tiles", max_steps=20)
+    agent = impala_of(env)
+    agent.teacher_share = 0.5
+    changes = {"kept_per_goal": 50, "matching_cost": 1.0, "episodes": 60}
+    collector = Collector(
+        env,
+        agent,
+        unroll_length=STEPS,
+        seed=0,
+        goal=envs.goal(LEVEL, env),
+        hindsight=OPTIONS.model_copy(update=changes),
+        teacher=Teacher("expert", envs.split("gridworld"), env),
+    )
+    for _ in range(10):
+        episodes = collector.collect().episodes
+    length = episodes["mask"].sum(0)
+    last = episodes["reward"][length - 1, torch.arange(60)]
+    achieved = episodes["achieved"][0]
+    assert torch.equal(achieved, last == 1)
+    assert 0 < achieved.sum() < 60
+
+    questions = questions_of([3, 1, 2, 3], [5, 2, 5, 7])
+    torch.manual_seed(0)
+    encoder = Encoder(SPACE, MATCHING)
+    options = OPTIONS.model_copy(update={"matching_cost": 0.5})
+    expected = matching_loss(encoder, questions[:, [0, 3]], options)
+    questions["achieved"] = torch.tensor([True, False, False, True]).expand(3, 4).clone()
+    assert matching_loss(encoder, questions, options) == expected
+    questions["achieved"][:] = False
+    assert matching_loss(encoder, questions, options)[0] == 0
+
+
+@pytest.mark.parametrize("length", [None, 7])
 @pytest.mark.parametrize("kept", [None, 2])
-def test_it_continues_from_its_state(kept):
-    options = OPTIONS.model_copy(update={"episodes": 2, "kept_per_goal": kept})
+def test_it_continues_from_its_state(kept, length):
+    options = OPTIONS.model_copy(update={"episodes": 2, "kept_per_goal": kept, "length": length})
     collector, other = collector_of(options), collector_of(options, seed=5)
     for _ in range(10):
         collector.collect()
@@ -321,6 +356,7 @@ def test_it_continues_from_its_state(kept):
         if one is not None:
             found += one.shape[1]
             assert_equal(one.to_dict(), again.to_dict())
+        assert_equal(collector.hindsight.state_dict(), other.hindsight.state_dict())
     assert found > 5
 
 
@@ -542,8 +578,7 @@ def test_replay_has_relabelled_episodes_as_sequences():
             assert not errors[len(here) :].any()
             assert errors[: len(here)].all()
     made = build("r2d2", hindsight=options)
-    made._insert_episodes(episodes)
-    assert len(made.replay) == 6
+    assert made._insert_episodes(episodes) == len(made.replay) == 6
     for length, kept, problem in (
         (None, None, r"length=null: agent=r2d2 needs a whole number"),
         (13, 4, r"kept_per_goal=4: agent=r2d2 keeps episodes in its replay; choose null"),
@@ -551,6 +586,8 @@ def test_replay_has_relabelled_episodes_as_sequences():
         changes = {"length": length, "kept_per_goal": kept}
         with pytest.raises(ValueError, match=rf"hindsight\.{problem}"):
             build("r2d2", hindsight=OPTIONS.model_copy(update=changes))
+    with pytest.raises(ValueError, match=r"matching_cost=0.5: agent=r2d2 .*; choose 0"):
+        build("r2d2", hindsight=options.model_copy(update={"matching_cost": 0.5}))
 
 
 def test_such_options_in_worlds_that_cannot_be_relabelled_are_one_clear_line(monkeypatch):
@@ -569,6 +606,8 @@ def test_a_loss_or_a_matcher_that_could_not_learn_is_one_clear_line():
         command_line.load([*finding, "network=film"])
     with pytest.raises(UserError, match=r"matcher=fixed: .* without pretrained.run; .*learned"):
         command_line.load([*finding, "network.matcher=fixed"])
+    with pytest.raises(UserError, match=r"matching_cost=1.0: network.matcher=fixed .*; choose 0"):
+        command_line.load([*finding, "network.matcher=fixed"])
 
 
 R2D2 = ["agent.burn_in=2", "agent.replay_min=6", "agent.replay_capacity=24", "agent.storage=ram"]
@@ -576,7 +615,10 @@ RUNS = {
     "impala": ["experiment=demo", "collector.lag=1"],
     "impala, kept": ["experiment=demo", "collector.lag=1", "hindsight.kept_per_goal=2"],
     "vmpo": ["experiment=demo", "agent=vmpo"],
-    "imitation": ["experiment=demo", "condition=imitation", "hindsight.kept_per_goal=2"],
+    "imitation": [
+        *("experiment=demo", "condition=imitation", "exploration=none"),
+        "hindsight.kept_per_goal=2",
+    ],
     "r2d2": ["experiment=demo", "condition=r2d2", "collector.lag=1", "hindsight.length=7", *R2D2],
     "supervised": [
         *("experiment=playroom_find_compact", "condition=supervised_hindsight_augmented"),

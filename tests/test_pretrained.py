@@ -83,7 +83,9 @@ def test_a_new_run_begins_with_the_weights_of_another(first):
     last = learned(first[1])["agent"]["network"]
     assert_equal(dict(begun.agent.network.state_dict()), dict(last))
     begun.close()
-    part = runner.Run(command_line.load(asked(first, "name=part", "agent=imitation")))
+    part = runner.Run(
+        command_line.load(asked(first, "name=part", "agent=imitation", "exploration=none"))
+    )
     for name, weights in part.agent.network.state_dict().items():
         assert torch.equal(weights, last[name]) == name.startswith("encoder."), name
     part.close()
@@ -126,7 +128,7 @@ def test_a_run_says_where_its_weights_are_from_and_resumes_without_it(first, cap
 def test_seeds_that_begin_with_seeds_of_a_condition_are_one_row(first, capsys):
     root, folder = first
     assert train([*TINY, "updates=3", "name=first", "seed=1", f"run_root={root}"]) == 0
-    options = [*TINY, "updates=1", "agent=imitation", f"run_root={root}"]
+    options = [*TINY, "updates=1", "agent=imitation", "exploration=none", f"run_root={root}"]
     begins = f"pretrained.run={folder.parent}/seed${{seed}}"
     configs = [command_line.load([*options, begins, f"seed={seed}"]) for seed in (0, 1)]
     assert [runner.train(config) for config in configs] == [0, 0]
@@ -176,6 +178,13 @@ def test_a_fixed_matcher_stays_what_another_run_has_learned(tmp_path):
     lifting = ["experiment=playroom_lift_compact", "name=lift", "network=matching"]
     fixed = ["network.matcher=fixed", f"pretrained.run={names}"]
     taken = learned(names)["agent"]["network"]
+    for parts, left in (
+        ("encoder.image.matcher", "encoder.instruction"),
+        ("encoder.instruction", "encoder.image.matcher"),
+        ("memory", "encoder.instruction,encoder.image.matcher"),
+    ):
+        with pytest.raises(UserError, match=rf"parts=\[{parts}\]: .*; add {left}$"):
+            command_line.load([*small, *lifting, *fixed, f"pretrained.parts=[{parts}]"])
     alone = "pretrained.parts=[encoder.image.matcher,encoder.instruction]"
     begun = runner.Run(command_line.load([*small, *lifting, *fixed, alone, "updates=2"]))
     for name, weights in begun.agent.network.encoder.state_dict().items():

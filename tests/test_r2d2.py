@@ -444,14 +444,16 @@ def test_replay_holds_unrolls_with_the_rows_before_them(burn_in):
 
 def test_no_step_is_taken_before_replay_min_sequences():
     made = agent(replay_min=8, replay_capacity=16)
-    learned, sizes = [], []
+    learned, sizes, inserted = [], [], []
     for unroll in unrolls(6):
         metrics = made.update(unroll)
         learned.append(not np.isnan(metrics["loss"]))
         sizes.append(metrics["replay_sequences"])
-        assert list(metrics) == [*r2d2.METRICS, "replay_sequences", "samples_per_insert"]
+        inserted.append(metrics["replay_inserted"])
+        assert list(metrics) == [*r2d2.METRICS, "replay_sequences", "replay_inserted"]
         assert made.steps == sum(learned)
     assert sizes == [0, 4, 8, 12, 16, 16]
+    assert inserted == [0, 4, 4, 4, 4, 4]
     assert learned == [False, False, True, True, True, True]
 
 

@@ -308,6 +308,12 @@ def test_a_replay_that_does_not_fit_is_refused_before_it_is_allocated(tmp_path, 
     with pytest.raises(ValueError, match=r"room for 6 between checkpoints.*replay_capacity=10 "):
         build(tmp_path / "replay", capacity=11)
     assert not (tmp_path / "replay").exists()
+    monkeypatch.setattr(replay, "free_ram", lambda: each)
+    monkeypatch.setattr(replay, "free_disk", lambda folder: each)
+    for folder in (None, tmp_path / "replay"):
+        with pytest.raises(ValueError, match="are free: a") as told:
+            build(folder)
+        assert "replay_capacity" not in str(told.value)
 
 
 def test_disk_space_is_allocated_at_once(tmp_path, monkeypatch):

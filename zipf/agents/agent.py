@@ -101,6 +101,7 @@ class Agent(ABC):
             with 0 learns from what its newest weights have played; others may also learn from
             actors in a cluster, whose weights are older by some updates.
         answers_questions: whether it is asked about an episode's first frame instead of acting.
+        learns_from_rewards: whether it does; others cannot be given a bonus for exploring.
         burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
             an unroll holds the memory before them (`Unroll.late_memory`).
         final_observations: how many of the observations that episodes were truncated at an unroll
@@ -124,6 +125,7 @@ class Agent(ABC):
     averages_gradients: ClassVar[bool] = False
     largest_lag: ClassVar[int] = 0
     answers_questions: ClassVar[bool] = False
+    learns_from_rewards: ClassVar[bool] = True
     burn_in: int = 0
     final_observations: int = 0
     teacher: Literal["expert", "generalist"] | None = None

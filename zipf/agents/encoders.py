@@ -132,7 +132,7 @@ def _bounds(space: gym.Space) -> tuple[np.ndarray, np.ndarray]:
 
 
 class InstructionEncoder(nn.Module):
-    """Word embeddings and an LSTM, its output at the last word: int64 [N, L] -> [N, 32].
+    """Word embeddings and an LSTM, its output at the last word: integers [N, L] -> [N, 32].
 
     Sizes 32 and 32 from the paper's architecture table. Zeros behind the last other word are
     padding; a zero before it is a word like any other, whose embedding is zero. Under autocast the
@@ -147,6 +147,7 @@ class InstructionEncoder(nn.Module):
         self.lstm = nn.LSTM(32, self.size, batch_first=True)
 
     def forward(self, instruction: Tensor) -> Tensor:
+        instruction = instruction.long()
         with torch.autocast(instruction.device.type, enabled=False):
             outputs, _ = self.lstm(self.embedding(instruction))
         outputs = outputs.to(compute_dtype(instruction))

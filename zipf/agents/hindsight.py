@@ -130,13 +130,16 @@ def matching_loss(
     It is the cross-entropy of softmax_g(m_g), where m_g = log sum_p e^s_pg over the places p. Where
     episodes have a `region` [L, E, 4], the part of the image that the last action points at (as
     `ZipfVectorEnv.action_regions`), the sum is over the places there, and the softmax has one more
-    term, the achieved goal in all other places: it is seen where it was pointed at.
+    term, the achieved goal in all other places: it is seen where it was pointed at. Where episodes
+    tell whether they `achieved` what they ask for, bool [L, E], the others are left out.
 
     Without such an episode the loss is 0 and the metric NaN; without a cost there is no metric.
     """
     if not options.matching_cost:
         return 0.0, {}
-    if episodes is None:
+    if episodes is not None and "achieved" in episodes.keys():
+        episodes = episodes[:, episodes["achieved"][0]]
+    if episodes is None or episodes.shape[1] == 0:
         return 0.0, {"matching_accuracy": torch.tensor(float("nan"))}
     ends = episodes["mask"].sum(0) - 1
     each = torch.arange(len(ends), device=ends.device)

@@ -92,6 +92,7 @@ class Imitation(Agent):
     weighted_losses = True
     averages_gradients = True
     learns_from_hindsight = True
+    learns_from_rewards = False
     largest_lag = 1  # labels do not depend on the weights that acted
     options: ImitationOptions
     actor: Policy

@@ -110,6 +110,14 @@ class Torso(nn.Module):
         parts = {f"encoder.{name}": part for name, part in self.encoder.parts().items()}
         return dict(self.named_children()) | parts
 
+    def fixed_parts(self) -> list[str]:
+        """Names of the `parts` that do not learn."""
+        trained = {
+            name: [weight.requires_grad for weight in part.parameters()]
+            for name, part in self.parts().items()
+        }
+        return [name for name, weights in trained.items() if weights and not any(weights)]
+
     def remember(self, inputs: Inputs, state: State) -> tuple[Tensor, Tensor, State]:
         """Unrolls `[T, B]` frames from the memory's `state`.
 

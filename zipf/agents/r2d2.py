@@ -191,6 +191,11 @@ class R2D2(Agent):
                 f"hindsight.kept_per_goal={chosen.hindsight.kept_per_goal}: agent={name} keeps "
                 "episodes in its replay; choose null"
             )
+        if isinstance(chosen.hindsight, AchievedOptions) and chosen.hindsight.matching_cost:
+            yield (
+                f"hindsight.matching_cost={chosen.hindsight.matching_cost}: agent={name} has no "
+                "such loss; choose 0"
+            )
 
     def __init__(self, options: R2D2Options, setting: Setting):
         super().__init__(options, setting)
@@ -310,30 +315,33 @@ class R2D2(Agent):
             OSError: the replay's files do not fit onto the disk.
         """
         assert self.replay is not None, "begin_learning() comes first"
-        self._insert(unroll)
+        inserted = self._insert(unroll)
         metrics = dict.fromkeys(METRICS, float("nan"))
         if len(self.replay) >= self.options.replay_min:
             items, index, weights = self.replay.sample(self.batch_size)
             metrics, priorities = self._learn(items.to(self.device), weights.to(self.device))
             self.replay.update_priorities(index, priorities)
-        sizes = {
-            "replay_sequences": len(self.replay),
-            "samples_per_insert": self.batch_size / self.num_envs,
-        }
-        return metrics | sizes
+        return metrics | {"replay_sequences": len(self.replay), "replay_inserted": inserted}
 
-    def _insert(self, unroll: Unroll) -> None:
-        """Puts an unroll into replay, and the relabelled episodes that come with it."""
+    def _insert(self, unroll: Unroll) -> int:
+        """Puts an unroll into replay, and the relabelled episodes that come with it; returns the
+        number of sequences."""
+        inserted = 0
         fresh = self.sequences.of_unroll(unroll)
         if fresh is not None:
             self._store(fresh)
+            inserted += len(fresh)
         if unroll.episodes is not None:
-            self._insert_episodes(unroll.episodes)
+            inserted += self._insert_episodes(unroll.episodes)
+        return inserted
 
-    def _insert_episodes(self, episodes: TensorDict) -> None:
+    def _insert_episodes(self, episodes: TensorDict) -> int:
+        inserted = 0
         memory = self.initial_memory(episodes.shape[1])
         for relabelled in self.sequences.of_episodes(episodes, memory, self._advance):
             self._store(relabelled)
+            inserted += len(relabelled)
+        return inserted
 
     def _store(self, items: TensorDict) -> None:
         """Puts sequences [N] into replay."""

@@ -244,19 +244,22 @@ class Replay:
                 raise ValueError(
                     f"the replay's {each} take {in_words(self.bytes)} of RAM, and as much again "
                     f"while a checkpoint is read, and {in_words(free)} are free: "
-                    f"agent.replay_capacity={free // (2 * self.item_bytes)} fits, and "
-                    "agent.storage=memmap keeps them on disk"
+                    f"{_fits(free // (2 * self.item_bytes))}agent.storage=memmap keeps them on disk"
                 )
             return
         free = free_disk(self.folder)
         if self.bytes > free:
-            fit = max(free // self.item_bytes - self.spare, 0)
             raise ValueError(
                 f"the replay's {each}, and room for {self.spare} between checkpoints, take "
                 f"{in_words(self.bytes)} of disk in {self.folder}, and {in_words(free)} are free: "
-                f"agent.replay_capacity={fit} fits, and a smaller schedule.checkpoint_every needs "
-                "less room"
+                f"{_fits(free // self.item_bytes - self.spare)}a smaller "
+                "schedule.checkpoint_every needs less room"
             )
+
+
+def _fits(capacity: int) -> str:
+    """Says that a replay of this capacity fits, if it can have any."""
+    return f"agent.replay_capacity={capacity} fits, and " if capacity > 0 else ""
 
 
 def _leaves(items: TensorDict) -> dict[str, Tensor]:

@@ -86,6 +86,7 @@ class Supervised(Agent):
     learns_from_hindsight = True
     averages_gradients = True
     answers_questions = True
+    learns_from_rewards = False
     options: SupervisedOptions
     actor: Classifier
 

@@ -10,11 +10,11 @@ from typing import Any
 import torch
 
 from zipf import envs
-from zipf.agents.agent import agents
+from zipf.agents.agent import Agent, agents
 from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.hindsight import AchievedOptions
-from zipf.agents.network import ActorCritic
+from zipf.agents.network import ActorCritic, Torso
 from zipf.agents.network_options import MatchingOptions
 from zipf.experiments.augmentation import build_augmentation
 from zipf.experiments.config import Config, find_device, flatten
@@ -56,10 +56,10 @@ def problems(config: Config) -> Iterator[str]:
         yield str(error)
     if problem := _no_folder(config):
         yield f"run_root={config.run_root:.200}: {problem}"
-    if agent.answers_questions and config.exploration.name != "none":
+    if not agent.learns_from_rewards and config.exploration.name != "none":
         yield (
-            f"exploration={config.exploration.name}: agent={config.agent.name} answers questions "
-            "and does not act; choose exploration=none"
+            f"exploration={config.exploration.name}: agent={config.agent.name} does not learn from "
+            "rewards; choose exploration=none"
         )
     if agent.largest_lag < config.lag:
         yield (
@@ -90,15 +90,20 @@ def _no_pretrained(config: Config) -> Iterator[str]:
 def _no_matcher(config: Config) -> Iterator[str]:
     """Options of a matcher that there is not, or that could not have learned."""
     network, hindsight = config.network, config.hindsight
-    if isinstance(network, MatchingOptions):
-        if network.matcher == "fixed" and config.pretrained.run is None:
-            yield (
-                "network.matcher=fixed: keeps random weights without pretrained.run; choose learned"
-            )
-    elif isinstance(hindsight, AchievedOptions) and hindsight.matching_cost:
+    fixed = isinstance(network, MatchingOptions) and network.matcher == "fixed"
+    if fixed and config.pretrained.run is None:
+        yield "network.matcher=fixed: keeps random weights without pretrained.run; choose learned"
+    if not isinstance(hindsight, AchievedOptions) or not hindsight.matching_cost:
+        return
+    if not isinstance(network, MatchingOptions):
         yield (
             f"hindsight.matching_cost={hindsight.matching_cost}: network={network.name} matches no "
             "images with instructions; choose 0, or network=matching"
+        )
+    elif fixed:
+        yield (
+            f"hindsight.matching_cost={hindsight.matching_cost}: network.matcher=fixed learns "
+            "nothing; choose 0, or network.matcher=learned"
         )
 
 
@@ -269,6 +274,7 @@ def _try_to_build(config: Config) -> Iterator[str]:
     except UserError as error:
         yield from str(error).splitlines()
         return
+    yield from _left_random(config, agent)
     try:
         symmetries = envs.symmetries(split, env)
         space = env.single_observation_space
@@ -281,6 +287,23 @@ def _try_to_build(config: Config) -> Iterator[str]:
         yield (
             f"agent.teacher={agent.teacher}: {family.name} has no such player; should be "
             f"{' or '.join(known) or 'another agent'}"
+        )
+
+
+def _left_random(config: Config, agent: Agent) -> Iterator[str]:
+    """Parts of a network that learn nothing and are not taken from another run."""
+    chosen = config.pretrained.parts
+    if config.pretrained.run is None or not isinstance(agent.actor, Torso):
+        return
+    left = [
+        name
+        for name in agent.actor.fixed_parts()
+        if not any(f"{name}.".startswith(f"{part}.") for part in chosen)
+    ]
+    if left:
+        yield (
+            f"pretrained.parts=[{','.join(chosen)}]: network.matcher=fixed keeps random weights "
+            f"where they are not taken from that run; add {','.join(left)}"
         )
 
 

@@ -107,11 +107,13 @@ def image_cross_entropy(logits: Tensor, image: Tensor) -> Tensor:
 
 
 def word_cross_entropy(logits: Tensor, instruction: Tensor) -> Tensor:
-    """Mean cross-entropy of the words: [N, L, vocabulary] and int64 [N, L] (0 = padding) -> []."""
-    total = F.cross_entropy(
-        logits.flatten(0, 1).float(), instruction.flatten(), ignore_index=0, reduction="sum"
-    )
-    return total / (instruction != 0).sum().clamp(min=1)
+    """Mean cross-entropy of the words: [N, L, vocabulary] and integers [N, L] -> [].
+
+    0 is padding, which does not count.
+    """
+    words = instruction.flatten().long()
+    total = F.cross_entropy(logits.flatten(0, 1).float(), words, ignore_index=0, reduction="sum")
+    return total / (words != 0).sum().clamp(min=1)
 
 
 class ResNetDecoder(nn.Module):
@@ -215,9 +217,9 @@ class InstructionDecoder(nn.Module):
         self.words = nn.Linear(32, vocabulary)
 
     def forward(self, core: Tensor, instruction: Tensor) -> Tensor:
-        """`[N, core]` and int64 `[N, L]` -> logits `[N, L, vocabulary]`."""
+        """`[N, core]` and integers `[N, L]` -> logits `[N, L, vocabulary]`."""
         hidden, cell = self.state(core).float().unsqueeze(0).chunk(2, -1)
-        before = F.pad(instruction[:, :-1], (1, 0))
+        before = F.pad(instruction[:, :-1].long(), (1, 0))
         with torch.autocast(core.device.type, enabled=False):
             state = hidden.contiguous(), cell.contiguous()
             outputs, _ = self.lstm(self.embedding(before), state)

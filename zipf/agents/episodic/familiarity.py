@@ -151,9 +151,11 @@ def contrastive_losses(
     """NT-Xent of each row (Chen et al. 2020, from the images to their changed copies): float32 [N].
 
     -log exp(s_ii / temperature) / sum_k exp(s_ik / temperature), s_ik the cosine of embedding i and
-    of changed copy k, where k leaves out the rows that are the `same` as row i, bool [N, N].
+    of changed copy k, where k leaves out the rows that are the `same` as row i, bool [N, N]. In
+    float32 under autocast, too.
     """
-    scores = F.normalize(embedded, dim=-1) @ F.normalize(changed, dim=-1).T / temperature
+    with torch.autocast(embedded.device.type, enabled=False):
+        scores = F.normalize(embedded, dim=-1) @ F.normalize(changed, dim=-1).T / temperature
     rows = torch.arange(len(scores), device=scores.device)
     others = same & (rows != rows[:, None])
     return F.cross_entropy(scores.masked_fill(others, -torch.inf), rows, reduction="none")
@@ -162,10 +164,11 @@ def contrastive_losses(
 def alike(image: Tensor, noise: float) -> Tensor:
     """Which images, uint8 [N, H, W, C], differ by at most what is expected of two copies of one
     image with noise of that standard deviation, in the mean over pixels of the squared difference:
-    bool [N, N]."""
+    bool [N, N]. In float32 under autocast, too: bfloat16 rounds by more than such a difference."""
     pixels = image.flatten(1).float() / 255
     size = pixels.square().mean(1)
-    products = pixels @ pixels.T / pixels.shape[1]
+    with torch.autocast(image.device.type, enabled=False):
+        products = pixels @ pixels.T / pixels.shape[1]
     return size + size[:, None] - 2 * products <= 2 * noise**2 + 1e-6  # beside rounding
 
 

@@ -37,6 +37,7 @@ class Hindsight:
         teacher: whether fields have a teacher's actions as `label`. The memory then also keeps
             every episode for the goal that it was asked for, with these in the place of the
             actions taken; those that achieved another goal are kept and drawn apart from them.
+            Where a matcher learns, its episodes say whether they `achieved` what they ask for.
 
     Raises:
         ValueError: the worlds do not tell what an episode has achieved.
@@ -107,7 +108,8 @@ class Hindsight:
                 self._choose(i, goals[i])
         elif self._teacher:
             for i in np.flatnonzero(ended).tolist():
-                self._memory.add(np.append(asked[i], 1), self._labelled(i))
+                succeeded = bool(achieved[i] and not other[i])
+                self._memory.add(np.append(asked[i], 1), self._labelled(i, succeeded))
             for i in np.flatnonzero(other).tolist():
                 self._memory.add(np.append(goals[i], 0), self._relabelled(i, goals[i]))
         else:
@@ -148,13 +150,22 @@ class Hindsight:
         return episodes
 
     def state_dict(self) -> dict[str, Any]:
-        """The running episodes, and the memory."""
-        used = min(int(self._lengths.max()), self._rows)
+        """The running episodes, with zeros in the place of what is left of earlier ones, and the
+        memory."""
+        lengths = np.minimum(self._lengths, self._rows)
+        row = np.arange(lengths.max())[:, None]
+
+        def running(parts: Parts) -> Parts:
+            copies = {name: part[: len(row)].copy() for name, part in parts.items()}
+            for copy in copies.values():
+                copy[row >= lengths] = 0
+            return copies
+
         return {
             "generator": self._generator.get_state(),
             "lengths": self._lengths.copy(),
-            "observation": {name: part[:used].copy() for name, part in self._observation.items()},
-            "fields": {name: part[:used].copy() for name, part in self._fields.items()},
+            "observation": running(self._observation),
+            "fields": running(self._fields),
             "kept": [] if self._memory is None else self._memory.state_dict(),
         }
 
@@ -182,6 +193,8 @@ class Hindsight:
         everywhere = np.ones(len(fields["reward"]), np.bool_)
         self.goal.write(observation, np.repeat(goal[None], len(everywhere), axis=0), everywhere)
         fields["reward"][-1] = self.reward
+        if self._teacher and self._memory is not None and self.options.matching_cost:
+            fields["achieved"] = everywhere
         fields.pop("label", None)
         if self._memory is None:
             drawn = None
@@ -192,10 +205,12 @@ class Hindsight:
             self.augmentation.actions_to_worlds(fields, world)
         return observation, fields
 
-    def _labelled(self, world: int) -> Episode:
+    def _labelled(self, world: int, succeeded: bool) -> Episode:
         """The episode of a world that has just ended, for the memory, with what the teacher would
         have done for the actions taken."""
         observation, fields = self._episode(world)
+        if self.options.matching_cost:
+            fields["achieved"] = np.full(len(fields["reward"]), succeeded)
         fields["action"] = fields.pop("label")
         if self.augmentation is not None:
             self.augmentation.actions_to_worlds(fields, world)
