@@ -124,7 +124,7 @@ def file(path: str) -> list[str]:
     example, _, name = path.removeprefix("examples/").partition("/")
     text = (ROOT / "examples" / example / name).read_text(encoding="utf-8").rstrip()
     language = {".py": "python", ".yaml": "yaml"}[Path(name).suffix]
-    return [f"```{language}", f"# {name}", text, "```"]
+    return [f'```{language} title="{name}"', text, "```"]
 
 
 BLOCKS: dict[str, Callable[..., list[str]]] = {

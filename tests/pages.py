@@ -63,13 +63,15 @@ def blocks(language: str, page: str) -> list[str]:
 
 
 def files(page: str) -> dict[str, str]:
-    """The blocks of a page that begin with a file's name in a comment, by that name."""
-    named = {}
-    for block in (*blocks("python", page), *blocks("yaml", page)):
-        first, _, rest = block.partition("\n")
-        if match := re.fullmatch(r"# ([\w/]+\.(?:py|yaml))", first):
-            named[match[1]] = rest
-    return named
+    """The blocks of a page whose title is the name of a file to make, by that name, as they stand.
+
+    Titles that name files of the repository say where a block is from.
+    """
+    return {
+        one.title: one.text
+        for one in BLOCKS
+        if one.page == page and one.title and not (ROOT / one.title).is_file()
+    }
 
 
 def command(line: str) -> list[str]:

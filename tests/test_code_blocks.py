@@ -5,6 +5,7 @@ Here each block has to fall under a rule, and the blocks and lines that are left
 """
 
 import argparse
+import re
 import runpy
 import sys
 import tomllib
@@ -13,7 +14,7 @@ from importlib.metadata import entry_points
 import pytest
 import yaml
 from packaging.requirements import Requirement
-from pages import BLOCKS, PAGES, PLACEHOLDER, ROOT, Block, command, commands, fenced, files, lines
+from pages import BLOCKS, PAGES, PLACEHOLDER, ROOT, TEXT, Block, command, commands, fenced, lines
 from ray.scripts import scripts
 from torch.distributed import run as torchrun
 
@@ -109,16 +110,16 @@ def installs(arguments: list[str]) -> None:
 
 def yaml_file(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file of the repository, a sweep, or a file that `test_readme.py` makes and trains with."""
-    if block.text.startswith("# configs/sweep/"):
+    assert block.title, f"{block}: no title names the file"
+    if (ROOT / block.title).is_file():
+        assert block.text == (ROOT / block.title).read_text(encoding="utf-8").rstrip() + "\n"
+        return
+    assert_named_in_the_text(block)
+    if block.title.startswith("configs/sweep/"):
         for part in yaml.safe_load(block.text):
             sweeps.Block.model_validate(part)
-        return
-    assert isinstance(yaml.safe_load(block.text), dict)
-    if block.title:
-        assert block.text == (ROOT / block.title).read_text(encoding="utf-8").rstrip() + "\n"
     else:
-        name = block.text.partition("\n")[0].removeprefix("# ")
-        assert name in files(block.page), f"{block}: begins with no file's name"
+        assert isinstance(yaml.safe_load(block.text), dict)
         used = [words for page, words in commands("zipf.train").values() if page == block.page]
         assert any("--config-dir" in words for words in used), f"{block}: is used by no command"
 
@@ -126,6 +127,15 @@ def yaml_file(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
 def executed(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     """`test_readme.py` runs it; here only that it is Python."""
     compile(block.text, str(block), "exec")
+    if block.title:
+        assert_named_in_the_text(block)
+
+
+def assert_named_in_the_text(block: Block) -> None:
+    """The text above a file to make names it, because GitHub does not show titles."""
+    above = "\n".join(TEXT[block.page].splitlines()[: block.line - 1])
+    paragraphs = re.sub(r"<!-- .* -->", "", above).strip().split("\n\n")
+    assert re.search(rf"Save this as\s+`{re.escape(block.title)}`", paragraphs[-1]), str(block)
 
 
 def output(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,7 +225,7 @@ def test_a_command_that_cannot_be_covered_is_an_error(line, monkeypatch):
 
 @pytest.mark.parametrize(
     ("language", "text"),
-    [("", "make demo\n"), ("python", "for\n"), ("yaml", "a: 1\n"), ("yaml", "# a.yaml\n- 1\n")],
+    [("", "make demo\n"), ("python", "for\n"), ("yaml", "a: 1\n"), ("yaml", "- 1\n")],
 )
 def test_another_block_that_cannot_be_covered_is_an_error(language, text, monkeypatch):
     with pytest.raises((AssertionError, SyntaxError)):
