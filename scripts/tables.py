@@ -2,16 +2,18 @@
 
 import inspect
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 
 def code(text: str) -> str:
     return f"`{text}`"
 
 
-def markdown(heading: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
-    """A table's lines."""
-    dashes = tuple(":--" for _ in heading)
+def markdown(
+    heading: tuple[str, ...], rows: Iterable[tuple[str, ...]], right: Collection[str] = ()
+) -> list[str]:
+    """A table's lines. `right`: the columns that are aligned to the right."""
+    dashes = tuple("--:" if name in right else ":--" for name in heading)
     return [f"| {' | '.join(cells)} |" for cells in (heading, dashes, *rows)]
 
 

@@ -10,7 +10,7 @@ from zipf.envs import split
 from zipf.experiments.reporting.paper import LEVEL_KINDS, paper_table
 from zipf.experiments.reporting.results import load_runs
 from zipf.experiments.reporting.tables import score_tables
-from zipf.experiments.reporting.wording import KIND_NAMES, count_text
+from zipf.experiments.reporting.wording import KIND_NAMES
 
 RESULTS = Path(__file__).parent.parent / "results"
 
@@ -34,35 +34,39 @@ TASKS = (
         "Gridworld",
         "gridworld_compact",
         {
-            "impala_mlp": "IMPALA, plain network",
-            "impala_given_augmented": "IMPALA that is given the comparison, then augmented",
-            "impala_comparing_hindsight,precision=bfloat16": "IMPALA that learns to compare",
+            "impala_mlp": "IMPALA, `compact` network",
+            "impala_given_augmented": "IMPALA, given comparison, then augmentation",
+            "impala_comparing_hindsight,precision=bfloat16": "IMPALA, learned comparison and "
+            "hindsight",
             "impala_comparing_augmented,precision=bfloat16,"
             "pretrained.run=gridworld_compact_impala_comparing_hindsight,precision=bfloat16,"
-            "collector.num_envs=64,collector.unroll_length=64": "The same, then augmented",
-            "impala_comparing_settled_whole": "The same, then on whole episodes, with a learning "
-            "rate that falls to 0",
-            "imitation_comparing_augmented,precision=bfloat16": "Imitation that learns to compare",
+            "collector.num_envs=64,collector.unroll_length=64": "The same, then augmentation",
+            "impala_comparing_settled_whole": "The same, then whole episodes and a falling "
+            "learning rate",
+            "imitation_comparing_augmented,precision=bfloat16": "Imitation, learned comparison, "
+            "augmentation",
         },
     ),
     Task(
         "Finding a toy",
         "playroom_find_compact",
         {
-            "supervised,network=film": "Classifier",
-            "supervised_hindsight_augmented,network=film": "Classifier with a memory of questions",
-            "supervised_matching": "The same, which matches names with places",
-            "supervised_matching_scaled": "The same, for lifting: pictures of other sizes, too",
+            "supervised,network=film": "Classifier, `film` network",
+            "supervised_hindsight_augmented,network=film": "Classifier, `film` network, memory of "
+            "questions",
+            "supervised_matching": "Classifier, `matching` network, memory of questions",
+            "supervised_matching_scaled": "Classifier, `matching` network, memory of questions, "
+            "images scaled 0.4 to 1.4",
         },
     ),
     Task(
         "Lifting a toy",
         "playroom_lift_compact",
         {
-            "impala,network=film": "IMPALA",
-            "impala_matching": "IMPALA, told where by a matcher learned in finding",
-            "impala_matching_settled": "The same, then with a learning rate that falls to 0",
-            "imitation_matching": "Imitation, told where by a matcher learned in finding",
+            "impala,network=film": "IMPALA, `film` network",
+            "impala_matching": "IMPALA, `matching` network, matcher from finding",
+            "impala_matching_settled": "The same, then a falling learning rate",
+            "imitation_matching": "Imitation, `matching` network, matcher from finding",
         },
     ),
 )
@@ -84,6 +88,6 @@ def tail() -> list[str]:
             of_row = [run.description for run in runs if run.description.condition == name]
             frames += max(run.pretrained.frames if run.pretrained else 0 for run in of_row)
             shown = (f"{scores['score'][kind]:.2f}" for kind in LEVEL_KINDS)
-            rows.append(("", title, str(seeds), count_text(frames), *shown))
-    heading = ("Task", "Agent", "Seeds", "Frames", *(KIND_NAMES[kind] for kind in LEVEL_KINDS))
-    return markdown(heading, rows)
+            rows.append(("", title, str(seeds), f"{frames / 1e6:,.1f} M", *shown))
+    numbers = ("Seeds", "Frames", *(KIND_NAMES[kind] for kind in LEVEL_KINDS))
+    return markdown(("Task", "Agent", *numbers), rows, right=numbers)
