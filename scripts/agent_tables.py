@@ -32,7 +32,8 @@ def parts(group: str) -> list[str]:
     for name, options in found.items():
         module = sys.modules[options.__module__]
         shared = sum(one.__module__ == options.__module__ for one in found.values()) > 1
-        lines += [f"## {code(name)}", "", *described(options if shared else module), ""]
+        own = name == "none" or shared  # the module of `none` is about the others
+        lines += [f"## {code(name)}", "", *described(options if own else module), ""]
         values = (CONFIGS / group / f"{name}.yaml").read_text(encoding="utf-8").rstrip()
         lines += [f'```yaml title="configs/{group}/{name}.yaml"', *values.splitlines(), "```", ""]
     return lines[:-1]

@@ -35,7 +35,8 @@ Options:
     policy=NAME     in the place of a run, a scripted player of the split's family: expert, which
                     reads the state of the worlds, or generalist, which knows what has been in view
     split=NAME      with policy=, whose levels to play, for instance gridworld or playroom_lift
-    episodes=N      episodes of each level; default: as many as the split says (1000 in the paper's)
+    episodes=N      episodes of each level; default: as many as the split says: 1000, in the
+                    labyrinth's splits 100 of each task
     num_envs=N      worlds played at a time; default: 250
     seed=N          of the worlds and the agent's actions; default: 0
     device=NAME     with run=: auto, cpu, cuda or cuda:<number>; default: auto, CUDA if there is one

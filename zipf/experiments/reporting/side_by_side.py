@@ -46,8 +46,8 @@ def side_by_side(tables: Sequence[ScoreTable]) -> list[SideBySide]:
     """Every layout of the paper of whose experiments one is there.
 
     Experiments stand side by side if they were made alike: if their names differ in nothing but the
-    split's, as `playroom_lift_compact` and `playroom_put_compact`. Of several tables of one
-    experiment the one with most of the paper's rows is laid out.
+    split's, as `playroom_lift` and `playroom_put`. Of several tables of one experiment the one with
+    most of the paper's rows is laid out.
     """
     found: dict[str, dict[str, ScoreTable]] = {}
     for table in tables:

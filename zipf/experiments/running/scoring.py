@@ -132,7 +132,8 @@ def score(
             "expert" or "generalist": a scripted player of the split's family (a folder of this
             name is `Path("expert")`).
         split: the benchmark, for instance "gridworld", or a `zipf.envs.Split` of your own.
-        episodes: played on each level; None: as many as the split says (the paper: 1000).
+        episodes: played on each level; None: as many as the split says: 1000, in the labyrinth's
+            splits 100 of each task.
         num_envs: worlds played at a time; `batched=False` plays one.
         seed: of the worlds and of the policy's draws, as far as they come from PyTorch's global
             generator or are drawn from a file's logits.
