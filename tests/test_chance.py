@@ -45,6 +45,19 @@ def test_what_was_measured_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     sys.modules.pop(package.name)
 
 
+def test_a_measured_reference_is_found_however_it_is_asked_for() -> None:
+    known = reference("generalist", "gridworld/zipf_2")
+    assert known is not None
+    assert reference("generalist", "gridworld/zipf_2.0") == known
+    assert reference("generalist", "gridworld/zipf_2", num_rooms=(3, 3)) == known
+    small = {"num_objects": 5}
+    expected = reference("generalist", "gridworld/rare", num_rooms=[2, 2], **small)
+    assert expected is not None
+    assert expected != reference("generalist", "gridworld/rare")
+    assert reference("generalist", "gridworld/uniform_rare", num_rooms=(2, 2), **small) == expected
+    assert reference("generalist", "gridworld/zipf_2", num_rooms=(3, 4)) is None
+
+
 def test_an_unknown_reference_is_refused() -> None:
     with pytest.raises(ValueError, match=r"unknown reference 'expart' \(did you mean 'expert'\?\)"):
         reference("expart", "gridworld/uniform")

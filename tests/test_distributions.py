@@ -1,10 +1,12 @@
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from zipf.envs import pcg64
-from zipf.envs.distributions import by_name, rare, uniform, zipfian
+from zipf.envs.distributions import by_name, law_name, rare, uniform, usual_name, zipfian
 
 
 def test_zipfian_follows_the_law() -> None:
@@ -31,8 +33,8 @@ def test_distributions_are_probabilities(n: int, exponent: float) -> None:
         assert p.sum() == pytest.approx(1)
 
 
-@pytest.mark.parametrize("exponent", [-0.1, float("nan"), float("inf")])
-def test_bad_exponents_are_refused(exponent: float) -> None:
+@pytest.mark.parametrize("exponent", [-0.1, float("nan"), float("inf"), None, "2", True])
+def test_bad_exponents_are_refused(exponent: Any) -> None:
     with pytest.raises(ValueError, match="exponent"):
         zipfian(20, exponent)
 
@@ -60,6 +62,10 @@ def test_distributions_by_name(name: str, expected: np.ndarray) -> None:
     np.testing.assert_array_equal(by_name(name)(20), expected)
 
 
+ODD = ("1_5", "+2", " 2", "2 ", "02", "2e0", ".5", "2.", "\u0662", "2\n")
+"""What Python reads as a number, and nobody means as an exponent."""
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -69,12 +75,27 @@ def test_distributions_by_name(name: str, expected: np.ndarray) -> None:
         ("zipf_-1", "finite and >= 0"),
         ("zipf_nan", "finite and >= 0"),
         ("zipf_inf", "finite and >= 0"),
+        *((f"zipf_{one}", "unknown level.*such as 2 or 1.5") for one in ODD),
         ("", "unknown level"),
     ],
 )
 def test_unknown_names_say_what_would_do(name: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         by_name(name)
+
+
+@given(exponent=st.floats(0, 1e6))
+def test_every_exponent_has_a_name(exponent: float) -> None:
+    name = law_name(exponent)
+    assert float(name.removeprefix("zipf_")) == exponent
+    np.testing.assert_array_equal(by_name(name)(5), zipfian(5, exponent))
+    assert usual_name(name) == name
+
+
+def test_usual_names() -> None:
+    names = ("zipf_2.0", "zipf_2", "zipf_1.50", "uniform_rare", "uniform", "zipf_1_5", "a/b")
+    usual = ("zipf_2", "zipf_2", "zipf_1.5", "rare", "uniform", "zipf_1_5", "a/b")
+    assert tuple(map(usual_name, names)) == usual
 
 
 @pytest.mark.parametrize("seed", [0, 1, 1234, 2**31, 2**63 + 5])

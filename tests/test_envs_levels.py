@@ -60,6 +60,18 @@ def test_unknown_levels_name_the_nearest(function: Any, level: str, message: str
         function(level)
 
 
+@pytest.mark.parametrize("level", [3, None, 2.5, {"gridworld/rare"}])
+@pytest.mark.parametrize("function", [make, lambda level: make_vec(level, 2)])
+def test_what_is_no_level_is_refused(function: Any, level: Any) -> None:
+    with pytest.raises(ValueError, match=r"level must be a name such as 'gridworld/zipf_2'.*got"):
+        function(level)
+
+
+def test_a_list_of_what_is_no_level_is_refused() -> None:
+    with pytest.raises(ValueError, match="got 3"):
+        make_vec(["gridworld/rare", 3], 2)  # type: ignore[list-item]
+
+
 def test_a_world_takes_little_memory_beside_its_observation() -> None:
     def taken(num_envs: int) -> int:
         """Bytes a batch holds after some steps, without the caller's buffers."""

@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import re
 from collections.abc import Callable
 from numbers import Real
 
@@ -9,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Distribution = Callable[[int], NDArray[np.float64]]
+
+_LAW = re.compile(r"zipf_((0|[1-9][0-9]*)(\.[0-9]+)?)")
+"""Exponents as people write them. Python's `float` also reads `1_5`, as fifteen."""
 
 
 def zipfian(n: int, exponent: float) -> NDArray[np.float64]:
@@ -25,8 +29,9 @@ def zipfian(n: int, exponent: float) -> NDArray[np.float64]:
         ValueError: for an `n` or `exponent` outside these bounds.
     """
     _check_size(n)
-    if not isinstance(exponent, Real) or not math.isfinite(exponent) or exponent < 0:
-        raise ValueError(f"the exponent of Zipf's law must be finite and >= 0, got {exponent}")
+    number = isinstance(exponent, Real) and not isinstance(exponent, bool)
+    if not number or not math.isfinite(exponent) or exponent < 0:
+        raise ValueError(f"the exponent of Zipf's law must be finite and >= 0, got {exponent!r}")
     with np.errstate(over="ignore"):  # 1 / inf is the 0 that is meant
         weights = 1.0 / np.arange(1, n + 1, dtype=np.float64) ** exponent
     return weights / weights.sum()
@@ -61,7 +66,8 @@ def by_name(name: str) -> Distribution:
 
     Args:
         name: `uniform`, `rare` (or `uniform_rare`, its name in the paper), or `zipf_<exponent>`
-            with an exponent >= 0 such as `zipf_2` or `zipf_1.5`.
+            with an exponent >= 0 such as `zipf_2` or `zipf_1.5`, without sign, underscores or
+            powers of ten.
 
     Raises:
         ValueError: if the name is none of these.
@@ -77,13 +83,35 @@ def by_name(name: str) -> Distribution:
             pass
         else:
             zipfian(1, exponent)  # refuses a bad exponent now rather than at the first draw
-            return lambda n: zipfian(n, exponent)
+            if _LAW.fullmatch(name):
+                return lambda n: zipfian(n, exponent)
     nearest = difflib.get_close_matches(name, ["zipf_2", "uniform", "rare", "uniform_rare"], n=2)
     hint = f" (did you mean {' or '.join(map(repr, nearest))}?)" if nearest else ""
     raise ValueError(
-        f"unknown level {name!r}{hint}: expected 'zipf_<exponent>' with an exponent >= 0, "
-        "'uniform' or 'rare'"
+        f"unknown level {name!r}{hint}: expected 'zipf_<exponent>' with an exponent >= 0 such as 2 "
+        "or 1.5, 'uniform' or 'rare'"
     )
+
+
+def law_name(exponent: float) -> str:
+    """The name of Zipf's law with this exponent, for `by_name`: `zipf_2` for 2.0.
+
+    Raises:
+        ValueError: the exponent is not finite and >= 0.
+    """
+    zipfian(1, exponent)
+    return f"zipf_{np.format_float_positional(abs(float(exponent)), trim='-')}"
+
+
+def usual_name(name: str) -> str:
+    """The shortest of a distribution's names: `zipf_2` for `zipf_2.0`, `rare` for `uniform_rare`.
+
+    Names that are not those of a distribution are returned as they are.
+    """
+    if name == "uniform_rare":
+        return "rare"
+    written = _LAW.fullmatch(name)
+    return law_name(float(written[1])) if written else name
 
 
 def _check_size(n: int) -> None:

@@ -189,8 +189,7 @@ def register(family: Family) -> Family:
         ValueError: a family or a split of that name is there already, a name cannot be part of a
             level's name, or it has an unknown reference.
     """
-    if not family.name or "/" in family.name:
-        raise ValueError(f"a family's name must not be empty or hold '/', got {family.name!r}")
+    check_name(family.name)
     if family.name in _FAMILIES:
         raise ValueError(f"there is a family {family.name!r} already")
     for split in family.splits:
@@ -201,6 +200,12 @@ def register(family: Family) -> Family:
     _FAMILIES[family.name] = family
     family.register_with_gymnasium()
     return family
+
+
+def check_name(name: Any) -> None:
+    """Raises ValueError for what cannot be a family's name."""
+    if not isinstance(name, str) or not name or "/" in name:
+        raise ValueError(f"a family's name must be a string, not empty, without '/'; got {name!r}")
 
 
 def families() -> Mapping[str, Family]:
@@ -235,6 +240,8 @@ def find_level(level: str) -> tuple[Family, str]:
     Raises:
         ValueError: there is no such level; names the nearest.
     """
+    if not isinstance(level, str):
+        raise ValueError(f"a level must be a name such as 'gridworld/zipf_2', got {level!r}")
     prefix, _, name = level.partition("/")
     if prefix not in _FAMILIES or not name:
         known = [f"{one.name}/{name}" for one in _FAMILIES.values() for name in one.levels]
@@ -276,6 +283,11 @@ def make_vec(
         return make_vec(level.level, num_envs, **{**kwargs, **level.options})
     if callable(level):
         return level(num_envs, **kwargs)
+    if not isinstance(level, Sequence):
+        raise ValueError(
+            "a level must be a name such as 'gridworld/zipf_2', a function that makes a batch, or "
+            f"a list of these; got {level!r}"
+        )
     return _mixture(level, num_envs, **kwargs)
 
 

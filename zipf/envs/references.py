@@ -9,6 +9,8 @@ from functools import cache
 from importlib import import_module, resources
 from typing import Any
 
+from zipf.envs import distributions
+
 
 @dataclass(frozen=True)
 class ReferenceScore:
@@ -37,7 +39,8 @@ def measured(package: str, name: str) -> Callable[..., ReferenceScore | None]:
 
     Returns:
         A function of a level's name and constructor options, as in `Family.references`. It returns
-        None for levels and options that were not measured. The file has for each reference and
+        None for levels and options that were not measured. It makes no difference how they are
+        written: `zipf_2.0` is `zipf_2`, and (3, 3) is [3, 3]. The file has for each reference and
         level a list of figures, with the options that are not the family's defaults:
 
         {"chance": {"lift/lift_shape_zipf3": [
@@ -47,12 +50,22 @@ def measured(package: str, name: str) -> Callable[..., ReferenceScore | None]:
     def reference(level: str, **options: Any) -> ReferenceScore | None:
         family = import_module(package).FAMILY
         defaults = family.options_class().model_dump(exclude=set(family.appearance))
-        for figure in _figures(package).get(name, {}).get(level, []):
-            if {**defaults, **options} == {**defaults, **figure["options"]}:
+        asked = _as_json({**defaults, **options})
+        for figure in _figures(package).get(name, {}).get(distributions.usual_name(level), []):
+            if asked == _as_json({**defaults, **figure["options"]}):
                 return ReferenceScore(figure["score"], figure["episodes"], error=figure["error"])
         return None
 
     return reference
+
+
+def _as_json(value: Any) -> Any:
+    """A value as it would be read from the file, in which every sequence is a list."""
+    if isinstance(value, Mapping):
+        return {key: _as_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_json(item) for item in value]
+    return value
 
 
 @cache
