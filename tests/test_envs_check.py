@@ -129,8 +129,9 @@ class Stammering(Speaking):
 
 
 class Boasting(Speaking):
-    def _describe(self) -> Any:
-        return {"success": self.arms >= 0}
+    def reset(self, **options: Any) -> Any:
+        observation, info = super().reset(**options)
+        return observation, {**info, "success": self.arms >= 0}
 
 
 def test_what_a_family_tells_about_an_episode_is_checked() -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from zipf.envs import GymnasiumVectorEnv, Mixture, ZipfVectorEnv, make_vec
+from zipf.envs.gridworld.level import Level
+from zipf.envs.vector import RESERVED
 
 SMALL = {"num_maps": 2, "num_objects": 3}
 BATCHES: dict[str, Callable[[Any], ZipfVectorEnv]] = {
@@ -34,6 +36,26 @@ def env(request: pytest.FixtureRequest) -> ZipfVectorEnv:
 def test_numbers_of_worlds(name: str, num_envs: Any) -> None:
     with pytest.raises(ValueError, match="num_envs must be"):
         BATCHES[name](num_envs)
+
+
+@pytest.mark.parametrize("name", [*RESERVED, "_length", 3])
+def test_names_that_every_batch_uses(name: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    make = BATCHES["gridworld"]
+    with monkeypatch.context() as changed:
+        changed.setattr(Level, "situation", {name: 2, "target": 3})
+        with pytest.raises(ValueError, match=f"a rank cannot be called {name!r}.*reserved names"):
+            make(3)
+    env = make(3)
+    monkeypatch.setattr(env, "_describe", lambda: {name: np.zeros(3)})
+    with pytest.raises(ValueError, match=f"an entry of info cannot be called {name!r}"):
+        env.reset()
+
+
+def test_a_rank_is_not_described_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = BATCHES["gridworld"](3)
+    monkeypatch.setattr(env, "_describe", lambda: {"map": np.zeros(3)})
+    with pytest.raises(ValueError, match="both a rank and another entry 'map'"):
+        env.reset()
 
 
 @pytest.mark.parametrize(

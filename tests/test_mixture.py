@@ -445,11 +445,25 @@ def test_mixtures_are_levels_of_mixtures() -> None:
         ({"order": -1}, "order must be 'forward'.*got -1"),
         ({"order": True}, "order must be 'forward'.*got True"),
         ({"rank": "target"}, "the levels have a rank 'target' themselves: choose another name"),
+        ({"rank": "length"}, "levels' rank cannot be called 'length'.*reserved names achieved, "),
+        ({"rank": "_level"}, "levels' rank cannot be called '_level'"),
+        ({"rank": 3}, "levels' rank cannot be called 3: expected a string"),
     ],
 )
 def test_wrong_laws_are_refused(options: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         drawn(**options)
+
+
+def test_a_rank_that_the_levels_describe_is_refused() -> None:
+    def told(num_envs: int, **options: Any) -> ZipfVectorEnv:
+        env = EASY["rare"](num_envs, **options)
+        env._describe = lambda: {"task_name": np.zeros(num_envs)}  # type: ignore[method-assign]
+        return env
+
+    for rank in ("task_name", "task"):
+        with pytest.raises(ValueError, match=f"the levels have an entry '{rank}' or '{rank}_name'"):
+            Mixture({"a": told, "b": told}, 2, draw="resets", exponent=1.0, rank=rank)
 
 
 def test_levels_with_other_observations_or_actions_are_named() -> None:

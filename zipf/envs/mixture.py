@@ -12,7 +12,7 @@ from zipf.compiled import compiled
 from zipf.envs import pcg64
 from zipf.envs.arguments import mapping, whole
 from zipf.envs.distributions import zipfian
-from zipf.envs.vector import Observation, ZipfVectorEnv
+from zipf.envs.vector import Observation, ZipfVectorEnv, own_name
 
 _SHARED = ("_streams", "_running", "_lengths", "_returns", "_restarted")
 """Arrays of the mixture that the levels' batches use in the place of their own."""
@@ -50,7 +50,7 @@ class Mixture(ZipfVectorEnv):
             on any scale (divided by their sum here). May be 0.
         order: with "resets", which level has which rank: "forward" (as in `levels`), "reversed",
             or an integer >= 0 that seeds a shuffle.
-        rank: with "resets", the name of the levels' rank.
+        rank: with "resets", the name of the levels' rank; none that `ZipfVectorEnv` reserves.
         options: constructor options of all levels.
         level_options: constructor options of single levels, by level name; they override `options`.
 
@@ -94,12 +94,12 @@ class Mixture(ZipfVectorEnv):
                 f"{', '.join(levels)}"
             )
         self.draw = draw
-        self.rank = rank
+        self.rank = own_name("rank: the levels' rank", rank)
         count = len(levels)
         if draw == "resets":
             if (exponent is None) == (probabilities is None):
                 raise ValueError("draw='resets' needs either exponent or probabilities")
-            self.level_names = tuple(np.array(list(levels), object)[_ordered(count, order)])
+            self.level_names = tuple(np.array(list(levels), object)[ordered(count, order)])
             self.levels_of_worlds = np.zeros(num_envs, np.int64)
         else:
             if exponent is not None or probabilities is not None or order != "forward":
@@ -162,6 +162,11 @@ class Mixture(ZipfVectorEnv):
         )
         described = [batch._describe() for batch in self.batches]
         self._described = [key for key in described[0] if all(key in one for one in described)]
+        if draw == "resets" and not {rank, f"{rank}_name"}.isdisjoint(self._described):
+            raise ValueError(
+                f"the levels have an entry {rank!r} or '{rank}_name' in info themselves: choose "
+                "another name"
+            )
 
     @property
     def engines(self) -> NDArray[np.int64]:
@@ -429,7 +434,7 @@ def _without_episodes(batch: ZipfVectorEnv) -> ZipfVectorEnv:
     return twin
 
 
-def _ordered(count: int, order: str | int) -> NDArray[np.int64]:
+def ordered(count: int, order: str | int) -> NDArray[np.int64]:
     """The place in the list of levels of each rank, int64 [count].
 
     Raises ValueError for an `order` other than "forward", "reversed" or an integer >= 0.

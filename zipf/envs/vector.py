@@ -19,6 +19,32 @@ Observation = dict[str, NDArray[Any]]
 Info = dict[str, Any]
 Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]
 
+RESERVED = (
+    "achieved",
+    "final_info",
+    "final_obs",
+    "has_achieved",
+    "length",
+    "reset_mask",
+    "return",
+    "success",
+)
+"""Entries of `info` and options of `reset` that every batch has."""
+
+
+def own_name(what: str, name: Any) -> str:
+    """The name of a rank or of another entry of `info` that a family has of its own.
+
+    Raises:
+        ValueError: it is no string, is in `RESERVED`, or begins with an underscore as masks do.
+    """
+    if not isinstance(name, str) or name in RESERVED or name.startswith("_"):
+        raise ValueError(
+            f"{what} cannot be called {name!r}: expected a string that does not begin with an "
+            f"underscore and is none of the reserved names {', '.join(RESERVED)}"
+        )
+    return name
+
 
 class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     """`N` worlds that step together and report the situation of every episode.
@@ -56,7 +82,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         num_envs: number of worlds N.
         single_observation_space: the observations of one world.
         single_action_space: the actions of one world, counted from 0.
-        situation: name and size of each rank an episode is drawn at; may be empty.
+        situation: name and size of each rank an episode is drawn at; may be empty. The names in
+            `RESERVED` and those that begin with an underscore are taken.
         autoreset_mode: a `gymnasium.vector.AutoresetMode` or its value: "SameStep", "NextStep" or
             "Disabled".
         copy: whether observations returned without `out` are fresh arrays (True, as in
@@ -72,8 +99,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             is there, and nothing else. None where actions do not point.
 
     Raises:
-        ValueError: for an argument out of range, or an action space other than a `Discrete` that
-            starts at 0.
+        ValueError: for an argument out of range, a reserved name in `situation`, or an action space
+            other than a `Discrete` that starts at 0.
     """
 
     single_observation_space: spaces.Dict
@@ -113,7 +140,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self.single_observation_space = single_observation_space
         self.single_action_space = single_action_space
         self.action_space = batch_space(single_action_space, num_envs)
-        self.situation = dict(situation)
+        self.situation = {own_name("a rank", name): size for name, size in situation.items()}
         self.autoreset_mode = autoreset_mode
         self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
         self.render_mode = render_mode
@@ -190,7 +217,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _describe(self) -> dict[str, NDArray[Any]]:
         """Further entries of `info` about the running episodes, as fresh arrays [N] of any dtype.
 
-        Their names differ from those of the situation and do not begin with an underscore.
+        Their names differ from those of the situation, are none of `RESERVED` and do not begin with
+        an underscore; `reset` raises ValueError for others.
         """
         return {}
 
@@ -270,7 +298,11 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 self._seeded[i] = True
         self._begin_episodes(mask, forced)
         self._observe(observation, self._everywhere)
-        return observation, self._running_info()
+        described = self._describe()
+        for name in described:
+            if own_name("an entry of info", name) in self.situation:
+                raise ValueError(f"info cannot have both a rank and another entry {name!r}")
+        return observation, {**self._situations(), **described}
 
     def step(
         self,
