@@ -102,6 +102,13 @@ def test_levels_follow_their_distributions(level: str, expected: Any) -> None:
     assert chisquare(counts[possible], expected[possible] * counts.sum()).pvalue > 1e-3
 
 
+def test_any_exponent_has_a_level() -> None:
+    for exponent, level in ((1e-5, "zipf_0.00001"), (1e22, f"zipf_1{'0' * 22}"), (2, "zipf_2")):
+        made = over(exponent=exponent)
+        assert made.levels[0] == level
+        made.make_batch(level, 2)
+
+
 def test_the_order_is_that_of_all_levels() -> None:
     for order, ranked in (("reversed", range(9, -1, -1)), (4, None)):
         made = over(order=order)
@@ -130,6 +137,7 @@ def test_chance_is_known_once_it_is_measured() -> None:
     assert measure_chance("goal/zipf_1", episodes=4000, seed=1) != measured
     zipf.envs.register(over(name="other", chance={"zipf_1": measured}))
     assert zipf.envs.reference("chance", "other/zipf_1") == measured
+    assert zipf.envs.reference("chance", "other/zipf_1.0") == measured
     assert zipf.envs.reference("chance", "other/uniform") is None
 
 
@@ -164,6 +172,37 @@ def test_chance_counts_episodes_as_they_start() -> None:
         ({"ids": "Goal-v1", "over": {"goal": [1], "tries": [2]}}, "with one option of the env"),
         ({"ids": IDS, "over": {"goal": range(9)}}, "needs a single id, got 5"),
         ({"ids": IDS, "exponent": -1}, "finite and >= 0, got -1"),
+        ({"ids": IDS, "exponent": None}, "finite and >= 0, got None"),
+        ({"ids": IDS, "exponent": "1"}, "finite and >= 0, got '1'"),
+        *(
+            ({"ids": IDS, "order": one}, f"order must be 'forward', 'reversed' or.*got {one!r}")
+            for one in ("bogus", -1, True, 2.5, None)
+        ),
+        *(
+            (
+                {"ids": IDS, "name": one},
+                f"name must be a string, not empty, without '/'; got {one!r}",
+            )
+            for one in ("a/b", "", 3)
+        ),
+        ({"ids": 3}, "ids must be a list, from the most frequent on, got 3"),
+        ({"ids": set(IDS)}, "ids must be a list"),
+        ({"ids": [*IDS, 3]}, "ids must be Gymnasium ids, which are strings, got"),
+        ({"ids": "Goal-v1", "over": [1]}, r"with one option of the environment, got over=\[1\]"),
+        ({"ids": "Goal-v1", "over": {"goal": 3}}, "the values of 'goal' must be a list.*got 3"),
+        ({"ids": "Goal-v1", "over": {"goal": "abcde"}}, "'goal' must be a list.*got 'abcde'"),
+        ({"ids": "Goal-v1", "over": {3: range(5)}}, "a rank cannot be called 3: expected a string"),
+        *(
+            ({"ids": "Goal-v1", "over": {one: range(1, 7)}}, f"called '{one}'.*reserved names")
+            for one in ("length", "return", "_tries")
+        ),
+        (
+            {"ids": "Goal-v1", "over": {"zipf": range(5)}},
+            "environments cannot be called zipf_0, .*, zipf_4, as levels of distributions are",
+        ),
+        ({"ids": [*IDS, "uniform"]}, "environments cannot be called uniform, as"),
+        ({"ids": IDS, "options": 3}, "options must be a mapping, got 3"),
+        ({"ids": IDS, "chance": 3}, "chance must be a mapping, got 3"),
         ({"ids": ["A-v0", "B-v0", "C-v0", "D-v0", "E-v0"]}, "nothing in common.*: give name="),
     ],
 )

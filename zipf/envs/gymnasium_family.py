@@ -8,12 +8,13 @@ from itertools import takewhile
 from typing import Any
 
 from zipf.envs import distributions
-from zipf.envs.family import Family
+from zipf.envs.arguments import mapping
+from zipf.envs.family import Family, check_name
 from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
-from zipf.envs.mixture import Mixture
+from zipf.envs.mixture import Mixture, ordered
 from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Split
-from zipf.envs.vector import ZipfVectorEnv
+from zipf.envs.vector import ZipfVectorEnv, own_name
 
 
 def zipfian(
@@ -47,6 +48,7 @@ def zipfian(
         ids: Gymnasium ids, from the most frequent on; or one id, with `over`.
         exponent: of the training level.
         over: the name of one option of the environment and its values, from the most frequent on.
+            The rank has this name, so it is none that `ZipfVectorEnv` reserves.
         order: "forward", "reversed", or an integer that seeds a shuffle; see `Mixture`.
         name: the family's; None: made from what the ids have in common, `minigrid` in the example.
         chance: measured chance by level name, as `measure_chance` returns it.
@@ -59,24 +61,32 @@ def zipfian(
 
     Raises:
         ValueError: fewer than five environments, one of them twice, `over` missing or with several
-            ids, no name that fits, or a bad exponent or order.
+            ids, a reserved name in `over`, an environment named like a distribution, no name that
+            fits, or arguments of another kind.
     """
     rank = "level"
+    options = mapping("options", options)
+    chance = mapping("chance", chance)
     if isinstance(ids, str):
-        if over is None or len(over) != 1:
+        if not isinstance(over, Mapping) or len(over) != 1:
             raise ValueError(
                 f"zipfian({ids!r}) needs over={{option: values}} with one option of the "
                 f"environment, got over={over}; or give a list of ids"
             )
         ((rank, values),) = over.items()
+        own_name("over: an option that is a rank", rank)
+        values = _listed(f"over: the values of {rank!r}", values)
         given = [(f"{rank}_{value}", ids, {rank: value}) for value in values]
         ids = [ids]
     else:
+        ids = _listed("ids", ids)
+        if not all(isinstance(id, str) for id in ids):
+            raise ValueError(f"ids must be Gymnasium ids, which are strings, got {ids}")
         if over is not None:
             raise ValueError(f"over={over} needs a single id, got {len(ids)}")
         given = [(_without_module(id), id, {}) for id in ids]
     makers = {
-        level: partial(GymnasiumVectorEnv, id=id, options={**(options or {}), **own}, **worlds)
+        level: partial(GymnasiumVectorEnv, id=id, options={**options, **own}, **worlds)
         for level, id, own in given
     }
     if len(makers) < len(given):
@@ -88,9 +98,15 @@ def zipfian(
             "a family needs at least five environments, or its rarest fifth is empty: "
             f"got {len(makers)}"
         )
-    trained = f"zipf_{float(exponent)!r}".removesuffix(".0")
-    distributions.by_name(trained)
-    name = name or _common_name(ids)
+    if taken := [level for level in makers if _is_distribution(level)]:
+        raise ValueError(
+            f"environments cannot be called {', '.join(taken)}, as levels of distributions are: "
+            "register them with Gymnasium under another id or with another option"
+        )
+    trained = distributions.law_name(exponent)
+    ordered(len(makers), order)  # refuses a bad order now rather than when a batch is made
+    name = _common_name(ids) if name is None else name
+    check_name(name)
     levels = _Levels(makers, order, rank)
     return Family(
         name=name,
@@ -99,7 +115,7 @@ def zipfian(
         check=levels.check,
         make_vec=levels.make_vec,
         splits=(Split(name, f"{name}/{trained}", f"{name}/uniform", f"{name}/rare"),),
-        references={"chance": partial(_known, chance or {})},
+        references={"chance": partial(_known, chance)},
     )
 
 
@@ -143,7 +159,26 @@ class _Levels:
 def _known(
     scores: Mapping[str, ReferenceScore], level: str, **options: Any
 ) -> ReferenceScore | None:
-    return None if options else scores.get(level)
+    return None if options else scores.get(distributions.usual_name(level))
+
+
+def _listed(what: str, values: Any) -> list[Any]:
+    """Values in an order, as a list.
+
+    Raises ValueError for something else.
+    """
+    unordered = isinstance(values, str | bytes | Mapping | set | frozenset)
+    if unordered or not isinstance(values, Iterable):
+        raise ValueError(f"{what} must be a list, from the most frequent on, got {values!r}")
+    return list(values)
+
+
+def _is_distribution(level: str) -> bool:
+    try:
+        distributions.by_name(level)
+    except ValueError:
+        return False
+    return True
 
 
 def _without_module(id: str) -> str:
