@@ -402,6 +402,7 @@ def test_it_draws_what_the_environment_draws() -> None:
             {"codes": {"arm.angle": 3}},
             r"codes={'arm.angle': 3} of Everything-v0: expected.*float32",
         ),
+        ({"codes": {"kinds": True}}, "codes={'kinds': True} of Everything-v0: expected a number"),
         (
             {"options": {"space": spaces.Sequence(spaces.Discrete(2))}},
             "'observation' is Seq",
@@ -419,7 +420,7 @@ def test_what_cannot_be_used_is_refused(options: dict[str, Any], message: str) -
 
 
 def test_values_outside_what_was_declared_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"'kinds' has values \d+ .. \d+, but codes says 2"):
+    with pytest.raises(ValueError, match=r"'kinds' has the value \d+, .* codes says 2: .* 0 .. 1"):
         everything(20, codes={"kinds": 2}).reset()
     env = everything(2, success="no such name")
     env.reset(seed=0)
@@ -432,3 +433,78 @@ def test_values_outside_what_was_declared_are_refused() -> None:
 
     with pytest.raises(ValueError, match=r"'image' has shape \(2, 5, 3\), its space \(4, 5, 3\)"):
         everything(1, wrap=Wide).reset()
+
+
+def shown(space: spaces.Space, value: Any, **options: Any) -> Any:
+    """What a batch shows of an environment with this space that returns this value."""
+
+    def show(env: gym.Env) -> gym.Env:
+        return gym.wrappers.TransformObservation(env, lambda _: value, space)
+
+    env = GymnasiumVectorEnv(1, "Everything-v0", wrap=show, **options)
+    env.reset(seed=0)
+    return env.step(np.zeros(1, np.int64))[0]["observation"][0]
+
+
+PIXELS = spaces.Box(0, 255, (2,), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("space", "value", "message"),
+    [
+        (
+            PIXELS,
+            [300, -1],
+            r"has the value 300, out of range: its space is Box\(0, 255, \(2,\), u",
+        ),
+        (PIXELS, [44, -1], "has the value -1, out of range"),
+        (PIXELS, [0.7, 25.5], "has the value 0.7, no whole number"),
+        (PIXELS, [0.7, 300.5], "has the value 300.5, out of range"),
+        (PIXELS, [3.0, np.nan], "has the value nan, out of range"),
+        (PIXELS, ["a", "b"], "has the value a, no number"),
+        (spaces.Box(0, 9, (2,), np.uint8), np.uint8([9, 10]), "has the value 10, out of range"),
+        (spaces.Box(-5, 5, (), np.int64), -6, "has the value -6, out of range"),
+        (
+            spaces.Box(-(2**63), 2**63 - 1, (), np.int64),
+            np.uint64(2**64 - 1),
+            "has the value 18446744073709551615, out of range",
+        ),
+        (spaces.Discrete(4, start=-1), 3, r"has the value 3, .* Discrete\(4, start=-1\)"),
+        (spaces.Discrete(4, start=-1), -2, "has the value -2, out of range"),
+        (spaces.Discrete(4), 1.5, "has the value 1.5, no whole number"),
+        (spaces.MultiDiscrete([3, 5], start=[1, 2]), [3, 7], "has the value 7, out of range"),
+        (spaces.MultiBinary(2), [1, 2], "has the value 2, out of range"),
+        (spaces.Box(-1, 1, (1,), np.float32), [None], "has the value None, no number"),
+        (spaces.Text(5), 3, "'observation' is 3, which is no text"),
+    ],
+)
+def test_observations_that_are_not_in_their_space_are_refused(
+    space: Any, value: Any, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        shown(space, value)
+
+
+def test_codes_are_whole_numbers() -> None:
+    with pytest.raises(ValueError, match=r"value 0.5, no whole number: codes says 3: .* 0 .. 2"):
+        shown(PIXELS, [1, 0.5], codes={"observation": 3})
+    assert shown(PIXELS, [1, 2.0], codes={"observation": 3}).tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("space", "value"),
+    [
+        (PIXELS, [0, 255]),
+        (PIXELS, np.array([0.0, 255.0])),
+        (spaces.Discrete(4), np.float64(3)),
+        (spaces.Discrete(2), True),
+        (spaces.MultiBinary(2), np.array([True, False])),
+        (spaces.Box(-1, 1, (2,), np.float32), np.array([0.1, 1.2])),
+        (spaces.Box(-1, 1, (2,), np.float32), [0, 1]),
+        (spaces.Box(-1, 1, (), np.float64), 0.1),
+    ],
+)
+def test_observations_of_other_dtypes_are_kept_where_they_fit(space: Any, value: Any) -> None:
+    given = shown(space, value)
+    assert given.dtype == space.dtype
+    np.testing.assert_array_equal(given, np.asarray(value).astype(space.dtype))

@@ -2,9 +2,10 @@
 
 import hashlib
 import re
+import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import gymnasium as gym
@@ -38,6 +39,8 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
     part `image`, if it is uint8 [H, W, 3], or `observation`. Dict and Tuple spaces within are
     flattened: `{"arm": {"angle": ...}}` becomes `arm.angle`, the first part of a tuple
     `observation.0`. Box and MultiBinary stay as they are; Discrete and MultiDiscrete count from 0.
+    Floats are rounded to the precision of their space, and not held to its bounds, which many
+    environments pass by a little; whole numbers have to be in their space.
     Text becomes int64 [text_length]: a code of 1 .. vocabulary - 1 for each word (or punctuation
     mark) in lower case, from a hash that is the same on every machine, and 0 after the last one.
     Two words may share a code; the larger the vocabulary, the fewer do.
@@ -68,8 +71,9 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
 
     Raises:
         ValueError: the environment cannot be made, or its observations or actions are of another
-            kind; while stepping, for observations that are not in the space, codes out of range, a
-            text of more words than `text_length`, or an `info` without the name given as success.
+            kind; while stepping, for observations of another shape or kind than the space says,
+            whole numbers that are not in it, codes out of range, a text of more words than
+            `text_length`, or an `info` without the name given as success.
     """
 
     def __init__(
@@ -247,6 +251,7 @@ class Part:
         name: of the part, as agents see it.
         path: the keys and indices that lead to it in the environment's observation.
         space: its space, as agents see it.
+        given: its space, as the environment gives it.
         start: subtracted from what the environment gives, None for 0.
         codes: how many codes its values are, None where they are not checked.
         words: for texts.
@@ -256,19 +261,51 @@ class Part:
     name: str
     path: tuple[Any, ...]
     space: spaces.Space
+    given: spaces.Space
     start: Any = None
     codes: int | None = None
     words: Words | None = None
+
+    @cached_property
+    def bounds(self) -> tuple[Any, Any] | None:
+        """The least and the greatest whole number that the environment may give, scalars or of the
+        space's shape. None: of floats."""
+        given = self.given
+        if self.codes is not None:
+            return 0, self.codes - 1
+        if isinstance(given, spaces.Discrete):
+            return given.start, given.start + given.n - 1
+        if isinstance(given, spaces.MultiDiscrete):
+            return given.start, given.start + given.nvec - 1
+        if isinstance(given, spaces.Box):
+            return None if given.dtype.kind == "f" else (given.low, given.high)
+        return 0, 1
+
+    @cached_property
+    def _in_bounds(self) -> np.dtype[Any] | None:
+        """The dtype whose values are all in the bounds, as those of most images; None: there is
+        none."""
+        dtype = self.given.dtype
+        if self.bounds is None or dtype is None or dtype.kind not in "iu":
+            return None
+        low, high = self.bounds
+        limits = np.iinfo(dtype)
+        whole = (low == limits.min) & (high == limits.max)
+        return dtype if np.all(whole) else None
 
     def read(self, observation: Any) -> NDArray[Any]:
         """The part of an observation of the environment, in the shape of `space`.
 
         Raises:
-            ValueError: another shape, a code out of range, or too many words.
+            ValueError: another shape, values that the space does not have, or too many words.
         """
         for key in self.path:
             observation = observation[key]
         if self.words is not None:
+            if not isinstance(observation, str):
+                raise ValueError(
+                    f"{self.id}: observation {self.name!r} is {observation!r}, which is no text"
+                )
             return self.words.encode(observation)
         value = np.asarray(observation)
         if value.shape != self.space.shape:
@@ -276,13 +313,35 @@ class Part:
                 f"{self.id}: observation {self.name!r} has shape {value.shape}, its space "
                 f"{self.space.shape}"
             )
-        codes = self.codes
-        if codes is not None and (value.astype(np.uint64) >= codes).any():  # -1 is a huge one
-            raise ValueError(
-                f"{self.id}: observation {self.name!r} has values {value.min()} .. {value.max()}, "
-                f"but codes says {codes}: they must be in 0 .. {codes - 1}"
-            )
+        if self._in_bounds is None or value.dtype != self._in_bounds:
+            self._check(value)
         return value if self.start is None else value - self.start
+
+    def _check(self, value: NDArray[Any]) -> None:
+        """Raises ValueError for values that cannot be kept in `space` as they are, but for floats
+        that are rounded."""
+        if value.dtype.kind not in "biuf":
+            raise self._error(value, "no number")
+        if self.bounds is None:
+            return
+        low, high = self.bounds
+        inside = (value >= low) & (value <= high)
+        if not inside.all():
+            raise self._error(value[~inside], "out of range")
+        if value.dtype.kind == "f":
+            whole = value.astype(self.space.dtype) == value
+            if not whole.all():
+                raise self._error(value[~whole], "no whole number")
+
+    def _error(self, wrong: NDArray[Any], what: str) -> ValueError:
+        """About the first of these values."""
+        if self.codes is not None:
+            space = f"codes says {self.codes}: whole numbers in 0 .. {self.codes - 1}"
+        else:
+            space = f"its space is {textwrap.shorten(str(self.given), 200, placeholder=' ...')}"
+        return ValueError(
+            f"{self.id}: observation {self.name!r} has the value {wrong.flat[0]}, {what}: {space}"
+        )
 
 
 def _parts(
@@ -318,7 +377,7 @@ def _flattened(
             yield from _flattened(id, part, full, (*path, key), codes, words)
     elif name in codes:
         n = codes[name]
-        number = isinstance(n, int | np.integer) and n >= 1
+        number = isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1
         integers = isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.integer)
         if not number or not integers:
             raise ValueError(
@@ -329,16 +388,17 @@ def _flattened(
         if space.shape:
             dtype = np.uint8 if n < 256 else np.int64
             coded = spaces.MultiDiscrete(np.full(space.shape, n), dtype=dtype)
-        yield Part(id, name, path, coded, codes=n)
+        yield Part(id, name, path, coded, space, codes=n)
     elif isinstance(space, spaces.Discrete):
-        yield Part(id, name, path, spaces.Discrete(int(space.n)), start=space.start or None)
+        yield Part(id, name, path, spaces.Discrete(int(space.n)), space, start=space.start or None)
     elif isinstance(space, spaces.MultiDiscrete):
         counted = spaces.MultiDiscrete(space.nvec, dtype=space.dtype)
-        yield Part(id, name, path, counted, start=space.start if space.start.any() else None)
+        start = space.start if space.start.any() else None
+        yield Part(id, name, path, counted, space, start=start)
     elif isinstance(space, spaces.Box | spaces.MultiBinary):
-        yield Part(id, name, path, space)
+        yield Part(id, name, path, space, space)
     elif space.dtype is not None and space.dtype.kind == "U":  # Text, and MiniGrid's MissionSpace
-        yield Part(id, name, path, words.space(), words=words)
+        yield Part(id, name, path, words.space(), space, words=words)
     else:
         raise ValueError(
             f"{id}: observation {name!r} is {space}: expected Box, Discrete, MultiDiscrete, "
