@@ -41,6 +41,28 @@ def test_it_equals_a_world_written_by_itself() -> None:
             ended = step[2] or step[3]
 
 
+SINGLES = [small, partial(GridworldEnv, "uniform", **SMALL)]
+
+
+@pytest.mark.parametrize("make_single", SINGLES)
+def test_seeds_may_be_numpys(make_single: Any) -> None:
+    env = make_single()
+    expected = env.reset(seed=3)
+    np.testing.assert_equal(env.reset(seed=np.int64(3)), expected)
+
+
+@pytest.mark.parametrize("make_single", SINGLES)
+@pytest.mark.parametrize("seed", [-1, 1.5, "3", True])
+def test_a_wrong_seed_changes_nothing(make_single: Any, seed: Any) -> None:
+    env, other = make_single(), make_single()
+    for one in (env, other):
+        one.reset(seed=0)
+    with pytest.raises(ValueError, match="seed must be"):
+        env.reset(seed=seed)
+    np.testing.assert_equal(env.step(1), other.step(1))
+    np.testing.assert_equal(env.reset(), other.reset())
+
+
 class Named(GridworldVectorEnv):
     def _describe(self) -> dict[str, Any]:
         ranks = self._situations()

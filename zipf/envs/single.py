@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
+from zipf.envs.arguments import whole
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 
@@ -50,8 +51,11 @@ class SingleWorld(gym.Env[dict[str, Any], Any]):
         """Starts an episode; `options` may force the ranks of the situation.
 
         Raises:
-            ValueError: for a negative seed, unknown options or ranks out of range.
+            ValueError: for a seed that is no whole number >= 0, unknown options or ranks out of
+                range; nothing has happened then.
         """
+        if seed is not None:
+            seed = whole("seed", seed, 0)  # Gymnasium takes no NumPy integers
         observation, info = self.batch.reset(seed=seed, options=options)
         super().reset(seed=seed)
         return _row(observation), _items(info)

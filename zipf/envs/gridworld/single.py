@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from numpy.typing import NDArray
 
-from zipf.envs.arguments import mapping
+from zipf.envs.arguments import mapping, whole
 from zipf.envs.gridworld import looks
 from zipf.envs.gridworld.level import OBSERVATIONS, Level
 from zipf.envs.gridworld.maps import MOVES
@@ -153,10 +153,13 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
                 replaced, so that the episodes that follow do not depend on it.
 
         Raises:
-            ValueError: for unknown options or ranks out of range.
+            ValueError: for a seed that is no whole number >= 0, unknown options or ranks out of
+                range; nothing has happened then.
         """
         if self._closed:
             raise ClosedEnvironmentError("reset() of an environment that was closed")
+        if seed is not None:
+            seed = whole("seed", seed, 0)  # Gymnasium takes no NumPy integers
         options = dict(mapping("options", options))
         if unknown := options.keys() - self.situation.keys():
             raise ValueError(
