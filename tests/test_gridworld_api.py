@@ -260,6 +260,24 @@ def test_a_window_shows_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     human.close()
 
 
+def test_windows_are_closed_with_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    first, second = (
+        GridworldEnv(render_mode="human", num_rooms=(1, rooms), num_objects=2) for rooms in (2, 3)
+    )
+    for env in (first, second):
+        env.reset(seed=0)
+    second.step(0)
+    first.step(0)  # a map of another size
+    first.close()
+    first.close()
+    assert pygame.display.get_init()
+    second.step(0)
+    second.close()
+    assert not pygame.display.get_init()
+
+
 # Other people's wrappers.
 
 

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import weakref
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,9 @@ def open_display(instead: str = "") -> Any:
 class Window:
     """A window on the screen that shows frames at a steady rate.
 
+    pygame has one window on the screen, which all these share: it shows the frame that came last,
+    and is closed with the last of them.
+
     Raises:
         ImportError: if pygame is not installed.
         RuntimeError: if there is no display to open a window on.
@@ -47,19 +51,26 @@ class Window:
     def __init__(self, title: str, fps: int) -> None:
         self._pygame = open_display('; use render_mode="rgb_array"')
         self._fps = fps
-        self._screen: Any = None
         self._pygame.display.set_caption(title)
         self._clock = self._pygame.time.Clock()
+        _OPEN.add(self)
 
     def show(self, frame: NDArray[np.uint8]) -> None:
         """Shows a frame, uint8 [height, width, 3], and waits for its turn."""
         height, width, _ = frame.shape
-        if self._screen is None:
-            self._screen = self._pygame.display.set_mode((width, height))
+        screen = self._pygame.display.get_surface()
+        if screen is None or screen.get_size() != (width, height):
+            screen = self._pygame.display.set_mode((width, height))
         self._pygame.event.pump()
-        self._pygame.surfarray.blit_array(self._screen, frame.swapaxes(0, 1))
+        self._pygame.surfarray.blit_array(screen, frame.swapaxes(0, 1))
         self._pygame.display.flip()
         self._clock.tick(self._fps)
 
     def close(self) -> None:
-        self._pygame.display.quit()
+        _OPEN.discard(self)
+        if not _OPEN:
+            self._pygame.display.quit()
+
+
+_OPEN: weakref.WeakSet[Window] = weakref.WeakSet()
+"""The windows that were not closed. Those that nobody has any more do not count."""
