@@ -288,7 +288,11 @@ def test_automatic_precision_is_what_the_device_computes_fast(has, monkeypatch):
     assert loaded.precision == loaded.what_is_learned["precision"]
     assert loaded.precision == ("bfloat16" if has else "float32")
     for precision in ("float32", "bfloat16"):
-        assert command_line.load([*overrides, f"precision={precision}"]).precision == precision
+        chosen = command_line.load([*overrides, f"precision={precision}"])
+        assert chosen.precision == precision
+        assert chosen.folder == loaded.folder  # so that the run goes on on another machine
+    fixed = ["experiment=gridworld_compact", "precision=bfloat16"]
+    assert command_line.load(fixed).condition == "impala_mlp,precision=bfloat16"
 
 
 @pytest.mark.parametrize(
@@ -371,8 +375,13 @@ def test_the_command_line_changes_parts_of_a_row():
     assert asked == usual.model_copy(update={"title": "Ours, longer", "line": "dashed"})
     assert command_line.load([*start, "name=ours", 'row.title="Ours"']).row.title == "Ours"
     assert command_line.load([*start, "name=ours"]).row.title == "ours"
-    with pytest.raises(UserError, match=r"row.titel: no such option; did you mean row.title"):
-        command_line.load([*start, "row.titel=Ours"])
+    for given in (['row.title="Ours"', "row.order=3"], ["row={title: Ours, order: 3}"]):
+        for plain in (["experiment=demo"], start):
+            row = command_line.load([*plain, "name=ours", *given]).row
+            assert (row.title, row.order, row.colour) == ("Ours", 3, None)
+    for plain in (start, ["experiment=demo"]):
+        with pytest.raises(UserError, match=r"row.titel: no such option; did you mean row.title"):
+            command_line.load([*plain, "row.titel=Ours"])
 
 
 def test_an_option_without_its_group_is_found_in_all_groups():

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
+import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -302,6 +304,49 @@ def test_rows_after_the_last_checkpoint_are_read(tmp_path: Path) -> None:
     edited("evaluations.csv", "200,819200,500.0,train", "100,819200,500.0,train")(folder)
     with pytest.raises(UserError, match=r"evaluations\.csv: is not as the run left it"):
         only_table(tmp_path)
+
+
+def test_rows_of_the_last_checkpoints_update_may_follow_it(tmp_path: Path) -> None:
+    """As those of the evaluation that ends a run do, before its last checkpoint is written."""
+    folder = write_run(tmp_path, {100: (0.2,) * 3, 200: (0.2,) * 3})
+    path = folder / "evaluations.csv"
+    rows = path.read_text()
+    path.write_text("".join(rows.splitlines(True)[:4]))
+    checksums.write(folder, 200)
+    path.write_text(rows)
+    assert line(only_table(tmp_path), "impala", "train")["score"] == pytest.approx(0.2)
+    edited("evaluations.csv", ",0.2,", ",0.3,")(folder)
+    with pytest.raises(UserError, match=r"evaluations\.csv: is not as the run left it"):
+        only_table(tmp_path)
+
+
+def test_runs_are_found_through_links(tmp_path: Path) -> None:
+    """Once each, and links that lead back do no harm."""
+    write_run(tmp_path / "elsewhere", constant(0.5), condition="impala")
+    write_run(tmp_path / "here", constant(0.5), condition="vmpo")
+    (tmp_path / "here" / "linked").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "back").symlink_to(tmp_path)
+    found = results.load_runs([tmp_path / "here"])
+    assert sorted(run.description.condition for run in found) == ["impala", "vmpo"]
+    assert len(results.load_runs([tmp_path, tmp_path / "here"])) == 2
+
+
+def test_a_folder_that_cannot_be_read_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_run(tmp_path, constant(0.5))
+    closed = tmp_path / "closed"
+    closed.mkdir()
+    scandir = os.scandir
+
+    def refuse(path: Any) -> Any:
+        if Path(path) == closed:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    with pytest.raises(UserError, match="closed: Permission denied"):
+        results.load_runs([tmp_path])
 
 
 def test_a_run_without_checksums_is_noted(tmp_path: Path) -> None:

@@ -372,6 +372,53 @@ def test_evaluate_scores_a_run(trained, monkeypatch, capsys):
     assert capsys.readouterr().out == shown
 
 
+def test_evaluate_shows_scores_also_where_it_cannot_write(trained, monkeypatch, capsys):
+    folder = folder_of(trained)
+    moved = folder.parent / "[old] [" / "b]"
+    moved.parent.mkdir()
+    folder.rename(moved)
+    monkeypatch.setattr(sys, "argv", ["zipf.evaluate", f"run={moved}", "episodes=20"])
+    evaluate.main()
+    shown = capsys.readouterr().out
+    assert f"written: {moved}/evaluation-2-episodes20-seed0.csv\n" in shown
+    (moved / "evaluation-2-episodes20-seed0.csv").unlink()
+    (moved / "evaluation-2-episodes20-seed0.csv").mkdir()
+    with pytest.raises(SystemExit):
+        evaluate.main()
+    told = capsys.readouterr()
+    assert told.out == shown[: shown.index("written: ")]
+    assert told.err.endswith("seed0.csv: cannot be written: Is a directory\n")
+
+
+def test_a_closing_evaluation_that_was_dropped_is_made_again(tmp_path):
+    """Where a run that was to go on is stopped before its first update."""
+    every = [*TINY, "evaluation.every=2", f"run_root={tmp_path}"]
+    ended = command_line.load([*every, "updates=3"])
+    assert runner.train(ended) == 0
+    evaluations = ended.folder / "evaluations.csv"
+    rows = evaluations.read_text()
+    with runner.Run(command_line.load([*every, "updates=5"])) as begun:
+        begun.save()
+    assert sorted(set(pd.read_csv(evaluations)["update"])) == [0, 2]
+    assert runner.train(ended) == 0
+    seconds = re.compile(r"(?m)^(3,[0-9]+),[0-9.]+")
+    assert seconds.sub(r"\1", evaluations.read_text()) == seconds.sub(r"\1", rows)
+
+
+def test_a_run_that_is_asked_to_stop_in_its_last_evaluation_has_finished(tmp_path, monkeypatch):
+    config = command_line.load([*TINY, "updates=2", f"run_root={tmp_path}"])
+    evaluated = runner.Run.evaluate
+
+    def stopped(run):
+        evaluated(run)
+        if run.update == 2:
+            signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(runner.Run, "evaluate", stopped)
+    assert runner.train(config) == 0
+    assert run_folder.is_finished(config)
+
+
 @pytest.mark.parametrize("name", envs.SCRIPTED)
 def test_evaluate_scores_a_script(name, monkeypatch, capsys):
     arguments = [f"policy={name}", "split=gridworld", "episodes=50"]

@@ -82,10 +82,9 @@ def _evaluate(arguments: list[str]) -> None:
     update, results = evaluate_run(options)
     chosen = f"-episodes{options.episodes}" if options.episodes else ""
     name = f"evaluation-{update}{chosen}-seed{options.seed}"
-    files = write_results(folder / name, results)
     _show(f"{folder} at update {update}", results, description["levels"])
-    for file in files:
-        Console(highlight=False).print(f"written: {file}", soft_wrap=True)
+    for file in write_results(folder / name, results):
+        Console(highlight=False, markup=False).print(f"written: {file}", soft_wrap=True)
 
 
 def _evaluate_script(options: EvaluateOptions) -> None:
@@ -128,7 +127,7 @@ def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> No
         if reference.name == "chance" or any(mean is not None for mean in means):
             table.add_row(reference.name, *map(_figure, means))
     console = Console(highlight=False)
-    console.print(title, soft_wrap=True)
+    console.print(title, soft_wrap=True, markup=False)
     console.print(table)
     if len(results) > len(by_kind):
         described = {level["level"]: level for level in levels}

@@ -22,6 +22,7 @@ from zipf.experiments.config import (
     DEVICE_PATTERN,
     NAME_PATTERN,
     Config,
+    RowOptions,
     affects_learning,
     flatten,
     schema,
@@ -189,9 +190,14 @@ def _row(condition: str) -> dict[str, Any]:
 
 
 def _asked_of_row(overrides: list[Override], composed: Composed) -> dict[str, Any]:
-    """What the command line says of the row: `row.title="..."`."""
+    """What the command line says of the row: `row.title="..."`, or `row={title: "..."}`."""
+    row = composed.values["row"]
+    if not isinstance(row, dict):
+        return {}
     asked = {one.key_or_group for one in overrides}
-    row = composed.values["row"] or {}
+    for one in overrides:
+        whole = one.value() if one.key_or_group == "row" else None
+        asked |= {f"row.{part}" for part in whole} if isinstance(whole, dict) else set()
     return {part: value for part, value in row.items() if f"row.{part}" in asked}
 
 
@@ -241,13 +247,16 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
     if not any(text.startswith("experiment=") for text in known):
         return known, problems
     accepted = list(flatten(composed(*known).values))
+    of_row = [f"row.{part}" for part in RowOptions.model_fields if f"row.{part}" not in accepted]
     parents = {name.rsplit(".", 1)[0] for name in accepted if "." in name}
     for override in options:
         key = override.key_or_group
         if key in accepted or key in parents or key.startswith(("hydra.", "hydra/")):
             known.append(str(override.input_line))
+        elif key in of_row:
+            known.append(f"++{override.input_line}")  # without a condition there is no row yet
         else:
-            told = nearest(key, [*accepted, "sweep"])
+            told = nearest(key, [*accepted, *of_row, "sweep"])
             problems.append(f"{key}: no such option; {told}")
     return known, problems
 
@@ -312,6 +321,8 @@ def _name(composed: Composed) -> str:
     for option, value in flatten(composed.values).items():
         if option.split(".")[0] in ("seed", "experiment", "name", "without_instruction"):
             continue
+        if option == "precision" and base[option] == "auto":
+            continue  # the same run goes on with it on another machine; its checkpoint checks it
         if affects_learning(option) and value != base.get(option):
             if option == "pretrained.run":
                 value = _of_seeds(value)

@@ -1,7 +1,7 @@
 """Checksums of a run's files, by which a report knows that they are as the run left them.
 
-`checksums.json` covers `run.json`, `config.yaml`, and the rows of the tables up to an update, that
-of the last checkpoint: a run that goes on has more rows than those.
+`checksums.json` covers `run.json`, `config.yaml`, and the rows that the tables had at the last
+checkpoint: a run that goes on has more.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ class Checksums(BaseModel):
         update: of the last rows that `tables` covers; -1 where there are none.
         files: of whole files; those that are not named are not there.
         tables: of the rows of every table, see `row_bytes`.
+        rows: of every table, how many of the rows up to that update are covered: those of the
+            evaluation that ends a run may follow. None, as in files of earlier versions: all.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -39,6 +41,7 @@ class Checksums(BaseModel):
     update: int
     files: dict[str, Sum]
     tables: dict[str, Sum]
+    rows: dict[str, Annotated[int, Field(ge=0)]] | None = None
 
 
 def row_bytes(columns: Sequence[str], row: Sequence[str]) -> bytes:
@@ -56,20 +59,26 @@ def hash_rows(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Any:
     return hashed
 
 
-def write(folder: Path, update: int, tables: Mapping[str, str] | None = None) -> None:
+def write(folder: Path, update: int, tables: Mapping[str, tuple[str, int]] | None = None) -> None:
     """Writes `checksums.json`.
 
     Args:
         folder: the run's folder.
         update: of the last rows that are covered.
-        tables: hashes of the rows of every table up to it; None: of those that are there.
+        tables: of every table, the hash of its rows up to it and their number; None: of those
+            that are there.
 
     Raises:
         OSError: it cannot be written.
     """
     if tables is None:
         tables = {name: _rows_until(folder / name, update) for name in TABLES}
-    sums = Checksums(update=update, files=_files(folder), tables=dict(tables))
+    sums = Checksums(
+        update=update,
+        files=_files(folder),
+        tables={name: hashed for name, (hashed, _) in tables.items()},
+        rows={name: count for name, (_, count) in tables.items()},
+    )
     replace_text(folder / NAME, sums.model_dump_json(indent=2) + "\n")
 
 
@@ -89,7 +98,10 @@ def check(folder: Path) -> str | None:
     except ValidationError:
         raise UserError(f"{path.as_posix()}: is damaged; restore it from a copy") from None
     files = _files(folder)
-    tables = {name: _rows_until(folder / name, sums.update) for name in TABLES}
+    tables = {}
+    for name in TABLES:
+        covered = None if sums.rows is None else sums.rows.get(name)
+        tables[name], _ = _rows_until(folder / name, sums.update, covered)
     for there, now in ((sums.files, files), (sums.tables, tables)):
         for name in sorted(there.keys() | now.keys()):
             if there.get(name) != now.get(name):
@@ -105,11 +117,22 @@ def _files(folder: Path) -> dict[str, str]:
     return {name: hashlib.sha256(read_bytes(folder / name)).hexdigest() for name in there}
 
 
-def _rows_until(path: Path, update: int) -> str:
+def _rows_until(path: Path, update: int, most: int | None = None) -> tuple[str, int]:
+    """The hash of a table's rows up to an update, and their number.
+
+    Where there are more than `most`, the others are left out if they are of that update and no
+    row before them is.
+    """
     lines, _ = read_lines(path)
     if not lines:
-        return hash_rows([], []).hexdigest()
+        return hash_rows([], []).hexdigest(), 0
     columns, *rows = read_fields(path, lines)
     where = columns.index("update")
     covered = [row for row in rows if row[where].isdecimal() and int(row[where]) <= update]
-    return hash_rows(columns, covered).hexdigest()
+    if most is not None:
+        before, after = covered[:most], covered[most:]
+        if {int(row[where]) for row in after} == {update} and not any(
+            int(row[where]) == update for row in before
+        ):
+            covered = before
+    return hash_rows(columns, covered).hexdigest(), len(covered)

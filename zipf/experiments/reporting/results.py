@@ -6,7 +6,8 @@ docs/results.md describes every file and column.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import os
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,10 +99,12 @@ class Run:
 
 
 def load_runs(folders: Iterable[str | Path]) -> list[Run]:
-    """Every run at any depth under `folders`, in the order of tables.
+    """Every run at any depth under `folders`, in the order of tables. Links are followed; a run
+    that is found twice counts once.
 
     Raises:
-        UserError: a folder does not exist, holds no run, or a run's files are damaged.
+        UserError: a folder does not exist, cannot be read or holds no run, or a run's files are
+            damaged.
     """
     roots = [Path(folder) for folder in folders]
     found: dict[Path, Path] = {}
@@ -109,10 +112,11 @@ def load_runs(folders: Iterable[str | Path]) -> list[Run]:
         try:
             if not folder.is_dir():
                 raise UserError(f"{folder.as_posix()}: no such folder")
-            for path in folder.rglob("run.json"):
-                found.setdefault(path.parent.resolve(), path.parent)
-        except OSError as error:  # such as too long a name
-            raise UserError(f"{folder.as_posix():.200}: {error.strerror}") from None
+            for path in _run_folders(folder):
+                found.setdefault(path.resolve(), path)
+        except OSError as error:  # such as too long a name, or a folder that cannot be read
+            where = error.filename or folder.as_posix()
+            raise UserError(f"{where:.200}: {error.strerror}") from None
     if not found:
         where = ", ".join(folder.as_posix() for folder in roots)
         raise UserError(f"no run found under {where}: a run's folder has a run.json")
@@ -126,6 +130,24 @@ def load_runs(folders: Iterable[str | Path]) -> list[Run]:
             run.label,
         ),
     )
+
+
+def _run_folders(root: Path) -> Iterator[Path]:
+    """The folders at any depth under a folder that have a run.json. Raises OSError."""
+
+    def fail(error: OSError) -> None:
+        raise error
+
+    seen = set()
+    for folder, inner, files in os.walk(root, followlinks=True, onerror=fail):
+        real = os.path.realpath(folder)
+        if real in seen:  # a link leads back
+            inner.clear()
+            continue
+        seen.add(real)
+        inner.sort()
+        if "run.json" in files:
+            yield Path(folder)
 
 
 def load_run(folder: Path) -> Run:

@@ -84,7 +84,10 @@ class Logger:
     def write_checksums(self, update: int) -> None:
         """Writes the sums of the run's files; those of the tables cover all rows so far."""
         with _writing(self.folder / checksums.NAME):
-            tables = {name: table.state_dict()["all"] for name, table in self._tables.items()}
+            tables = {
+                name: (table.state_dict()["all"], table.rows)
+                for name, table in self._tables.items()
+            }
             checksums.write(self.folder, update, tables)
 
     def metrics(self, update: int, metrics: Mapping[str, float]) -> None:
@@ -133,13 +136,11 @@ class Logger:
 
 
 @contextmanager
-def _writing(path: Path) -> Iterator[None]:
+def _writing(path: Path, kept: str = "; the last checkpoint is kept") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise UserError(
-            f"{path}: cannot be written: {error.strerror}; the last checkpoint is kept"
-        ) from None
+        raise UserError(f"{path}: cannot be written: {error.strerror}{kept}") from None
 
 
 def write_results(stem: Path, results: list[Result]) -> list[Path]:
@@ -153,6 +154,6 @@ def write_results(stem: Path, results: list[Result]) -> list[Path]:
         stem.with_name(f"{stem.name}-situations.csv"): situations(results),
     }
     for path, table in tables.items():
-        with _writing(path):
+        with _writing(path, kept=""):
             table.to_csv(path, index=False)
     return list(tables)

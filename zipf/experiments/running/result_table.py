@@ -27,11 +27,15 @@ class ResultTable:
 
     Args:
         path: of the file; whatever is there is removed.
+
+    Attributes:
+        rows: how many there are.
     """
 
     def __init__(self, path: Path):
         self.path = path
         self.columns: list[str] = []
+        self.rows = 0
         self._all, self._regular = hashlib.sha256(), hashlib.sha256()
         path.unlink(missing_ok=True)
         self._kept: str | None = None
@@ -64,6 +68,7 @@ class ResultTable:
         if hashed.hexdigest() != saved["all"]:
             raise _damaged(path, update)
         table.columns = columns if kept else []
+        table.rows = kept
         table._all, table._regular = hashed, hashed.copy()
         if kept < len(rows) or torn:
             table._kept = "".join(f"{line}\n" for line in lines[: 1 + kept if kept else 0])
@@ -98,6 +103,7 @@ class ResultTable:
         with open(self.path, "a", newline="", encoding="utf-8") as file:
             file.write(text.getvalue())
         self.columns = columns
+        self.rows += len(rows)
         for row in csv.reader(text.getvalue()[start:].splitlines()):
             self._all.update(row_bytes(columns, row))
             if not closing:

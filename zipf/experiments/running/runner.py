@@ -76,7 +76,7 @@ def train(config: Config) -> int:
                 if run.evaluated < run.update and not learner.agree(stop.requested):
                     run.evaluate()
                 run.save()
-            return learner.agree(stop.requested)
+            return 0 if run.is_finished else learner.agree(stop.requested)
         except LearnerLost:
             if stop.requested:  # torchrun ends all
                 return stop.requested
@@ -120,7 +120,6 @@ class Run:
         update: updates made.
         evaluated: the update of the last evaluation; -1 for none.
         is_new: whether it was started rather than resumed from a checkpoint.
-        is_finished: whether there is nothing left to do.
 
     Raises (here and in the methods):
         UserError: the run cannot begin, go on or be written.
@@ -154,7 +153,8 @@ class Run:
         torch.manual_seed(self.learner.seed(config.seed))
         if saved:
             self._load(saved)
-        self.is_finished = self.evaluated == self.update == config.updates
+        if not self.is_finished and self.evaluated % config.evaluation.every:
+            self.evaluated = -1  # the logger drops the rows of the evaluation that ended the run
         if self.is_finished and self.learner.is_first:
             assert self._tables is not None
             run_folder.check_description(config, self.env.situation)
@@ -225,12 +225,16 @@ class Run:
         if kind is None:
             finished = f"finished; python -m zipf.report {self.folder.parent.parent}"
             stopped = f"stopped at update {self.update}; the same command resumes"
-            done = self.evaluated == self.update == self.config.updates
-            self.display.say(finished if done else stopped)
+            self.display.say(finished if self.is_finished else stopped)
             self._write(f"stops at update {self.update}")
         if self.learner.is_first:
             self.logger.close()
         self.close()
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether there is nothing left to do."""
+        return self.evaluated == self.update == self.config.updates
 
     def close(self) -> None:
         """Ends the other threads and processes, if there are any, and closes the worlds."""
