@@ -218,6 +218,21 @@ class ForgottenStreams(GridworldVectorEnv):
         super().set_state({**state, "streams": self.get_state()["streams"]})
 
 
+class ForgottenEnds(GridworldVectorEnv):
+    """Takes episodes that wait for their reset for running ones."""
+
+    def set_state(self, state: Any) -> Any:
+        return super().set_state({**state, "running": state["seeded"]})
+
+
+class UnpicklableEnds(GridworldVectorEnv):
+    """Fails where an episode waits for its reset."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        assert self._running.all(), "unpickled an episode that has ended"
+
+
 class ForgottenLengths(GridworldVectorEnv):
     def __getstate__(self) -> dict[str, Any]:
         return {**super().__getstate__(), "_lengths": np.zeros_like(self._lengths)}
@@ -296,6 +311,8 @@ BROKEN = [
     (IgnoredCopy, "overwrites what an earlier step returned, with copy=True"),
     (MaskResetsAll, "reset of worlds"),
     (ForgottenStreams, "after set_state"),
+    (ForgottenEnds, r"after set_state \(NEXT_STEP\)"),
+    (UnpicklableEnds, "unpickled an episode that has ended"),
     (ForgottenLengths, "after pickling"),
     (IgnoredOptions, "options="),
     (ForcingSkipsDraws, "episode after a forced one"),

@@ -7,6 +7,7 @@ from zipf.envs.playroom import chipmunk
 from zipf.envs.playroom.constants import FRAME, FRAMES
 from zipf.envs.playroom.room import Room
 from zipf.envs.playroom.state import ANGLE, AX, AY, YAW, X, Y
+from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 WORLDS, OBJECTS = 3, 4
 
@@ -54,6 +55,15 @@ def test_compiled_physics_is_pymunks(seed: int) -> None:
             pushed = max(pushed, abs(objects[:, :, X] - before[1][:, :, X])[mask].max(initial=0))
     assert pushed > 0.05
     assert not agents[:, YAW].any()
+
+
+def test_a_world_without_a_room_is_not_simulated() -> None:
+    """The compiled code would work on what is at address 0."""
+    env = PlayroomVectorEnv(2, image_size=(1, 1))
+    env.reset(seed=0)
+    env._spaces[1] = 0
+    with pytest.raises(AssertionError, match="no physics of a world"):
+        env.step(np.zeros(2, np.int64))
 
 
 def test_addresses_are_of_the_episode() -> None:

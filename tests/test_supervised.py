@@ -1,5 +1,8 @@
 """The supervised classifier: its questions, labels and update, and that it learns."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 import torch
@@ -14,6 +17,7 @@ from zipf.agents.network import Inputs
 from zipf.agents.supervised import Supervised, SupervisedOptions
 from zipf.envs.check import check_vector_env
 from zipf.envs.playroom.first_frame import LEFT, RIGHT, FirstFrameVectorEnv
+from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.single import SingleWorld
 from zipf.experiments.augmentation import Augmentation, RandomAugmentationOptions
 from zipf.experiments.running.agent_policy import AgentPolicy
@@ -111,6 +115,35 @@ def test_an_answer_achieves_what_names_the_object_on_its_side():
         final = step["final_info"]
         assert final["has_achieved"].all()
         np.testing.assert_array_equal(final["achieved"], other if wrong else asked)
+
+
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep", "Disabled"])
+def test_answered_questions_are_restored(mode):
+    """Where an episode waits for its reset, too: it has a length, but no physics to replay."""
+    env, other = (FirstFrameVectorEnv(3, LEVEL, autoreset_mode=mode) for _ in range(2))
+    env.reset(seed=1)
+    answered, *_ = env.step(np.zeros(3, np.int64))
+    other.set_state(env.get_state())
+    for one in (other, pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
+        for name, value in one.observations().items():
+            np.testing.assert_array_equal(value, answered[name])
+        np.testing.assert_equal(one.get_state(), env.get_state())
+        np.testing.assert_equal(one.reset()[0], copy.deepcopy(env).reset()[0])
+
+
+def test_states_that_no_question_has_are_refused():
+    level = "supervised/find_shape_uniform"
+    asked, played = FirstFrameVectorEnv(2, level), PlayroomVectorEnv(2, level)
+    asked.reset(seed=0)
+    before = asked.get_state()
+    played.reset(seed=0)
+    asked.set_state(played.get_state())  # the same worlds, at their first frames
+    played.step(np.zeros(2, np.int64))
+    ended = {**before, "lengths": np.array([2, 0]), "running": np.array([False, True])}
+    for state in (played.get_state(), ended):
+        with pytest.raises(ValueError, match="not one of questions, or damaged"):
+            asked.set_state(state)
+        np.testing.assert_equal(asked.get_state(), before)
 
 
 def test_levels_without_sides_are_refused():

@@ -74,8 +74,9 @@ def check_vector_env(
     check.disabled_against_singles()
     check.determinism()
     check.buffers()
-    check.state()
-    check.pickling()
+    for mode in AutoresetMode:
+        check.state(mode)
+        check.pickling(mode)
     check.forcing()
     check.errors()
 
@@ -371,45 +372,73 @@ class _Check:
             require(not shared, f"step {t} overwrites what an earlier step returned, with {how}")
             before = now
 
-    def state(self) -> None:
+    def state(self, mode: AutoresetMode) -> None:
         """Stepping goes on bit for bit from a state, here and in another environment."""
-        env, other = self.make_vec(self.n), self.make_vec(self.n)
-        env.reset(seed=self.seed)
-        half = len(self.actions) // 2
-        for actions in self.actions[:half]:
-            observation = env.step(actions)[0]
+        env, other = (self.make_vec(self.n, autoreset_mode=mode) for _ in range(2))
+        rest_of = self._play_to_an_end(env)
+        observation = env.observations()
         state = env.get_state()
+        where = f"({mode.name})"
         for key, value in state.items():
             require(
                 isinstance(value, np.ndarray) and value.dtype.kind in "biuf",
                 f"get_state()[{key!r}] must be a numeric array, got {type(value)}",
             )
         kept = copied(state)
-        rest = self._steps(env, half)
-        require_same(state, kept, "a state, after its environment went on,")
+        rest = rest_of(env)
+        require_same(state, kept, f"a state, after its environment went on, {where}")
         env.set_state(state)
-        require_same(env.observations(), observation, "observations() after set_state")
-        require_same(self._steps(env, half), rest, "steps after set_state")
+        require_same(env.observations(), observation, f"observations() after set_state {where}")
+        require_same(rest_of(env), rest, f"steps after set_state {where}")
         other.set_state(state)
-        require_same(self._steps(other, half), rest, "steps after set_state in another environment")
-        require_same(state, kept, "a state, after the environment it was set in went on,")
+        require_same(rest_of(other), rest, f"steps after set_state in another environment {where}")
+        require_same(state, kept, f"a state, after the environment it was set in went on, {where}")
         with must_raise(ValueError, "set_state with a key too few"):
             env.set_state(dict(list(state.items())[1:]))
         with must_raise(ValueError, "set_state of more worlds"):
             env.set_state({key: np.concatenate([value] * 2) for key, value in state.items()})
         _close(env, other)
 
-    def pickling(self) -> None:
+    def pickling(self, mode: AutoresetMode) -> None:
         """A pickled environment continues in the same state."""
-        env = self.make_vec(self.n, copy=False)
-        env.reset(seed=self.seed)
-        half = len(self.actions) // 2
-        for actions in self.actions[:half]:
-            env.step(actions)
+        env = self.make_vec(self.n, autoreset_mode=mode, copy=False)
+        rest_of = self._play_to_an_end(env)
         other = _pickled(env)
-        require_same(other.observations(), env.observations(), "observations() after pickling")
-        require_same(self._steps(other, half), self._steps(env, half), "steps after pickling")
+        where = f"after pickling ({mode.name})"
+        require_same(other.observations(), env.observations(), f"observations() {where}")
+        require_same(rest_of(other), rest_of(env), f"steps {where}")
         _close(env, other)
+
+    def _play_to_an_end(self, env: ZipfVectorEnv) -> Callable[[ZipfVectorEnv], list[Any]]:
+        """Plays up to half of the steps, if possible to the end of an episode, where in some modes
+        worlds wait for their reset.
+
+        Returns what goes on from there in an environment, half of the steps, and returns what they
+        returned.
+        """
+        env.reset(seed=self.seed)
+        quarter = len(self.actions) // 4
+        t = 0
+        none = ended = np.zeros(self.n, np.bool_)
+        for t, (_, ended) in enumerate(self._played(env, self.actions[: 2 * quarter], none), 1):
+            if t > quarter and ended.any():
+                break
+        rest = self.actions[t : t + 2 * quarter]
+        return lambda env: [step for step, _ in self._played(env, rest, ended)]
+
+    def _played(
+        self, env: ZipfVectorEnv, actions: NDArray[np.int64], ended: NDArray[np.bool_]
+    ) -> Iterator[tuple[Any, NDArray[np.bool_]]]:
+        """Takes these actions; yields what each step returned, and which episodes it has ended.
+
+        Worlds that have ended, at first those of `ended`, are reset if they are not by themselves.
+        """
+        for these in actions:
+            if env.autoreset_mode is AutoresetMode.DISABLED and ended.any():
+                env.reset(options={"reset_mask": ended})
+            step = env.step(these)
+            ended = step[2] | step[3]
+            yield visible(step), ended
 
     def forcing(self) -> None:
         """`reset(options=...)` forces a situation, as it does in a single world."""
@@ -484,10 +513,8 @@ class _Check:
 
     def _rollout(self, env: ZipfVectorEnv, seed: int | list[int]) -> list[Any]:
         """Copies of what reset and every step returned, zero where the masks are not set."""
-        return [copied(env.reset(seed=seed)), *self._steps(env, 0)]
-
-    def _steps(self, env: ZipfVectorEnv, start: int) -> list[Any]:
-        return [visible(env.step(actions)) for actions in self.actions[start:]]
+        steps = (visible(env.step(actions)) for actions in self.actions)
+        return [copied(env.reset(seed=seed)), *steps]
 
 
 def _filled(env: ZipfVectorEnv) -> Observation:

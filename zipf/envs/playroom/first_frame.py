@@ -1,5 +1,6 @@
 """The finding levels' first frames as questions: left or right?"""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -71,6 +72,18 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
 
     def _furnish(self, i: int) -> None:
         """Does nothing: no question needs the physics, which would take two thirds of the time."""
+
+    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+        # An answer ends the episode: one that is running has none, and none has two.
+        if (state["lengths"] > ~state["running"]).any():
+            raise ValueError(
+                "the state is not one of questions, or damaged: an episode is its first frame"
+            )
+        super()._set_worlds(state)
+
+    def _replay(self, begun: NDArray[np.bool_], lengths: NDArray[np.int64]) -> None:
+        # An answer moves nothing, and without physics nothing could be moved.
+        self._start(begun, self._began.copy())
 
     def _advance(
         self, actions: NDArray[np.int64], mask: NDArray[np.bool_]

@@ -207,6 +207,8 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             room, item = self._room(i), int(hands[i])
             room.move_agent(*worlds.agents[i, :2].tolist())
             room.carry(item, worlds.objects[i, item, :2].tolist(), commands.drives[i].tolist())
+        # The compiled code works on whatever is at these addresses.
+        assert self._spaces.all(where=mask), "there is no physics of a world that is to be stepped"
         chipmunk.simulate(
             mask,
             chipmunk.functions(),
