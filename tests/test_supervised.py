@@ -16,7 +16,10 @@ from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.supervised import Supervised, SupervisedOptions
 from zipf.envs.check import check_vector_env
+from zipf.envs.playroom.blind import BlindExpert
+from zipf.envs.playroom.expert import Expert
 from zipf.envs.playroom.first_frame import LEFT, RIGHT, FirstFrameVectorEnv
+from zipf.envs.playroom.generalist import Generalist
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.single import SingleWorld
 from zipf.experiments.augmentation import Augmentation, RandomAugmentationOptions
@@ -144,6 +147,14 @@ def test_states_that_no_question_has_are_refused():
         with pytest.raises(ValueError, match="not one of questions, or damaged"):
             asked.set_state(state)
         np.testing.assert_equal(asked.get_state(), before)
+
+
+@pytest.mark.parametrize("player", [Expert, Generalist, BlindExpert])
+def test_scripted_players_cannot_answer(player):
+    env = FirstFrameVectorEnv(2, LEVEL)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="needs the playroom's 46 actions, got 2"):
+        player(env)
 
 
 def test_levels_without_sides_are_refused():

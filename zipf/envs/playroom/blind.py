@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.playroom.expert import Expert
+from zipf.envs.playroom.expert import Expert, require_playable
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 _OF_OBJECTS = ("ranks", "objects", "orientation", "status", "still", "lifted")
@@ -20,17 +20,22 @@ class BlindExpert:
     Args:
         env: asked at every step from the first of an episode on.
         seed: of the choice of toys and tasks.
+
+    Raises:
+        ValueError: as for `Expert`.
     """
 
     def __init__(self, env: PlayroomVectorEnv, seed: int = 0) -> None:
+        require_playable(env, "blind expert")
         self.env = env
         self.generator = np.random.default_rng(seed)
         n, count = env.worlds.ranks.shape
         self.order = np.tile(np.arange(count), (n, 1))  # of the objects, the believed target first
         self.tasks = env.worlds.task.copy()
         believed: Any = SimpleNamespace(
-            num_envs=n, worlds=self._worlds(), rooms=[None] * n, lengths=env.lengths
-        )
+            num_envs=n, worlds=self._worlds(), rooms=[None] * n, lengths=env.lengths,
+            single_action_space=env.single_action_space,
+        )  # fmt: skip
         self.believed = believed
         self.expert = Expert(believed)
 

@@ -39,6 +39,15 @@ _AIM_YAW = 0.51 * 0.05 * _TURN
 _AIM_PITCH = 0.51 * 0.03 * LOOK
 
 
+def require_playable(env: PlayroomVectorEnv, player: str) -> None:
+    """Raises ValueError if a scripted player, named in the message, cannot play these worlds."""
+    if not hasattr(env, "worlds"):
+        raise ValueError(f"the {player} reads the state of our engine: use backend='own'")
+    count, known = env.single_action_space.n, len(actions.ACTIONS)
+    if count != known:
+        raise ValueError(f"the {player} needs the playroom's {known} actions, got {count}")
+
+
 class Expert:
     """Chooses actions that solve the episodes of `env`, among the same 46 as an agent's.
 
@@ -49,12 +58,11 @@ class Expert:
     which it follows as long as nothing that they depend on has moved.
 
     Raises:
-        ValueError: the batch has another engine.
+        ValueError: the batch has another engine, or other actions: its episodes are questions.
     """
 
     def __init__(self, env: PlayroomVectorEnv) -> None:
-        if not hasattr(env, "worlds"):
-            raise ValueError("the expert reads the state of our engine: use backend='own'")
+        require_playable(env, "expert")
         self.env = env
         self.worlds = env.worlds
         # By what is looked for in which world: what it depends on, and what was found.

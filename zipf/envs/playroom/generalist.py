@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from zipf.envs.players import Remembering
 from zipf.envs.playroom import actions
 from zipf.envs.playroom.constants import AGENT_RADIUS, FURNITURE_SIZE
-from zipf.envs.playroom.expert import LOOK, Expert, around
+from zipf.envs.playroom.expert import LOOK, Expert, around, require_playable
 from zipf.envs.playroom.geometry import rectangle_gap
 from zipf.envs.playroom.in_view import look
 from zipf.envs.playroom.layout import FIRST_PITCH
@@ -60,7 +60,8 @@ class Generalist(Remembering):
         env: the batch.
 
     Raises:
-        ValueError: the worlds are of another engine.
+        ValueError: the worlds are of another engine, or have other actions: their episodes are
+            questions.
     """
 
     remembered = (
@@ -70,8 +71,7 @@ class Generalist(Remembering):
     )
 
     def __init__(self, env: PlayroomVectorEnv) -> None:
-        if not hasattr(env, "worlds"):
-            raise ValueError("the generalist reads the state of our engine: use backend='own'")
+        require_playable(env, "generalist")
         self.env = env
         worlds, n = env.worlds, env.num_envs
         count = worlds.ranks.shape[1]
@@ -95,8 +95,9 @@ class Generalist(Remembering):
         self._lengths = np.full(n, -1, np.int64)
         self._yaw = np.zeros(n)
         believed: Any = SimpleNamespace(
-            num_envs=n, worlds=worlds, rooms=env.rooms, lengths=env.lengths
-        )
+            num_envs=n, worlds=worlds, rooms=env.rooms, lengths=env.lengths,
+            single_action_space=env.single_action_space,
+        )  # fmt: skip
         self._believed = believed
         self._expert = Expert(believed)
 
