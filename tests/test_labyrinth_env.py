@@ -1,5 +1,6 @@
 """The labyrinth as an environment: batches, states, mixtures, arguments and pictures of it."""
 
+import copy
 import pickle
 from functools import partial
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 from labyrinth_levels import batch
+from numpy.typing import NDArray
 
 from zipf.envs import Mixture, make, make_vec
 from zipf.envs.check import check_vector_env
@@ -247,6 +249,42 @@ def test_frames_show_the_view_and_the_map(level: str) -> None:
         assert len(np.unique(map_, axis=0)) > 20
     assert (frames[0] != frames[1]).any()
     assert batch(level, 1).render() is None
+
+
+def test_batches_do_not_share_the_renderer_of_frames() -> None:
+    """It draws without the GIL in buffers of its own, and batches may be in different threads."""
+    one, other = (batch("rooms_watermaze", 1, render_mode="rgb_array") for _ in range(2))
+    for env in (one, other):
+        env.reset(seed=0)
+        env.render()
+    assert one._scenery._large is not other._scenery._large
+    for again in (pickle.loads(pickle.dumps(one)), copy.deepcopy(one)):
+        np.testing.assert_equal(again.render(), one.render())
+        assert again._scenery._large is not one._scenery._large
+
+
+def is_empty(frame: NDArray[np.uint8]) -> bool:
+    assert frame.shape == (288, 672, 3)
+    return len(np.unique(frame[:, 384:].reshape(-1, 3), axis=0)) == 1
+
+
+@ALL
+def test_worlds_that_have_not_begun_are_drawn_empty(level: str) -> None:
+    env = batch(level, 2, render_mode="rgb_array", autoreset_mode="Disabled")
+    assert [is_empty(frame) for frame in env.render() or ()] == [True, True]
+    env.reset(seed=0, options={"reset_mask": np.array([False, True])})
+    assert [is_empty(frame) for frame in env.render() or ()] == [True, False]
+
+
+def test_worlds_of_several_engines_are_drawn() -> None:
+    """In a batch of an engine the worlds of others have no episodes."""
+    names = ("rooms_watermaze", "psychlab_visual_search", "explore_goal_locations_small")
+    options = {name: {"max_steps": 5 + k} for k, name in enumerate(names)}
+    makers = {name: MAKERS[name] for name in names}
+    env = Mixture(makers, 3, level_options=options, render_mode="rgb_array", **SMALL)
+    env.reset(seed=0)
+    assert len(set(env.engines)) == 3
+    assert [is_empty(frame) for frame in env.render() or ()] == [False] * 3
 
 
 def test_the_map_shows_where_the_player_is() -> None:

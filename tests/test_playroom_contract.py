@@ -310,6 +310,19 @@ def test_frames_are_larger_and_show_the_instruction() -> None:
     assert (frames[0] != frames[1]).any()
 
 
+def test_batches_do_not_share_the_renderer_of_frames() -> None:
+    """It draws without the GIL in buffers of its own, and batches may be in different threads."""
+    level = "put/put_on_bed_tray_all"
+    one, other = (PlayroomVectorEnv(1, level, render_mode="rgb_array", **SMALL) for _ in range(2))
+    for env in (one, other):
+        env.reset(seed=0)
+        env.render()
+    assert one._view._large is not other._view._large
+    for again in (pickle.loads(pickle.dumps(one)), copy.deepcopy(one)):
+        np.testing.assert_array_equal(again.render(), one.render())
+        assert again._view._large is not one._view._large
+
+
 def test_the_image_size_does_not_change_the_episodes() -> None:
     sizes = [(1, 1), (5, 3), (72, 96)]
     envs = [PlayroomVectorEnv(4, "put/lift_shape_uniform", image_size=size) for size in sizes]

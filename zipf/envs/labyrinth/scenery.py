@@ -56,11 +56,6 @@ def _renderer(height: int, width: int) -> Renderer:
 
 
 @cache
-def _large_renderer() -> Renderer:
-    return _renderer(*LARGE)
-
-
-@cache
 def _combat_meshes() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Numbers of the meshes of laser tag: of its actors, and of its supplies by kind."""
     actors = [atlas().index(name) for name in view.ACTOR_MESHES]
@@ -88,6 +83,8 @@ class Scenery:
         self.shape = np.full((n, ITEMS), -1, np.int32)
         self.spins = np.zeros((n, ITEMS), np.bool_)
         self.renderer = _renderer(height, width)
+        # Not shared with other sceneries: a renderer draws without the GIL, in buffers of its own.
+        self._large: Renderer | None = None
 
     def clear(self, world: int) -> None:
         """Empties a world's scene for a new episode."""
@@ -109,8 +106,13 @@ class Scenery:
         n = len(self.shape)
         views = np.zeros((n, *LARGE, 3), np.uint8)
         self._update(np.ones(n, np.bool_))
-        _large_renderer().render(self.scenes, views)
+        if self._large is None:
+            self._large = _renderer(*LARGE)
+        self._large.render(self.scenes, views)
         return views
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_large": None}
 
     def _update(self, mask: NDArray[np.bool_]) -> None:
         """Copies the poses of players and items to the scenes of the worlds of `mask`."""

@@ -56,6 +56,11 @@ def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
     return page.finished()
 
 
+def empty_map() -> NDArray[np.uint8]:
+    """The map of a world without an episode, uint8 [SIZE, SIZE, 3]."""
+    return np.full((SIZE, SIZE, 3), _NOTHING, np.uint8)
+
+
 class _Page:
     """An image that is drawn on in units of the world."""
 

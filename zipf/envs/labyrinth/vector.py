@@ -16,7 +16,7 @@ from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.levels import LEVELS, Level, by_name
 from zipf.envs.labyrinth.scenery import Scenery
 from zipf.envs.labyrinth.state import clear, make_worlds
-from zipf.envs.labyrinth.topdown import draw_map
+from zipf.envs.labyrinth.topdown import draw_map, empty_map
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.labyrinth.world import World
 from zipf.envs.vector import Observation, ZipfVectorEnv
@@ -85,11 +85,15 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One frame of each world, uint8 [288, 672, 3], with `render_mode="rgb_array"`: the view
-        of the player, and beside it the map from above."""
+        of the player, and beside it the map from above, which is empty before a world's first
+        episode."""
         if self.render_mode is None:
             return None
         views = self._scenery.large_views()
-        maps = [draw_map(self.worlds, self._scenery, i) for i in range(self.num_envs)]
+        maps = [
+            empty_map() if episode is None else draw_map(self.worlds, self._scenery, i)
+            for i, episode in enumerate(self.episodes)
+        ]
         return tuple(np.hstack(pair) for pair in zip(views, maps, strict=True))
 
     def _frames(self, level: Level) -> int:

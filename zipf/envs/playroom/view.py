@@ -1,7 +1,7 @@
 """The images of the playroom: the agent's view, and larger frames for people to watch."""
 
 import math
-from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,9 +63,9 @@ class View:
             _build_room(self.scenes, world)
         if worlds.furnished:
             self.scenes.mesh[:, count:] = [atlas.index("bed"), atlas.index("tray")]
-        self.renderer = Renderer(
-            atlas, textures.stack(), width=width, height=height, fov=FIELD_OF_VIEW
-        )
+        self.renderer = _renderer(height, width)
+        # Not shared with other views: a renderer draws without the GIL, in buffers of its own.
+        self._large: Renderer | None = None
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
         """Reads or draws what stays the same for an episode, in the worlds of `mask`.
@@ -108,8 +108,13 @@ class View:
         images = np.zeros((len(texts), height, width, 3), np.uint8)
         everywhere = np.ones(len(texts), np.bool_)
         self._update(everywhere)
-        _large_renderer().render(self.scenes, images, everywhere)
+        if self._large is None:
+            self._large = _renderer(height, width)
+        self._large.render(self.scenes, images, everywhere)
         return tuple(_captioned(image, text) for image, text in zip(images, texts, strict=True))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_large": None}
 
     def _update(self, mask: NDArray[np.bool_]) -> None:
         """Copies the poses of cameras and objects to the scenes of the worlds of `mask`."""
@@ -196,9 +201,7 @@ def _shade(shadow, item, middle, frame, size, furnished, furniture):
     shadow[7] = _DARKNESS / (1 + height / _FAINT)
 
 
-@cache
-def _large_renderer() -> Renderer:
-    height, width = _FRAME
+def _renderer(height: int, width: int) -> Renderer:
     return Renderer(load_meshes(), textures.stack(), width=width, height=height, fov=FIELD_OF_VIEW)
 
 
