@@ -9,7 +9,9 @@ import pytest
 from labyrinth_levels import REWARDS, batch, play_out, record_rewards
 
 from zipf.envs import expert, reference
+from zipf.envs.labyrinth.expert import Expert
 from zipf.envs.labyrinth.levels import LEVELS
+from zipf.envs.labyrinth.steering import BACKWARD, NAMES, WAIT
 
 FLOORS = {
     "rooms_collect_good_objects_train": 8,
@@ -78,6 +80,46 @@ def test_keys_and_doors_are_solved_as_well_as_possible() -> None:
     assert player is not None
     returns, _ = play_out(env, player)
     assert (returns == best).mean() >= 0.9
+
+
+@pytest.mark.parametrize("level", [name for name in LEVELS if name.startswith("natlab")])
+def test_leaving_a_place_is_remembered_and_saved(level: str) -> None:
+    """Asked again without a step the expert says the same, and a second one goes on from its
+    state, while another policy holds some of the players in their places for a while."""
+    env, other = batch(level, 8), batch(level, 8)
+    player = Expert(env)
+    env.reset(seed=0)
+    held, backward = np.arange(8) < 4, 0
+    for t in range(120):
+        if t % 7 == 0:
+            other.set_state(env.get_state())
+            successor = Expert(other)
+            successor.set_state(player.get_state())
+        labels = player()
+        np.testing.assert_array_equal(player(), labels)
+        np.testing.assert_array_equal(successor(), labels)
+        backward += (labels == BACKWARD).sum()
+        dance = NAMES["strafe right" if t % 2 else "strafe left"]
+        actions = np.where(held & (t % 60 < 40), dance, labels)
+        env.step(actions)
+        other.step(actions)
+    assert backward >= 4 * 6  # a player in his place is led away at least once
+
+
+def test_an_episode_begins_without_a_trail() -> None:
+    """Another one, and an earlier step of the same."""
+    env = batch("natlab_fixed_large_map", 1)
+    env.reset(seed=0)
+    early = env.get_state()
+    stuck = np.array([WAIT])
+    for begin in (lambda: env.set_state(early), lambda: env.reset(seed=1)):
+        player = Expert(env)
+        for _ in range(14):
+            player()
+            env.step(stuck)
+        assert player()[0] == BACKWARD
+        begin()
+        assert player()[0] == Expert(env)()[0] != BACKWARD
 
 
 def test_the_expert_needs_fifteen_actions() -> None:

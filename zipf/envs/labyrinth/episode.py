@@ -41,6 +41,10 @@ class Episode(ABC):
         expert everything, to show that the level can be solved; the generalist what it has seen.
         """
 
+    def aside(self) -> int | None:
+        """The action with which the expert steps aside where it is stuck; None: it never is."""
+        return None
+
     def renewed(self) -> Iterable[Cell]:
         """Cells of the text map that a new map may have changed."""
         return ()

@@ -10,7 +10,7 @@ import numpy as np
 from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.looks import Colour
-from zipf.envs.labyrinth.steering import BACKWARD, NAMES, WAIT, Ways, walk_to
+from zipf.envs.labyrinth.steering import NAMES, WAIT, Ways, walk_to
 from zipf.envs.labyrinth.terrain import Terrain, make_terrain
 from zipf.envs.labyrinth.world import World
 
@@ -18,7 +18,6 @@ POOL = 100
 """How many terrains the varying levels draw from."""
 SMALL, LARGE = 2048.0, 3600.0
 """Sides of a terrain, units; that of the fixed one is inferred from a camera of the original."""
-_STUCK = 12  # steps without moving after which the expert steps back
 _CAP: tuple[Colour, Colour] = ((246, 238, 226), (214, 190, 160))
 _PLANTS: dict[str, tuple[Colour, Colour]] = {
     "cactus": ((70, 130, 70), (110, 170, 90)),
@@ -66,8 +65,6 @@ class Natlab(Episode):
             for place in self.terrain.mushrooms
         }
         self.waits = self.draw_waits(rng)
-        self.trail: list[tuple[float, float]] = []  # where the expert was
-        self.escape: list[int] = []  # what it does to leave a place where it is stuck
 
     @abstractmethod
     def choose(self, rng: np.random.Generator) -> tuple[Terrain, str]:
@@ -92,7 +89,7 @@ class Natlab(Episode):
     def act(self, known: Knowledge) -> int:
         """Walks to the mushroom to which the way is shortest."""
         x, y, *_ = self.world.player
-        freeing = self._free((x, y)) if known is EVERYTHING else known.free()
+        freeing = known.free()
         if freeing is not None:
             return freeing
         there = [
@@ -120,16 +117,8 @@ class Natlab(Episode):
         ways.add(cells[best])
         return ways.walk_to(self.world, cells[best])
 
-    def _free(self, place: tuple[float, float]) -> int | None:
-        """The action by which the expert leaves a place where it is stuck; None where it is not."""
-        self.trail = [*self.trail[-_STUCK:], place]
-        if self.escape:
-            return self.escape.pop()
-        if len(self.trail) > _STUCK and math.dist(self.trail[0], place) < 5:
-            way = NAMES["strafe left" if len(self.mushrooms) % 2 else "strafe right"]
-            self.escape = [way] * 4 + [BACKWARD] * 6
-            self.trail = []
-        return None
+    def aside(self) -> int:
+        return NAMES["strafe left" if len(self.mushrooms) % 2 else "strafe right"]
 
 
 class FixedLargeMap(Natlab):
