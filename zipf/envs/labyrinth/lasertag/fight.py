@@ -175,7 +175,11 @@ def _touched(kinds, places, present, body):
 
 @compiled(error_model="numpy")
 def _take_supply(worlds, i, f, k):
-    """A fighter takes a supply, if it is of use to him."""
+    """A fighter takes a supply, if it is of use to him.
+
+    A gadget comes to hand if he has no shots for it. In the original it does if he has some, too;
+    the references were measured without.
+    """
     combat = worlds.combat
     status, kind = combat.status[i, f], combat.kinds[i, k]
     if kind == HEALTH_PACK:

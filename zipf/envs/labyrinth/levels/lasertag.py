@@ -57,7 +57,8 @@ class Lasertag(Episode):
     the parameters of the same three at skill 4 (accuracy, reaction, turning, bursts), but decide by
     a state machine of ours, see `lasertag.opponents`. What bursts hurts who has no wall between his
     middle and the burst. One may fire again at once after respawning. The dead view is from 8 units
-    above the ground. No clock and no numbers are shown; armour has no bar.
+    above the ground. No clock and no numbers are shown; armour has no bar. A gadget with shots left
+    is not taken in hand when it is picked up again; in the original it is.
     """
 
     opponents: ClassVar[int]
