@@ -1,5 +1,8 @@
 """The benchmark's levels draw a task at every reset, by the law that their name says."""
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -8,6 +11,7 @@ from zipf import envs
 from zipf.envs import make, make_vec
 from zipf.envs.labyrinth import benchmark
 from zipf.envs.labyrinth.levels import LEVELS
+from zipf.envs.labyrinth.single import LabyrinthEnv
 from zipf.envs.mixture import Mixture
 
 TASKS = [f"labyrinth/{name}" for name in LEVELS]
@@ -95,7 +99,22 @@ def test_scripted_players_play_all_tasks(of: envs.Scripted) -> None:
     assert (total > 0).mean() > 0.5
 
 
-@pytest.mark.parametrize("name", ["forward_zip", "zipf", "zipfx", "zipf-1", "rooms_water_maze"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("forward_zip", "zipf", "zipfx", "zipf-1", "rooms_water_maze"),
+        *("zipf1_5", "zipf 2", "zipfinf", "zipfnan", "zipf1e3", "zipf.5", "zipf\u0663"),
+    ],
+)
 def test_unknown_levels(name: str) -> None:
-    with pytest.raises(ValueError, match=r"unknown level|exponent"):
+    with pytest.raises(ValueError, match=r"unknown level '.*expected one of .*zipf<exponent>"):
         make_vec(f"labyrinth/{name}", 1)
+
+
+@pytest.mark.parametrize("level", [3, None, ["zipf1"]])
+def test_a_level_that_is_no_name_is_refused(level: Any) -> None:
+    for made in (benchmark.check, LabyrinthEnv, partial(benchmark.make_vec, 2)):
+        with pytest.raises(
+            ValueError, match=r"level must be a name, got .*expected one of forward"
+        ):
+            made(level)

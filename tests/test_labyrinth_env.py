@@ -159,13 +159,16 @@ def test_a_mixture_is_saved_and_pickled() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"level": 3}, "level must be a name, got 3: expected one of rooms_collect"),
         ({"level": "rooms_water_maze"}, "did you mean 'rooms_watermaze'"),
         ({"image_size": (72,)}, r"image_size must be \(rows, columns\), got \(72,\)"),
         ({"image_size": (0, 96)}, "image_size must be"),
         ({"image_size": (7.5, 96)}, "image_size must be"),
+        ({"image_size": (10**6, 10**6)}, "image_size must be at most 4096"),
         ({"num_actions": 7}, "num_actions must be 15 or 9, got 7"),
         ({"num_actions": 15.0}, "num_actions must be 15 or 9, got 15.0"),
         ({"action_repeat": 0}, "action_repeat must be at least 1, got 0"),
+        ({"action_repeat": 10**20}, "action_repeat must be at most 1000000, got"),
         ({"action_repeat": 2.5}, "action_repeat must be a whole number"),
         ({"max_steps": 0}, "max_steps must be at least 1, got 0"),
         ({"max_steps": 2.5}, "max_steps must be a whole number"),

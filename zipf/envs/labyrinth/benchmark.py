@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -30,20 +31,26 @@ MIXTURES: dict[str, tuple[str, str]] = {
 distribution over it. `zipf<exponent>` is a further one for every exponent, in forward order."""
 
 
+_ZIPF = re.compile(r"zipf([0-9]+(?:\.[0-9]+)?)")  # float() would take "1_5" and "1e400", too
+_KNOWN = ", ".join([*MIXTURES, "zipf<exponent>", *LEVELS])
+
+
 def law(name: str) -> tuple[str, NDArray[np.float64]] | None:
     """The order of a level that draws tasks, and the probability of every rank; None for a task.
+
+    Args:
+        name: with or without `labyrinth/` before it.
 
     Raises:
         ValueError: there is no such level.
     """
+    if not isinstance(name, str):
+        raise ValueError(f"level must be a name, got {name!r}: expected one of {_KNOWN}")
+    name = name.removeprefix("labyrinth/")
     if name in MIXTURES:
         order, distribution = MIXTURES[name]
-    elif name.startswith("zipf"):
-        order, distribution = "forward", f"zipf_{name.removeprefix('zipf')}"
-        try:
-            float(name.removeprefix("zipf"))
-        except ValueError:
-            raise _unknown(name) from None
+    elif zipf := _ZIPF.fullmatch(name):
+        order, distribution = "forward", f"zipf_{zipf[1]}"
     else:
         try:
             by_name(name)
@@ -59,10 +66,9 @@ def check(name: str) -> None:
 
 
 def _unknown(name: str) -> ValueError:
-    known = [*MIXTURES, "zipf<exponent>", *LEVELS]
-    nearest = difflib.get_close_matches(name, known, n=1)
+    nearest = difflib.get_close_matches(name, _KNOWN.split(", "), n=1)
     hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-    return ValueError(f"unknown level {name!r}{hint}: expected one of {', '.join(known)}")
+    return ValueError(f"unknown level {name!r}{hint}: expected one of {_KNOWN}")
 
 
 def make_vec(
@@ -86,7 +92,6 @@ def make_vec(
     """
     from zipf.envs.mixture import Mixture
 
-    level = level.removeprefix("labyrinth/")
     drawn = law(level)
     make = _worlds(backend, num_envs)
     if drawn is None:

@@ -17,6 +17,11 @@ FRAME = 1 / 30
 """Duration of a physics frame: the paper."""
 STEP = FRAMES * FRAME
 
+MOST_PIXELS = 4096
+"""Of a side of the image; ours."""
+MOST_STEPS = 1_000_000
+"""Of an episode; ours: 37 hours. A world keeps its actions, a byte each."""
+
 REACH_BOUNDS = 1.5, 4.0
 """Of the option `reach`, the hand's from the eye. To the floor just before the agent it is 1.2."""
 EXPONENT_BOUNDS = 0.0, 10.0

@@ -10,10 +10,16 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from zipf.envs.arguments import whole
 from zipf.envs.playroom import chipmunk, hand, judgement, layout, levels
 from zipf.envs.playroom.achieved import Achievement, achieved
 from zipf.envs.playroom.actions import ACTIONS
-from zipf.envs.playroom.constants import EXPONENT_BOUNDS, REACH_BOUNDS
+from zipf.envs.playroom.constants import (
+    EXPONENT_BOUNDS,
+    MOST_PIXELS,
+    MOST_STEPS,
+    REACH_BOUNDS,
+)
 from zipf.envs.playroom.looks import LOOKS
 from zipf.envs.playroom.room import Room
 from zipf.envs.playroom.state import GROUND_LAYER, YAW, make_commands, make_worlds
@@ -66,6 +72,8 @@ class PlayroomVectorEnv(ZipfVectorEnv):
                 "image_size must be (height, width), whole numbers of at least 1, "
                 f"got {image_size!r}"
             )
+        if max(sizes) > MOST_PIXELS:
+            raise ValueError(f"image_size must be at most {MOST_PIXELS} a side, got {image_size!r}")
         if object_order not in tuple(levels.ORDERS):
             raise ValueError(
                 f"object_order must be {' or '.join(map(repr, levels.ORDERS))}, "
@@ -73,12 +81,9 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             )
         if looks not in tuple(LOOKS):
             raise ValueError(f"looks must be {' or '.join(map(repr, LOOKS))}, got {looks!r}")
-        steps = _whole_numbers([max_steps])
-        if steps is None or steps[0] < 1:
-            raise ValueError(f"max_steps must be a whole number of at least 1, got {max_steps!r}")
         self.object_names = levels.ORDERS[object_order]
         self.looks = looks
-        self.max_steps = steps[0]
+        self.max_steps = whole("max_steps", max_steps, 1, MOST_STEPS)
         height, width = sizes
         super().__init__(
             num_envs,

@@ -171,6 +171,8 @@ def by_name(name: str) -> Level:
     Raises:
         ValueError: there is no such level.
     """
+    if not isinstance(name, str):
+        raise ValueError(f"level must be a name, got {name!r}: expected one of {', '.join(LEVELS)}")
     plain = name.removeprefix("labyrinth/")
     if plain.startswith("skymaze_"):
         plain = plain.removesuffix(_LONGER)
