@@ -36,7 +36,7 @@ from zipf.envs.check_steps import (
     stacked,
     visible,
 )
-from zipf.envs.vector import Observation, ZipfVectorEnv
+from zipf.envs.vector import RESERVED, Observation, ZipfVectorEnv
 
 MakeVec = Callable[..., ZipfVectorEnv]
 MakeSingle = Callable[[], gym.Env]
@@ -115,8 +115,7 @@ class _Check:
         observation, info = env.reset(seed=self.seed)
         self._contained(env, observation, info, "reset")
         for name in info.keys() - env.situation.keys():
-            reserved = ("final_info", "final_obs", *_OUTCOME, *_SUCCESS)
-            taken = name.startswith("_") or name in reserved
+            taken = name.startswith("_") or name in RESERVED
             require(not taken, f"info[{name!r}] of a reset: the name has another meaning")
             shape = np.shape(info[name])
             require(shape == (self.n,), f"info[{name!r}] must be an array [N], got shape {shape}")
