@@ -162,8 +162,15 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"frames": -1}, "frames=-1"),
-        ({"update": -1}, "update=-1"),
+        ({"frames": -1}, "frames must be at least 0, got -1"),
+        ({"frames": 1.5}, "frames must be a whole number, got 1.5"),
+        ({"frames": 10**16}, "frames must be at most"),
+        ({"update": -1}, "update must be at least 0, got -1"),
+        ({"update": float("inf")}, "update must be a whole number, got inf"),
+        ({"seed": 1.5}, "seed must be a whole number, got 1.5"),
+        ({"seed": 2**63}, "seed must be at most"),
+        ({"order": "x"}, "row.order: Input should be a valid number"),
+        ({"chance_episodes": -1}, "chance_episodes must be at least 0"),
         ({"name": " "}, "name=' '"),
         ({"name": "a\nb"}, "should be one line"),
         ({"seconds": float("nan")}, "seconds=nan"),
@@ -171,10 +178,41 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
         ({"line": "dotted"}, "line='dotted': should be 'solid' or 'dashed'"),
     ],
 )
-def test_what_cannot_be_recorded_leaves_no_folder(options, message, tmp_path):
+def test_what_cannot_be_recorded_is_not_played(options, message, tmp_path):
+    played = []
+
+    def never(observation):
+        played.append(observation)
+        return policy(observation)
+
+    options = {"frames": 1000, "name": "Theirs", **PLAY, **DEMO, **options}
     with pytest.raises(ValueError, match=message):
-        recorded(tmp_path / "seed0", **options)
+        evaluate.record(never, "gridworld", tmp_path / "seed0", **options)
+    assert played == []
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_constructor_option_without_a_place_in_json_is_refused(tmp_path):
+    def make(num_envs, look=None, **options):
+        return envs.make_vec("gridworld/uniform", num_envs, **options)
+
+    own = envs.Split("own", make, make, make)
+    with pytest.raises(ValueError, match=r"<object object .* cannot be written to run\.json"):
+        evaluate.record(policy, own, tmp_path / "a", name="A", frames=1, look=object(), **DEMO)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_whole_numbers_of_any_type_are_recorded_alike(tmp_path):
+    numbers = {"seed": 3, "order": 2, "num_maps": 20}
+    recorded(tmp_path / "plain", 1_000_000, **numbers)
+    given = {name: np.int64(value) for name, value in numbers.items()}
+    recorded(tmp_path / "numpy", 1e6, **given, update=np.float64(1e6))
+    recorded(tmp_path / "numpy", np.int64(1_000_000), **given)
+    for name in ("evaluations.csv", "situations.csv"):
+        plain, numpy = ((tmp_path / one / name).read_text() for one in ("plain", "numpy"))
+        assert plain == numpy
+    plain, numpy = (results.load_run(tmp_path / one).description for one in ("plain", "numpy"))
+    assert plain == numpy
 
 
 # What is not an agent of ours

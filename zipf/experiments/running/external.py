@@ -14,18 +14,24 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import ValidationError
 
 import zipf
 from zipf import envs
+from zipf.envs.arguments import whole
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import checksums
 from zipf.experiments.reporting.csv_files import read_fields, read_lines
+from zipf.experiments.reporting.descriptions import RunDescription, first_problem
 from zipf.experiments.reporting.replacing import replace_text
 from zipf.experiments.running.evaluator import derive_seed
 from zipf.experiments.running.scoring import Evaluation, geometry, score
 
 LIBRARIES = ("torch", "tensordict", "torchrl", "stable_baselines3", "sb3_contrib", "onnxruntime")
 """Whose versions are recorded where they are in use."""
+
+MOST_FRAMES = 10**15 - 1  # that the report reads
+MOST_SEED = 2**63 - 1
 
 
 def record(
@@ -64,7 +70,7 @@ def record(
         split: the benchmark, by its name or as an object.
         folder: the run's folder, for instance `runs/demo/ppo/seed0`.
         name: of the agent: the row's title, the same for all seeds.
-        frames: environment steps that it was trained for so far.
+        frames: environment steps that it was trained for so far; 1e6 is 1000000.
         update: by which its evaluations are counted; None: `frames`.
         seconds: that training has taken so far, 0 where it is not known.
         seed: of the agent's training. The worlds of the evaluation are seeded from it and `update`.
@@ -78,7 +84,8 @@ def record(
         level_options: constructor options of the levels; see `score`.
 
     Raises:
-        ValueError, TypeError, ImportError: see `score`; or a count is negative, or a name empty.
+        ValueError, TypeError, ImportError: see `score`; or the report could not read what is given
+            here: a count that is not whole or negative, an empty name. Nothing is played then.
         zipf.experiments.errors.UserError: the folder holds another run, or cannot be written.
     """
     from zipf.experiments.running.run_folder import describe_levels  # imports PyTorch
@@ -86,10 +93,12 @@ def record(
     if isinstance(split, str):
         split = envs.split(split)
     folder = Path(folder)
-    update = frames if update is None else update
-    for option, value in (("frames", frames), ("update", update), ("seconds", seconds)):
-        if not 0 <= value < np.inf:
-            raise ValueError(f"{option}={value}: should be at least 0")
+    frames = _whole("frames", frames, 0, MOST_FRAMES)
+    update = frames if update is None else _whole("update", update, 0, MOST_FRAMES)
+    seed = _whole("seed", seed, -MOST_SEED, MOST_SEED)
+    chance_episodes = _whole("chance_episodes", chance_episodes, 0)
+    if not 0 <= seconds < np.inf:
+        raise ValueError(f"seconds={seconds}: should be at least 0")
     for option, text in (("name", name), ("experiment", experiment or split.name)):
         if not text.strip() or len(text.splitlines()) > 1:
             raise ValueError(f"{option}={text!r}: should be one line of text")
@@ -97,7 +106,7 @@ def record(
         raise ValueError(f"colour={colour!r}: should be '#rrggbb', six hexadecimal digits")
     if line not in ("solid", "dashed"):
         raise ValueError(f"line={line!r}: should be 'solid' or 'dashed'")
-    description: dict[str, Any] = {
+    given = {
         "experiment": experiment or split.name,
         "condition": name,
         "row": {"title": name, "order": order, "colour": colour, "line": line},
@@ -113,7 +122,13 @@ def record(
         **{library: _version(library) for library in LIBRARIES},
         "recorded": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
+    description = _as_json(given)
     levels = _recorded_levels(folder, description)
+    description["levels"] = levels or describe_levels(split, level_options)
+    try:
+        RunDescription.model_validate_json(json.dumps(description))
+    except ValidationError as error:
+        raise ValueError(f"the report could not read this: {first_problem(error)}") from None
     evaluation = score(
         policy,
         split,
@@ -125,9 +140,10 @@ def record(
         details=True,
         **level_options,
     )
-    description["levels"] = levels or describe_levels(
-        split, level_options, chance_episodes=chance_episodes
-    )
+    if not levels and chance_episodes:
+        description["levels"] = describe_levels(
+            split, level_options, chance_episodes=chance_episodes
+        )
     when = {"update": update, "frames": frames, "seconds": seconds}
     tables: dict[str, list[dict[str, Any]]] = {
         "evaluations.csv": [{**when, **result.row()} for result in evaluation.results],
@@ -145,6 +161,29 @@ def record(
     except OSError as error:
         raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
     return evaluation
+
+
+def _whole(option: str, value: Any, least: int, most: int | None = None) -> int:
+    """A whole number, also where it is given as a float, as 1e6 is."""
+    if isinstance(value, float | np.floating) and value.is_integer():
+        value = int(value)
+    return whole(option, value, least, most)
+
+
+def _as_json(description: Mapping[str, Any]) -> dict[str, Any]:
+    """The description as it is read from `run.json`: without tuples and NumPy's numbers.
+
+    Raises:
+        ValueError: something in it, such as a constructor option, has no place in JSON.
+    """
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, np.generic):
+            return value.item()
+        raise ValueError(f"{value!r} cannot be written to run.json")
+
+    written: dict[str, Any] = json.loads(json.dumps(description, default=plain))
+    return written
 
 
 def _environment(split: envs.Split, level_options: Mapping[str, Any]) -> dict[str, Any]:
