@@ -428,6 +428,22 @@ def test_the_record_ends_with_the_pages_beside_the_runs(tmp_path: Path) -> None:
         assert "Not this." not in text
 
 
+def test_a_page_that_cannot_be_read_is_named_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    write_run(runs, constant(0.6))
+    (runs / "folder.md").mkdir()
+    (runs / "notes.md").write_bytes(b"caf\xff\n")
+    record = tmp_path / "RESULTS.md"
+    arguments = [runs.as_posix(), "--record", record.as_posix()]
+    assert "runs/notes.md: is not UTF-8 text" in refusal(capsys, *arguments)
+    assert sorted(path.name for path in runs.iterdir()) == ["folder.md", "gridworld", "notes.md"]
+    (runs / "notes.md").write_bytes(b"Notes.\n")
+    assert report.main(arguments) == 0
+    assert record.read_text("utf-8").endswith("Notes.\n")
+
+
 # --- agents from outside ---------------------------------------------------------------------
 
 

@@ -74,7 +74,7 @@ def report(
 
     Raises:
         UserError: no run there, a damaged file, an unknown window, a page whose name does not end
-            in .html, or a file cannot be written.
+            in .html, or a file cannot be read or written.
     """
     from rich.console import Console
 
@@ -91,7 +91,9 @@ def report(
     if html and Path(html).suffix != ".html":
         raise UserError(f"--html {html}: should end in .html")
     chosen = parse_window(window) if window is not None else None
+    target = Path(output) if output is not None else Path(folders[0]) / "report"
     found = tables.score_tables(results.load_runs(folders), chosen)
+    pages = [] if record is None else _pages(folders, [target / "report.md", Path(record)])
     if console is None:
         console = Console()
         if not console.is_terminal:
@@ -108,7 +110,6 @@ def report(
     frames = [statistics_frame(table) for table in found]
     statistics = [seed_statistics(table, frame) for table, frame in zip(found, frames, strict=True)]
 
-    target = Path(output) if output is not None else Path(folders[0]) / "report"
     try:
         target.mkdir(parents=True, exist_ok=True)
         _remove_earlier_plots(target)
@@ -122,8 +123,6 @@ def report(
         }
         if record is not None:
             command = _command(folders, output, window, record)
-            written = {path.resolve() for path in (*texts, Path(record))}
-            pages = _pages(folders, written)
             texts[Path(record)] = markdown.record(found, command, pages, claims, statistics)
         if html is not None:
             from zipf.experiments.reporting.html import page, report_sections
@@ -142,9 +141,23 @@ def report(
 
 
 def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str]:
-    """The Markdown files in these folders that the report does not write itself."""
+    """The Markdown files in these folders, but for those that the report writes itself.
+
+    Raises:
+        UserError: one cannot be read.
+    """
+    own = {path.resolve() for path in written}
     found = (path for folder in folders for path in sorted(Path(folder).glob("*.md")))
-    return [path.read_text("utf-8") for path in found if path.resolve() not in written]
+    texts = []
+    for path in found:
+        if path.is_file() and path.resolve() not in own:
+            try:
+                texts.append(path.read_text("utf-8"))
+            except OSError as error:
+                raise UserError(f"{path.as_posix()}: cannot be read: {error.strerror}") from None
+            except UnicodeDecodeError as error:
+                raise UserError(f"{path.as_posix()}: is not UTF-8 text: {error}") from None
+    return texts
 
 
 def _remove_earlier_plots(folder: Path) -> None:
