@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,22 @@ def test_averages_are_the_scores_of_the_table(tmp_path: Path) -> None:
     names = [text.get_text() for text in figure.axes[0].get_yticklabels()]
     assert names == ["IMPALA", "Chance", "Blind"]
     assert averages(only_table(tmp_path, "1:2")) is None
+
+
+def test_long_titles_of_averages_have_room(tmp_path: Path) -> None:
+    options = ", network=comparing, precision=bfloat16, collector.num_envs=64"
+    for number, title in enumerate(["A", "B" + 3 * options, "C" + 2 * options, "D", "E" + options]):
+        row = {"title": title, "order": number, "colour": None, "line": "solid"}
+        write_run(tmp_path, constant(0.5), condition=title[0], row=row)
+    figure = averages(only_table(tmp_path))
+    assert figure is not None
+    figure.draw_without_rendering()
+    labels = figure.axes[0].get_yticklabels()
+    assert max(label.get_text().count("\n") for label in labels) > 4
+    boxes = [label.get_window_extent() for label in labels]
+    for above, below in itertools.pairwise(boxes):
+        assert above.y0 > below.y1
+    assert boxes[-1].y0 > figure.axes[0].xaxis.label.get_window_extent().y1
 
 
 def test_frequencies_are_shares_of_episodes(tmp_path: Path) -> None:

@@ -26,6 +26,8 @@ KIND_STYLES: Mapping[str, Mapping[str, Any]] = {
     "uniform": {"color": "#999933", "marker": "s"},
     "rare": {"color": RARE_COLOUR, "marker": "D"},
 }
+ROW = 0.34  # inches, the height of a row whose title has one line
+FURTHER_LINE = 0.45  # of that, what each further line of a title needs
 
 
 def averages(table: ScoreTable) -> Figure | None:
@@ -41,25 +43,28 @@ def averages(table: ScoreTable) -> Figure | None:
         if reference := table.reference(one.name):
             names.append(one.title)
             points.append(pd.Series(reference).reindex(scores.columns))
-    figure = Figure(figsize=(7.4, 1.5 + 0.34 * len(names)), layout="constrained")
+    titles = [textwrap.fill(name, 34) for name in names]
+    heights = np.array([1 + FURTHER_LINE * title.count("\n") for title in titles])
+    places = np.cumsum(heights) - heights / 2 - 0.5  # titles of one line are at 0, 1, 2, ...
+    figure = Figure(figsize=(7.4, 1.5 + ROW * heights.sum()), layout="constrained")
     axis = figure.subplots()
-    for place, of_kinds in enumerate(points):
-        learns = place < len(rows)
+    for number, (place, of_kinds) in enumerate(zip(places, points, strict=True)):
+        learns = number < len(rows)
         known = of_kinds.dropna()
         line = "0.75" if learns else "0.88"
         axis.plot([known.min(), known.max()], [place, place], color=line, linewidth=2, zorder=1)
         for kind, style in KIND_STYLES.items():
             if learns:
                 levels = next(one for one in table.kinds if one.level_kind == kind)
-                seeds = seed_means(rows[place], levels, table)
+                seeds = seed_means(rows[number], levels, table)
                 if len(seeds) > 1:
                     ends = [np.min(seeds), np.max(seeds)]
                     axis.plot(ends, [place, place], color=style["color"], linewidth=5, alpha=0.35)
             if kind in known:
                 colours = style if learns else {**style, "color": "0.55"}
                 axis.plot([known[kind]], [place], markersize=6.5, linestyle="none", **colours)
-    axis.set_yticks(range(len(names)), [textwrap.fill(name, 34) for name in names])
-    axis.set_ylim(len(names) - 0.5, -0.5)
+    axis.set_yticks(places, titles)
+    axis.set_ylim(heights.sum() - 0.5, -0.5)
     low = float(min(point.min() for point in points))
     high = float(max(point.max() for point in points))
     axis.set_xlim(min(-0.02, low - 0.02), max(1.02, high + 0.02))
