@@ -280,7 +280,8 @@ def test_the_times_that_situations_were_met_by_hand(tmp_path: Path) -> None:
     (trace,) = panel.data
     assert trace["x"] == pytest.approx([40, 360])
     assert trace["y"] == [0.2, 0.8]
-    assert trace["customdata"] == [1, 0]
+    assert trace["customdata"] == [[1, pytest.approx(40)], [0, pytest.approx(360)]]
+    assert "ticktext" not in panel.layout["xaxis"]
     assert "estimated" in html_situations.counting_text(table)
 
 
@@ -293,6 +294,25 @@ def test_counted_visits_are_taken_where_there_are_any(tmp_path: Path) -> None:
     changed = dataclasses.replace(table, rows=(row,))
     met = frequencies.times_met(changed, "map")["impala"]
     assert met.to_dict() == {0: 1000, 1: 7}
+
+
+def test_a_rank_that_training_never_met_is_at_0(tmp_path: Path) -> None:
+    header = f"{SITUATIONS},visits,visits_map,visits_target"
+    rows = (
+        header,
+        "300,uniform,0,0,50,40,40.0,2000,2000,2000",
+        "300,uniform,1,1,50,10,10.0,0,0,0",
+    )
+    write_run(tmp_path, constant(0.5), situations=rows)
+    table = only_table(tmp_path)
+    (panel, _) = html_situations.by_times_met(table, styles.line_styles(table.rows))
+    (trace,) = panel.data
+    assert (trace["x"], trace["y"]) == ([0.1, 2000], [0.2, 0.8])
+    assert trace["customdata"] == [[1, 0], [0, 2000]]
+    axis = panel.layout["xaxis"]
+    assert axis["tickvals"] == [0.1, 1, 10, 100, 1000, 10_000]
+    assert axis["ticktext"] == ["0", "1", "10", "100", "1k", "10k"]
+    assert html_situations.counting_text(table) == "counted in training."
 
 
 def test_levels_drawn_at_resets_are_as_frequent_as_their_weights(tmp_path: Path) -> None:

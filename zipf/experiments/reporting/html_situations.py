@@ -123,25 +123,37 @@ def frequencies(table: ScoreTable) -> list[Panel]:
 
 def by_times_met(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Panel]:
     """Success on the uniform levels, or mean return, at each rank against the number of training
-    episodes that were drawn at it; a point is a rank."""
+    episodes that were drawn at it; a point is a rank.
+
+    Ranks that training never met are at 0 where this was counted, and left out where it is
+    estimated: evaluations that did not meet a rank do not say that training has not.
+    """
     measure = measure_of(table)
     panels = []
     for number, (name, of_rank) in enumerate(_measured(table, measure)):
         times = times_met(table, name)
-        traces = []
+        drawn = []
         for row, of_row in _of_rows(table, of_rank):
             if row.key not in times:
                 continue
             points = of_row.assign(times=of_row[name].map(times[row.key])).sort_values("times")
-            points = points[points["times"] > 0]
-            if not len(points):
-                continue
-            hover = "rank %{customdata}, met %{x:.3s} times: %{y:.3f}"
+            if any(counted_visits(run, table, name) is None for run in row.runs):
+                points = points[points["times"] > 0]
+            points = points.dropna(subset=["times"])
+            if len(points):
+                drawn.append((row, points))
+        if not drawn:
+            continue
+        every = pd.concat([points["times"] for _, points in drawn])
+        axis, zero = _axis_with_zero(every)
+        traces = []
+        for row, points in drawn:
+            hover = "rank %{customdata[0]}, met %{customdata[1]:.3~s} times: %{y:.3f}"
             trace = line(row, styles[row.key], hover, symbol=table.rows.index(row))
             trace.update(
-                x=numbers(points["times"]),
+                x=numbers(points["times"].replace(0.0, zero)),
                 y=numbers(points["value"]),
-                customdata=numbers(points[name]),
+                customdata=points[[name, "times"]].to_numpy().tolist(),
                 error_y={
                     "type": "data",
                     "symmetric": False,
@@ -152,17 +164,11 @@ def by_times_met(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Pan
                 },
             )
             traces.append(trace)
-        if not traces:
-            continue
         figure = go.Figure(
             traces,
             layout(
                 spoken(name),
-                x={
-                    "title": f"Training episodes with the {spoken(name).lower()}",
-                    **log_ticks([x for trace in traces for x in trace.x]),
-                    "tickformat": "~s",
-                },
+                x={"title": f"Training episodes with the {spoken(name).lower()}", **axis},
                 y=_measure_axis(measure),
             ),
         )
@@ -223,6 +229,27 @@ def _band(
         fillcolor=style.color,
         hoverinfo="skip",
     )
+
+
+def _axis_with_zero(times: pd.Series) -> tuple[dict[str, Any], float]:
+    """A logarithmic axis for these numbers of times, and where 0 stands on it: a tenth of its
+    lowest power of ten, which is 1 at most, because Plotly's logarithmic axes have no 0."""
+    positive = times[times > 0].tolist()
+    if len(positive) == len(times):
+        return {**log_ticks(positive), "tickformat": "~s"}, 0.0
+    axis = log_ticks([1.0, *positive])
+    ticks = axis["tickvals"]
+    zero = ticks[0] / 10
+    texts = ["0", *(_short(tick) for tick in ticks)]
+    return {**axis, "tickvals": [zero, *ticks], "ticktext": texts}, zero
+
+
+def _short(count: float) -> str:
+    """`20k`, as Plotly's format `~s` has it."""
+    for size, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if count >= size:
+            return f"{count / size:g}{letter}"
+    return f"{count:g}"
 
 
 def _measure_axis(measure: Measure) -> dict[str, Any]:
