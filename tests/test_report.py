@@ -259,6 +259,21 @@ def test_the_last_evaluations_on_request(runs: Path) -> None:
     assert line(last_two, "impala_byol", "train")["score"] == pytest.approx(0.45)
 
 
+def test_fewer_last_evaluations_than_asked_for_are_noted(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, {0: (0.0,) * 3, 200: (0.4,) * 3, 300: (0.6,) * 3})
+    untrained = write_run(tmp_path, {0: (0.1,) * 3}, condition="r2d2")
+    write_external(tmp_path, {7: (0.3,) * 3}, experiment="gridworld")
+    table = only_table(tmp_path, "last:3")
+    assert line(table, "impala", "rare")["score"] == pytest.approx(0.5)
+    assert line(table, "r2d2", "rare")["score"] == 0.1
+    assert table.notes == (
+        f"{folder.as_posix()}: has 2 evaluations beside that at update 0, not 3: scored over what "
+        f"there is.",
+        f"{untrained.as_posix()}: has 1 evaluation, not 3: scored over what there is.",
+    )
+    assert only_table(tmp_path, "last").notes == ()
+
+
 def test_a_given_window_includes_both_ends(runs: Path) -> None:
     table = only_table(runs / "gridworld", "40:80")
     assert line(table, "impala_byol", "train")["score"] == pytest.approx(0.45)
@@ -316,6 +331,30 @@ def test_a_scaled_window_has_the_same_fractions_of_a_shorter_run(tmp_path: Path)
         "Median over the evaluations at 66.7 to 100 % of each run, which are the fractions of "
         "updates 200 to 300 of the median seed (not the experiment's own window)"
     )
+
+
+@pytest.mark.parametrize("window", ["100:300", "scaled", "own"])
+def test_the_own_window_is_not_called_another(window: str, tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5))
+    write_run(tmp_path, {}, condition="r2d2")  # no evaluation yet
+    asked, usual = only_table(tmp_path, window), only_table(tmp_path)
+    assert asked.own_window
+    assert markdown.markdown(asked) == markdown.markdown(usual)
+
+
+def test_a_window_that_is_the_own_one_of_some_runs_only(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5))
+    write_run(tmp_path, constant(0.5), condition="r2d2", window=[200, 300])
+    assert not only_table(tmp_path, "100:300").own_window
+
+
+def test_a_scaled_window_is_offered_only_where_it_shows_something(tmp_path: Path) -> None:
+    write_run(tmp_path, {0: (0.1,) * 3, 3: (0.2,) * 3, 4: (0.3,) * 3}, window=[2, 2])
+    (note,) = only_table(tmp_path).notes
+    assert note.endswith("(the last is at update 4); not counted. --window last shows it.")
+    assert line(only_table(tmp_path, "scaled"), "impala", "rare")["seeds"] == 0
+    (note,) = only_table(tmp_path, "5:6").notes
+    assert "--window scaled" not in note
 
 
 def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from zipf.experiments.reporting.paper import LEVEL_KINDS
 from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.windows import (
+    LastEvaluations,
     ScaledWindow,
     UpdateWindow,
     Window,
@@ -38,11 +39,21 @@ def _window_notes(run: Run, window: Window) -> list[str]:
     inside = evaluations_inside(run, window)
     if isinstance(window, UpdateWindow) and not len(inside):
         last = count_text(int(run.evaluations["update"].max()))
+        assert run.description.window is not None  # external agents have no window of updates
+        scaled = ScaledWindow(*run.description.window).select(run.evaluations["update"])
+        others = "--window scaled or --window last shows" if scaled.any() else "--window last shows"
         return [
             f"{run.label}: no evaluation at {window_text(window)} (the last is at update {last}); "
-            f"not counted. --window scaled or --window last shows it."
+            f"not counted. {others} it."
         ]
     found = []
+    number = inside["update"].nunique()
+    if isinstance(window, LastEvaluations) and number < window.count:
+        beside = " beside that at update 0" if len(inside) < len(run.evaluations) else ""
+        found.append(
+            f"{run.label}: has {number} evaluation{'s' if number > 1 else ''}{beside}, not "
+            f"{window.count}: scored over what there is."
+        )
     missing = set(LEVEL_KINDS) - set(inside["level_kind"])
     if missing:
         found.append(
@@ -58,7 +69,7 @@ def _window_notes(run: Run, window: Window) -> list[str]:
     if isinstance(window, UpdateWindow) and run.updates < window.end:
         found.append(
             f"{run.label}: at update {count_text(run.updates)}, before the window's end: scored "
-            f"over the {inside['update'].nunique()} evaluations so far."
+            f"over the {number} evaluations so far."
         )
     return found
 

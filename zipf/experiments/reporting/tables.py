@@ -19,12 +19,9 @@ from zipf.experiments.reporting.rows import Row, rows_of
 from zipf.experiments.reporting.scores import CSV_COLUMNS, score_frame
 from zipf.experiments.reporting.windows import (
     Asked,
-    LastEvaluations,
-    OwnWindows,
-    UpdateWindow,
     Window,
     evaluations_inside,
-    used_window,
+    table_window,
 )
 
 
@@ -38,7 +35,7 @@ class ScoreTable:
         description: of its first run, which is one of this package if there is any.
         rows: in the table's order.
         window: over which the scores are taken.
-        own_window: whether that is the experiment's own.
+        own_window: whether that is the experiment's own, see `table_window`.
         paper: what was published; None where it has a number for none of the rows.
         kinds: the levels of each kind.
         scores: one line per row and level kind; see `score_frame`.
@@ -127,13 +124,7 @@ def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[Score
         rows = rows_of(group.runs)
         paper = paper_of(group.runs)
         description = group.runs[0].description
-        used: Window = LastEvaluations(1)
-        if not description.external:
-            assert description.window is not None  # checked when it was read
-            used = used_window(description.window, window)
-            own = {run.description.window for run in group.runs if not run.description.external}
-            if isinstance(used, OwnWindows) and len(own) == 1:
-                used = UpdateWindow(*description.window)
+        used, is_own = table_window(group.runs, window)
         kinds = tuple(description.levels_of(level_kind) for level_kind in LEVEL_KINDS)
         groups = tuple(part for levels in kinds for part in _parts(levels, paper))
         whole = score_frame(rows, kinds, used, group.name, description.experiment, paper)
@@ -145,7 +136,7 @@ def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[Score
                 description=description,
                 rows=rows,
                 window=used,
-                own_window=window in (None, "own") or description.external is not None,
+                own_window=is_own,
                 paper=paper if whole["paper_value"].notna().any() else None,
                 kinds=kinds,
                 scores=whole,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -31,13 +32,16 @@ class UpdateWindow:
 
 @dataclass(frozen=True)
 class LastEvaluations:
-    """The last `count` evaluations of each run, at whatever updates."""
+    """The last `count` evaluations of each run, at whatever updates; that of the untrained agent,
+    at update 0, only where there is no other."""
 
     count: int
 
     def select(self, updates: pd.Series) -> pd.Series:
         """Mask of the updates inside."""
-        return updates.isin(np.unique(updates)[-self.count :])
+        every = np.unique(updates)
+        trained = every[every > 0]
+        return updates.isin((trained if len(trained) else every)[-self.count :])
 
     def __str__(self) -> str:
         return "last" if self.count == 1 else f"last:{self.count}"
@@ -87,6 +91,24 @@ def used_window(own: tuple[int, int], asked: Asked | None) -> Window:
     if asked == "scaled":
         return ScaledWindow(*own)
     return asked or UpdateWindow(*own)
+
+
+def table_window(runs: Sequence[Run], asked: Asked | None) -> tuple[Window, bool]:
+    """The window of a table of these runs, and whether it is their experiment's own, also where
+    it was asked for in another way. External agents alone have their last evaluation."""
+    ours = [run for run in runs if not run.description.external]
+    windows = dict.fromkeys(run.description.window for run in ours)
+    own = [UpdateWindow(*window) for window in windows if window is not None]
+    if not own:
+        return LastEvaluations(1), True
+    used = used_window((own[0].start, own[0].end), asked)
+    if isinstance(used, ScaledWindow):
+        lasts = [run.evaluations["update"].max() for run in ours if len(run.evaluations)]
+        if all(last >= used.end for last in lasts):
+            used = own[0]
+    elif isinstance(used, OwnWindows) and len(own) == 1:
+        used = own[0]
+    return used, isinstance(used, OwnWindows) or own == [used]
 
 
 def parse_window(text: str) -> Asked:
