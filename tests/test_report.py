@@ -424,8 +424,21 @@ def test_the_same_run_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
     first = write_run(tmp_path / "a", constant(0.1))
     second = write_run(tmp_path / "b", constant(0.2))
     message = refusal(capsys, str(tmp_path))
-    assert first.as_posix() in message
-    assert second.as_posix() in message
+    assert f"{first.as_posix()} and {second.as_posix()} are the same run twice" in message
+
+
+def test_two_runs_of_one_name_and_seed_with_other_options_are_told_apart(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for folder, discount in (("a", 0.99), ("b", 0.5)):
+        settings = f"agent:\n  learning_rate: 0.001\n  discount: {discount}\n"
+        write_run(tmp_path / folder, constant(0.1), settings=settings)
+    message = refusal(capsys, str(tmp_path))
+    assert "the same run" not in message
+    assert (
+        "are both experiment gridworld, condition impala, seed 0, but by config.yaml they differ "
+        "in agent.discount (0.99 and 0.5): train one of them under another name="
+    ) in message
 
 
 def test_seeds_trained_with_other_settings_are_noted(tmp_path: Path) -> None:

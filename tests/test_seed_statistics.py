@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from run_folders import SITUATIONS, constant, only_table, write_run
+from run_folders import SITUATIONS, constant, only_table, write_external, write_run
 
 from zipf.experiments.reporting import intervals, latex, markdown, seed_statistics
+from zipf.experiments.reporting.html import Text, report_sections
 from zipf.experiments.reporting.situations import rates_by_visits, shares
 
 
@@ -114,6 +115,19 @@ def test_one_seed_has_one_sentence(tmp_path: Path) -> None:
         "Not of gridworld: an interquartile mean needs 2 seeds of a condition, and how often "
         "training met a situation was not recorded."
     )
+
+
+def test_the_page_says_the_same_of_an_external_agent_alone(tmp_path: Path) -> None:
+    write_external(tmp_path, {7: (0.3,) * 3})
+    found = [only_table(tmp_path)]
+    frame = seed_statistics.statistics_frame(found[0])
+    statistics = [seed_statistics.seed_statistics(found[0], frame)]
+    (section,) = (
+        section
+        for section in report_sections(found, (), statistics)
+        if section.title == "Statistics across seeds"
+    )
+    assert section.blocks == [Text(seed_statistics.without_statistics(statistics))]
 
 
 COUNTED = f"{SITUATIONS},visits,visits_map,visits_target"

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting.differences import differences
 from zipf.experiments.reporting.paper import LEVEL_KINDS, PaperTable, paper_table
 from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.windows import Asked, used_window
@@ -160,9 +161,20 @@ def _refuse_duplicates(runs: Sequence[Run]) -> None:
     for run in runs:
         key = (run.description.row_key, run.description.seed)
         if key in seen:
-            raise UserError(
-                f"{seen[key].label} and {run.label} are the same run twice: experiment "
-                f"{run.description.experiment}, condition {run.description.condition}, "
+            what = (
+                f"experiment {run.description.experiment}, condition {run.description.condition}, "
                 f"seed {key[1]}"
+            )
+            both = f"{seen[key].label} and {run.label}"
+            options = [
+                f"{name} ({' and '.join(texts)})"
+                for name, texts in differences([seen[key], run]).lines
+            ]
+            if not options:
+                raise UserError(f"{both} are the same run twice: {what}")
+            shown = ", ".join(options[:5]) + (" and more" if len(options) > 5 else "")
+            raise UserError(
+                f"{both} are both {what}, but by config.yaml they differ in {shown}: train one of "
+                f"them under another name=, or report them apart"
             )
         seen[key] = run

@@ -33,7 +33,7 @@ from zipf.experiments.reporting.markdown import (
     run_cells,
 )
 from zipf.experiments.reporting.results import Run
-from zipf.experiments.reporting.seed_statistics import SeedStatistics
+from zipf.experiments.reporting.seed_statistics import SeedStatistics, without_statistics
 from zipf.experiments.reporting.side_by_side import side_by_side
 from zipf.experiments.reporting.situation_figures import NAMES
 from zipf.experiments.reporting.situations import measure_of
@@ -170,7 +170,10 @@ def report_sections(
         for one in statistics:
             name = one.table.title
             blocks += [cells_of(grid, f"{name}: {grid.title}") for grid in one.grids]
-            blocks.append(Text(one.text))
+            if one.grids:
+                blocks.append(Text(one.text))
+        if rest := without_statistics(statistics):
+            blocks.append(Text(rest))
         sections.append(Section("Statistics across seeds", blocks))
     if len(tables) > 1:
         every = [run for table in tables for run in dict.fromkeys(table.runs)]
