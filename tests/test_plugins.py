@@ -7,6 +7,8 @@ import pandas as pd
 import pytest
 from conftest import run
 
+from zipf.experiments import command_line, composing
+
 WORLD = """
     from functools import partial
 
@@ -182,3 +184,13 @@ def test_mistakes_are_one_clear_line(folder, arguments, message):
     assert refused.returncode == 2, refused.stdout
     assert message in refused.stderr
     assert "Traceback" not in refused.stderr
+
+
+@pytest.mark.parametrize("name", ["it's conf", "a\\b, c]", "ends in \\", "both\\'"])
+def test_a_folder_of_any_name_has_configurations(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(composing, "_user_folders", [])
+    (tmp_path / name / "condition").mkdir(parents=True)
+    (tmp_path / name / "condition" / "eager.yaml").write_text(textwrap.dedent(CONDITION))
+    composing.add_folder(tmp_path / name)
+    config = command_line.load(["experiment=demo", "condition=eager"])
+    assert config.agent.discount == 0.5

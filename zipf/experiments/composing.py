@@ -87,8 +87,17 @@ def load_plugins(modules: Iterable[str]) -> None:
 
 def search_path() -> str:
     """The override that makes Hydra find configurations outside `configs/`; empty for none."""
-    folders = ",".join(f"'file://{folder}'" for folder in _folders()[1:])
+    folders = ",".join(quoted(f"file://{folder}") for folder in _folders()[1:])
     return f"hydra.searchpath=[{folders}]" if folders else ""
+
+
+def quoted(text: str) -> str:
+    """A value as an override can carry it.
+
+    Hydra takes a backslash as it is, but for those before a quote or the end.
+    """
+    escaped = re.sub(r"(\\*)('|\Z)", lambda m: 2 * m[1] + m[2].replace("'", "\\'"), text)
+    return f"'{escaped}'"
 
 
 def groups() -> list[str]:

@@ -108,7 +108,7 @@ class _Launch:
     def __init__(self, overrides: list[str], run_root: str, task: Jobs):
         self.task = task
         self.outcomes: dict[Job, Outcome] = {}
-        self._root = [f"run_root={_quoted(run_root)}"]
+        self._root = [f"run_root={composing.quoted(run_root)}"]
         self._launcher = _launcher(overrides, self._root, task)
         self._signals: list[int] = []
         self._ended = threading.Event()
@@ -202,12 +202,6 @@ def _launcher(overrides: list[str], run_root: list[str], task: Jobs) -> Launcher
         GlobalHydra.instance().hydra = backup
     launcher.setup(hydra_context=context, task_function=task, config=config)
     return launcher
-
-
-def _quoted(text: str) -> str:
-    """A value as an override can carry it."""
-    escaped = text.replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{escaped}'"
 
 
 def _error(returned: JobReturn) -> str:
