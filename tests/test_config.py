@@ -14,7 +14,7 @@ from zipf.agents import Agent
 from zipf.agents.encoders import Encoder
 from zipf.agents.impala import Impala
 from zipf.envs.gridworld import GridworldOptions
-from zipf.experiments import command_line, composing, config, sweeps
+from zipf.experiments import command_line, composing, config, feasibility, sweeps
 from zipf.experiments.errors import UserError
 
 EXPERIMENTS = command_line.choices("experiment")
@@ -341,6 +341,7 @@ def test_the_agent_that_was_chosen_is_tried(monkeypatch):
     def refuse(self, options, setting):
         raise ValueError("this agent needs something else")
 
+    monkeypatch.setattr(feasibility, "_buildable", {})  # other tests have the same options
     monkeypatch.setattr(Impala, "__init__", refuse)
     with pytest.raises(UserError, match=r"^this agent needs something else$"):
         command_line.load(["experiment=demo", "agent.discount=0.5"])

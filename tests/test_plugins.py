@@ -192,5 +192,5 @@ def test_a_folder_of_any_name_has_configurations(name, tmp_path, monkeypatch):
     (tmp_path / name / "condition").mkdir(parents=True)
     (tmp_path / name / "condition" / "eager.yaml").write_text(textwrap.dedent(CONDITION))
     composing.add_folder(tmp_path / name)
-    config = command_line.read(["experiment=demo", "condition=eager"])
+    config = command_line.load(["experiment=demo", "condition=eager"])
     assert config.agent.discount == 0.5
