@@ -32,7 +32,7 @@ distribution over it. `zipf<exponent>` is a further one for every exponent, in f
 
 
 _ZIPF = re.compile(r"zipf([0-9]+(?:\.[0-9]+)?)")  # float() would take "1_5" and "1e400", too
-_KNOWN = ", ".join([*MIXTURES, "zipf<exponent>", *LEVELS])
+_KNOWN = (*MIXTURES, "zipf<exponent>", *LEVELS)
 
 
 def law(name: str) -> tuple[str, NDArray[np.float64]] | None:
@@ -45,7 +45,7 @@ def law(name: str) -> tuple[str, NDArray[np.float64]] | None:
         ValueError: there is no such level.
     """
     if not isinstance(name, str):
-        raise ValueError(f"level must be a name, got {name!r}: expected one of {_KNOWN}")
+        raise ValueError(f"level must be a name, got {name!r}: expected one of {', '.join(_KNOWN)}")
     name = name.removeprefix("labyrinth/")
     if name in MIXTURES:
         order, distribution = MIXTURES[name]
@@ -66,9 +66,9 @@ def check(name: str) -> None:
 
 
 def _unknown(name: str) -> ValueError:
-    nearest = difflib.get_close_matches(name, _KNOWN.split(", "), n=1)
+    nearest = difflib.get_close_matches(name, _KNOWN, n=1)
     hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-    return ValueError(f"unknown level {name!r}{hint}: expected one of {_KNOWN}")
+    return ValueError(f"unknown level {name!r}{hint}: expected one of {', '.join(_KNOWN)}")
 
 
 def make_vec(
