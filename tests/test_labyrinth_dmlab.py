@@ -168,6 +168,18 @@ def test_without_deepmind_lab(monkeypatch: pytest.MonkeyPatch) -> None:
         make_vec("labyrinth/rooms_watermaze", 1, backend="quake")
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "told"),
+    [
+        ("image_size", (5000, 4), r"image_size must be at most 4096, got \(5000, 4\)"),
+        ("action_repeat", 10**9, "action_repeat must be at most 1000000, got 1000000000"),
+    ],
+)
+def test_sizes_that_are_too_large(option: str, value: Any, told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        make_vec("labyrinth/rooms_watermaze", 1, **{**SMALL, option: value})
+
+
 def test_levels_that_cannot_begin(monkeypatch: pytest.MonkeyPatch) -> None:
     lost = "psychlab_continuous_recognition"
     monkeypatch.setattr(Lab, "lost", frozenset({lost}))

@@ -204,6 +204,10 @@ def test_what_is_missing_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
         make_vec(LIFT, 1, **SMALL, reach=3.0)
     with pytest.raises(ValueError, match="backend must be 'own' or 'docker', got 'unity'"):
         make_vec(LIFT, 1, backend="unity")
+    with pytest.raises(ValueError, match=r"image_size must be at most 4096, got \(5000, 4\)"):
+        make_vec(LIFT, 1, **{**SMALL, "image_size": (5000, 4)})
+    with pytest.raises(ValueError, match="max_steps must be at most 1000000, got 1000000001"):
+        make_vec(LIFT, 1, **{**SMALL, "max_steps": 10**9 + 1})
     monkeypatch.delenv(rpc.ADDRESS)
     monkeypatch.setenv("PATH", "")
     with pytest.raises(ValueError, match=r"needs the command docker.*ZIPF_PLAYROOM_ADDRESS=host"):

@@ -73,6 +73,8 @@ def _main() -> int:
         jobs = sweeps.check(arguments.overrides).jobs
         if len(jobs) > 1 or sweeps.named(arguments.overrides):
             raise UserError(f"this is a sweep of {len(jobs)} jobs: add -m")
+        if launcher := [word for word in arguments.overrides if sweeps.for_launcher(word)]:
+            raise UserError(f"{launcher[0]}: is for the jobs of a sweep: add -m, or leave it out")
     sys.argv += [path for path in [composing.search_path()] if path]
     _run()
     return 0

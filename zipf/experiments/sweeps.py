@@ -113,6 +113,11 @@ def for_hydra(word: str) -> bool:
     return word.lstrip("+~").startswith(("hydra.", "hydra/"))
 
 
+def for_launcher(word: str) -> bool:
+    """Whether an override is about what starts the jobs of a sweep."""
+    return word.lstrip("+~").startswith(("hydra.launcher", "hydra/launcher"))
+
+
 def expand(
     overrides: list[str],
 ) -> Iterator[tuple[tuple[str, ...], tuple[str, str] | None]]:

@@ -13,6 +13,7 @@ from zipf.envs.arguments import pair, whole
 from zipf.envs.family import EngineError
 from zipf.envs.labyrinth.actions import TABLES, Action
 from zipf.envs.labyrinth.levels import by_name
+from zipf.envs.labyrinth.vector import MOST_PIXELS, MOST_REPEAT
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.vector import Observation
@@ -119,11 +120,11 @@ class DmlabVectorEnv(ReplayedVectorEnv):
         render_mode: str | None = None,
     ) -> None:
         self.level = by_name(level)
-        self._height, self._width = pair("image_size", image_size)
+        self._height, self._width = pair("image_size", image_size, MOST_PIXELS)
         if not isinstance(num_actions, int) or num_actions not in TABLES:
             known = " or ".join(map(str, TABLES))
             raise ValueError(f"num_actions must be {known}, got {num_actions!r}")
-        self.action_repeat = whole("action_repeat", action_repeat, 1)
+        self.action_repeat = whole("action_repeat", action_repeat, 1, MOST_REPEAT)
         self.max_steps = None if max_steps is None else whole("max_steps", max_steps, 1)
         self.replayed_name = f"DeepMind Lab's {self.level.name}"
         _deepmind_lab()

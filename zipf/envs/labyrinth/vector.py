@@ -21,8 +21,8 @@ from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.labyrinth.world import World
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
-_MOST_PIXELS = 4096  # of a side of the image; ours
-_MOST_REPEAT = 1_000_000  # ours: no episode has as many frames
+MOST_PIXELS = 4096  # of a side of the image; ours
+MOST_REPEAT = 1_000_000  # ours: no episode has as many frames
 
 
 class LabyrinthVectorEnv(ZipfVectorEnv):
@@ -51,11 +51,11 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
     ) -> None:
         self.level = by_name(level)
         self._rules = self.level.load()
-        height, width = pair("image_size", image_size, _MOST_PIXELS)
+        height, width = pair("image_size", image_size, MOST_PIXELS)
         if not isinstance(num_actions, int) or num_actions not in TABLES:
             known = " or ".join(map(str, TABLES))
             raise ValueError(f"num_actions must be {known}, got {num_actions!r}")
-        self.action_repeat = whole("action_repeat", action_repeat, 1, _MOST_REPEAT)
+        self.action_repeat = whole("action_repeat", action_repeat, 1, MOST_REPEAT)
         self.max_steps = None if max_steps is None else whole("max_steps", max_steps, 1)
         super().__init__(
             num_envs,

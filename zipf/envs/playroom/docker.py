@@ -16,6 +16,7 @@ from zipf.envs.arguments import pair, whole
 from zipf.envs.family import EngineError
 from zipf.envs.playroom import levels, rpc
 from zipf.envs.playroom.actions import ACTIONS, CONTROL_TABLE, CONTROLS
+from zipf.envs.playroom.constants import MOST_PIXELS, MOST_STEPS
 from zipf.envs.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.vector import Observation
 
@@ -100,8 +101,8 @@ class DockerVectorEnv(ReplayedVectorEnv):
         render_mode: str | None = None,
     ) -> None:
         self.level = levels.by_name(level)
-        height, width = pair("image_size", image_size)
-        self.max_steps = whole("max_steps", max_steps, 1)
+        height, width = pair("image_size", image_size, MOST_PIXELS)
+        self.max_steps = whole("max_steps", max_steps, 1, MOST_STEPS)
         self.address = address or os.environ.get(rpc.ADDRESS) or None
         rpc.check(self.address)
         self.replayed_name = f"the released Playroom's {self.level.name}"

@@ -1,6 +1,5 @@
 """Zipf's Playroom, many worlds at once."""
 
-import operator
 from collections.abc import Hashable, Mapping, Sequence
 from numbers import Real
 from typing import Any, Self
@@ -10,7 +9,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs.arguments import whole
+from zipf.envs.arguments import pair, whole
 from zipf.envs.playroom import chipmunk, hand, judgement, layout, levels
 from zipf.envs.playroom.achieved import Achievement, achieved
 from zipf.envs.playroom.actions import ACTIONS
@@ -66,14 +65,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         if not isinstance(near_failure, bool):
             raise ValueError(f"near_failure must be True or False, got {near_failure!r}")
         self.level = levels.by_name(level, frequent_exponent)
-        sizes = _whole_numbers(image_size)
-        if sizes is None or len(sizes) != 2 or min(sizes) < 1:
-            raise ValueError(
-                "image_size must be (height, width), whole numbers of at least 1, "
-                f"got {image_size!r}"
-            )
-        if max(sizes) > MOST_PIXELS:
-            raise ValueError(f"image_size must be at most {MOST_PIXELS} a side, got {image_size!r}")
+        height, width = pair("image_size", image_size, MOST_PIXELS)
         if object_order not in tuple(levels.ORDERS):
             raise ValueError(
                 f"object_order must be {' or '.join(map(repr, levels.ORDERS))}, "
@@ -84,7 +76,6 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self.object_names = levels.ORDERS[object_order]
         self.looks = looks
         self.max_steps = whole("max_steps", max_steps, 1, MOST_STEPS)
-        height, width = sizes
         super().__init__(
             num_envs,
             single_observation_space=spaces.Dict(
@@ -310,14 +301,3 @@ class PlayroomVectorEnv(ZipfVectorEnv):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._replay(self._seeded, self._lengths)
-
-
-def _whole_numbers(values: Any) -> list[int] | None:
-    """The values as integers, or None if they are not whole numbers."""
-    try:
-        numbers = list(values)
-        return (
-            None if any(isinstance(n, bool) for n in numbers) else [*map(operator.index, numbers)]
-        )
-    except TypeError:
-        return None
