@@ -22,7 +22,7 @@ tail: conditions  ## parts for learning the tail, on the larger worlds, too: som
 	$(BIN)/python -m zipf.report runs/
 
 test: $(VENV)/.installed  ## run all tests
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 lint: $(VENV)/.installed  ## check style and formatting
 	$(BIN)/ruff check .

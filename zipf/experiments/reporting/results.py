@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,7 @@ class Run:
     seconds: float
     settings: Mapping[str, Any]
     notes: tuple[str, ...]
+    _means: dict[Any, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def label(self) -> str:
@@ -83,8 +84,16 @@ class Run:
 
         Returns:
             One row per update, in their order: `update`, `frames`, `seconds`, `episodes` (of all
-            levels), `score` (the weighted mean) and `plain_score` (the plain mean).
+            levels), `score` (the weighted mean) and `plain_score` (the plain mean). The same frame
+            each time, not to be changed.
         """
+        # Tables, figures, claims and statistics all ask for the same means.
+        key = levels.level_kind, tuple(levels.weights.items())
+        if key not in self._means:
+            self._means[key] = self._mean_scores(levels)
+        return self._means[key]
+
+    def _mean_scores(self, levels: LevelGroup) -> pd.DataFrame:
         rows = self.evaluations_of(levels)
         weights = rows["level"].map(dict(levels.weights)).astype(float)
         rows = rows.assign(weighted=rows["score"] * weights / sum(levels.weights.values()))
