@@ -50,17 +50,17 @@ GTRXL = GTrXLOptions(
 
 
 @pytest.mark.parametrize(
-    ("memory", "learning_rate"),
+    ("memory", "learning_rate", "updates"),
     [
-        (LSTMOptions(name="lstm", size=32, layers=1), 5e-3),
-        (LSTMOptions(name="lstm", size=32, layers=2), 5e-3),
-        (GTRXL, 2e-3),
+        (LSTMOptions(name="lstm", size=32, layers=1), 5e-3, 400),
+        (LSTMOptions(name="lstm", size=32, layers=2), 5e-3, 600),
+        (GTRXL, 2e-3, 400),
     ],
     ids=["lstm", "lstm of two layers", "gtrxl"],
 )
-def test_memories_recall(memory, learning_rate):
+def test_memories_recall(memory, learning_rate, updates):
     options = {"learning_rate": learning_rate, "entropy_cost": 0.03, "adam_beta2": 0.95}
-    episodes = trained(memory, updates=600, **options)
+    episodes = trained(memory, updates, **options)
     assert episodes["success"].mean() >= 0.95
 
 
