@@ -19,6 +19,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.patches import ConnectionPatch, Rectangle
 from numpy.typing import NDArray
 
+from zipf import envs
 from zipf.envs import distributions, make, split
 
 OUTPUT = Path(__file__).parent.parent / "docs" / "gridworld.png"
@@ -64,9 +65,7 @@ def probabilities(level: str) -> NDArray[np.float64]:
 
 def draw_distributions(figure: plt.Figure) -> None:
     """The three levels side by side, on one scale."""
-    tables = {
-        kind: probabilities(SPLIT.levels(kind)[0].name) for kind in ("train", "uniform", "rare")
-    }
+    tables = {kind: probabilities(SPLIT.levels(kind)[0].name) for kind in envs.KINDS}
     train = tables["train"]
     norm = LogNorm(train.min(), train.max())
     seldom = train[tables["rare"] > 0]

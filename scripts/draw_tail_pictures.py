@@ -22,8 +22,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from zipf.envs import Reference, distributions, reference, split
-from zipf.experiments.reporting.paper import LEVEL_KINDS
+from zipf.envs import distributions, reference, split
+from zipf.envs.splits import KINDS
 from zipf.experiments.reporting.results import Run, load_runs
 from zipf.experiments.reporting.statistics import wilson_interval
 from zipf.experiments.reporting.wording import KIND_NAMES
@@ -55,7 +55,7 @@ class World(NamedTuple):
     split: str
     experiment: str
     agents: dict[str, Agent]
-    reference: Reference
+    reference: str
     share: Callable[[pd.DataFrame], NDArray[np.float64]]
 
 
@@ -160,7 +160,7 @@ def main() -> None:
 def learning(world: World, runs: dict[str, list[Run]]) -> Figure:
     """Scores on the three levels against millions of frames, a line for each run."""
     figure, axes = plt.subplots(1, 3, figsize=(8.4, 3.1), sharey=True, layout="constrained")
-    for axis, kind in zip(axes, LEVEL_KINDS, strict=True):
+    for axis, kind in zip(axes, KINDS, strict=True):
         for name, agent in world.agents.items():
             for k, run in enumerate(runs[name]):
                 scores = run.mean_scores(run.description.levels_of(kind))

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 from zipf import envs
+from zipf.envs.episodes import measure
 from zipf.envs.gridworld import FAMILY as GRIDWORLD
 from zipf.envs.labyrinth.levels import LEVELS as TASKS
 from zipf.envs.playroom.levels import LEVELS as PLAYROOM
-from zipf.envs.random_play import measure
 from zipf.experiments import command_line, composing
 from zipf.experiments.running.run_folder import commit
 

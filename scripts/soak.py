@@ -48,9 +48,9 @@ import torch
 import yaml
 
 from zipf.experiments import command_line
-from zipf.experiments.config import flatten
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, runner  # noqa: F401 (imported before forking)
+from zipf.experiments.settings import flatten
 
 SMALL = [
     "device=cpu",

@@ -7,7 +7,8 @@ import pandas as pd
 from tables import markdown
 
 from zipf.envs import split
-from zipf.experiments.reporting.paper import LEVEL_KINDS, paper_table
+from zipf.envs.splits import KINDS
+from zipf.experiments.reporting.paper import paper_table
 from zipf.experiments.reporting.results import load_runs
 from zipf.experiments.reporting.tables import score_tables
 from zipf.experiments.reporting.wording import KIND_NAMES
@@ -79,7 +80,7 @@ def tail() -> list[str]:
         folders = [RESULTS / task.experiment / name for name in task.conditions]
         runs = load_runs(folders)
         published = paper_table(split(runs[0].description.split).paper or "").rows.values()
-        best = [max(row[kind].value for row in published if kind in row) for kind in LEVEL_KINDS]
+        best = [max(row[kind].value for row in published if kind in row) for kind in KINDS]
         rows.append((task.title, "the paper's best", "", "", *(f"{one:.2f}" for one in best)))
         found = pd.concat([table.scores for table in score_tables(runs, "own")])
         for name, title in task.conditions.items():
@@ -87,7 +88,7 @@ def tail() -> list[str]:
             seeds, frames = int(scores["seeds"].min()), int(scores["frames"].min())
             of_row = [run.description for run in runs if run.description.condition == name]
             frames += max(run.pretrained.frames if run.pretrained else 0 for run in of_row)
-            shown = (f"{scores['score'][kind]:.2f}" for kind in LEVEL_KINDS)
+            shown = (f"{scores['score'][kind]:.2f}" for kind in KINDS)
             rows.append(("", title, str(seeds), f"{frames / 1e6:,.1f} M", *shown))
-    numbers = ("Seeds", "Frames", *(KIND_NAMES[kind] for kind in LEVEL_KINDS))
+    numbers = ("Seeds", "Frames", *(KIND_NAMES[kind] for kind in KINDS))
     return markdown(("Task", "Agent", *numbers), rows, right=numbers)

@@ -9,7 +9,7 @@ import pytest
 
 from zipf import envs
 from zipf.envs import ReferenceScore, reference, references
-from zipf.envs.random_play import measure
+from zipf.envs.episodes import measure
 from zipf.envs.references import measured
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 from omegaconf import OmegaConf
-from worlds_of import chosen, needs
+from worlds_of import chosen, kind_of_worlds, needs
 
 import zipf.envs
 from zipf import envs
@@ -23,12 +23,15 @@ CHOICES = [(group, choice) for group in GROUPS for choice in command_line.choice
 
 
 CONDITIONS_OF_TABLES = command_line.choices("condition")
+KINDS_OF_WORLDS = list(
+    {kind_of_worlds(experiment): experiment for experiment in EXPERIMENTS}.values()
+)
 
 
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize("experiment", KINDS_OF_WORLDS)
 @pytest.mark.parametrize(("group", "choice"), CHOICES)
-def test_every_choice_goes_with_every_experiment(experiment, group, choice):
-    """Its network is built, too, without weights."""
+def test_every_choice_goes_with_every_kind_of_worlds(experiment, group, choice):
+    """Its network is built, too, without weights. Conditions are composed with all experiments."""
     overrides = [f"experiment={experiment}", f"{group}={choice}"]
     if lacking := needs(experiment, **{group: choice}):
         with pytest.raises(UserError, match=lacking):

@@ -12,6 +12,7 @@ from zipf import envs, evaluate
 from zipf.envs import ZipfVectorEnv, pcg64
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.experiments.running import evaluator, scoring
+from zipf.experiments.running.seeds import derive_seed
 
 SMALL = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
 
@@ -126,8 +127,9 @@ def test_situations_of_the_train_levels_are_taken_together():
         assert row["episodes"] == len(episodes)
         assert row["successes"] == episodes["success"].sum()
         assert row["return_sum"] == episodes["return"].sum()
-    alone = evaluator.situations(results[2:3])
-    pd.testing.assert_frame_equal(alone, results[2].situations())
+    assert list(dict.fromkeys(table.index.get_level_values(0))) == ["train", "uniform", "rare"]
+    alone = evaluator.situations(results[2:3]).set_index(["level_kind", "map", "target"])
+    pd.testing.assert_frame_equal(alone, table.loc[["uniform"]])
 
 
 def test_bad_requests():
@@ -164,7 +166,7 @@ def test_per_situation_results_add_up():
         seed=0,
     )
     for result in results:
-        situations = result.situations()
+        situations = evaluator.situations([result])
         assert situations["episodes"].sum() == 200
         assert situations["return_sum"].sum() == pytest.approx(200 * result.score)
         if result.kind == "rare":
@@ -192,9 +194,11 @@ def test_levels_have_weights_options_and_normalisations():
     mean = second.episodes["return"].mean()
     assert second.score == pytest.approx(min((mean - 0.1) / 0.5, 0.5))
     assert evaluator.scores(results)["train"] == pytest.approx((3 * first.score + second.score) / 4)
-    assert evaluator.plain_scores(results)["train"] == pytest.approx(
-        (first.score + second.score) / 2
-    )
+    details = evaluate.score(scripted, WEIGHTED, seed=1, details=True, **SMALL)
+    one, other = details.levels["score"][:2]
+    assert one != other
+    assert details.kinds["score"][0] == pytest.approx((3 * one + other) / 4)
+    assert details.kinds["plain"][0] == pytest.approx((one + other) / 2)
     assert [len(r.episodes) for r in evaluator.evaluate(Plays(scripted), WEIGHTED, episodes=7)] == [
         7
     ] * 4
@@ -253,7 +257,7 @@ def test_one_mixture_serves_all_levels(monkeypatch):
     by_level = {}
     for place, (level, result) in enumerate(zip(train, results, strict=False)):
         env = original(split, level, 3, **SMALL)
-        seed = evaluator.derive_seed(4, "evaluation", place * 3)
+        seed = derive_seed(4, "evaluation", place * 3)
         by_level[level.name] = evaluator.play(Plays(scripted), env, episodes=7, seed=seed)
         pd.testing.assert_frame_equal(result.episodes, by_level[level.name])
         assert set(result.episodes["level"]) == {place}
@@ -368,7 +372,7 @@ def test_worlds_may_report_no_success():
 def test_details_hold_everything():
     scores = evaluate.score(scripted, TWO, episodes=40, seed=3, **SMALL)
     details = evaluate.score(scripted, TWO, episodes=40, seed=3, details=True, **SMALL)
-    assert details.scores == details.plain_scores == scores
+    assert details.scores == scores
     assert details.split == "two"
     assert details.geometry["gridworld/rare"] == {
         "num_maps": 5,

@@ -11,6 +11,7 @@ from playroom_worlds import arrange, playroom
 
 from zipf import envs
 from zipf.envs.check_player import check_player
+from zipf.envs.episodes import Player, play_episodes
 from zipf.envs.gridworld import looks
 from zipf.envs.gridworld.generalist import UNSEEN
 from zipf.envs.gridworld.generalist import Generalist as GridworldGeneralist
@@ -21,7 +22,6 @@ from zipf.envs.playroom.generalist import Generalist as PlayroomGeneralist
 from zipf.envs.playroom.in_view import look
 from zipf.envs.playroom.state import AX, YAW
 from zipf.envs.playroom.vector import PlayroomVectorEnv
-from zipf.envs.random_play import play_returns
 
 PLAYERS = [
     (family.name, name)
@@ -78,6 +78,11 @@ def gridworld(num_envs: int, level: str = "uniform", **options: Any) -> Gridworl
     return GridworldVectorEnv(num_envs, level, observation="tiles", **options)
 
 
+def mean_return(env: envs.ZipfVectorEnv, player: Player, episodes: int, *, seed: int) -> float:
+    played = play_episodes(env, lambda *_: player(), episodes, seed=seed)
+    return float(played["return"].mean())
+
+
 @pytest.mark.parametrize(
     ("level", "floor", "without"),
     [("zipf_2", 0.86, 0.16), ("uniform", 0.88, 0.4), ("rare", 0.92, 0.48)],
@@ -85,9 +90,9 @@ def gridworld(num_envs: int, level: str = "uniform", **options: Any) -> Gridworl
 def test_gridworld_scores(level: str, floor: float, without: float) -> None:
     """Four standard errors and more below those of 1000 episodes."""
     env = gridworld(100, level)
-    score = play_returns(env, GridworldGeneralist(env), 400, seed=0).mean()
+    score = mean_return(env, GridworldGeneralist(env), 400, seed=0)
     assert score > floor
-    forgetful = play_returns(env, GridworldGeneralist(env, memory=False), 400, seed=0).mean()
+    forgetful = mean_return(env, GridworldGeneralist(env, memory=False), 400, seed=0)
     assert without < forgetful < score - 0.2
 
 
@@ -210,7 +215,7 @@ def test_in_the_gridworld_another_episode_is_not_remembered() -> None:
 )
 def test_playroom_scores(level: str) -> None:
     env = PlayroomVectorEnv(20, level, image_size=(3, 4), max_steps=250)
-    assert play_returns(env, PlayroomGeneralist(env), 40, seed=1).mean() >= 0.95
+    assert mean_return(env, PlayroomGeneralist(env), 40, seed=1) >= 0.95
 
 
 def seen(env: PlayroomVectorEnv) -> tuple[list[bool], list[bool]]:

@@ -210,6 +210,15 @@ def test_the_options_that_differ_are_listed_and_no_others(written: tuple[Path, s
     assert ["Option", "IMPALA, seeds 0, 1", "R2D2, seed 0"] in shown
 
 
+def test_an_option_that_older_runs_lack_differs_where_it_changes_something(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.1), settings="network: {name: matching}\n")
+    for seed, matcher in enumerate(("learned", "fixed"), 1):
+        settings = f"network: {{name: matching, matcher: {matcher}}}\nlearning_rate_decay: null\n"
+        write_run(tmp_path, constant(0.1), seed=seed, settings=settings)
+    found = differences.differences(results.load_runs([tmp_path]))
+    assert found.lines == (("network.matcher", ("–", "fixed")),)
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [
@@ -330,6 +339,15 @@ def test_levels_drawn_at_resets_are_as_frequent_as_their_weights(tmp_path: Path)
     write_run(tmp_path, constant(0.5, 4), levels=levels, situations=rows, situation={"level": 2})
     shares = frequencies.rank_shares(only_table(tmp_path), "level")
     assert shares.tolist() == pytest.approx([0.75, 0.25])
+
+
+def test_levels_drawn_inside_one_train_level_are_as_frequent_as_they_were(tmp_path: Path) -> None:
+    """`zipfian([...])` draws environments by its law in training and in evaluations on it."""
+    header = "update,level_kind,level,episodes,successes,return_sum"
+    rows = (header, "300,train,0,60,5,5.0", "300,train,1,30,5,5.0", "300,train,2,10,5,5.0")
+    write_run(tmp_path, constant(0.5), situations=rows, situation={"level": 3})
+    shares = frequencies.rank_shares(only_table(tmp_path), "level")
+    assert shares.tolist() == pytest.approx([0.6, 0.3, 0.1])
 
 
 def test_a_run_without_evaluations_has_a_page(tmp_path: Path) -> None:

@@ -17,9 +17,9 @@ from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import run_folder, runner
 from zipf.experiments.running.collector import Abandoned, Collector
-from zipf.experiments.running.evaluator import derive_seed
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.running.overlap import Overlap
+from zipf.experiments.running.seeds import derive_seed
 
 
 @pytest.fixture(autouse=True)

@@ -341,8 +341,8 @@ def test_a_run_plays_its_levels(run, level, played, tmp_path):
 
 def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
     from zipf.experiments.running.agent_policy import AgentPolicy
-    from zipf.experiments.running.evaluator import derive_seed
     from zipf.experiments.running.evaluator import play as score
+    from zipf.experiments.running.seeds import derive_seed
     from zipf.experiments.running.trained import load_agent
 
     said = play(f"run={run}", "episodes=1", "seed=7", f"record={tmp_path}/out.gif")

@@ -217,7 +217,10 @@ MAY_IMPORT = {
     "zipf/envs": {"zipf.envs"},
     "zipf/agents": {"zipf.agents"},
     "zipf/adapters": {"zipf.adapters", "zipf.envs"},
-    "zipf/experiments/reporting": {"zipf.experiments.reporting", "zipf.experiments.errors"},
+    "zipf/experiments/reporting": {
+        *("zipf.experiments.reporting", "zipf.experiments.errors", "zipf.experiments.settings"),
+        "zipf.envs.splits",
+    },
     "zipf/experiments/running": {
         *("zipf.experiments", "zipf.agents", "zipf.envs", "zipf.plugins"),
     },

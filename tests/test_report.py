@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import statistics as stdlib
 import subprocess
@@ -625,18 +624,6 @@ def test_it_needs_neither_torch_nor_a_display(runs: Path) -> None:
     )
 
 
-def test_the_report_reads_files_and_imports_nothing_else_of_the_package() -> None:
-    folder = Path(report.__file__).parent / "experiments/reporting"
-    imported = {
-        name
-        for path in folder.glob("*.py")
-        for name in re.findall(r"(?:from|import) (zipf[\w.]*)", path.read_text())
-    }
-    own = "zipf.experiments.reporting"
-    others = {name for name in imported if not name.startswith(own)}
-    assert others == {"zipf.experiments.errors", "zipf.references"}
-
-
 # --- output ----------------------------------------------------------------------------------
 
 
@@ -728,7 +715,7 @@ def test_the_papers_tables_name_known_conditions_and_levels() -> None:
     ):
         table = paper.paper_table(experiment)
         assert set(table.rows) <= conditions
-        columns = {*paper.LEVEL_KINDS, *table.train_groups}
+        columns = {*envs.KINDS, *table.train_groups}
         assert all(set(scores) <= columns for scores in table.rows.values())
     assert paper.paper_table("playroom_lifting").score("impala_mlp", "train") is None
     assert paper.paper_table("labyrinth_forward").score("impala", "rare") == (

@@ -29,8 +29,9 @@ from run_folders import (
     write_run,
 )
 
+from zipf import envs
 from zipf.experiments.errors import UserError
-from zipf.experiments.reporting import captions, checksums, markdown, paper, results, tables
+from zipf.experiments.reporting import captions, checksums, markdown, results, tables
 
 
 def test_a_torn_last_line_is_left_out_and_noted(tmp_path: Path) -> None:
@@ -59,7 +60,7 @@ def test_either_line_ending_is_read(tmp_path: Path) -> None:
 
 def test_a_name_may_need_quotes(tmp_path: Path) -> None:
     name = 'MyEnv-v0(size=5,goal="a")'
-    levels = [level(kind, name) for kind in paper.LEVEL_KINDS]
+    levels = [level(kind, name) for kind in envs.KINDS]
     folder = write_run(tmp_path, {}, levels=levels)
     with (folder / "evaluations.csv").open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

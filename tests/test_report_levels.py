@@ -26,7 +26,7 @@ from run_folders import (
 )
 
 from zipf import envs, report
-from zipf.experiments.reporting import captions, markdown, paper, results, statistics, tables
+from zipf.experiments.reporting import captions, markdown, results, statistics, tables
 
 PUTTING = envs.split("playroom_put")
 LIFTING = envs.split("playroom_lift")
@@ -264,7 +264,7 @@ def slow_across_tasks(
 
 
 @pytest.mark.parametrize("spread", ["seeds", "tasks"])
-@pytest.mark.parametrize("kind", paper.LEVEL_KINDS)
+@pytest.mark.parametrize("kind", envs.KINDS)
 def test_scores_of_weighted_levels_against_an_oracle(
     tmp_path: Path, spread: str, kind: str
 ) -> None:

@@ -39,6 +39,14 @@ def test_every_page_has_its_place():
     assert sorted(PLACES) == sorted([*ours, *API, *site_pages.TOP.values()])
 
 
+def test_every_script_is_named_where_a_maintainer_looks():
+    pages = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "RESULTS.md", "Makefile")]
+    text = "".join(page.read_text() for page in [*pages, *(ROOT / "docs").glob("**/*.md")])
+    scripts = [one for one in (ROOT / "scripts").glob("*.py") if "__main__" in one.read_text()]
+    assert len(scripts) > 10
+    assert not [script.name for script in scripts if script.name not in text]
+
+
 def test_every_family_and_part_of_an_agent_has_a_page():
     assert {f"environments/{name}.md" for name in envs.families()} <= set(PLACES)
     assert {f"agents/{group}.md" for group in command_line.parts()} <= set(PLACES)

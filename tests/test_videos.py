@@ -55,7 +55,7 @@ def test_a_success_and_a_failure_of_both_situations(
     for situation in described.situations:
         assert situation.level == "gridworld/uniform"
         for video in situation.videos:
-            assert video.success == (video.episode_return == 1.0)
+            assert (video.outcome == "success") == (video.episode_return == 1.0)
             assert pictures(run / "videos" / video.file) == video.length + 1
     page = (run / "report/report.html").read_text()
     assert page.count("data:image/gif;base64,") == len(files)

@@ -37,6 +37,13 @@ def achieves(experiment):
     return world_of(experiment).achieves
 
 
+def kind_of_worlds(experiment):
+    """What choices depend on: experiments of which this is the same need the same for them."""
+    split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
+    family = envs.family_of_split(split)
+    return family.name, asks(split), speaks(experiment), achieves(experiment)
+
+
 def needs(
     experiment,
     agent="impala",

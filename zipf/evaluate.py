@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zipf.experiments.errors import TOLD, UserError
+from zipf.experiments.errors import TOLD, UserError, tell
 from zipf.experiments.output import keep_going
 from zipf.experiments.running.external import record
 from zipf.experiments.running.scoring import Evaluation, geometry, score
@@ -58,8 +58,7 @@ def main() -> None:
     except KeyboardInterrupt:
         sys.exit(130)
     except TOLD as error:
-        for line in str(error).splitlines():
-            print(f"error: {line}", file=sys.stderr)
+        tell(error)
         sys.exit(2)
 
 

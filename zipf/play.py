@@ -6,7 +6,7 @@ import signal
 import sys
 
 from zipf.experiments.command_line import read_options
-from zipf.experiments.errors import TOLD
+from zipf.experiments.errors import TOLD, tell
 from zipf.experiments.output import keep_going
 from zipf.experiments.playing.playing import PlayOptions, play
 
@@ -61,8 +61,7 @@ def main() -> None:
     except KeyboardInterrupt:
         sys.exit(130)
     except TOLD as error:
-        for line in str(error).splitlines():
-            print(f"error: {line}", file=sys.stderr)
+        tell(error)
         sys.exit(2)
 
 

@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zipf.experiments.errors import TOLD, UserError
+from zipf.experiments.errors import TOLD, UserError, tell
 from zipf.experiments.output import keep_going
 from zipf.experiments.reporting.wording import PLOT_FORMATS, VIDEO_FORMATS, PlotFormat
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from zipf.experiments.reporting.claim_results import ClaimLine
     from zipf.experiments.reporting.seed_statistics import SeedStatistics
     from zipf.experiments.reporting.tables import ScoreTable
@@ -55,7 +53,6 @@ def report(
     record: str | Path | None = None,
     format: PlotFormat = "png",
     html: str | Path | None = None,
-    console: Console | None = None,
 ) -> Report:
     """Print the tables of all runs under `folders` and write them, with plots, to files.
 
@@ -70,7 +67,6 @@ def report(
         format: of the plots.
         html: also write everything, with interactive plots, to this file, a page that needs no
             other; "" is `report.html` in `output`.
-        console: where to print; standard output if None.
 
     Raises:
         UserError: no run there, a damaged file, an unknown window, a page whose name does not end
@@ -94,10 +90,9 @@ def report(
     target = Path(output) if output is not None else Path(folders[0]) / "report"
     found = tables.score_tables(results.load_runs(folders), chosen)
     pages = [] if record is None else _pages(folders, [target / "report.md", Path(record)])
-    if console is None:
-        console = Console()
-        if not console.is_terminal:
-            console = Console(width=120)
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=120)
     for table in found:
         terminal.print_table(table, console)
         console.print()
@@ -266,7 +261,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             html=chosen.html,
         )
     except TOLD as error:
-        print(f"error: {error}", file=sys.stderr)
+        tell(error)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from zipf.experiments import catalogue, command_line, composing, sweeps
-from zipf.experiments.errors import TOLD, UserError
+from zipf.experiments.errors import TOLD, UserError, tell
 from zipf.experiments.output import keep_going
 from zipf.experiments.running import learners, runner, sweep
 
@@ -39,8 +39,7 @@ def _run(_: DictConfig) -> None:
 
 def _tell(error: Exception) -> None:
     learners.let_others_tell(error)
-    for line in str(error).splitlines():
-        print(f"error: {line}", file=sys.stderr)
+    tell(error)
 
 
 def main() -> None:

@@ -35,10 +35,10 @@ from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
 from zipf.references import REFERENCES, Reference
 
 if TYPE_CHECKING:
+    from zipf.envs.episodes import measure_chance
     from zipf.envs.gymnasium_family import zipfian
     from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
     from zipf.envs.mixture import Mixture
-    from zipf.envs.random_play import measure_chance
     from zipf.envs.single import SingleWorld
     from zipf.envs.vector import ZipfVectorEnv
 
@@ -48,7 +48,7 @@ _LAZY = {
     "Mixture": "zipf.envs.mixture",
     "SingleWorld": "zipf.envs.single",
     "ZipfVectorEnv": "zipf.envs.vector",
-    "measure_chance": "zipf.envs.random_play",
+    "measure_chance": "zipf.envs.episodes",
     "zipfian": "zipf.envs.gymnasium_family",
 }
 

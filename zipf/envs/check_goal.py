@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.check_steps import require
 from zipf.envs.goals import Goal
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
@@ -45,7 +46,7 @@ def check_goal(
     """
     env = make_vec(num_envs)
     goal = make_goal(env)
-    _require(goal is not None, "the family has no goals")
+    require(goal is not None, "the family has no goals")
     assert goal is not None
     if env.achieves:
         env.report_achieved()
@@ -56,7 +57,7 @@ def check_goal(
     for t in range(steps):
         where = f"step {t}"
         now = _replacing(goal, observation, where)
-        _require(
+        require(
             now.shape == asked.shape and now.dtype == asked.dtype,
             f"{where}: goals are {now.dtype} {now.shape}, at first {asked.dtype} {asked.shape}",
         )
@@ -78,36 +79,36 @@ def _replacing(goal: Goal, observation: Observation, where: str) -> NDArray[Any]
     """Checks that goals are replaced where the mask says, and nothing else; returns the goals."""
     now = goal.read(observation)
     count = len(next(iter(observation.values())))
-    _require(
+    require(
         now.ndim == 2 and len(now) == count and now.dtype.kind in "iu",
         f"{where}: read() must give integers [{count}, K], got {now.dtype} {now.shape}",
     )
-    _require(
+    require(
         not any(np.may_share_memory(now, part) for part in observation.values()),
         f"{where}: read() must give a fresh array, not a view of the observation",
     )
     copy = {name: part.copy() for name, part in observation.items()}
     goal.write(copy, now, np.ones(count, np.bool_))
     for name, part in observation.items():
-        _require(
+        require(
             np.array_equal(part, copy[name]),
             f"{where}: writing the goals that were read changes {name!r}",
         )
     mask = np.arange(count) % 2 == 0
     others = np.roll(now, 1, axis=0)
     goal.write(copy, others, mask)
-    _require(
+    require(
         np.array_equal(goal.read(copy), np.where(mask[:, None], others, now)),
         f"{where}: read() does not give the goals that were written",
     )
     for name, part in observation.items():
-        _require(
+        require(
             np.array_equal(part[~mask], copy[name][~mask]),
             f"{where}: write() changes {name!r} outside its mask",
         )
     goal.write(copy, now, mask)
     for name, part in observation.items():
-        _require(
+        require(
             np.array_equal(part, copy[name]),
             f"{where}: writing other goals changes more of {name!r} than writing back restores",
         )
@@ -123,11 +124,11 @@ def _achieved(
 ) -> None:
     """Checks what ended episodes have achieved against what they were asked for and success."""
     goals, has = final["achieved"], final["has_achieved"]
-    _require(
+    require(
         goals.shape == asked.shape and goals.dtype == asked.dtype,
         f"{where}: achieved is {goals.dtype} {goals.shape}, goals are {asked.dtype} {asked.shape}",
     )
-    _require(
+    require(
         has.shape == ended.shape and has.dtype == np.bool_,
         f"{where}: has_achieved must be bool {ended.shape}, got {has.dtype} {has.shape}",
     )
@@ -138,17 +139,11 @@ def _achieved(
     if "success" not in final:
         return
     success = final["success"] & ended
-    _require(
+    require(
         (has & same)[success].all(),
         f"{where}: an episode that succeeded has not achieved what it was asked for",
     )
-    _require(
+    require(
         not (has & same)[ended & ~success].any(),
         f"{where}: an episode that failed has achieved what it was asked for",
     )
-
-
-def _require(condition: Any, message: str) -> None:
-    # An assert statement would be gone under `python -O`.
-    if not condition:
-        raise AssertionError(message)

@@ -15,7 +15,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs.random_play import Player
+from zipf.envs.check_steps import require
+from zipf.envs.episodes import Player
 from zipf.envs.vector import ZipfVectorEnv
 
 
@@ -46,7 +47,7 @@ def check_player(
         one, other = (
             _rollout(player, make_vec(num_envs, autoreset_mode=mode), steps, seed) for _ in range(2)
         )
-        _require(np.array_equal(one, other), f"a second rollout has other answers ({mode.value})")
+        require(np.array_equal(one, other), f"a second rollout has other answers ({mode.value})")
 
 
 def _rollout(
@@ -62,24 +63,24 @@ def _rollout(
         where = f"step {t} ({env.autoreset_mode.value})"
         before = env.get_state()
         answer = ask()
-        _require(
+        require(
             isinstance(answer, np.ndarray)
             and answer.dtype == np.int64
             and answer.shape == (env.num_envs,),
             f"{where}: actions must be int64 [{env.num_envs}], got {answer!r}",
         )
-        _require(
+        require(
             ((answer >= 0) & (answer < count)).all(),
             f"{where}: actions must be in 0 .. {count - 1}, got {answer}",
         )
         again = ask()
-        _require(
+        require(
             np.array_equal(answer, again),
             f"{where}: asked again before the worlds moved, it answers {again}, first {answer}",
         )
         after = env.get_state()
         changed = [key for key in before if not np.array_equal(before[key], after[key])]
-        _require(not changed, f"{where}: asking it changed the state of the worlds: {changed}")
+        require(not changed, f"{where}: asking it changed the state of the worlds: {changed}")
         answers.append(answer)
         own = rng.random(env.num_envs) < 0.5
         actions = np.where(own, answer, rng.integers(count, size=env.num_envs))
@@ -89,8 +90,3 @@ def _rollout(
             env.reset(options={"reset_mask": ended})
     env.close()
     return np.array(answers)
-
-
-def _require(condition: Any, message: str) -> None:
-    if not condition:
-        raise AssertionError(message)

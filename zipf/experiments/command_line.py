@@ -23,11 +23,10 @@ from zipf.experiments.config import (
     NAME_PATTERN,
     Config,
     RowOptions,
-    affects_learning,
-    flatten,
     schema,
 )
 from zipf.experiments.errors import UserError
+from zipf.experiments.settings import affects_learning, flatten
 from zipf.options import Options
 
 AnyOptions = TypeVar("AnyOptions", bound=Options)

@@ -24,6 +24,7 @@ from zipf.agents.reweighting import ReweightingOptions
 from zipf.experiments.augmentation import AugmentationOptions
 from zipf.experiments.errors import UserError
 from zipf.experiments.runtime import RayOptions, RuntimeOptions, TorchrunOptions
+from zipf.experiments.settings import affects_learning, changes_nothing, flatten
 from zipf.options import Options
 
 PositiveInt = Annotated[int, Field(ge=1)]
@@ -98,31 +99,6 @@ class PretrainedOptions(Options):
 
     run: Annotated[str, Field(min_length=1)] | None = None
     parts: list[str] = Field(default=["encoder"], min_length=1)
-
-
-# Options, or groups of them, without effect on learning: they are not part of a condition's name,
-# and a run may be resumed with other values of them.
-NOT_LEARNED = frozenset(
-    [
-        *("condition", "row", "plugins", "updates", "run_root", "device", "compile", "resume"),
-        *("evaluation", "schedule", "runtime.address"),
-    ]
-)
-
-# Options that checkpoints of this version may lack, because they were made before these were added,
-# with the values that change nothing.
-ADDED_SINCE = {
-    "learning_rate_decay": None,
-    "network.matcher": "learned",
-    "network.remember_instruction": True,
-    "hindsight.matching_cost": 0.0,
-    "augmentation.scale": [1.0, 1.0],
-}
-
-
-def affects_learning(option: str) -> bool:
-    """Whether an option, such as `agent.discount`, affects what is learned."""
-    return NOT_LEARNED.isdisjoint((option, option.split(".")[0]))
 
 
 class Config(Options):
@@ -252,10 +228,11 @@ class Config(Options):
         options = flatten(self.model_dump()) | {"collector.lag": self.lag}
         if self.pretrained.run is None:
             del options["pretrained.run"], options["pretrained.parts"]
-        for name, usual in ADDED_SINCE.items():
-            if name in options and options[name] == usual:
-                del options[name]
-        return {name: value for name, value in options.items() if affects_learning(name)}
+        return {
+            name: value
+            for name, value in options.items()
+            if affects_learning(name) and not changes_nothing(name, value)
+        }
 
 
 def schema() -> type[Config]:
@@ -338,14 +315,3 @@ def has_bfloat16(device: str) -> bool:
     # Older versions of PyTorch do not tell.
     known = torch.cpu.get_capabilities() if hasattr(torch.cpu, "get_capabilities") else {}
     return any(known.get(name, False) for name in ("avx512_bf16", "amx_bf16", "bf16"))
-
-
-def flatten(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested options as a flat dictionary: {"agent.discount": 0.99, ...}."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, dict):
-            flat |= flatten(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat

@@ -1,13 +1,21 @@
-"""The exceptions that every command turns into one line and exit code 2."""
+"""The exceptions that every command tells without a traceback, with exit code 2."""
 
 from __future__ import annotations
+
+import sys
 
 from zipf.envs.family import EngineError
 
 
 class UserError(Exception):
-    """One clear line for the user; commands print it and exit with code 2."""
+    """What the user should change, a line for each mistake."""
 
 
 TOLD = (UserError, EngineError)
-"""What a command tells in one line, without a traceback."""
+"""What a command tells without a traceback."""
+
+
+def tell(error: Exception) -> None:
+    """Prints the lines of an error to stderr."""
+    for line in str(error).splitlines():
+        print(f"error: {line}", file=sys.stderr)

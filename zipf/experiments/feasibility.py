@@ -17,11 +17,12 @@ from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.network import ActorCritic, Torso
 from zipf.agents.network_options import MatchingOptions
 from zipf.experiments.augmentation import build_augmentation
-from zipf.experiments.config import Config, find_device, flatten
+from zipf.experiments.config import Config, find_device
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import run_folder
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.runtime import RayOptions, TorchrunOptions, has_ray
+from zipf.experiments.settings import flatten
 
 
 def problems(config: Config) -> Iterator[str]:
@@ -157,16 +158,13 @@ def _not_by_several_learners(config: Config) -> Iterator[str]:
 def _lacks_goals(config: Config) -> Iterator[str]:
     """Options that need to know what an episode asks for, in worlds that do not say."""
     family = envs.family_of_split(config.environment.split)
-    if config.reweighting.name != "none" and family.goal is None:
-        yield (
-            f"reweighting={config.reweighting.name}: the worlds of {family.name} do not say what "
-            "an episode asks for; choose reweighting=none"
-        )
-    if config.hindsight.name != "none" and family.goal is None:
-        yield (
-            f"hindsight={config.hindsight.name}: the worlds of {family.name} do not say what an "
-            "episode asks for; choose hindsight=none"
-        )
+    for part in ("reweighting", "hindsight"):
+        chosen = getattr(config, part).name
+        if chosen != "none" and family.goal is None:
+            yield (
+                f"{part}={chosen}: the worlds of {family.name} do not say what an episode asks "
+                f"for; choose {part}=none"
+            )
 
 
 def has_instruction(environment: dict[str, Any]) -> bool:
@@ -281,7 +279,6 @@ def _try_to_build(config: Config) -> Iterator[str]:
         build_augmentation(config.augmentation, space, 1, seed=0, symmetries=symmetries)
     except ValueError as error:
         yield str(error)
-    family = envs.family_of_split(config.environment.split)
     if agent.teacher and getattr(family, agent.teacher) is None:
         known = [name for name in envs.SCRIPTED if getattr(family, name) is not None]
         yield (

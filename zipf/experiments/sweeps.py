@@ -49,8 +49,8 @@ class Block(Options):
 
 
 @dataclass(frozen=True)
-class Job:
-    """A run of a sweep.
+class PlannedJob:
+    """A run that a sweep is asked for.
 
     Attributes:
         overrides: of its own command, `python -m zipf.train <overrides>`.
@@ -71,7 +71,7 @@ class Sweep:
         left_out: a line for every condition of a set that does not go with an experiment.
     """
 
-    jobs: tuple[Job, ...]
+    jobs: tuple[PlannedJob, ...]
     left_out: tuple[str, ...]
 
 
@@ -84,7 +84,7 @@ def check(overrides: list[str], is_finished: Callable[[Config], bool] = lambda _
     """
     problems: dict[str, None] = {}
     left_out: dict[str, None] = {}
-    jobs: list[Job] = []
+    jobs: list[PlannedJob] = []
     for words, pair in expand(overrides):
         try:
             config = command_line.read(list(words))
@@ -94,7 +94,7 @@ def check(overrides: list[str], is_finished: Callable[[Config], bool] = lambda _
                     left_out[why] = None
                     continue
                 command_line.check(config)
-            jobs.append(Job(words, config, finished))
+            jobs.append(PlannedJob(words, config, finished))
         except UserError as error:
             problems.update(dict.fromkeys(str(error).splitlines()))
     problems.update(dict.fromkeys(_shared_folders(jobs)))
@@ -239,8 +239,8 @@ def _misfit(experiment: str, condition: str) -> str | None:
     return None
 
 
-def _shared_folders(jobs: list[Job]) -> Iterator[str]:
-    seen: dict[str, Job] = {}
+def _shared_folders(jobs: list[PlannedJob]) -> Iterator[str]:
+    seen: dict[str, PlannedJob] = {}
     for job in jobs:
         folder = str(job.config.folder)
         if folder in seen:

@@ -23,8 +23,9 @@ from zipf.experiments.playing.recording import Recording
 from zipf.experiments.playing.screens import open_screen
 from zipf.experiments.playing.sessions import Session, Shows, World, has_image
 from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.evaluator import Policy, derive_seed
+from zipf.experiments.running.evaluator import Policy
 from zipf.experiments.running.scripted import ScriptedPolicy
+from zipf.experiments.running.seeds import derive_seed
 from zipf.experiments.running.trained import Trained, load_agent
 from zipf.options import Options
 

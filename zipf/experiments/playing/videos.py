@@ -29,7 +29,7 @@ from zipf.experiments.reporting.results import load_runs
 from zipf.experiments.reporting.videos import OUTCOMES, Video, VideosOfSituation
 from zipf.experiments.reporting.wording import VIDEO_FORMATS, VideoFormat
 from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.evaluator import derive_seed
+from zipf.experiments.running.seeds import derive_seed
 from zipf.experiments.running.trained import Trained, load_agent
 
 EPISODES = 200  # tried in a situation

@@ -18,7 +18,7 @@ PLAIN_MEAN = "plain mean"
 
 def caption(table: ScoreTable) -> str:
     """Window, statistics, effort, references, the paper."""
-    sentences = [*_statistics(table)]
+    sentences = _statistics(table)
     if (table.scores["seeds"] < PROTOCOL_SEEDS).any():
         sentences.append(f"n/{PROTOCOL_SEEDS}: fewer seeds than the protocol's {PROTOCOL_SEEDS}.")
     if table.episodes:
@@ -80,11 +80,8 @@ def claims_caption(lines: Sequence[ClaimLine]) -> str:
         f"{PROTOCOL_SEEDS} seeds decides nothing. Last column: the same check of the numbers that "
         f"the paper prints."
     ]
-    missing = [line for line in lines if not line.at_hand]
-    without = dict.fromkeys(line.claim.id for line in missing)
-    for line in lines:
-        if line.at_hand:
-            without.pop(line.claim.id, None)
+    known = {line.claim.id for line in lines if line.at_hand}
+    without = dict.fromkeys(line.claim.id for line in lines if line.claim.id not in known)
     if without:
         sentences.append(f"Not enough data, with no score at hand: {', '.join(without)}.")
     return " ".join(sentences)

@@ -25,7 +25,7 @@ from typing import Annotated, Literal
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from zipf.experiments.reporting.wording import NONE, PROTOCOL_SEEDS, count_text, interval_text
+from zipf.experiments.reporting.wording import NONE, PROTOCOL_SEEDS, count_text, updates_text
 
 Outcome = Literal["holds", "fails", "not enough data"]
 Measure = Literal["value", "difference", "change", "share"]
@@ -199,10 +199,10 @@ def judge(check: Check, results: Results) -> Verdict:
         case CurvesCheck():
             return _judge_curves(check, results)
         case WindowCheck():
-            bounds = f"updates {interval_text(*check.window)}"
+            bounds = f"updates {updates_text(*check.window)}"
             if not any(one.seeds for one in results.scores.values()):
                 return Verdict("not enough data", bounds, (), False)
-            used = interval_text(*results.window) if results.window else "another kind of window"
+            used = updates_text(*results.window) if results.window else "another kind of window"
             kept = results.window == check.window
             return Verdict("holds" if kept else "fails", bounds, (used,), True)
         case EffortCheck():

@@ -16,9 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from zipf.envs.splits import KINDS
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting.differences import differences
-from zipf.experiments.reporting.paper import LEVEL_KINDS, PaperTable, paper_table
+from zipf.experiments.reporting.paper import PaperTable, paper_table
 from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.windows import Asked, used_window
 
@@ -95,7 +96,7 @@ def _worlds(run: Run) -> dict[str, Any]:
     """What a run is scored on, and how."""
     description = run.description
     levels = []
-    for kind in LEVEL_KINDS:
+    for kind in KINDS:
         each = (
             f"{one.level} x {one.weight:g}{', normalised' if one.normalised else ''}"
             for one in description.levels

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from zipf.envs.splits import KINDS
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting.csv_files import read_bytes
-from zipf.experiments.reporting.paper import LEVEL_KINDS
 from zipf.experiments.reporting.wording import EXTERNAL_MARK
 from zipf.references import REFERENCE_NAMES
 
@@ -129,7 +129,7 @@ class RunDescription(_Described):
             raise ValueError("window: missing")
         if self.window is not None and self.window[0] > self.window[1]:
             raise ValueError(f"window {list(self.window)} ends before it starts")
-        for level_kind in LEVEL_KINDS:
+        for level_kind in KINDS:
             names = [one.level for one in self.levels if one.level_kind == level_kind]
             if not names:
                 raise ValueError(f"levels: there is no {level_kind} level")

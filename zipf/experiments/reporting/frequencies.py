@@ -104,9 +104,10 @@ def training_episodes(run: Run, table: ScoreTable) -> float | None:
 
 
 def _shares(run: Run, rows: pd.DataFrame) -> pd.Series:
-    if LEVEL_RANK not in rows:
+    levels = run.description.levels_of("train")
+    if LEVEL_RANK not in rows or not levels.is_weighted:
         return rows["episodes"].astype(float)
-    weights = sorted(run.description.levels_of("train").weights.values(), reverse=True)
+    weights = sorted(levels.weights.values(), reverse=True)
     law = {rank: weight / sum(weights) for rank, weight in enumerate(weights)}
     of_level = rows.groupby(LEVEL_RANK)["episodes"].transform("sum")
     return rows["episodes"] / of_level * rows[LEVEL_RANK].map(law).fillna(0.0)

@@ -18,10 +18,10 @@ from zipf.experiments.reporting.wording import (
     KIND_NAMES,
     NONE,
     count_text,
-    interval_text,
     score_text,
     seeds_text,
     short_name,
+    updates_text,
 )
 from zipf.references import REFERENCES, Reference
 
@@ -149,7 +149,7 @@ def _budgets(table: ScoreTable) -> dict[str, dict[str, str]]:
 def _windows(row: Row) -> str:
     """The windows of a row's runs, in updates."""
     found = {run.description.window for run in row.runs if run.description.window}
-    return ", ".join(interval_text(*window) for window in sorted(found))
+    return ", ".join(updates_text(*window) for window in sorted(found))
 
 
 def _leading(table: ScoreTable) -> list[str]:

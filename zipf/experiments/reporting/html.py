@@ -176,18 +176,14 @@ def report_sections(
             blocks.append(Text(rest))
         sections.append(Section("Statistics across seeds", blocks))
     if len(tables) > 1:
-        every = [run for table in tables for run in dict.fromkeys(table.runs)]
-        differing = _differences(list(dict.fromkeys(every)), "Options that differ", True)
+        every = list(dict.fromkeys(run for table in tables for run in table.runs))
+        differing = _differences(every, "Options that differ", True)
         sections.append(Section("Differences between all runs", differing))
     return sections
 
 
-def page(sections: Sequence[Section], title: str = "Zipfian environments: report") -> str:
-    """The page. It depends on the sections alone.
-
-    Args:
-        title: of the page.
-    """
+def page(sections: Sequence[Section]) -> str:
+    """The page. It depends on the sections alone."""
     from plotly.offline import get_plotlyjs
 
     environment = Environment(
@@ -201,7 +197,7 @@ def page(sections: Sequence[Section], title: str = "Zipfian environments: report
     own = _template("report.js")
     scripts = [get_plotlyjs(), own]
     return environment.get_template("report.html.jinja").render(
-        title=title,
+        title="Zipfian environments: report",
         sections=sections,
         style=Markup(_template("report.css")),
         scripts=[Markup(script) for script in scripts],
@@ -255,7 +251,7 @@ def _figures(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Figures
             text += " Shaded: the window of the table."
         found.append(("Learning curves", text, curves))
     if ranks := html_situations.by_rank(table, styles):
-        text = f"On the uniform levels. Band: {html_situations.interval_text(table)}."
+        text = f"On the uniform levels. Band: {html_situations.band_text(table)}."
         if any(panel.layout.get("shapes") for panel in ranks):
             text += " Shaded: the ranks of the rare levels."
         found.append((f"{measure} against rank", text, ranks))
@@ -268,7 +264,7 @@ def _figures(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Figures
             f"A point is a rank: {measure.lower()} on the uniform levels against the training "
             f"episodes at this rank until the last evaluation, "
             f"{html_situations.counting_text(table)} Bars: "
-            f"{html_situations.interval_text(table)}."
+            f"{html_situations.band_text(table)}."
         )
         found.append((f"{measure} against the number of times met", text, met))
     if not found:

@@ -192,7 +192,7 @@ def counting_text(table: ScoreTable) -> str:
     )
 
 
-def interval_text(table: ScoreTable) -> str:
+def band_text(table: ScoreTable) -> str:
     """What bands and bars are."""
     return INTERVALS[measure_of(table)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from zipf.experiments.reporting.paper import LEVEL_KINDS
+from zipf.envs.splits import KINDS
 from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.windows import (
     LastEvaluations,
@@ -54,7 +54,7 @@ def _window_notes(run: Run, window: Window) -> list[str]:
             f"{run.label}: has {number} evaluation{'s' if number > 1 else ''}{beside}, not "
             f"{window.count}: scored over what there is."
         )
-    missing = set(LEVEL_KINDS) - set(inside["level_kind"])
+    missing = set(KINDS) - set(inside["level_kind"])
     if missing:
         found.append(
             f"{run.label}: no evaluation of {', '.join(sorted(missing))}; not counted there."

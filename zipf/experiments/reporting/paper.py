@@ -22,8 +22,6 @@ from typing import Any, Literal
 
 from zipf.experiments.errors import UserError
 
-LEVEL_KINDS = ("train", "uniform", "rare")
-
 
 @dataclass(frozen=True)
 class PaperScore:

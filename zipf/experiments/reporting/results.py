@@ -15,6 +15,7 @@ from typing import Any
 import pandas as pd
 import yaml
 
+from zipf.envs.splits import KINDS
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import checksums
 from zipf.experiments.reporting.csv_files import Kind, read_bytes, read_header, read_table
@@ -23,15 +24,10 @@ from zipf.experiments.reporting.descriptions import (
     RunDescription,
     read_description,
 )
-from zipf.experiments.reporting.paper import LEVEL_KINDS
+from zipf.experiments.settings import NOT_LEARNED, changes_nothing, flatten, is_among
 
-# Differences between two seeds of a condition that cannot change what was learned.
-BOOKKEEPING = frozenset(
-    [
-        *("seed", "condition", "row", "plugins", "updates", "run_root", "device", "compile"),
-        *("resume", "schedule", "runtime.address"),
-    ]
-)
+# In which two seeds of a condition may differ.
+BOOKKEEPING = (NOT_LEARNED - {"evaluation"}) | {"seed"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +202,7 @@ def _read_evaluations(path: Path, description: RunDescription, notes: list[str])
     }
     rows = read_table(path, columns, notes)
     _check_kinds(path, rows)
-    for level_kind in LEVEL_KINDS:
+    for level_kind in KINDS:
         known = description.levels_of(level_kind).weights
         of_kind = rows[rows["level_kind"] == level_kind]
         unknown = of_kind[~of_kind["level"].isin(known)]
@@ -254,11 +250,11 @@ def _read_situations(
 
 
 def _check_kinds(path: Path, rows: pd.DataFrame) -> None:
-    wrong = rows[~rows["level_kind"].isin(LEVEL_KINDS)]
+    wrong = rows[~rows["level_kind"].isin(KINDS)]
     if len(wrong):
         raise UserError(
             f"{path.as_posix()}, line {wrong.index[0]}: column level_kind has "
-            f"{wrong['level_kind'].iloc[0]!r}, expected one of {', '.join(LEVEL_KINDS)}"
+            f"{wrong['level_kind'].iloc[0]!r}, expected one of {', '.join(KINDS)}"
         )
 
 
@@ -280,20 +276,10 @@ def _read_settings(path: Path, description: RunDescription) -> dict[str, Any]:
             raise UserError(f"{path.as_posix()}: by run.json the agent is external and has none")
         return {}
 
-    def flatten(node: Any, prefix: str) -> dict[str, Any]:
-        if not isinstance(node, dict):
-            return {prefix: node}
-        return {
-            key: value
-            for name, child in node.items()
-            for key, value in flatten(child, f"{prefix}.{name}" if prefix else str(name)).items()
-        }
-
     content = read_bytes(path)
     try:
         options = yaml.safe_load(content)
-        flat = flatten(options, "")
-    except Exception as error:  # the YAML library's errors have no common, documented base
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise UserError(f"{path.as_posix()}: not a YAML file") from error
     if not isinstance(options, dict) or "schedule" not in options:  # the last of them
         raise UserError(f"{path.as_posix()}: is no run's options, or cut")
@@ -307,14 +293,13 @@ def _read_settings(path: Path, description: RunDescription) -> dict[str, Any]:
         raise UserError(
             f"{path.as_posix()}: has options of another run than run.json ({', '.join(differing)})"
         )
+    flat = flatten(options)
     if there := description.pretrained:  # in which folder it was, and of which seed, is no setting
         flat["pretrained.run"] = f"{there.experiment} {there.condition}"
     else:
         flat = {key: value for key, value in flat.items() if not key.startswith("pretrained.")}
-    if flat.get("learning_rate_decay") is None:  # as in the runs of versions that had none
-        flat.pop("learning_rate_decay", None)
     return {
         key: value
         for key, value in flat.items()
-        if BOOKKEEPING.isdisjoint((key, key.split(".")[0]))
+        if not is_among(key, BOOKKEEPING) and not changes_nothing(key, value)
     }

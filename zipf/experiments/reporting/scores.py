@@ -124,7 +124,7 @@ def score_frame(
 
 def _score(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str, Any]:
     """A row's score on these levels, and what is behind it."""
-    inside = {run: _mean_scores_inside(run, levels, window) for run in runs}
+    inside = {run: means_inside(run, levels, window) for run in runs}
     scored = {run: evaluations for run, evaluations in inside.items() if len(evaluations)}
     effort = {
         "seeds": len(scored),
@@ -142,7 +142,8 @@ def _score(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str,
     return effort | {"capped_score": np.nan, "capped_error": np.nan} | measured
 
 
-def _mean_scores_inside(run: Run, levels: LevelGroup, window: Window) -> pd.DataFrame:
+def means_inside(run: Run, levels: LevelGroup, window: Window) -> pd.DataFrame:
+    """A run's `mean_scores` on these levels at the evaluations inside a window."""
     means = run.mean_scores(levels)
     return means[means["update"].isin(evaluations_inside(run, window)["update"])]
 

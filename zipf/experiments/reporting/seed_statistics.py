@@ -22,6 +22,7 @@ from zipf.experiments.reporting.intervals import (
     interquartile_mean,
 )
 from zipf.experiments.reporting.rows import Row
+from zipf.experiments.reporting.scores import means_inside
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside, situations_inside
 from zipf.experiments.reporting.wording import (
@@ -83,13 +84,8 @@ def seed_scores(row: Row, levels: LevelGroup, table: ScoreTable) -> NDArray[np.f
 def seed_means(row: Row, levels: LevelGroup, table: ScoreTable) -> NDArray[np.float64]:
     """A row's scores [seeds] as the table takes their median: of each seed the median over the
     window of the levels' weighted mean."""
-    found = []
-    for run in row.runs:
-        means = run.mean_scores(levels)
-        inside = means["update"].isin(evaluations_inside(run, table.window)["update"])
-        if inside.any():
-            found.append(means["score"][inside].median())
-    return np.array(found, float)
+    inside = [means_inside(run, levels, table.window)["score"] for run in row.runs]
+    return np.array([scores.median() for scores in inside if len(scores)], float)
 
 
 def statistics_frame(table: ScoreTable) -> pd.DataFrame:
@@ -178,7 +174,7 @@ def csv_statistics(frames: Sequence[pd.DataFrame]) -> str:
     )
 
 
-def interval_text(value: float, low: float, high: float) -> str:
+def estimate_text(value: float, low: float, high: float) -> str:
     """`0.69 [0.64, 0.75]`."""
     return f"{score_text(value)} [{score_text(low)}, {score_text(high)}]"
 
@@ -257,7 +253,7 @@ def _seeds(table: ScoreTable, row: Row) -> int:
 
 def _texts(found: pd.DataFrame) -> dict[str, str]:
     return {
-        line["level_kind"]: interval_text(line["value"], line["low"], line["high"])
+        line["level_kind"]: estimate_text(line["value"], line["low"], line["high"])
         for line in found.to_dict("records")
     }
 

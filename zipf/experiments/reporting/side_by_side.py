@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from zipf.envs.splits import KINDS
 from zipf.experiments.reporting.paper import (
-    LEVEL_KINDS,
     PaperColumn,
     PaperLayout,
     paper_layouts,
@@ -108,8 +108,8 @@ def _scores(
     """The lines of a column, with one for each row of which there are only published scores."""
     found = pd.DataFrame()
     if table is not None:
-        scores = table.scores if column.column in LEVEL_KINDS else table.group_scores
-        name_of = "level_kind" if column.column in LEVEL_KINDS else "level"
+        scores = table.scores if column.column in KINDS else table.group_scores
+        name_of = "level_kind" if column.column in KINDS else "level"
         found = scores[scores[name_of] == column.column]
         if column.statistic != "score":
             found = other_statistic(found, column.statistic.removesuffix("_score"))

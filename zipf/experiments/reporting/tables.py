@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from zipf.envs.splits import KINDS
 from zipf.experiments.reporting.comparable import group_runs, paper_of
 from zipf.experiments.reporting.descriptions import LevelGroup, RunDescription
 from zipf.experiments.reporting.notes import notes
-from zipf.experiments.reporting.paper import LEVEL_KINDS, PaperTable
+from zipf.experiments.reporting.paper import PaperTable
 from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.rows import Row, rows_of
 from zipf.experiments.reporting.scores import CSV_COLUMNS, score_frame
@@ -125,7 +126,7 @@ def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[Score
         paper = paper_of(group.runs)
         description = group.runs[0].description
         used, is_own = table_window(group.runs, window)
-        kinds = tuple(description.levels_of(level_kind) for level_kind in LEVEL_KINDS)
+        kinds = tuple(description.levels_of(level_kind) for level_kind in KINDS)
         groups = tuple(part for levels in kinds for part in _parts(levels, paper))
         whole = score_frame(rows, kinds, used, group.name, description.experiment, paper)
         parts = score_frame(rows, groups, used, group.name, description.experiment, paper)

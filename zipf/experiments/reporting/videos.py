@@ -48,11 +48,6 @@ class Video(_Described):
     length: Count
     every: Annotated[int, Field(ge=1)]
 
-    @property
-    def success(self) -> bool:
-        """Whether the episode was a success."""
-        return self.outcome == "success"
-
 
 class VideosOfSituation(_Described):
     """The videos of one situation: the first success and the first failure of those tried.

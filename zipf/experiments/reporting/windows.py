@@ -12,7 +12,7 @@ import pandas as pd
 
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting.results import Run
-from zipf.experiments.reporting.wording import interval_text
+from zipf.experiments.reporting.wording import updates_text
 
 
 @dataclass(frozen=True)
@@ -142,12 +142,12 @@ def window_text(window: Window) -> str:
     if isinstance(window, OwnWindows):
         return "each run's own window"
     if isinstance(window, UpdateWindow):
-        return f"updates {interval_text(window.start, window.end)}"
+        return f"updates {updates_text(window.start, window.end)}"
     if isinstance(window, ScaledWindow):
         share = 100 * window.start / max(window.end, 1)
         return (
             f"{share:.3g} to 100 % of each run, which are the fractions of updates "
-            f"{interval_text(window.start, window.end)}"
+            f"{updates_text(window.start, window.end)}"
         )
     return f"the last {window.count} evaluations" if window.count > 1 else "the last evaluation"
 

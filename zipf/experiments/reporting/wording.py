@@ -47,7 +47,7 @@ def range_text(counts: Sequence[int]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def interval_text(start: int, end: int) -> str:
+def updates_text(start: int, end: int) -> str:
     """`150 to 1,000`, and both numbers also where they are the same."""
     return f"{count_text(start)} to {count_text(end)}"
 

@@ -7,8 +7,7 @@ fails fast would get a different score than the same agent with slow failures.
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -17,9 +16,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from zipf import envs
+from zipf.envs.episodes import play_episodes
 from zipf.envs.mixture import Mixture
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.running.scripted import ScriptedPolicy
+from zipf.experiments.running.seeds import derive_seed
 
 OUTCOMES = ("success", "return", "length")
 """The columns of an episode that are not ranks of its situation."""
@@ -83,19 +84,6 @@ class Result:
             "length": episodes["length"].mean(),
         }
 
-    def situations(self) -> pd.DataFrame:
-        """One row per situation met: `level_kind`, its ranks, `episodes`, `successes` (NaN in
-        worlds that report none) and `return_sum`."""
-        ranks = [name for name in self.episodes.columns if name not in OUTCOMES]
-        sums = {"episodes": ("return", "size"), "return_sum": ("return", "sum")}
-        if "success" in self.episodes:
-            sums["successes"] = ("success", "sum")
-        keys = ["level_kind", *ranks]
-        table = self.episodes.assign(level_kind=self.kind).groupby(keys, as_index=False).agg(**sums)
-        if "success" not in self.episodes:
-            table["successes"] = np.nan
-        return table[[*keys, "episodes", "successes", "return_sum"]]
-
 
 def play(policy: Policy, env: ZipfVectorEnv, *, episodes: int, seed: int) -> pd.DataFrame:
     """Plays the first `episodes` episodes to start; one row each, in that order.
@@ -103,34 +91,9 @@ def play(policy: Policy, env: ZipfVectorEnv, *, episodes: int, seed: int) -> pd.
     Raises:
         ValueError: the policy returns something else than an action for each world.
     """
-    names = [*env.situation, *(one for one in OUTCOMES if env.reports_success or one != "success")]
-    records: dict[str, NDArray] = {}
-    # Which episode each world plays; from `episodes` on they are not scored.
-    playing = np.arange(env.num_envs)
-    started = env.num_envs
-    unfinished = episodes
-    observation, _ = env.reset(seed=seed)
-    reward = np.zeros(env.num_envs, np.float32)
-    is_first = np.ones(env.num_envs, np.bool_)
     policy.start(env.num_envs)
-    buffers = {name: np.empty_like(part) for name, part in observation.items()}
-    while unfinished:
-        actions = _checked(policy(observation, reward, is_first), env)
-        observation, rewards, terminated, truncated, info = env.step(actions, out=buffers)
-        reward = rewards.astype(np.float32)
-        is_first = terminated | truncated
-        if not is_first.any():
-            continue
-        scored = is_first & (playing < episodes)
-        for name in names:
-            values = info["final_info"][name]
-            column = records.setdefault(name, np.zeros(episodes, values.dtype))
-            column[playing[scored]] = values[scored]
-        unfinished -= int(scored.sum())
-        new = int(is_first.sum())
-        playing[is_first] = np.arange(started, started + new)
-        started += new
-    return pd.DataFrame({name: records[name] for name in names})
+    played = play_episodes(env, lambda *seen: _checked(policy(*seen), env), episodes, seed=seed)
+    return pd.DataFrame(played)
 
 
 def _checked(actions: Any, env: ZipfVectorEnv) -> NDArray:
@@ -230,20 +193,13 @@ class _Worlds:
 
 def scores(results: Sequence[Result]) -> dict[str, float]:
     """The score on each kind of level: the mean over its levels, by their weights."""
-    return _means(results, lambda result: result.split_level.weight)
-
-
-def plain_scores(results: Sequence[Result]) -> dict[str, float]:
-    """The mean over each kind's levels, each with the same weight."""
-    return _means(results, lambda result: 1.0)
-
-
-def _means(results: Sequence[Result], weight: Callable[[Result], float]) -> dict[str, float]:
     by_kind: dict[str, list[Result]] = {}
     for result in results:
         by_kind.setdefault(result.kind, []).append(result)
     return {
-        kind: float(np.average([r.score for r in of_kind], weights=[weight(r) for r in of_kind]))
+        kind: float(
+            np.average([r.score for r in of_kind], weights=[r.split_level.weight for r in of_kind])
+        )
         for kind, of_kind in by_kind.items()
     }
 
@@ -251,20 +207,29 @@ def _means(results: Sequence[Result], weight: Callable[[Result], float]) -> dict
 def situations(results: Sequence[Result]) -> pd.DataFrame:
     """The rows of `situations.csv`: every situation met, levels of a kind taken together.
 
-    `successes` is None where a level that the situation was met on reports none.
+    Returns:
+        `level_kind`, the situation's ranks, `episodes`, `successes` (None where a level that the
+        situation was met on reports none) and `return_sum`; in the order of kinds and ranks.
     """
-    table = pd.concat([result.situations() for result in results])
-    columns = list(table.columns)
-    table["unknown"] = table["successes"].isna()
-    sums = ["episodes", "successes", "return_sum", "unknown"]
-    ranks = [name for name in columns if name not in sums]
-    table = table.groupby(ranks, as_index=False, sort=False)[sums].sum()
+    kinds = list(dict.fromkeys(result.kind for result in results))
+    episodes = pd.concat(
+        [
+            result.episodes.assign(
+                level_kind=pd.Categorical([result.kind] * len(result.episodes), kinds),
+                successes=result.episodes.get("success", np.nan),
+            )
+            for result in results
+        ]
+    )
+    episodes["unknown"] = episodes["successes"].isna()
+    episodes["successes"] = episodes["successes"].fillna(0).astype(int)
+    ranks = [n for n in episodes if n not in (*OUTCOMES, "level_kind", "successes", "unknown")]
+    table = episodes.groupby(["level_kind", *ranks], as_index=False, observed=True).agg(
+        episodes=("return", "size"),
+        successes=("successes", "sum"),
+        return_sum=("return", "sum"),
+        unknown=("unknown", "any"),
+    )
     if table["unknown"].any():
-        table["successes"] = table["successes"].astype(object).where(table["unknown"] == 0, None)
-    return table[columns]
-
-
-def derive_seed(*parts: int | str) -> int:
-    """A seed for one purpose, 62 bits hashed from a run's seed and the purpose's name."""
-    digest = hashlib.sha256(repr(parts).encode()).digest()
-    return int.from_bytes(digest[:8], "little") >> 2
+        table["successes"] = table["successes"].astype(object).where(~table["unknown"], None)
+    return table.astype({"level_kind": str}).drop(columns="unknown")

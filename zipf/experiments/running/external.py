@@ -24,8 +24,8 @@ from zipf.experiments.reporting import checksums
 from zipf.experiments.reporting.csv_files import read_fields, read_lines
 from zipf.experiments.reporting.descriptions import RunDescription, first_problem
 from zipf.experiments.reporting.replacing import replace_text
-from zipf.experiments.running.evaluator import derive_seed
 from zipf.experiments.running.scoring import Evaluation, geometry, score
+from zipf.experiments.running.seeds import derive_seed
 
 LIBRARIES = ("torch", "tensordict", "torchrl", "stable_baselines3", "sb3_contrib", "onnxruntime")
 """Whose versions are recorded where they are in use."""

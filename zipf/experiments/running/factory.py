@@ -12,7 +12,7 @@ from zipf.experiments.augmentation import build_augmentation
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
 from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import derive_seed
+from zipf.experiments.running.seeds import derive_seed
 
 
 def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:

@@ -20,6 +20,7 @@ from typing import IO, Any, Literal
 
 from hydra.core.hydra_config import HydraConfig
 
+from zipf.experiments.reporting.wording import duration_text
 from zipf.experiments.running.signals import SWEEP_PIPE
 
 State = Literal["begun", "finished", "skipped", "failed", "stopped", "not begun"]
@@ -166,7 +167,7 @@ def _has_ended(process: subprocess.Popen[bytes]) -> bool:
 
 def _outcome(job: Job, code: int, shown: list[str], errors: list[str], seconds: float) -> Outcome:
     if code == 0:
-        return Outcome("finished", f"finished, {job.updates:,} updates, {duration(seconds)}")
+        return Outcome("finished", f"finished, {job.updates:,} updates, {duration_text(seconds)}")
     if code in (128 + signal.SIGINT, 128 + signal.SIGTERM):
         said = [line for line in shown if line.startswith("stopped at ")]
         return Outcome("stopped", said[-1] if said else "stopped before it began")
@@ -193,11 +194,3 @@ def _lines(file: IO[bytes]) -> list[str]:
 def failed(why: str) -> Outcome:
     """The outcome of a job that failed, on one line."""
     return Outcome("failed", f"failed: {' '.join(why.split())}")
-
-
-def duration(seconds: float) -> str:
-    """40 s, 3 min, 2 h 5 min."""
-    if seconds < 60:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from datetime import timedelta
 from typing import Any
 
-import numpy as np
+import pandas as pd
 import torch
 import torch.distributed as dist
 
@@ -26,7 +26,7 @@ import zipf
 from zipf.agents import averaging
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
-from zipf.experiments.running.evaluator import derive_seed
+from zipf.experiments.running.seeds import derive_seed
 from zipf.experiments.running.visits import Visits
 from zipf.experiments.runtime import TorchrunOptions
 
@@ -115,10 +115,8 @@ class Learner(OnlyLearner):
     def mean(self, metrics: dict[str, float]) -> dict[str, float]:
         """As in the base class."""
         rows = self._gather(metrics) or [metrics]
-        known: dict[str, list[float]] = {}
-        for name, value in (entry for row in rows for entry in row.items()):
-            known.setdefault(name, []).extend([] if np.isnan(value) else [value])
-        return {name: float(np.mean(values or [np.nan])) for name, values in known.items()}
+        means = pd.DataFrame(rows).mean()  # without NaN
+        return {str(name): float(mean) for name, mean in means.items()}
 
     def total(self, visits: Visits) -> Visits:
         """As in the base class."""

@@ -14,8 +14,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from zipf import envs
-from zipf.experiments.running.evaluator import Policy, derive_seed
+from zipf.experiments.running.evaluator import Policy
 from zipf.experiments.running.scripted import ScriptedPolicy
+from zipf.experiments.running.seeds import derive_seed
 
 
 @dataclass(frozen=True)

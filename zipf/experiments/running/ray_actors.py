@@ -331,8 +331,11 @@ class RayActors:
         from ray import exceptions
 
         lost = (
-            *(exceptions.RayActorError, exceptions.ObjectLostError, exceptions.NodeDiedError),
-            *(exceptions.WorkerCrashedError, exceptions.OutOfMemoryError),
+            exceptions.RayActorError,
+            exceptions.ObjectLostError,
+            exceptions.NodeDiedError,
+            exceptions.WorkerCrashedError,
+            exceptions.OutOfMemoryError,
         )
         while True:
             reference = self._wait()

@@ -20,13 +20,14 @@ from zipf.experiments.running import checkpoint, learners, pretrained, run_folde
 from zipf.experiments.running.allocator import keep_freed_ram
 from zipf.experiments.running.clock import Clock
 from zipf.experiments.running.display import Display
-from zipf.experiments.running.evaluator import derive_seed, scores
+from zipf.experiments.running.evaluator import scores
 from zipf.experiments.running.factory import build_agent, build_collector
 from zipf.experiments.running.learners import LearnerLost, OnlyLearner
 from zipf.experiments.running.logger import Logger
 from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.overlap import Overlap
 from zipf.experiments.running.ray_actors import RayActors
+from zipf.experiments.running.seeds import derive_seed
 from zipf.experiments.running.signals import StopSignals, sweep_has_ended
 from zipf.experiments.running.sources import InTurn, Source
 from zipf.experiments.running.trained import evaluate_agent

@@ -9,18 +9,18 @@ from typing import Any, Literal, overload
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy import stats
 
 from zipf import envs
 from zipf.experiments.reporting.statistics import wilson_interval
 from zipf.experiments.running.evaluator import (
     Result,
-    derive_seed,
     evaluate,
-    plain_scores,
     scores,
     situations,
 )
 from zipf.experiments.running.policies import Worlds, as_policy, own_torch_draws
+from zipf.experiments.running.seeds import derive_seed
 
 RESAMPLES = 2000  # of the bootstrap: percentiles that repeat to about a tenth of the width
 
@@ -68,11 +68,6 @@ class Evaluation:
     def scores(self) -> dict[str, float]:
         """The score of each kind of levels, as `score` returns without `details`."""
         return scores(self.results)
-
-    @property
-    def plain_scores(self) -> dict[str, float]:
-        """The mean over each kind's levels, each with the same weight."""
-        return plain_scores(self.results)
 
 
 @overload
@@ -292,10 +287,13 @@ def _wilson(outcomes: NDArray) -> tuple[float, float]:
 
 def _bootstrap(returns: NDArray) -> tuple[float, float]:
     """The interval of the mean of any numbers [n]; always the same for the same numbers."""
-    count = len(returns)
-    if count < 2:
+    if len(returns) < 2:
         return np.nan, np.nan
-    rng = np.random.default_rng(0)
-    means = [returns[rng.integers(count, size=count)].mean() for _ in range(RESAMPLES)]
-    low, high = np.quantile(means, [0.025, 0.975])
-    return float(low), float(high)
+    found = stats.bootstrap(
+        (returns,),
+        np.mean,
+        n_resamples=RESAMPLES,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    ).confidence_interval
+    return float(found.low), float(found.high)

@@ -13,11 +13,12 @@ from zipf.experiments.config import Config, EvaluateOptions, module_names
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder
 from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.evaluator import Result, derive_seed, evaluate
+from zipf.experiments.running.evaluator import Result, evaluate
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.policies import Worlds, check_geometry
 from zipf.experiments.running.scripted import ScriptedPolicy
+from zipf.experiments.running.seeds import derive_seed
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Measures the score of uniformly random actions on a level, and of other players."""
+"""Plays episodes on a level, and measures the scores of random actions and of scripted players."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from zipf.envs.family import make_vec
 from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Level, SplitLevel
-from zipf.envs.vector import ZipfVectorEnv
+from zipf.envs.vector import Observation, ZipfVectorEnv
 
 Player = Callable[[], NDArray[np.int64]]
 
@@ -63,16 +63,21 @@ def measure(
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     env = make_vec(level, min(num_envs, episodes), **options)
-    returns = play_returns(env, player(env), episodes, seed=seed)
+    act = player(env)
+    returns = play_episodes(env, lambda *_: act(), episodes, seed=seed)["return"]
     env.close()
     error = float(returns.std(ddof=1)) / math.sqrt(episodes) if episodes > 1 else None
     return ReferenceScore(float(returns.mean()), episodes, error=error)
 
 
-def play_returns(
-    env: ZipfVectorEnv, act: Player, episodes: int, *, seed: int
-) -> NDArray[np.float64]:
-    """Plays episodes of a batch and gives their returns, float64 [episodes].
+def play_episodes(
+    env: ZipfVectorEnv,
+    act: Callable[[Observation, NDArray[np.float32], NDArray[np.bool_]], NDArray[np.int64]],
+    episodes: int,
+    *,
+    seed: int,
+) -> dict[str, NDArray]:
+    """Plays episodes of a batch.
 
     The first `episodes` episodes to start are counted, however long they are: of many worlds played
     at a time those with short episodes finish more of them, and counting the first to end would
@@ -80,25 +85,39 @@ def play_returns(
 
     Args:
         env: the batch, which resets worlds in the step that ends their episodes.
-        act: gives the actions of all worlds, [N].
+        act: `act(observation, reward, is_first)` gives the actions of all worlds, [N]. The reward
+            is that of the step before, float32 [N]; `is_first` says where an episode begins, bool
+            [N]. The observation is overwritten by the next.
         episodes: how many, at least 1.
         seed: of the worlds.
+
+    Returns:
+        By name, an array [episodes] in the order in which the episodes started: the situation's
+        ranks, `success` (where the worlds report it), `return` and `length`.
     """
-    returns = np.zeros(episodes)
+    names = [*env.situation, *(["success"] if env.reports_success else []), "return", "length"]
+    records: dict[str, NDArray] = {}
     # The episode that each world plays, numbered as they start; from `episodes` on, not counted.
     playing = np.arange(env.num_envs)
     started, unfinished = env.num_envs, episodes
     out = env.allocate()
-    env.reset(seed=seed, out=out)
+    observation, _ = env.reset(seed=seed, out=out)
+    reward = np.zeros(env.num_envs, np.float32)
+    is_first = np.ones(env.num_envs, np.bool_)
     while unfinished:
-        _, _, terminated, truncated, info = env.step(act(), out=out)
-        ended = terminated | truncated
-        if not ended.any():
+        actions = act(observation, reward, is_first)
+        observation, rewards, terminated, truncated, info = env.step(actions, out=out)
+        reward = rewards.astype(np.float32)
+        is_first = terminated | truncated
+        if not is_first.any():
             continue
-        counted = ended & (playing < episodes)
-        returns[playing[counted]] = info["final_info"]["return"][counted]
+        counted = is_first & (playing < episodes)
+        for name in names:
+            values = info["final_info"][name]
+            column = records.setdefault(name, np.zeros(episodes, values.dtype))
+            column[playing[counted]] = values[counted]
         unfinished -= int(counted.sum())
-        new = int(ended.sum())
-        playing[ended] = np.arange(started, started + new)
+        new = int(is_first.sum())
+        playing[is_first] = np.arange(started, started + new)
         started += new
-    return returns
+    return {name: records[name] for name in names}
