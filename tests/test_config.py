@@ -278,6 +278,32 @@ MISTAKES = [
     ),
     (["experiment=demo", "environment.num_maps=1000000000"], ["num_maps must be at most 10000"]),
     (["experiment=demo", "environment.max_steps=99999999999999999999"], ["max_steps must be at"]),
+    (["experiment=demo", "schedule.window=3"], ["schedule.window=3: should be a list in square"]),
+    (
+        ["experiment=demo", "exploration.scale=1"],
+        [
+            "exploration.scale",
+            "exploration=none has none; choose exploration=count|first_visit|rnd",
+        ],
+    ),
+    (["experiment=demo", "seed.x=1"], ["seed.x: no such option"]),
+    (
+        ["experiment=labyrinth_compact", "environment.split=gridworld"],
+        ["environment.image_size: the worlds of split=gridworld have no such option"],
+    ),
+    (
+        ["experiment=playroom_lift_compact", "agent=r2d2", "hindsight=achieved"]
+        + ["hindsight.length=9", "hindsight.fade=9"],
+        ["hindsight.fade=9: agent=r2d2 has no costs that fall; choose null"],
+    ),
+    (
+        ["experiment=demo", "hindsight=achieved", "hindsight.kept_per_goal=9", "episodic=mem"],
+        ["hindsight.kept_per_goal=9", "choose null, or episodic=none"],
+    ),
+    (
+        ["experiment=demo", "environment.observation=tiles", "network=film"],
+        ["network=film reads images by an instruction, and the observations have no image"],
+    ),
 ]
 
 

@@ -123,6 +123,18 @@ def test_the_frames_shown_are_those_of_the_last_update() -> None:
     assert file.getvalue() == "update 8/8  32 frames  5 frames/s\n"
 
 
+def test_the_lines_of_every_half_minute_have_no_older_scores(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    display, file = shown(5)
+    display.scores = {"train": 0.5}
+    display.show_metrics({**METRICS, "episode_return": 0.25})
+    assert not file.getvalue()
+    monkeypatch.setattr(display, "_printed", -100.0)
+    display.show_metrics({**METRICS, "episode_return": 0.25})
+    assert file.getvalue() == "update 5/8  20 frames  5 frames/s  return 0.250 in training\n"
+
+
 def test_a_resumed_run_does_not_claim_to_be_at_its_beginning() -> None:
     assert "before the first update" not in panel(shown(5, terminal=True)[0])
 

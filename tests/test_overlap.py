@@ -4,6 +4,7 @@ import os
 import signal
 import threading
 
+import numpy as np
 import pandas as pd
 import pytest
 import torch
@@ -20,6 +21,7 @@ from zipf.experiments.running.collector import Abandoned, Collector
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.running.overlap import Overlap
 from zipf.experiments.running.seeds import derive_seed
+from zipf.experiments.running.visits import Visits
 
 
 @pytest.fixture(autouse=True)
@@ -129,6 +131,22 @@ def test_a_resumed_run_equals_an_uninterrupted_one(stop, tmp_path):
     assert learned(whole.folder)["source"]["pending"].keys() == parts
 
 
+def test_episodes_are_counted_in_the_unrolls_that_were_learned_from(tmp_path):
+    config = config_of(tmp_path, "updates=8", "environment.max_steps=4")
+    run_folder.make(config.folder)
+    ended = 0
+    with runner.Run(config) as run:
+        for _ in range(8):
+            unroll, _ = run.step()
+            over = (unroll.steps["terminated"] | unroll.steps["truncated"])[:-1]
+            ended += int(over.sum())
+            assert run.source.visits.state_dict()["episodes"].sum() == ended
+        assert ended > 20
+        assert len(run.source._episodes["return"]) == ended
+        assert run.source.metrics()["episode_length"] <= 4
+        assert np.isnan(run.source.metrics()["episode_length"])
+
+
 def test_evaluation_uses_what_was_learned(tmp_path):
     """The scores in the table are those of the checkpoint, whose weights nobody has acted with."""
     config = config_of(tmp_path, "updates=3", "agent.learning_rate=0.01")
@@ -176,6 +194,13 @@ class Worlds:
     """A collector whose steps a test watches and breaks."""
 
     device = "cpu"
+    visits = Visits(())
+
+    def take_visits(self):
+        return self.visits
+
+    def take_episodes(self):
+        return {}
 
     def __init__(self, at_step=lambda step: None, steps=1000):
         self.at_step = at_step

@@ -24,6 +24,7 @@ import zipf.play
 from zipf import envs
 from zipf.envs.gridworld import looks
 from zipf.envs.gridworld.maps import MOVES
+from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.envs.keyboard import LEAVE, NEXT, Binding, Keys, Toggle
 from zipf.envs.labyrinth import words
 from zipf.experiments import command_line
@@ -409,6 +410,12 @@ def test_a_family_may_have_neither_keys_nor_scripts(monkeypatch, tmp_path):
             play("level=gridworld/rare", f"policy={name}", f"record={tmp_path}/x.gif")
     with pytest.raises(UserError, match="no keys for gridworld/rare"):
         play("level=gridworld/rare")
+
+
+def test_a_family_may_draw_no_pictures(monkeypatch, tmp_path):
+    monkeypatch.delitem(GridworldVectorEnv.metadata, "render_modes")
+    with pytest.raises(UserError, match="render_mode must be None: these worlds draw no pictures"):
+        play("level=gridworld/rare", "policy=random", f"record={tmp_path}/x.gif")
 
 
 def test_the_agents_view_takes_an_image(monkeypatch, tmp_path):

@@ -118,6 +118,21 @@ def test_putting(task: str, place: str, item: int, near_failure: bool) -> None:
         assert outcome(act(env, *["NOOP"] * 5)) == RUNS
 
 
+@pytest.mark.parametrize("near_failure", [False, True])
+def test_what_did_not_end_the_episode_is_not_achieved_when_time_is_up(near_failure: bool) -> None:
+    """An episode that had asked for it would have ended before."""
+    level = "put/put_near_bed_tray_frequent"
+    env = playroom(level, near_failure=near_failure, max_steps=4)
+    env.report_achieved()
+    put(env, 1, "near bed", "near bed")
+    end, steps = RUNS, 0
+    while end == RUNS:
+        result, steps = act(env, "NOOP"), steps + 1
+        end = outcome(result)
+    assert (end, steps) == ((FAILED, 2) if near_failure else (TIMEOUT, 4))
+    assert result[4]["has_achieved"].tolist() == [near_failure]
+
+
 @pytest.mark.parametrize("task", ["on bed", "on tray", "near bed", "near tray"])
 @pytest.mark.parametrize("place", list(PLACES))
 def test_an_object_that_was_never_lifted_does_not_count(task: str, place: str) -> None:

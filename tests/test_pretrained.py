@@ -186,6 +186,8 @@ def test_a_fixed_matcher_stays_what_another_run_has_learned(tmp_path):
         with pytest.raises(UserError, match=rf"parts=\[{parts}\]: .*; add {left}$"):
             command_line.load([*small, *lifting, *fixed, f"pretrained.parts=[{parts}]"])
     alone = "pretrained.parts=[encoder.image.matcher,encoder.instruction]"
+    for learner in (["agent=vmpo"], ["agent=vmpo", "network.matcher=learned"]):
+        command_line.load([*small, *lifting, *fixed, alone, *learner])
     begun = runner.Run(command_line.load([*small, *lifting, *fixed, alone, "updates=2"]))
     for name, weights in begun.agent.network.encoder.state_dict().items():
         of_matcher = "matcher" in name or "lstm" in name or "embedding" in name

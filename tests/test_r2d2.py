@@ -572,7 +572,8 @@ def test_the_epsilon_ladder():
     worlds = 8
     made = agent(worlds=worlds, epsilon=0.4, epsilon_ladder=True)
     expected = [0.4 ** (1 + 7 * i / (worlds - 1)) for i in range(worlds)]
-    np.testing.assert_allclose(made.epsilon, expected)
+    np.testing.assert_allclose(made.epsilon.sort(descending=True).values, expected)
+    expected = made.epsilon.tolist()
     generator = torch.Generator().manual_seed(0)
     memory = made.initial_memory(worlds)
     greedy, _, _ = made.act(frames(worlds), memory, generator, training=False)
@@ -582,6 +583,12 @@ def test_the_epsilon_ladder():
     probability = np.array(expected) * (ACTIONS - 1) / ACTIONS
     assert (abs(other - probability) < 4 * np.sqrt(probability * (1 - probability) / 2000)).all()
     assert agent(worlds=1, epsilon_ladder=True, epsilon=0.4).epsilon.tolist() == [0.4]
+
+
+def test_levels_with_a_row_of_worlds_each_explore_alike():
+    made = agent(worlds=32, epsilon=0.4, epsilon_ladder=True, replay_capacity=40)
+    places = (made.epsilon.log() / np.log(0.4) - 1) / 7
+    assert abs(places.reshape(2, 16).mean(1) - 0.5).max() < 0.15
 
 
 def test_the_mean_advantage_is_subtracted():

@@ -352,6 +352,13 @@ def test_divergence_changes_no_weights(name):
     assert_equal(everything(vmpo), before)
 
 
+def test_values_that_are_no_numbers_are_divergence():
+    vmpo = agent()
+    torch.nn.init.constant_(vmpo.network.baseline.bias, float("nan"))
+    with pytest.raises(FloatingPointError, match="value"):
+        vmpo.update(unroll())
+
+
 def test_actions_follow_the_policy():
     vmpo = agent()
     n = 4000

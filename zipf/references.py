@@ -32,8 +32,7 @@ REFERENCES = (
         "blind",
         "Blind",
         "does not read what is asked for",
-        "masters the level but cannot read what an episode asks for, and so does what is asked for "
-        "most often",
+        "masters the level but guesses what an episode asks for",
     ),
     Reference(
         "generalist",

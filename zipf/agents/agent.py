@@ -231,6 +231,12 @@ class Agent(ABC):
             if isinstance(part, Auxiliary):
                 part.begin_with(networks[0].encoder)
 
+    def fixed_parts(self) -> list[str]:
+        """Names of the parts of its networks that do not learn, such as a fixed matcher."""
+        networks = self._torsos()
+        each = [network.fixed_parts() for network in networks]  # of target networks: all parts
+        return [name for name in min(each, key=len, default=[]) if all(name in one for one in each)]
+
     def scale_learning_rates(self, factor: float) -> None:
         """Sets the learning rates of all attributes that are optimisers, for the updates that
         follow.

@@ -152,10 +152,11 @@ class HLGauss(Distribution):
 
     A target y becomes the probabilities that a Gaussian with mean y has in the bins, given that it
     is in their range. So the histogram is that of the targets, blurred by `sigma` widths of a bin:
-    CVaR of a return that does not vary is somewhat below or above it. Means are exact, as far as
-    the range does not cut the Gaussian.
+    CVaR of a return that does not vary is somewhat below or above it. Means are nearly exact with a
+    `sigma` of half a bin's width or more, as far as the range does not cut the Gaussian; towards an
+    end of the range they are drawn inwards, by up to a width.
 
-    Targets are clipped to the range. Returns beyond it are learned as its ends.
+    Targets are clipped to the range.
 
     Raises:
         ValueError: the range is empty.
@@ -193,8 +194,9 @@ class HLGauss(Distribution):
         """The cross-entropy of the bins times the Gaussian's variance: [..., size], [...] -> [...].
 
         The factor is ours. For a histogram that is itself a blurred return, the slope is then that
-        of half the squared error. The cross-entropy alone is 44 times as steep with a `sigma` of
-        0.15, and an actor that shares its memory with it learns next to nothing.
+        of half the squared error. The cross-entropy alone is 44 times as steep where the Gaussian's
+        standard deviation is 0.15, and an actor that shares its memory with it learns next to
+        nothing.
         """
         cross_entropy = -(self.probabilities(targets) * outputs.log_softmax(-1)).sum(-1)
         return self.variance * cross_entropy

@@ -159,6 +159,9 @@ class InstructionEncoder(nn.Module):
 ImageNetwork = ResNet | ShallowNet | InstructedNet | PatchEncoder
 
 
+InstructedOptions = FiLMOptions | AttentionOptions | MatchingOptions
+
+
 def image_network(
     shape: tuple[int, ...], options: NetworkOptions, instruction: int = 0
 ) -> ImageNetwork:
@@ -172,12 +175,12 @@ def image_network(
     Raises:
         ValueError: it cannot read images of that size, or needs an instruction.
     """
+    if isinstance(options, InstructedOptions) and not instruction:
+        raise ValueError(
+            f"network={options.name} reads images by an instruction, and the observations have "
+            "none; choose network=shallow"
+        )
     match options:
-        case FiLMOptions() | AttentionOptions() | MatchingOptions() if not instruction:
-            raise ValueError(
-                f"network={options.name} reads images by an instruction, and the observations have "
-                "none; choose network=shallow"
-            )
         case FiLMOptions():
             return FiLMNet(shape, options, instruction)
         case AttentionOptions():
@@ -244,7 +247,8 @@ class Encoder(nn.Module):
         size: of the result.
 
     Raises:
-        ValueError: a part is of a kind that no encoder reads.
+        ValueError: a part is of a kind that no encoder reads, or there is no image for a network
+            that reads images by an instruction.
     """
 
     def __init__(self, space: gym.spaces.Dict, options: NetworkOptions):
@@ -264,6 +268,11 @@ class Encoder(nn.Module):
                     f"no encoder reads {name!r} of the observations, {part}; they may have Box, "
                     "Discrete, MultiDiscrete and MultiBinary parts"
                 )
+        if isinstance(options, InstructedOptions) and not images:
+            raise ValueError(
+                f"network={options.name} reads images by an instruction, and the observations have "
+                "no image; choose network=compact"
+            )
         # The largest first: the gridworld's tiles before its cue, and not by name.
         codes.sort(key=lambda name: (-math.prod(space[name].shape or ()), name))
 

@@ -33,7 +33,8 @@ class CountOptions(Options):
 
 
 class FirstVisitOptions(Options):
-    """A bonus of `scale` for every observation that is new in its episode."""
+    """A bonus of `scale` for every observation that an action led to for the first time in the
+    episode; that with which the episode began counts as such when an action leads back to it."""
 
     name: Literal["first_visit"]
     scale: Annotated[float, Field(gt=0, allow_inf_nan=False)]

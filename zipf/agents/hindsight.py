@@ -79,8 +79,9 @@ def hindsight_loss(
 ) -> tuple[Tensor | float, dict[str, Tensor]]:
     """The loss of relabelled episodes [L, E], as `Unroll.episodes` has them, and metrics.
 
-    The memory is unrolled from before each episode's first frame. Without such an episode, or once
-    the costs are 0, the loss is 0 and the metrics are NaN; without hindsight there are no metrics.
+    The memory is unrolled from before each episode's first row. Without such an episode, or once
+    the costs are 0, the loss is 0, `hindsight_episodes` too, and the other metrics are NaN; without
+    hindsight there are no metrics.
     The contrastive loss of a matcher, which does not fade, is added (`matching_loss`).
 
     Args:

@@ -191,6 +191,11 @@ class R2D2(Agent):
                 f"hindsight.kept_per_goal={chosen.hindsight.kept_per_goal}: agent={name} keeps "
                 "episodes in its replay; choose null"
             )
+        if isinstance(chosen.hindsight, AchievedOptions) and chosen.hindsight.fade is not None:
+            yield (
+                f"hindsight.fade={chosen.hindsight.fade}: agent={name} has no costs that fall; "
+                "choose null"
+            )
         if isinstance(chosen.hindsight, AchievedOptions) and chosen.hindsight.matching_cost:
             yield (
                 f"hindsight.matching_cost={chosen.hindsight.matching_cost}: agent={name} has no "
@@ -228,7 +233,9 @@ class R2D2(Agent):
         )
         self.epsilon = torch.full((self.num_envs,), options.epsilon, dtype=torch.float64)
         if options.epsilon_ladder and self.num_envs > 1:
-            self.epsilon **= 1 + LADDER * torch.arange(self.num_envs) / (self.num_envs - 1)
+            # At random, since several levels have a row of worlds each, and should explore alike.
+            places = torch.randperm(self.num_envs, generator=torch.Generator().manual_seed(0))
+            self.epsilon **= 1 + LADDER * places / (self.num_envs - 1)
         self._inserts = setting.num_envs  # sequences of an update, at most
         if isinstance(setting.hindsight, AchievedOptions) and setting.hindsight.length:
             cuts = -(-setting.hindsight.length // setting.unroll_length)
@@ -259,7 +266,7 @@ class R2D2(Agent):
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
         """The greedy action in each of B worlds; in training, world i of `num_envs` takes a random
         one with probability `epsilon`, or with the ladder (Horgan et al. 2018)
-        epsilon^(1 + 7 i / (num_envs - 1)).
+        epsilon^(1 + 7 k / (num_envs - 1)), k a place of its own in 0 .. num_envs - 1.
 
         The generator is the CPU's whatever the device, so that a run can move between devices.
 

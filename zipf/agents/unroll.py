@@ -42,9 +42,10 @@ class Unroll:
         previous_reward: float32, the task reward of that row
         is_first: bool, False
 
-    `episodes`, a TensorDict [L, E] with hindsight, holds whole episodes that ended in the unroll,
-    relabelled with what they achieved; None where there are none. With a memory of goals and a
-    teacher some are as they were asked for, with its labels as `action`. Row 0 is the first frame:
+    `episodes`, a TensorDict [L, E] with hindsight, holds episodes that ended in the unroll, or with
+    a memory of goals earlier ones, relabelled with what they achieved; None where there are none.
+    With a memory and a teacher some are as they were asked for, with its labels as `action`. Row 0
+    is the first frame, or with `hindsight.length` the first of so many last ones:
         observation, previous_action, previous_reward, action, reward, as in `steps`
         mask: bool, False behind the end of an episode that is shorter than L
         is_first: bool, row 0 and behind the end

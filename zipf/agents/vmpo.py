@@ -174,6 +174,8 @@ class VMPO(Agent):
             truncation_values=steps["truncation_value"],
             discount=o.discount,
         )
+        if not (returns.isfinite().all() and outputs.value.isfinite().all()):
+            raise FloatingPointError("a value or a return is not finite")
         losses = vmpo_losses(
             log_policy=outputs.logits[:-1].log_softmax(-1),
             log_target=steps["logits"].log_softmax(-1),

@@ -131,11 +131,10 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 "single_action_space must be a Discrete space that starts at 0, "
                 f"got {single_action_space}"
             )
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(
-                f"render_mode must be one of {self.metadata['render_modes']} or None, "
-                f"got {render_mode!r}"
-            )
+        drawn = self.metadata.get("render_modes") or []
+        if render_mode is not None and render_mode not in drawn:
+            known = f"one of {drawn} or None" if drawn else "None: these worlds draw no pictures"
+            raise ValueError(f"render_mode must be {known}, got {render_mode!r}")
         self.num_envs = num_envs
         self.single_observation_space = single_observation_space
         self.single_action_space = single_action_space
@@ -227,8 +226,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         families with `achieves`.
 
         Returns goals [N, K], as the family's `Goal` reads them, fresh, and bool [N], where there is
-        one: an episode that had asked for it would be a success by now. Of an episode that is a
-        success it is what was asked for.
+        one: an episode that had asked for it would have ended with this step, as a success. Of an
+        episode that is a success it is what was asked for.
         """
         raise NotImplementedError
 

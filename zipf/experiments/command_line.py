@@ -245,7 +245,8 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
         problems.append(f"experiment is not set; choose one: experiment={experiments}")
     if not any(text.startswith("experiment=") for text in known):
         return known, problems
-    accepted = list(flatten(composed(*known).values))
+    values = composed(*known).values
+    accepted = list(flatten(values))
     of_row = [f"row.{part}" for part in RowOptions.model_fields if f"row.{part}" not in accepted]
     parents = {name.rsplit(".", 1)[0] for name in accepted if "." in name}
     for override in options:
@@ -256,6 +257,12 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
             known.append(f"++{override.input_line}")  # without a condition there is no row yet
         else:
             told = nearest(key, [*accepted, *of_row, "sweep"])
+            group = key.partition(".")[0]
+            part = values.get(group)
+            if isinstance(part, dict) and list(part) == ["name"]:  # a choice such as none
+                chosen = part["name"]
+                others = "|".join(one for one in choices(group) if one != chosen)
+                told = f"{group}={chosen} has none; choose {group}={others}"
             problems.append(f"{key}: no such option; {told}")
     return known, problems
 
@@ -264,6 +271,8 @@ _IN_WORDS = {
     NAME_PATTERN: "should be usable as a folder's name (not empty, no '/', no leading '.')",
     DEVICE_PATTERN: "should be auto, cpu, cuda or cuda:<number>",
     "string_type": "should be text (quote it if it looks like a number)",
+    "list_type": "should be a list in square brackets, such as [1,2]",
+    "tuple_type": "should be a list in square brackets, such as [1,2]",
     "string_too_long": "is too long for a folder's name; use name=<name>",
 }
 
@@ -287,7 +296,12 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             option = tag["discriminator"].strip("'")
             yield f"{name}.{option}={tag['tag']}: should be one of {tag['expected_tags']}"
         elif problem["type"] == "extra_forbidden":
-            yield f"{name}: no such option here"
+            group = str(problem["loc"][0])
+            chosen = values.get(group)
+            if group == "environment" and isinstance(chosen, dict) and "split" in chosen:
+                yield f"{name}: the worlds of split={chosen['split']} have no such option"
+            else:
+                yield f"{name}: no such option here"
         else:
             kind = problem.get("ctx", {}).get("pattern", problem["type"])
             message = _IN_WORDS.get(kind, problem["msg"])

@@ -14,7 +14,7 @@ from zipf.agents.agent import Agent, agents
 from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.hindsight import AchievedOptions
-from zipf.agents.network import ActorCritic, Torso
+from zipf.agents.network import ActorCritic
 from zipf.agents.network_options import MatchingOptions
 from zipf.experiments.augmentation import build_augmentation
 from zipf.experiments.config import Config, find_device
@@ -156,7 +156,8 @@ def _not_by_several_learners(config: Config) -> Iterator[str]:
 
 
 def _lacks_goals(config: Config) -> Iterator[str]:
-    """Options that need to know what an episode asks for, in worlds that do not say."""
+    """Options that need to know what an episode asks for, in worlds that do not say, or that do not
+    go together."""
     family = envs.family_of_split(config.environment.split)
     for part in ("reweighting", "hindsight"):
         chosen = getattr(config, part).name
@@ -165,6 +166,13 @@ def _lacks_goals(config: Config) -> Iterator[str]:
                 f"{part}={chosen}: the worlds of {family.name} do not say what an episode asks "
                 f"for; choose {part}=none"
             )
+    hindsight, episodic = config.hindsight, config.episodic
+    kept = hindsight.kept_per_goal if isinstance(hindsight, AchievedOptions) else None
+    if kept and episodic != NO_EPISODIC:
+        yield (
+            f"hindsight.kept_per_goal={kept}: kept episodes would find themselves in the "
+            f"dictionary of episodic={episodic.name}; choose null, or episodic=none"
+        )
 
 
 def has_instruction(environment: dict[str, Any]) -> bool:
@@ -290,11 +298,11 @@ def _try_to_build(config: Config) -> Iterator[str]:
 def _left_random(config: Config, agent: Agent) -> Iterator[str]:
     """Parts of a network that learn nothing and are not taken from another run."""
     chosen = config.pretrained.parts
-    if config.pretrained.run is None or not isinstance(agent.actor, Torso):
+    if config.pretrained.run is None:
         return
     left = [
         name
-        for name in agent.actor.fixed_parts()
+        for name in agent.fixed_parts()
         if not any(f"{name}.".startswith(f"{part}.") for part in chosen)
     ]
     if left:

@@ -22,9 +22,9 @@ class RayOptions(Options):
     """`actors` processes in a Ray cluster play for one learner.
 
     `address` is that of the cluster, or "auto" for the one that this machine belongs to; None: one
-    of the run's own, on this machine. `ahead` is how many unrolls of an actor may be on their way.
-    `largest_lag` is by how many updates the weights that played an unroll may be older than those
-    that learn from it; None: 4 x actors x ahead.
+    of the run's own, on this machine. `ahead` is how many unrolls may be asked for from an actor
+    and not yet learned from. `largest_lag` is by how many updates the weights that played an unroll
+    may be older than those that learn from it; None: 4 x actors x ahead.
     """
 
     name: Literal["ray"]

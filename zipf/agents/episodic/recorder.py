@@ -8,7 +8,8 @@ return that followed, squashed by sign(G) log(1 + |G|); a weighted mean of these
 the return of each action in similar frames, times how often it was taken, as Pritzel et al. 2017
 keep values for each action.
 
-Rows of an episode are read in later episodes only: an unroll never finds its own future.
+Rows of an episode are read in later episodes only: an unroll never finds its own future. (Episodes
+that are kept and learned from again would; `hindsight.kept_per_goal` is refused with it.)
 """
 
 from __future__ import annotations

@@ -36,7 +36,8 @@ def _approached(worlds: Worlds, i: int) -> Achievement | None:
 
 
 def _put(worlds: Worlds, i: int) -> Achievement | None:
-    """What was asked for if that was done, else an object on a support, else one near a support."""
+    """What was asked for if that was done, else an object on a support, else one near a support,
+    where that ends the episode: what was near a support already is not achieved at its end."""
     task = int(worlds.task[i])
     near = task < ON
     on_top: list[Achievement] = []
@@ -45,9 +46,10 @@ def _put(worlds: Worlds, i: int) -> Achievement | None:
         if not worlds.lifted[i, j] or worlds.still[i, j] < STILL_STEPS:
             continue
         for k in range(2):
+            right = j == 0 and NEAR + k == task
             if worlds.status[i, j] == ON_BED + k:
                 on_top.append((j, (NEAR if near else ON) + k))
-            elif near and worlds.status[i, j] == FLOOR:
+            elif near and worlds.status[i, j] == FLOOR and (right or worlds.near_failure):
                 gap = rectangle_gap(worlds.furniture[i, k], FURNITURE_SIZE[k], place[X], place[Y])
                 if gap <= NEAR_DISTANCE:
                     beside.append((j, NEAR + k))

@@ -260,6 +260,11 @@ def _playable(folder: Path, trained: Trained) -> None:
                 f"--videos: the worlds of {folder.as_posix()} report no success; give runs of "
                 "worlds that do"
             )
+        if not env.metadata.get("render_modes"):
+            raise UserError(
+                f"--videos: the worlds of {folder.as_posix()} draw no pictures; give runs of "
+                "worlds that do"
+            )
         if not env.situation:
             raise UserError(
                 f"--videos: the worlds of {folder.as_posix()} report no situation; give runs of "

@@ -190,6 +190,11 @@ class Collector:
         episodes, self._episodes = dict(self._episodes), defaultdict(list)
         return episodes
 
+    def take_visits(self) -> Visits:
+        """How often each situation was met since the last call, or since the beginning."""
+        visits, self.visits = self.visits, Visits(self.visits.ranks)
+        return visits
+
     def state_dict(self) -> dict[str, Any]:
         """Everything that the next unroll depends on."""
         fields = self._buffers[-1].fields

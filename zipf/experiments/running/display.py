@@ -78,17 +78,16 @@ class Display:
         """The latest row of metrics."""
         self.metrics = dict(metrics)
         if not self.live and time.monotonic() - self._printed > 30:
-            self._print()
+            self._print([f"return {metrics['episode_return']:.3f} in training"])
 
     def show_scores(self, results: list[Result]) -> None:
         """The latest scores."""
         self.scores = scores(results)
         if not self.live:
-            self._print()
+            self._print([f"{kind} {score:.3f}" for kind, score in self.scores.items()])
 
-    def _print(self) -> None:
+    def _print(self, shown: list[str]) -> None:
         self._printed = time.monotonic()
-        shown = [f"{kind} {score:.3f}" for kind, score in self.scores.items()]
         self.say("  ".join([f"update {self.update}/{self.updates}", *self._speed(), *shown]))
 
     def _speed(self) -> list[str]:

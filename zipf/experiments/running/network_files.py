@@ -29,6 +29,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from zipf import envs
+
 _GIVEN = {"previous_action": np.int64, "previous_reward": np.float32, "is_first": np.bool_}
 
 
@@ -68,7 +70,8 @@ def network_of(path: Path) -> Network:
     }
     if path.suffix not in kinds:
         raise ValueError(
-            f"{path}: should be a .onnx file, a TorchScript file (.pt, .ts) or a run's folder"
+            f"{path}: should be a .onnx file, a TorchScript file (.pt, .ts), a run's folder, or "
+            f"{' or '.join(map(repr, envs.SCRIPTED))}"
         )
     if not path.is_file():
         raise ValueError(f"{path}: no such file")

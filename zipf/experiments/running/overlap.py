@@ -14,6 +14,7 @@ threads sleep while they wait (`OMP_WAIT_POLICY` in `zipf/experiments/__init__.p
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
@@ -22,8 +23,10 @@ import torch
 
 from zipf.agents.agent import Agent
 from zipf.agents.unroll import Unroll
-from zipf.experiments.running.collector import Collector
+from zipf.experiments.running.checkpoint import arrays
+from zipf.experiments.running.collector import Collector, episode_metrics
 from zipf.experiments.running.sources import InTurn, Learned
+from zipf.experiments.running.visits import Visits
 
 
 class Overlap(InTurn):
@@ -39,11 +42,19 @@ class Overlap(InTurn):
     def __init__(self, collector: Collector, agent: Agent):
         super().__init__(collector, agent)
         agent.separate_acting()
+        # Of the unrolls that were learned from; the collector's are of the pending one.
+        self._visits = Visits(collector.visits.ranks)
+        self._episodes: defaultdict[str, list[float]] = defaultdict(list)
         self._pending: Unroll | None = None  # collected and not yet learned from
         self._thread = ThreadPoolExecutor(1, "collector", initializer=_separate_autocast)
         self._stream: torch.cuda.Stream | None = None
         if collector.device.startswith("cuda"):
             self._stream = torch.cuda.Stream(collector.device)
+
+    @property
+    def visits(self) -> Visits:
+        """How often each situation was met in the unrolls that were learned from."""
+        return self._visits
 
     def step(self, learn: Callable[[Unroll], Learned]) -> tuple[Unroll, Learned]:
         """Calls `learn` with an unroll while the next one is collected, and publishes the weights.
@@ -54,6 +65,7 @@ class Overlap(InTurn):
         if self._pending is None:
             self._pending = self.collector.collect()
         unroll = self._pending
+        visits, episodes = self.collector.take_visits(), self.collector.take_episodes()
         if self._stream is not None:  # the published weights have arrived
             torch.cuda.synchronize(self._stream.device)
         collecting = self._thread.submit(self._collect)
@@ -65,7 +77,17 @@ class Overlap(InTurn):
             wait([collecting])
             raise
         self.agent.publish()
+        self._visits.add_those(visits.state_dict())
+        for name, values in episodes.items():
+            self._episodes[name].extend(values)
         return unroll, learned
+
+    def metrics(self) -> dict[str, float]:
+        """As `Collector.episode_metrics`, of the unrolls that were learned from since the last
+        call."""
+        metrics = episode_metrics(self._episodes)
+        self._episodes.clear()
+        return metrics
 
     def _collect(self) -> Unroll:
         with torch.cuda.stream(self._stream):  # without a stream this does nothing
@@ -79,14 +101,22 @@ class Overlap(InTurn):
         self._thread.shutdown()
 
     def state_dict(self) -> dict[str, Any]:
-        """The collector's, and the unroll that is yet to be learned from."""
-        pending = {} if self._pending is None else self._pending.state_dict()
-        return {**super().state_dict(), "pending": pending}
+        """The collector's, the unroll that is yet to be learned from, and what the earlier ones
+        met."""
+        return {
+            **super().state_dict(),
+            "pending": {} if self._pending is None else self._pending.state_dict(),
+            "visits": self._visits.state_dict(),
+            "episodes": dict(self._episodes),
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`, after the agent has loaded its own."""
         super().load_state_dict(state)
         self.agent.publish()
+        if "visits" in state:  # in older checkpoints of this version the collector has them all
+            self._visits.load_state_dict(arrays(state["visits"]))
+            self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
         self._pending = None
         if state["pending"]:
             self._pending = Unroll.of_state(state["pending"]).to(self.collector.device)

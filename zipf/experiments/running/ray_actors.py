@@ -86,12 +86,11 @@ class Player:
         self.played += 1
         seconds = dict(self.collector.seconds)
         self.collector.seconds.update(dict.fromkeys(seconds, 0.0))
-        visits, self.collector.visits = self.collector.visits, Visits(self.collector.visits.ranks)
         return {
             "number": self.played,
             "unroll": arrays(unroll.state_dict()),
             "episodes": self.collector.take_episodes(),
-            "visits": visits.state_dict(),
+            "visits": self.collector.take_visits().state_dict(),
             "seconds": seconds,
         }
 

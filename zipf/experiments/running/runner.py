@@ -225,6 +225,8 @@ class Run:
         self.display.stop()
         if kind is None:
             finished = f"finished; python -m zipf.report {self.folder.parent.parent}"
+            if self.update < self.config.schedule.window[0]:
+                finished += " --window last"
             stopped = f"stopped at update {self.update}; the same command resumes"
             self.display.say(finished if self.is_finished else stopped)
             self._write(f"stops at update {self.update}")
