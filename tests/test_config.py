@@ -288,10 +288,6 @@ MISTAKES = [
     ),
     (["experiment=demo", "seed.x=1"], ["seed.x: no such option"]),
     (
-        ["experiment=labyrinth_compact", "environment.split=gridworld"],
-        ["environment.image_size: the worlds of split=gridworld have no such option"],
-    ),
-    (
         ["experiment=playroom_lift_compact", "agent=r2d2", "hindsight=achieved"]
         + ["hindsight.length=9", "hindsight.fade=9"],
         ["hindsight.fade=9: agent=r2d2 has no costs that fall; choose null"],
@@ -348,6 +344,15 @@ def test_a_mistake_is_one_clear_line(overrides, told):
     assert len(message.splitlines()) == 1
     for words in told:
         assert words in message
+
+
+def test_options_of_other_worlds_are_told_one_by_one():
+    with pytest.raises(UserError) as error:
+        command_line.load(["experiment=labyrinth_compact", "environment.split=gridworld"])
+    assert str(error.value).splitlines() == [
+        f"environment.{option}: the worlds of split=gridworld have no such option"
+        for option in ("backend", "image_size", "num_actions", "action_repeat")
+    ]
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import statistics as stdlib
 import subprocess
@@ -622,6 +623,19 @@ def test_it_needs_neither_torch_nor_a_display(runs: Path) -> None:
         env=environment | {"PYTHONPATH": str(root)},
         stdout=subprocess.DEVNULL,
     )
+
+
+def test_the_report_reads_files_and_imports_only_constants_of_the_package() -> None:
+    folder = Path(report.__file__).parent / "experiments/reporting"
+    imported = {
+        name
+        for path in folder.glob("*.py")
+        for name in re.findall(r"(?:from|import) (zipf[\w.]*)", path.read_text())
+    }
+    own = "zipf.experiments.reporting"
+    others = {name for name in imported if not name.startswith(own)}
+    constants = {"zipf.envs.splits", "zipf.experiments.settings", "zipf.references"}
+    assert others == {"zipf.experiments.errors", *constants}
 
 
 # --- output ----------------------------------------------------------------------------------

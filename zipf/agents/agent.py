@@ -232,10 +232,9 @@ class Agent(ABC):
                 part.begin_with(networks[0].encoder)
 
     def fixed_parts(self) -> list[str]:
-        """Names of the parts of its networks that do not learn, such as a fixed matcher."""
-        networks = self._torsos()
-        each = [network.fixed_parts() for network in networks]  # of target networks: all parts
-        return [name for name in min(each, key=len, default=[]) if all(name in one for one in each)]
+        """Names of the parts of its network that do not learn, such as a fixed matcher."""
+        networks = self._torsos()  # the one that learns is the first
+        return networks[0].fixed_parts() if networks else []
 
     def scale_learning_rates(self, factor: float) -> None:
         """Sets the learning rates of all attributes that are optimisers, for the updates that

@@ -181,24 +181,26 @@ class R2D2(Agent):
     @classmethod
     def lacks(cls, name: str, chosen: Any) -> Iterator[str]:
         yield from super().lacks(name, chosen)
-        if isinstance(chosen.hindsight, AchievedOptions) and chosen.hindsight.length is None:
+        hindsight = chosen.hindsight
+        if not isinstance(hindsight, AchievedOptions):
+            return
+        if hindsight.length is None:
             yield (
                 f"hindsight.length=null: agent={name} needs a whole number, the frames of an "
                 "episode that its replay has room for"
             )
-        if isinstance(chosen.hindsight, AchievedOptions) and chosen.hindsight.kept_per_goal:
+        if hindsight.kept_per_goal:
             yield (
-                f"hindsight.kept_per_goal={chosen.hindsight.kept_per_goal}: agent={name} keeps "
+                f"hindsight.kept_per_goal={hindsight.kept_per_goal}: agent={name} keeps "
                 "episodes in its replay; choose null"
             )
-        if isinstance(chosen.hindsight, AchievedOptions) and chosen.hindsight.fade is not None:
+        if hindsight.fade is not None:
             yield (
-                f"hindsight.fade={chosen.hindsight.fade}: agent={name} has no costs that fall; "
-                "choose null"
+                f"hindsight.fade={hindsight.fade}: agent={name} has no costs that fall; choose null"
             )
-        if isinstance(chosen.hindsight, AchievedOptions) and chosen.hindsight.matching_cost:
+        if hindsight.matching_cost:
             yield (
-                f"hindsight.matching_cost={chosen.hindsight.matching_cost}: agent={name} has no "
+                f"hindsight.matching_cost={hindsight.matching_cost}: agent={name} has no "
                 "such loss; choose 0"
             )
 

@@ -51,6 +51,7 @@ def problems(config: Config) -> Iterator[str]:
     told += agent.lacks(config.agent.name, config)
     yield from told
     yield from _lacks_goals(config)
+    yield from _reads_itself(config)
     try:
         find_device(config.device)
     except UserError as error:
@@ -156,8 +157,7 @@ def _not_by_several_learners(config: Config) -> Iterator[str]:
 
 
 def _lacks_goals(config: Config) -> Iterator[str]:
-    """Options that need to know what an episode asks for, in worlds that do not say, or that do not
-    go together."""
+    """Options that need to know what an episode asks for, in worlds that do not say."""
     family = envs.family_of_split(config.environment.split)
     for part in ("reweighting", "hindsight"):
         chosen = getattr(config, part).name
@@ -166,6 +166,10 @@ def _lacks_goals(config: Config) -> Iterator[str]:
                 f"{part}={chosen}: the worlds of {family.name} do not say what an episode asks "
                 f"for; choose {part}=none"
             )
+
+
+def _reads_itself(config: Config) -> Iterator[str]:
+    """A memory of episodes that would be found in a dictionary of the same episodes."""
     hindsight, episodic = config.hindsight, config.episodic
     kept = hindsight.kept_per_goal if isinstance(hindsight, AchievedOptions) else None
     if kept and episodic != NO_EPISODIC:
