@@ -479,7 +479,7 @@ def test_a_checkpoint_holds_what_each_learner_has_of_its_own(whole, runs):
     config = runs.config("whole")
     state = checkpoint.load(config.folder / "checkpoint.pt")
     assert len(state["learners"]) == 2
-    visits = [one["source"]["collector"]["visits"]["episodes"] for one in state["learners"]]
+    visits = [one["source"]["visits"]["episodes"] for one in state["learners"]]
     assert all(part.sum() for part in visits)
     table = pd.read_csv(config.folder / "situations.csv")
     last = table[(table["update"] == 7) & (table["level_kind"] == "train")]

@@ -140,9 +140,10 @@ def test_a_resumed_run_does_not_claim_to_be_at_its_beginning() -> None:
 
 
 def test_ctrl_c_while_options_are_checked_is_no_traceback(tmp_path: Path) -> None:
-    """The signal comes as soon as the first of many jobs is being checked."""
+    """The signal comes as soon as the first of many jobs is being checked. A shell's background job
+    ignores it, and so would this process without the first line."""
     program = (
-        "import os, signal, sys, time;"
+        "import os, signal, sys, time; signal.signal(signal.SIGINT, signal.default_int_handler);"
         "from zipf import train; from zipf.experiments import command_line;"
         "command_line.read = lambda job: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60));"
         "sys.argv = ['zipf.train', 'experiment=demo']; train.main()"
