@@ -255,6 +255,7 @@ MISTAKES = [
     (["experiment=demo", "run_root=/tmp/a=b"], ["quotes"]),
     (["experiment=demo", "+agent.momentum=1"], ["agent.momentum", "no such option"]),
     (["experiment=demo", "hydrax=1"], ["hydrax: no such option"]),
+    (["gridworld"], ["environment=gridworld or experiment=gridworld?"]),
     (["experiment=demo", 'updates="1'], ["check its quotes"]),
     (["experiment=demo", "experiment=gridworld"], ["choose one", "experiment=demo,gridworld"]),
     (["experiment=demo", f"run_root={'x' * 300}"], ["run_root=", "File name too long"]),

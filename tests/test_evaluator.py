@@ -133,8 +133,10 @@ def test_situations_of_the_train_levels_are_taken_together():
 
 
 def test_bad_requests():
-    with pytest.raises(ValueError, match="episodes=0"):
+    with pytest.raises(ValueError, match="episodes must be at least 1, got 0"):
         evaluate.score(scripted, episodes=0)
+    with pytest.raises(ValueError, match="episodes must be a whole number, got '5'"):
+        evaluate.score(scripted, episodes="5")
     with pytest.raises(ValueError, match="num_envs"):
         evaluate.score(scripted, num_envs=0)
     with pytest.raises(ValueError, match="gridworld"):

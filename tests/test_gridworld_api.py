@@ -81,7 +81,8 @@ def test_importing_the_environments_does_not_import_torch() -> None:
         ({"max_steps": 0}, "max_steps must be at least 1"),
         ({"observation": "pixels"}, "'image' or 'tiles', got 'pixels'"),
         ({"render_mode": "ansi"}, "render_mode must be one of"),
-        ({"level": "rare", "num_maps": 4}, "n >= 5"),
+        ({"level": "rare", "num_maps": 4}, "num_maps must be at least 5 for level 'rare'"),
+        ({"level": "rare", "num_objects": 3}, "num_objects must be at least 5.*got 3"),
     ],
 )
 def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:

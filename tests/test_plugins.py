@@ -171,11 +171,12 @@ def test_a_sweep_finds_plugins_and_configurations(folder):
     ("arguments", "message"),
     [
         (["plugins=[nowhere]", "experiment=demo"], "plugins: cannot import nowhere"),
+        (["plugins=[nowhere]", "experiment=demo"], "in the current folder, or installed"),
         (["plugins=[broken]", "experiment=demo"], "ZeroDivisionError"),
         (["plugins=3", "experiment=demo"], "should be a list of modules"),
         (["--config-dir", "nowhere", "experiment=demo"], "--config-dir nowhere: there is no such"),
         (["plugins=[my_worlds]", "experiment=counting"], "no such experiment"),
-        (["--config-dir", "my_configs", "experiment=counting"], "counter"),
+        (["--config-dir", "my_configs", "experiment=counting"], "plugins=[<module>]"),
     ],
 )
 def test_mistakes_are_one_clear_line(folder, arguments, message):

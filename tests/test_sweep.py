@@ -170,17 +170,18 @@ def test_a_mistake_in_a_sweeps_file_is_one_clear_line(block, told, own):
 
 
 @pytest.mark.parametrize(
-    ("word", "told"),
+    ("words", "told"),
     [
-        ("hydra/launcher=joblb", "joblb"),
-        ("hydra/launcher=nothing", 'pip install "zipf-rl[sweep]"'),
-        ("hydra.launcher.n_job=2", "n_job"),
-        ("hydra/sweeper=basic", "hydra/sweeper=basic: sweeps here are over lists"),
+        (["hydra/launcher=joblb"], "joblb"),
+        (["hydra/launcher=nothing"], 'pip install "zipf-rl[sweep]"'),
+        (["hydra/launcher=joblib", "hydra.launcher.n_job=2"], "n_job"),
+        (["hydra.launcher.n_jobs=2"], "choose the launcher too, as in hydra/launcher=joblib"),
+        (["hydra/sweeper=basic"], "hydra/sweeper=basic: sweeps here are over lists"),
     ],
 )
-def test_a_launcher_that_there_is_not_is_one_clear_line(word, told, tmp_path):
+def test_a_launcher_that_there_is_not_is_one_clear_line(words, told, tmp_path):
     with pytest.raises(UserError) as error:
-        sweep.run(["experiment=demo", f"run_root={tmp_path}", word])
+        sweep.run(["experiment=demo", f"run_root={tmp_path}", *words])
     assert told in str(error.value)
     assert len(str(error.value).splitlines()) == 1
     assert list(tmp_path.iterdir()) == []

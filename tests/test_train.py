@@ -457,6 +457,8 @@ def test_evaluate_scores_a_script(name, monkeypatch, capsys):
         ("zipf.train", ["experiment=demo", "-m", "seed=0,-1"], "seed=-1"),
         ("zipf.train", ["experiment=demo", "hydra/launcher=joblib"], "is for the jobs of a sweep"),
         ("zipf.train", ["experiment=demo", "hydra.launcher.n_jobs=2"], "add -m"),
+        ("zipf.train", ["--experiment", "demo"], "options have no dashes: experiment=<value>"),
+        ("zipf.train", ["experiment=demo", "--seed=1"], "options have no dashes: seed=1"),
         ("zipf.train", ["--resolve"], "--resolve: goes with --cfg job"),
         ("zipf.train", ["--run", "--cfg", "job", "experiment=demo"], "--run and --cfg: choose one"),
         ("zipf.train", ["--help", "experiment=nope"], "nope"),

@@ -68,4 +68,6 @@ def _import(module: str) -> None:
         frames = traceback.extract_tb(error.__traceback__)
         inside = [frame for frame in frames if "importlib" not in frame.filename]
         where = f" ({inside[-1].filename}, line {inside[-1].lineno})" if len(inside) > 1 else ""
+        if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
+            where = "; it should be in the current folder, or installed"
         raise ImportError(f"{module}: {type(error).__name__}: {error}{where}") from error

@@ -58,7 +58,7 @@ def main() -> None:
 
 
 def _main() -> int:
-    arguments = get_args_parser().parse_intermixed_args()
+    arguments = _parse(sys.argv[1:])
     flags = [word for word in sys.argv[1:] if word not in arguments.overrides]
     sys.argv[1:] = [*flags, *arguments.overrides]  # Hydra wants all overrides together
     asks = ("help", "hydra_help", "info", "shell_completion", "version")
@@ -77,6 +77,20 @@ def _main() -> int:
     sys.argv += [path for path in [composing.search_path()] if path]
     _run()
     return 0
+
+
+def _parse(words: list[str]) -> argparse.Namespace:
+    """Hydra's flags and the overrides.
+
+    Raises:
+        UserError: a flag is none of Hydra's, or is shortened: `--experiment` is no rerun.
+    """
+    parser = get_args_parser()
+    parser.allow_abbrev = False
+    arguments, unknown = parser.parse_known_intermixed_args(words)
+    if unknown:
+        raise UserError(command_line.without_dashes(unknown[0]))
+    return arguments
 
 
 def _check_flags(arguments: argparse.Namespace) -> None:

@@ -117,7 +117,9 @@ def read_options(options_class: type[AnyOptions], arguments: list[str]) -> AnyOp
     problems, values = [], {}
     for argument in arguments:
         name, equals, value = argument.partition("=")
-        if not equals:
+        if argument.startswith("-"):
+            problems.append(without_dashes(argument))
+        elif not equals:
             problems.append(f"{argument}: not of the form option=value")
         elif name not in accepted:
             problems.append(f"{name}: no such option; {nearest(name, accepted)}")
@@ -130,6 +132,15 @@ def read_options(options_class: type[AnyOptions], arguments: list[str]) -> AnyOp
     if problems:
         raise UserError("\n".join(problems))
     return options
+
+
+def without_dashes(flag: str) -> str:
+    """What to say of a flag that there is not."""
+    name, _, value = flag[:200].lstrip("-").partition("=")
+    return (
+        f"{flag:.200}: no such flag; options have no dashes: {name}={value or '<value>'} "
+        "(--help shows them)"
+    )
 
 
 def parts() -> list[str]:
@@ -205,7 +216,9 @@ def _advice(parser: OverridesParser, text: str) -> str:
     name, equals, value = text.partition("=")
     shown = text if len(text) <= 200 else f"{text[:200]}..."
     if not equals:
-        return f"{shown}: not of the form option=value"
+        found = [f"{group}={text}" for group in groups() if text in choices(group)]
+        told = f"; did you mean {' or '.join(found)}?" if found else ""
+        return f"{shown}: not of the form option=value{told}"
     quoted = f'{name}="{value}"'
     try:
         if parser.parse_override(quoted).value() == value:

@@ -158,7 +158,9 @@ def _composed(search_path: str, *overrides: str) -> tuple[DictConfig, dict[str, 
 
 def told(error: Exception) -> str:
     """What Hydra has to say, on one line."""
-    message = " ".join(str(error).split())
+    message = " ".join(str(error).split()).partition(" Config search path:")[0]
+    if re.search("Could not find '(environment|agent|auxiliary)/", message):
+        message += "; one of your own has to be registered by a plugin: plugins=[<module>]"
     if "hydra/launcher" in message:
         message += ' (joblib and submitit come with the extra: pip install "zipf-rl[sweep]")'
     return message

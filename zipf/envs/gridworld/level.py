@@ -67,6 +67,11 @@ class Level:
             )
         max_steps = whole("max_steps", max_steps, 1, MOST_STEPS)
         sizes = check_sizes(num_maps, num_rooms, room_size, num_objects)
+        for option, size in (("num_maps", num_maps), ("num_objects", num_objects)):
+            if distribution is distributions.rare and size < 5:
+                raise ValueError(
+                    f"{option} must be at least 5 for level {name!r}, the rarest fifth; got {size}"
+                )
         return cls(
             name=name,
             maps=build_maps(*sizes),

@@ -16,6 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from zipf import envs
+from zipf.envs.arguments import whole
 from zipf.envs.episodes import play_episodes
 from zipf.envs.mixture import Mixture
 from zipf.envs.vector import ZipfVectorEnv
@@ -135,8 +136,8 @@ def evaluate(
         ValueError: no episodes, no worlds, options that a level cannot have, actions that are none,
             or a scripted player that a level does not have.
     """
-    if episodes is not None and episodes < 1:
-        raise ValueError(f"episodes={episodes}: should be at least 1")
+    if episodes is not None:
+        episodes = whole("episodes", episodes, 1)
     results = []
     played: dict[tuple[str, str, int], pd.DataFrame] = {}
     with _Worlds(split, level_options) as worlds:

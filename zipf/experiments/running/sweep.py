@@ -179,6 +179,9 @@ def _launcher(overrides: list[str], run_root: list[str], task: Jobs) -> Launcher
     words = [word for word in overrides if sweeps.for_hydra(word)]
     if chosen := [word for word in words if word.startswith(("hydra/sweeper", "hydra.sweeper"))]:
         raise UserError(f"{chosen[0]}: sweeps here are over lists of values; leave it out")
+    options_of = [word for word in words if word.lstrip("+~").startswith("hydra.launcher.")]
+    if options_of and not any(word.startswith("hydra/launcher=") for word in words):
+        raise UserError(f"{options_of[0]}: choose the launcher too, as in hydra/launcher=joblib")
     given = [word for word in (composing.search_path(), *words, *run_root) if word]
     backup = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
