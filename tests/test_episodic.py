@@ -11,6 +11,7 @@ from conftest import assert_equal, random_unroll
 from networks import compact
 from test_recall import IMPALA
 
+from zipf import envs
 from zipf.agents import agents
 from zipf.agents.agent import Setting
 from zipf.agents.episodic import (
@@ -335,19 +336,28 @@ def test_the_contrastive_loss_is_its_definition():
         assert losses[i] == pytest.approx(-np.log(scores[i] / sum(scores.values())), rel=1e-4)
 
 
-def test_images_are_alike_that_differ_as_noisy_copies_do():
+def test_images_are_alike_that_differ_nowhere_by_more_than_noisy_copies_do():
     rng = np.random.default_rng(0)
-    image = torch.tensor(rng.integers(256, size=(5, 9, 9, 3)), dtype=torch.uint8)
+    image = torch.tensor(rng.integers(256, size=(5, 13, 9, 3)), dtype=torch.uint8)
     image[3] = image[1]
     image[4] = image[1]
-    image[4, 0, 0, :2] ^= 128  # two of 243 numbers differ by half the range: mean square 0.0021
+    image[4, 9, 8, :2] ^= 128  # two of a block's 192 numbers, by half the range: 0.0026 in the mean
     near = {frozenset((1, 3)), frozenset((1, 4)), frozenset((3, 4))}
-    for noise, pairs in ((0.0, {frozenset((1, 3))}), (0.031, {frozenset((1, 3))}), (0.033, near)):
+    for noise, pairs in ((0.0, {frozenset((1, 3))}), (0.035, {frozenset((1, 3))}), (0.037, near)):
         same = alike(image, noise)
         assert same.diagonal().all()
         assert torch.equal(same, same.T)
         found = {frozenset(pair) for pair in same.nonzero().tolist() if pair[0] != pair[1]}
         assert found == pairs, noise
+
+
+def test_goals_of_the_gridworld_are_told_apart():
+    """Images that are not the same, of which some differ in the cue alone."""
+    worlds = envs.make_vec("gridworld/uniform", 128)
+    image = torch.from_numpy(worlds.reset(seed=0)[0]["image"])
+    same = (image[:, None] == image).flatten(2).all(2)
+    assert same.sum() > 128
+    assert torch.equal(alike(image, noise=0.05), same)
 
 
 def test_contrasts_are_in_float32_under_autocast():

@@ -23,9 +23,10 @@ reading, where we know of no text:
   of the update plus `longer` times the share of the buffer's rows whose momentum loss is lower as
   its priority. Ranks are used because losses fall as the encoder learns. Rows that no update
   learned from yet are dropped.
-- Rows whose images differ by no more than two noisy copies of one image would are not each other's
-  negatives. What is frequent is several times in a batch; as a negative of itself its loss would be
-  the highest, and the dictionary would keep what is frequent. `tests/test_episodic.py` shows both.
+- Rows whose images differ nowhere by more than two noisy copies of one image would are not each
+  other's negatives. What is frequent is several times in a batch; as a negative of itself its loss
+  would be the highest, and the dictionary would keep what is frequent. `tests/test_episodic.py`
+  shows both.
 - What is reinstated is added behind the memory (`zipf.agents.episodic.dictionary`).
 
 Left out: a memory of trajectories, of which the abstract of 2025 speaks.
@@ -43,6 +44,9 @@ from zipf.agents.encoders import Encoder, is_image
 from zipf.agents.episodic.dictionary import Dictionary
 from zipf.agents.episodic.options import DictionarySizes, EpisodicOptions, MemOptions
 from zipf.agents.episodic.recorder import DictionaryRecorder, Recorder, Rows
+
+BLOCK = 8
+"""Pixels, the sides of the blocks that images are compared in. Ours: objects are that small."""
 
 
 class MemRecorder(DictionaryRecorder):
@@ -163,13 +167,28 @@ def contrastive_losses(
 
 def alike(image: Tensor, noise: float) -> Tensor:
     """Which images, uint8 [N, H, W, C], differ by at most what is expected of two copies of one
-    image with noise of that standard deviation, in the mean over pixels of the squared difference:
-    bool [N, N]. In float32 under autocast, too: bfloat16 rounds by more than such a difference."""
-    pixels = image.flatten(1).float() / 255
-    size = pixels.square().mean(1)
+    image with noise of that standard deviation, in the mean over a block's pixels of the squared
+    difference, in every block of 8 x 8 pixels: bool [N, N].
+
+    In the mean over the whole image, two goals of a world would often be the same: they may differ
+    in few pixels. In float32 under autocast, too: bfloat16 rounds by more than such a difference.
+    """
+    rows, columns = (_blocks(size, image.device) for size in image.shape[1:3])
+    pixels = image[:, rows][:, :, :, columns].float() / 255  # [N, blocks, 8, blocks, 8, C]
+    blocks = pixels.permute(1, 3, 0, 2, 4, 5).flatten(3).flatten(0, 1)  # [blocks, N, pixels]
+    size = blocks.square().mean(2)
     with torch.autocast(image.device.type, enabled=False):
-        products = pixels @ pixels.T / pixels.shape[1]
-    return size + size[:, None] - 2 * products <= 2 * noise**2 + 1e-6  # beside rounding
+        products = blocks @ blocks.mT / blocks.shape[2]
+    difference = size[:, :, None] + size[:, None] - 2 * products
+    return (difference <= 2 * noise**2 + 1e-6).all(0)  # beside rounding
+
+
+def _blocks(size: int, device: torch.device) -> Tensor:
+    """The pixels of a row of blocks that cover an image's side, and overlap where they have to:
+    int64 [blocks, 8]; of a smaller image, [1, size]."""
+    side, count = min(BLOCK, size), -(-size // BLOCK)
+    starts = torch.arange(count, device=device) * (size - side) // max(count - 1, 1)
+    return starts[:, None] + torch.arange(side, device=device)
 
 
 def augment(image: Tensor, noise: float, cutout: float, generator: torch.Generator) -> Tensor:
