@@ -316,9 +316,9 @@ def test_supplies(kind: tuple[int, int], before: int, after: int | None, seconds
     assert taken in (after, after - 1)  # what is above 100 decays
     assert not scene.worlds.present[0, 0]
     assert scene.worlds.returning[0, 0] == clock + 1 + 60 * seconds
-    is_new = supply in (ORB, BEAM, DISC) and before == 0
-    assert scene.status[0, GADGET] == (supply if is_new else gadget)
-    assert (scene.status[0, WAIT] > 400) == is_new
+    is_gadget = supply in (ORB, BEAM, DISC)
+    assert scene.status[0, GADGET] == (supply if is_gadget else gadget)
+    assert (scene.status[0, WAIT] > 400) == is_gadget
     # It is there again, and opponents take supplies too.
     scene.worlds.clock[0] = scene.worlds.returning[0, 0] - 4
     scene.put(0, 1500, 1500)

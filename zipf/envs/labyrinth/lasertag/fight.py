@@ -175,11 +175,7 @@ def _touched(kinds, places, present, body):
 
 @compiled(error_model="numpy")
 def _take_supply(worlds, i, f, k):
-    """A fighter takes a supply, if it is of use to him.
-
-    A gadget comes to hand if he has no shots for it. In the original it does if he has some, too;
-    the references were measured without.
-    """
+    """A fighter takes a supply, if it is of use to him; a gadget comes to hand."""
     combat = worlds.combat
     status, kind = combat.status[i, f], combat.kinds[i, k]
     if kind == HEALTH_PACK:
@@ -191,11 +187,9 @@ def _take_supply(worlds, i, f, k):
             return
         status[ARMOUR] = min(status[ARMOUR] + PACK, MOST_ARMOUR)
     else:
-        new = status[LOADED + kind] == 0
         shots = max(status[LOADED + kind] + 1, AMMUNITION[kind])
         status[LOADED + kind] = min(shots, MOST_AMMUNITION)
-        if new:
-            take(status, kind)
+        take(status, kind)
     worlds.present[i, k] = False
     if combat.until[i, k] < 0:
         worlds.returning[i, k] = worlds.clock[i] + RETURN[kind]
