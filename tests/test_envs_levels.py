@@ -6,7 +6,19 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from zipf.envs import ZipfVectorEnv, all_splits, make, make_vec, reference, split
+from zipf.envs import (
+    KINDS,
+    Split,
+    SplitLevel,
+    ZipfVectorEnv,
+    all_splits,
+    find_family,
+    make,
+    make_vec,
+    measure_chance,
+    reference,
+    split,
+)
 
 
 @pytest.mark.parametrize("name", list(all_splits()))
@@ -95,3 +107,45 @@ def test_a_world_takes_little_memory_beside_its_observation() -> None:
 def test_unknown_splits_name_the_nearest() -> None:
     with pytest.raises(ValueError, match="did you mean 'gridworld'"):
         split("gridwolrd")
+
+
+@pytest.mark.parametrize("name", [None, 3, ["gridworld"]])
+def test_what_is_no_name_is_refused(name: Any) -> None:
+    with pytest.raises(ValueError, match="a split must be a name, got"):
+        split(name)
+    with pytest.raises(ValueError, match="a family must be a name, got"):
+        find_family(name)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"episodes": 100}, "episodes must be a mapping, got 100"),
+        ({"episodes": {"train": 1, "uniform": 1}}, "a number for each of train, uniform, rare"),
+        ({"episodes": {"train": "a", "uniform": 1, "rare": 1}}, "must be a whole number, got 'a'"),
+        ({"episodes": {"train": 1, "uniform": 2.5, "rare": 1}}, "whole number, got 2.5"),
+        ({"train": None}, "a level must be a name or a function that makes it, got None"),
+        ({"train": []}, "has no train level"),
+    ],
+)
+def test_splits_that_are_none_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Split("own", **{**dict.fromkeys(KINDS, "gridworld/rare"), **options})
+
+
+@pytest.mark.parametrize("weight", ["1", None, 0, -1.0, float("nan"), True])
+def test_weights_that_are_none_are_refused(weight: Any) -> None:
+    with pytest.raises(ValueError, match="the weight of gridworld/rare must be positive, got"):
+        SplitLevel("gridworld/rare", weight=weight)
+
+
+@pytest.mark.parametrize("options", [{"episodes": "10"}, {"episodes": 2.5}, {"max_steps": "a"}])
+def test_chance_is_not_measured_with_what_is_no_number(options: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="must be a whole number, got"):
+        measure_chance("gridworld/rare", **options)
+
+
+@pytest.mark.parametrize("max_steps", ["a", 0])
+def test_chance_is_not_known_of_worlds_that_are_none(max_steps: Any) -> None:
+    with pytest.raises(ValueError, match="max_steps must be"):
+        reference("chance", "gridworld/rare", max_steps=max_steps)

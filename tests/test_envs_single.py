@@ -66,14 +66,15 @@ def test_a_wrong_seed_changes_nothing(make_single: Any, seed: Any) -> None:
 class Named(GridworldVectorEnv):
     def _describe(self) -> dict[str, Any]:
         ranks = self._situations()
-        return {"name": np.array([f"object {rank}" for rank in ranks["target"]])}
+        name = [f"object {rank}" for rank in ranks["target"]]
+        return {"name": np.array(name), "words": np.array(name, object)}
 
 
 def test_it_tells_what_the_batch_tells_about_an_episode() -> None:
     env = SingleWorld(Named, level="uniform", **SMALL)
     info = env.reset(seed=0, options={"target": 3})[1]
     assert type(info["name"]) is str
-    assert info["name"] == "object 3"
+    assert info["name"] == info["words"] == "object 3"
     ended = False
     while not ended:
         _, _, terminated, truncated, info = env.step(0)

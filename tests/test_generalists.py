@@ -46,6 +46,26 @@ def test_who_has_a_generalist() -> None:
         envs.generalist("gridwrld/rare", env)
 
 
+@pytest.mark.parametrize("name", envs.SCRIPTED)
+@pytest.mark.parametrize("family", ["gridworld", "playroom", "labyrinth"])
+def test_players_refuse_worlds_that_they_cannot_play(family: str, name: envs.Scripted) -> None:
+    others = [one for one in ("gridworld", "playroom", "labyrinth") if one != family]
+    level, *other = (f"{one}/{envs.find_family(one).levels[0]}" for one in (family, *others))
+    with pytest.raises(ValueError, match=f"the {name} plays what make_vec makes, got"):
+        envs.scripted(name, level, envs.make(level))  # type: ignore[arg-type]
+    for wrong in other:
+        with pytest.raises(ValueError, match=f"the {name} .*, got"):
+            envs.scripted(name, level, envs.make_vec(wrong, 1))
+
+
+@pytest.mark.parametrize("name", envs.SCRIPTED)
+def test_players_of_one_level_refuse_a_mixture(name: envs.Scripted) -> None:
+    for family in ("gridworld", "playroom"):
+        levels = [f"{family}/{one}" for one in envs.find_family(family).levels[:2]]
+        with pytest.raises(ValueError, match=f"the {name} .* one {family} level.*got Mixture"):
+            envs.scripted(name, levels[0], envs.make_vec(levels, 2))
+
+
 class Bad:
     """A player that counts how often it was asked."""
 

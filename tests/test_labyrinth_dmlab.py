@@ -134,6 +134,18 @@ def test_a_world_has_one_engine() -> None:
     assert alive() == []
 
 
+@pytest.mark.parametrize("draw", ["resets", "worlds"])
+def test_a_world_has_one_engine_in_training(draw: str) -> None:
+    names = [f"labyrinth/{name}" for name in list(LEVELS)[:4]]
+    split = Split("some", names, *names[:2], draw=draw)
+    env = envs.make_train(split, 4, **SMALL)
+    for seed in range(3):
+        env.reset(seed=seed)
+        assert len(alive()) == 4
+    env.close()
+    assert alive() == []
+
+
 def test_pickled_and_restored_mixtures_go_on() -> None:
     env = make_vec("labyrinth/uniform", 3, **SMALL)
     env.reset(seed=5)

@@ -71,11 +71,11 @@ class Scene:
     def give(self, gadget: int, shots: int, fighter: int = 0) -> None:
         self.status[fighter, [GADGET, LOADED + gadget, WAIT]] = gadget, shots, 0
 
-    def lay(self, kind: int, x: float, y: float) -> None:
-        self.combat.kinds[0, 0] = kind
-        self.combat.until[0, 0] = -1
-        self.worlds.places[0, 0] = x, y, BELOW
-        self.worlds.present[0, 0] = True
+    def lay(self, kind: int, x: float, y: float, k: int = 0) -> None:
+        self.combat.kinds[0, k] = kind
+        self.combat.until[0, k] = -1
+        self.worlds.places[0, k] = x, y, BELOW
+        self.worlds.present[0, k] = True
 
     def frames(self, count: int, fire: bool = False) -> None:
         """Only the fights, without the rest of the level."""
@@ -328,6 +328,16 @@ def test_supplies(kind: tuple[int, int], before: int, after: int | None, seconds
     scene.status[1, ARMOUR] = 0
     scene.frames(1)
     assert not scene.worlds.present[0, 0]
+
+
+def test_a_supply_of_no_use_does_not_hide_another() -> None:
+    scene = Scene()
+    scene.put(0, 500, 500)
+    scene.lay(HEALTH_PACK, 500, 505)
+    scene.lay(DISC, 505, 500, k=1)
+    scene.frames(1)
+    assert scene.worlds.present[0, :2].tolist() == [True, False]
+    assert scene.status[0, GADGET] == DISC
 
 
 def test_who_is_tagged_drops_the_gadget_in_hand_for_half_a_minute() -> None:

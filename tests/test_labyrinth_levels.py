@@ -151,7 +151,8 @@ def test_the_tenth_object_ends_the_episode(level: str) -> None:
         assert not terminated
         assert (env.worlds.ending[0] > 0) == (count == 9)
     put_player(env, 0, -250.0, -250.0)
-    assert [wait(env)[1] for _ in range(2)] == [False, True]  # 12 frames after the last
+    # 12 frames after the last, which was touched in the first frame of a step.
+    assert [wait(env)[1] for _ in range(3)] == [False, False, True]
 
 
 def test_kinds_of_good_and_bad_objects() -> None:
@@ -310,9 +311,9 @@ def test_the_goal_of_a_skymaze_ends_the_episode(level: str) -> None:
     env = batch(level, 1, autoreset_mode="Disabled")
     env.reset(seed=0)
     touch(env, 0, env.episodes[0].trophy)
-    steps = [wait(env) for _ in range(3)]
+    steps = [wait(env) for _ in range(4)]
     assert sum(reward for reward, *_ in steps) == 100
-    assert [over for _, over, _ in steps] == [False, False, True]
+    assert [over for _, over, _ in steps] == [False, False, False, True]
 
 
 def test_nobody_climbs_in_a_skymaze() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.arguments import whole
 from zipf.envs.family import make_vec
 from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Level, SplitLevel
@@ -60,8 +61,7 @@ def measure(
     Raises:
         ValueError: no episodes, an unknown level, or options out of range.
     """
-    if episodes < 1:
-        raise ValueError(f"episodes must be at least 1, got {episodes}")
+    episodes = whole("episodes", episodes, 1)
     env = make_vec(level, min(num_envs, episodes), **options)
     act = player(env)
     returns = play_episodes(env, lambda *_: act(), episodes, seed=seed)["return"]

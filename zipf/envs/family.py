@@ -424,7 +424,11 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> Player | None:
     Raises:
         ValueError: for an unknown level, or worlds that the player cannot play.
     """
+    from zipf.envs.vector import ZipfVectorEnv
+
     found, _ = find_level(level)
+    if not isinstance(env, ZipfVectorEnv):
+        raise ValueError(f"the {name} plays what make_vec makes, got {type(env).__name__}")
     make = getattr(found, name)
     return None if make is None else _loaded(make)(env)
 
@@ -470,6 +474,8 @@ def _loaded(value: Any) -> Any:
 
 
 def _named(kind: str, name: str, known: Mapping[str, Any]) -> Any:
+    if not isinstance(name, str):
+        raise ValueError(f"a {kind} must be a name, got {name!r}")
     if name not in known:
         raise ValueError(_unknown(kind, name, tuple(known)))
     return known[name]

@@ -252,6 +252,7 @@ class Mixture(ZipfVectorEnv):
             for name in _SHARED:
                 setattr(batch, name, getattr(self, name))
             batch._seeded = self._begun[k]
+            batch._use_processes(self.batches[0])
             if isinstance(batch, Mixture):
                 batch._share()
 

@@ -64,7 +64,8 @@ class SingleWorld(gym.Env[dict[str, Any], Any]):
         """Takes an action.
 
         Raises:
-            ValueError: for an action out of range.
+            TypeError: for an action that is no whole number.
+            ValueError: for one out of range.
             ResetNeeded: if no episode is running.
         """
         actions = np.array([operator.index(action)])
@@ -87,4 +88,5 @@ def _row(observation: Observation) -> dict[str, Any]:
 
 def _items(info: dict[str, Any]) -> dict[str, Any]:
     """The single world's entries as Python values, without masks (`_success`, ...)."""
-    return {key: value[0].item() for key, value in info.items() if not key.startswith("_")}
+    own = {key: value[0] for key, value in info.items() if not key.startswith("_")}
+    return {key: one.item() if isinstance(one, np.generic) else one for key, one in own.items()}

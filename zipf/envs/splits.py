@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from zipf.envs.arguments import mapping, whole
 
 KINDS = ("train", "uniform", "rare")
 """What levels are for: to train on (Zipfian), and to test on, uniformly and on the rarest fifth."""
@@ -53,7 +56,7 @@ class SplitLevel:
         normalisation: how its mean return becomes its score; None: the score is the mean return.
 
     Raises:
-        ValueError: the weight is not positive and finite.
+        ValueError: the level is neither, or the weight not positive and finite.
     """
 
     level: Level
@@ -62,8 +65,13 @@ class SplitLevel:
     normalisation: Normalisation | None = None
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.weight) and self.weight > 0):
-            raise ValueError(f"the weight of {self.name} must be positive, got {self.weight}")
+        if not (isinstance(self.level, str) or callable(self.level)):
+            raise ValueError(
+                f"a level must be a name or a function that makes it, got {self.level!r}"
+            )
+        number = isinstance(self.weight, Real) and not isinstance(self.weight, bool)
+        if not (number and np.isfinite(self.weight) and self.weight > 0):
+            raise ValueError(f"the weight of {self.name} must be positive, got {self.weight!r}")
 
     @property
     def name(self) -> str:
@@ -129,11 +137,13 @@ class Split:
             raise ValueError(f"draw must be 'worlds' or 'resets', got {self.draw!r}")
         if self.spread not in ("seeds", "tasks"):
             raise ValueError(f"spread must be 'seeds' or 'tasks', got {self.spread!r}")
-        if set(self.episodes) != set(KINDS) or min(self.episodes.values()) < 1:
+        if set(mapping("episodes", self.episodes)) != set(KINDS):
             raise ValueError(
-                f"episodes must be a positive number for each of {', '.join(KINDS)}, "
+                f"episodes must have a number for each of {', '.join(KINDS)}, "
                 f"got {dict(self.episodes)}"
             )
+        for kind in KINDS:
+            whole(f"episodes[{kind!r}]", self.episodes[kind], 1)
 
     def levels(self, kind: str) -> tuple[SplitLevel, ...]:
         """The levels of a kind: "train", "uniform" or "rare"."""

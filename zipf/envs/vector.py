@@ -262,6 +262,10 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         """Uses the state of `other`, a batch with an equal `_engine`, in the place of its own."""
         raise NotImplementedError
 
+    def _use_processes(self, other: "ZipfVectorEnv") -> None:
+        """In a mixture: uses what `other`, its first batch, has for each world outside this
+        process and every level needs for its own worlds alone. Nothing in most families."""
+
     # What users call.
 
     def reset(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs import distributions
+from zipf.envs.arguments import whole
 from zipf.envs.gridworld import kernels, looks
 from zipf.envs.gridworld.maps import MOVES, Maps, build_maps, check_sizes
 from zipf.envs.references import ReferenceScore
@@ -71,7 +72,8 @@ def _chance(
     num_objects: int,
     max_steps: int,
 ) -> ReferenceScore:
-    maps = build_maps(num_maps, num_rooms, room_size, num_objects)
+    maps = build_maps(*check_sizes(num_maps, num_rooms, room_size, num_objects))
+    max_steps = whole("max_steps", max_steps, 1)
     return mean_success(level, random_policy(maps, max_steps).success)
 
 

@@ -17,9 +17,13 @@ class Expert:
     """Plays all worlds of a batch from their state: `Expert(env)()` is actions, int64 [N].
 
     It succeeds wherever the target can be reached in `max_steps`, as on all released maps.
+
+    Raises:
+        ValueError: the batch is not one of a single gridworld level.
     """
 
     def __init__(self, env: GridworldVectorEnv) -> None:
+        require_gridworld(env, "expert")
         self._worlds = env._worlds  # the state itself, which the environment writes in place
         self._maps = env.level.maps
 
@@ -27,6 +31,14 @@ class Expert:
         map, target = self._worlds[:, kernels.MAP], self._worlds[:, kernels.TARGET]
         cell = self._worlds[:, kernels.ROW] * self._maps.boards.shape[2]
         return shortest_ways(self._maps)[map, target, cell + self._worlds[:, kernels.COLUMN]]
+
+
+def require_gridworld(env: object, player: str) -> None:
+    """Raises ValueError if a scripted player, named in the message, cannot play these worlds."""
+    if not isinstance(env, GridworldVectorEnv):
+        raise ValueError(
+            f"the {player} plays a batch of one gridworld level, got {type(env).__name__}"
+        )
 
 
 def score(

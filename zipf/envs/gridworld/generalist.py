@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.compiled import compiled
+from zipf.envs.gridworld.expert import require_gridworld
 from zipf.envs.gridworld.kernels import COLUMN, MAP, ROW, TARGET
 from zipf.envs.gridworld.looks import FLOOR, WALL
 from zipf.envs.gridworld.maps import MOVES, PAD, VIEW
@@ -43,11 +44,15 @@ class Generalist(Remembering):
             of the step: the same in a batch of any size. The stream is left as it is.
         memory: False: it knows what is in view now and nothing else, and moves to a random
             neighbouring cell until it sees a way to the cued object.
+
+    Raises:
+        ValueError: the batch is not one of a single gridworld level.
     """
 
     remembered = ("_known", "_visits", "_episodes", "_streams", "_lengths")
 
     def __init__(self, env: GridworldVectorEnv, *, seed: int = 0, memory: bool = True) -> None:
+        require_gridworld(env, "generalist")
         self._env = env
         self._seed = np.uint64(seed)
         self._memory = memory

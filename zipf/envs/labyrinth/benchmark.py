@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs import distributions
-from zipf.envs.arguments import whole
 from zipf.envs.labyrinth.levels import LEVELS, by_name
 from zipf.envs.references import ReferenceScore, measured
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
@@ -57,7 +56,10 @@ def law(name: str) -> tuple[str, NDArray[np.float64]] | None:
         except ValueError:
             raise _unknown(name) from None
         return None
-    return order, distributions.by_name(distribution)(len(LEVELS))
+    try:
+        return order, distributions.by_name(distribution)(len(LEVELS))
+    except ValueError:
+        raise _unknown(name) from None
 
 
 def check(name: str) -> None:
@@ -93,7 +95,7 @@ def make_vec(
     from zipf.envs.mixture import Mixture
 
     drawn = law(level)
-    make = _worlds(backend, num_envs)
+    make = _worlds(backend)
     if drawn is None:
         return make(num_envs, level, **kwargs)
     order, probabilities = drawn
@@ -103,16 +105,16 @@ def make_vec(
     )
 
 
-def _worlds(backend: str, num_envs: int) -> Callable[..., ZipfVectorEnv]:
-    """What makes worlds of a task with a backend, for up to `num_envs` worlds in one batch."""
+def _worlds(backend: str) -> Callable[..., ZipfVectorEnv]:
+    """What makes worlds of a task with a backend."""
     if backend == "own":
         from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
 
         return LabyrinthVectorEnv
     if backend == "dmlab":
-        from zipf.envs.labyrinth.dmlab import DmlabVectorEnv, Labs
+        from zipf.envs.labyrinth.dmlab import DmlabVectorEnv
 
-        return partial(DmlabVectorEnv, labs=Labs(whole("num_envs", num_envs, 1)))
+        return DmlabVectorEnv
     raise ValueError(f"backend must be 'own' or 'dmlab', got {backend!r}")
 
 

@@ -16,7 +16,7 @@ from zipf.envs.labyrinth.levels import by_name
 from zipf.envs.labyrinth.vector import MOST_PIXELS, MOST_REPEAT
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.replayed import Outcome, ReplayedVectorEnv
-from zipf.envs.vector import Observation
+from zipf.envs.vector import Observation, ZipfVectorEnv
 
 FOLDER = "contributed/dmlab30"
 """Of the levels' scripts, in DeepMind Lab."""
@@ -93,7 +93,6 @@ class DmlabVectorEnv(ReplayedVectorEnv):
         image_size: height and width.
         num_actions, action_repeat: see `LabyrinthEnv`.
         max_steps: an episode is truncated after so many steps, if the level does not end before.
-        labs: the instances, where levels share them.
         autoreset_mode, copy: see `ZipfVectorEnv`.
         render_mode: "rgb_array", the image four times as large, or None.
 
@@ -114,7 +113,6 @@ class DmlabVectorEnv(ReplayedVectorEnv):
         num_actions: int = 15,
         action_repeat: int = 4,
         max_steps: int | None = None,
-        labs: Labs | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
         render_mode: str | None = None,
@@ -142,7 +140,7 @@ class DmlabVectorEnv(ReplayedVectorEnv):
             render_mode=render_mode,
         )
         self._actions_taken = TABLES[num_actions]
-        self._labs = Labs(num_envs) if labs is None else labs
+        self._labs = Labs(num_envs)
         self._vectors: NDArray[np.intc] | None = None  # of the actions, once an engine has told
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -150,6 +148,10 @@ class DmlabVectorEnv(ReplayedVectorEnv):
         if self.render_mode is None:
             return None
         return tuple(image.repeat(4, axis=0).repeat(4, axis=1) for image in self._current["image"])
+
+    def _use_processes(self, other: ZipfVectorEnv) -> None:
+        if isinstance(other, DmlabVectorEnv):
+            self._labs = other._labs
 
     def close_extras(self, **kwargs: Any) -> None:
         self._labs.close_all()

@@ -85,9 +85,12 @@ def batch_of(env: LabyrinthVectorEnv | Mixture, player: str) -> LabyrinthVectorE
     Raises:
         ValueError: it cannot play them.
     """
-    if env.single_action_space.n != 15:
-        raise ValueError(f"the {player} needs num_actions=15, got {env.single_action_space.n}")
     batch = env.batches[0] if isinstance(env, Mixture) else env  # they share their worlds
     if not isinstance(batch, LabyrinthVectorEnv):
-        raise ValueError(f"the {player} reads the state of our engine: use backend='own'")
+        raise ValueError(
+            f"the {player} reads the state of labyrinth worlds in our engine (backend='own'), "
+            f"got {type(batch).__name__}"
+        )
+    if env.single_action_space.n != 15:
+        raise ValueError(f"the {player} needs num_actions=15, got {env.single_action_space.n}")
     return batch

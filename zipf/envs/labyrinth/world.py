@@ -554,7 +554,7 @@ class World:
     def end_episode(self) -> None:
         """Ends the episode 0.2 s from now."""
         if self._worlds.ending[self._number] < 0:
-            self._worlds.ending[self._number] = END_DELAY
+            self._worlds.ending[self._number] = END_DELAY + 1  # this frame is counted, too
 
     # What oracles read.
 

@@ -42,7 +42,10 @@ _AIM_PITCH = 0.51 * 0.03 * LOOK
 def require_playable(env: PlayroomVectorEnv, player: str) -> None:
     """Raises ValueError if a scripted player, named in the message, cannot play these worlds."""
     if not hasattr(env, "worlds"):
-        raise ValueError(f"the {player} reads the state of our engine: use backend='own'")
+        raise ValueError(
+            f"the {player} reads the state of a batch of one playroom level in our engine "
+            f"(backend='own'), got {type(env).__name__}"
+        )
     count, known = env.single_action_space.n, len(actions.ACTIONS)
     if count != known:
         raise ValueError(f"the {player} needs the playroom's {known} actions, got {count}")

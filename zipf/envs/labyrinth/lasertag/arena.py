@@ -56,7 +56,7 @@ holds the trigger; who hurt it, and when."""
 SPAWNS, SUPPLIES, SHOTS, TRACES, FLASHES = 12, 24, 16, 12, 8
 """Capacities of each world."""
 SHOOTER, BORN = 6, 7
-"""Columns of `shots` after place and velocity: who shot, and the frame."""
+"""Columns of `shots` after place and direction: who shot, and the frame."""
 TRACE_FRAME, TRACE_GADGET, TRACE_SHOOTER = 6, 7, 8
 """Columns of `traces` after start and end."""
 FLASH_FRAME, FLASH_KIND = 3, 4

@@ -79,9 +79,9 @@ def fight(worlds, i, turn, rise, strafe, forward, fire):
             shoot(worlds, i, f)
         if status[f, TAGGED_AT] < 0:
             _decay(status[f])
-            touched = _touched(kinds, places, present, bodies[f])
-            if touched != NOTHING:
-                _take_supply(worlds, i, f, touched)
+            for k in range(SUPPLIES):
+                if _touches(kinds, places, present, bodies[f], k):
+                    _take_supply(worlds, i, f, k)
     if _any_flies(combat.shots[i]):
         fly(worlds, i)
     for k in range(SUPPLIES):
@@ -159,18 +159,15 @@ def _any_flies(shots):
 
 
 @compiled(error_model="numpy")
-def _touched(kinds, places, present, body):
-    """A supply that a body touches, or NOTHING."""
-    for k in range(SUPPLIES):
-        if (
-            kinds[k] != NOTHING
-            and present[k]
-            and abs(body[X] - places[k, 0]) <= TOUCH_X
-            and abs(body[Y] - places[k, 1]) <= TOUCH_Y
-            and abs(body[Z] - places[k, 2]) <= TOUCH_Z
-        ):
-            return k
-    return NOTHING
+def _touches(kinds, places, present, body, k):
+    """Whether supply k lies there and a body touches it."""
+    return (
+        kinds[k] != NOTHING
+        and present[k]
+        and abs(body[X] - places[k, 0]) <= TOUCH_X
+        and abs(body[Y] - places[k, 1]) <= TOUCH_Y
+        and abs(body[Z] - places[k, 2]) <= TOUCH_Z
+    )
 
 
 @compiled(error_model="numpy")

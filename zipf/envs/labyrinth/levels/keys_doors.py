@@ -170,9 +170,10 @@ class _Planner:
                 self.add_herring(core)
         except _NoPlace:
             pass  # the lattice is full
+        ways_in = set(plan.links)
         self.add_doors(free, core, openable)
-        doors = set(plan.links.values())
-        unused = [colour for colour in free if colour not in doors]
+        unopenable = {colour for link, colour in plan.links.items() if link not in ways_in}
+        unused = [colour for colour in free if colour not in unopenable]
         space = [r for r in range(len(plan.rooms)) if self.objects(r) < _OBJECTS]
         if useless and unused and space:
             colour = unused[int(rng.integers(len(unused)))]

@@ -44,8 +44,8 @@ class Lasertag(Episode):
     Rules: firing uses the gadget in hand. Everybody begins with Impulse (50 points of damage every
     0.4 s at arm's length) and with Rapid and 100 shots (7 every 0.1 s). An orb flies and does 100
     where it hits, less around (10 orbs, one in 0.8 s); the beam does 8 every 0.05 s as far as 768
-    units (100); a disc does 100 to all in its way (10, one in 1.5 s). A gadget that is new is taken
-    in hand at once; without ammunition, the best that has some. Damage costs health, of which there
+    units (100); a disc does 100 to all in its way (10, one in 1.5 s). A gadget that is picked up is
+    taken in hand at once; without ammunition, the best that has some. Damage costs health, of which there
     are 125, soon 100, and pushes. Armour takes two thirds of it. A health pack gives 50 up to 100
     and is back after 35 s, armour 50 up to 200 (25 s), a gadget is back after 5 s. Without health
     one is tagged: the player sees the place from the ground until he fires, from 1.7 s on, or until
@@ -57,8 +57,7 @@ class Lasertag(Episode):
     the parameters of the same three at skill 4 (accuracy, reaction, turning, bursts), but decide by
     a state machine of ours, see `lasertag.opponents`. What bursts hurts who has no wall between his
     middle and the burst. One may fire again at once after respawning. The dead view is from 8 units
-    above the ground. No clock and no numbers are shown; armour has no bar. A gadget with shots left
-    is not taken in hand when it is picked up again; in the original it is.
+    above the ground. No clock and no numbers are shown; armour has no bar.
     """
 
     opponents: ClassVar[int]
