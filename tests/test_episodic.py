@@ -99,6 +99,23 @@ def network(options=DICTIONARY, rows=12):
     return made
 
 
+@pytest.mark.parametrize("rows", [0, 7, 20])
+def test_rows_of_another_run_make_way_for_new_ones(rows):
+    """Whatever update the other run was at: the oldest of its rows go first."""
+    made, taken = agent(DICTIONARY), network(rows=rows).dictionary
+    taken.priorities += 1000
+    made.begin_with({"dictionary": taken.state_dict()})
+    own = made.network.dictionary
+    kept, size = own.values.clone(), SIZE + 2 * ACTIONS
+    assert int(own.filled) == rows
+    own.write(torch.randn(5, SIZE), torch.full((5, size), 7.0), torch.zeros(5, dtype=torch.double))
+    assert (own.values == 7).all(1).sum() == 5
+    stay = [i for i in range(rows) if not (own.values[i] == 7).all()]
+    assert len(stay) == min(rows, 15)
+    assert stay == list(range(len(stay)))  # the first had the highest priorities
+    assert torch.equal(own.values[stay], kept[stay])
+
+
 def inputs_of(seed):
     data = unroll(seed)
     return Inputs.of(data.steps), data.memory

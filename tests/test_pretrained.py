@@ -150,13 +150,17 @@ def test_seeds_that_begin_with_seeds_of_a_condition_are_one_row(first, capsys):
         (["pretrained.parts=[encoder.words]"], "has no 'encoder.words'; it has encoder, memory, "),
         (["pretrained.parts=[]"], "pretrained.parts=[]: "),
         (["network.size=24"], "is [24"),
+        (
+            ["critic=quantile", "pretrained.parts=[baseline]"],
+            "baseline of {run} is for critic=scalar, and this run has critic=quantile quantiles=",
+        ),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
 def test_a_mistake_is_told_before_anything_is_written(first, options, message):
     with pytest.raises(UserError) as told:
         train(asked(first, *options, "name=wrong"))
-    assert message in str(told.value)
+    assert message.format(run=first[1]) in str(told.value)
     assert not (first[0] / "demo" / "wrong" / "seed5" / "run.json").exists()
 
 

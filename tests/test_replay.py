@@ -127,9 +127,28 @@ def test_items_without_error_can_still_be_drawn():
 
 def test_new_items_have_the_largest_priority_so_far():
     sampler = sampler_with([3.0, 0.5, 0.5], 1.0)
-    sampler.update_priority(torch.tensor([0]), torch.tensor([0.25]))
-    sampler.extend(torch.tensor([1]))
-    np.testing.assert_allclose(sampler.tree.leaves, [0.25, 3.0, 0.5])
+    sampler.update_priority(torch.tensor([0, 1]), torch.tensor([0.25, 0.75]))
+    sampler.extend(torch.tensor([0]))  # the ring begins again
+    np.testing.assert_allclose(sampler.tree.leaves, [3.0, 0.75, 0.5])
+
+
+def test_draws_do_not_depend_on_the_size_of_the_ring():
+    """It has room for what is inserted between two checkpoints, which changes nothing else."""
+    drawn = {}
+    for slots in (10, 13, 40):
+        sampler = PrioritySampler(slots, 10, priority_exponent=0.9, importance_exponent=0.6, seed=0)
+        numbers = []
+        for first in range(0, 90, 3):
+            inserted = np.arange(first, first + 3)
+            sampler.extend(torch.from_numpy(inserted % slots))
+            index, info = sampler.sample(None, 4)
+            latest = {number % slots: number for number in range(max(0, first - 7), first + 3)}
+            numbers.append([latest[slot] for slot in index.tolist()])
+            priority = torch.tensor([(number * 7919) % 11 + 0.5 for number in numbers[-1]])
+            sampler.update_priority(index, priority)
+            numbers.append(info["weight"].tolist())
+        drawn[slots] = numbers
+    assert drawn[10] == drawn[13] == drawn[40]
 
 
 @pytest.mark.parametrize("storage", ["ram", "memmap"])

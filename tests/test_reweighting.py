@@ -43,7 +43,7 @@ def effective(beta, largest=1e9):
 
 
 def by_hand(options, counts):
-    """The weights of frames whose goals were asked for so often, one by one; by bisection."""
+    """The weights of goals that were asked for so often, one by one; by bisection."""
     raw = []
     for n in counts:
         if options.name == "inverse_count":
@@ -53,7 +53,8 @@ def by_hand(options, counts):
     low, high = 0.0, options.largest_weight / min(raw)
     for _ in range(200):
         scale = (low + high) / 2
-        mean = np.mean([min(scale * one, options.largest_weight) for one in raw])
+        weights = [min(scale * one, options.largest_weight) for one in raw]
+        mean = sum(w * n for w, n in zip(weights, counts, strict=True)) / sum(counts)
         low, high = (scale, high) if mean < 1 else (low, scale)
     return [min(scale * one, options.largest_weight) for one in raw]
 
@@ -73,7 +74,8 @@ def test_weights_of_a_random_stream(options, largest, dtype):
             worlds[i] = goals[i].tobytes()
             counts[worlds[i]] += 1
         frames = np.stack([weighing.counters] * 2)
-        expected = by_hand(options, [counts[goal] for goal in worlds] * 2)
+        of_goals = dict(zip(counts, by_hand(options, list(counts.values())), strict=True))
+        expected = [of_goals[goal] for goal in worlds] * 2
         given = weighing.weights(frames)
         assert given.dtype == np.float32
         np.testing.assert_allclose(given.ravel(), expected, rtol=1e-5)
@@ -88,25 +90,26 @@ def test_alike_is_exactly_one(options):
 
 
 def test_bounded_keeps_the_mean():
-    raw = np.random.default_rng(0).pareto(0.7, size=(6, 50)) + 1e-3
+    rng = np.random.default_rng(0)
+    raw, counts = rng.pareto(0.7, size=300) + 1e-3, rng.integers(1, 9, size=300).astype(float)
     for largest in (1.0, 1.5, 4.0, 1e6):
-        weights = bounded(raw, largest)
+        weights = bounded(raw, counts, largest)
         assert weights.max() <= largest
-        assert weights.mean() == pytest.approx(1)
+        assert np.average(weights, weights=counts) == pytest.approx(1)
 
 
 def test_balanced_weights_make_goals_uniform():
     """In expectation, under Zipf's law: each goal's share of the weights tends to one of them all;
-    with power 0.5 to its probability's square root."""
-    rng, goals = np.random.default_rng(0), 6
-    law = 1 / np.arange(1, goals + 1) ** 1.5
+    with power 0.5 to its probability's square root. Also where a batch seldom has a rare goal."""
+    rng, goals = np.random.default_rng(0), 20
+    law = 1 / np.arange(1, goals + 1) ** 2.0
     law /= law.sum()
     for power in (1.0, 0.5, 0.0):
-        weighing, shares = GoalWeights(inverse(power), 200), np.zeros(goals)
-        for update in range(200):
-            asked = rng.choice(goals, p=law, size=200)
-            weighing.begin(asked[:, None], np.ones(200, bool))
-            if update >= 50:
+        weighing, shares = GoalWeights(inverse(power), 20), np.zeros(goals)
+        for update in range(4000):
+            asked = rng.choice(goals, p=law, size=20)
+            weighing.begin(asked[:, None], np.ones(20, bool))
+            if update >= 1000:
                 frames = weighing.weights(weighing.counters[None])[0]
                 shares += np.bincount(asked, frames, goals)
         expected = law ** (1 - power) / (law ** (1 - power)).sum()
@@ -132,7 +135,8 @@ def test_unrolls_hold_the_weights_of_their_frames():
         first = steps["is_first"].numpy()
         new = first[1:].copy() if sum(counts.values()) else first
         counts.update(asked[-len(new) :][new].tolist())
-        expected = by_hand(inverse(1.0), [counts[cue] for cue in asked[:-1].ravel()])
+        of_goals = dict(zip(counts, by_hand(inverse(1.0), list(counts.values())), strict=True))
+        expected = [of_goals[cue] for cue in asked[:-1].ravel()]
         np.testing.assert_allclose(steps["weight"][:-1].numpy().ravel(), expected, rtol=1e-5)
     assert len(set(counts.values())) > 2
 

@@ -38,7 +38,7 @@ from torch import Tensor, nn
 import zipf.options
 from zipf.agents.auxiliary import NO_AUXILIARY, Auxiliary, AuxiliaryOptions
 from zipf.agents.critics import SCALAR, CriticOptions
-from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions
+from zipf.agents.episodic import NO_EPISODIC, Dictionary, EpisodicOptions
 from zipf.agents.hindsight import NO_HINDSIGHT, HindsightOptions
 from zipf.agents.memory import MemoryOptions, State
 from zipf.agents.network import Inputs, Torso
@@ -225,11 +225,14 @@ class Agent(ABC):
             for name, state in weights.items():
                 if name not in parts:
                     raise ValueError(f"no part {name!r}: the network has {', '.join(parts)}")
-                _check_fits(name, parts[name].state_dict(), state)
-                parts[name].load_state_dict(state)
-        for part in vars(self).values():
-            if isinstance(part, Auxiliary):
-                part.begin_with(networks[0].encoder)
+                part = parts[name]
+                _check_fits(name, part.state_dict(), state)
+                part.load_state_dict(state)
+                if isinstance(part, Dictionary):
+                    part.become_old()
+        for own in vars(self).values():
+            if isinstance(own, Auxiliary):
+                own.begin_with(networks[0].encoder)
 
     def fixed_parts(self) -> list[str]:
         """Names of the parts of its network that do not learn, such as a fixed matcher."""

@@ -44,8 +44,8 @@ class AchievedOptions(Options):
     episodes that achieved a goal, asked for or not, are kept of each goal, and updates draw from
     these, every goal as often as the others. `reward` is what success pays. `policy_cost` and
     `value_cost` are c_p and c_v, and after `fade` updates they are 0; None: they stay as they are.
-    `advantage` and `value_cost` are of actor-critics alone; R2D2 needs no costs. `matching_cost`
-    times the contrastive loss of `network=matching` is added.
+    `advantage` and `value_cost` are of actor-critics alone, and `reward` of these and R2D2, which
+    needs no costs. `matching_cost` times the contrastive loss of `network=matching` is added.
     """
 
     name: Literal["achieved"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import gymnasium as gym
 import torch
@@ -82,9 +82,14 @@ class Torso(nn.Module):
     The memory reads the encoded observation, the last action (one-hot; zeros where an episode
     begins) and the last reward, clipped to [-1, 1] (Espeholt et al. 2018).
 
+    Attributes:
+        value_heads: names of the parts whose outputs a critic reads.
+
     Raises:
         ValueError: the actions are not discrete, or the network cannot read the observations.
     """
+
+    value_heads: ClassVar[tuple[str, ...]] = ()
 
     def __init__(
         self,
@@ -148,6 +153,8 @@ class ActorCritic(Torso):
     Attributes:
         critic: turns the outputs of the value's head, `baseline`, into values and losses.
     """
+
+    value_heads = ("baseline",)
 
     def __init__(
         self,

@@ -73,6 +73,9 @@ class PrioritySampler(Sampler):
     """Draws slots of a ring in proportion to priority^exponent, one from each of `batch_size`
     equal parts of the sum (Schaul et al. 2016, appendix B.2.1); its random numbers are its own.
 
+    Item number k, from 0 on, is in slot k mod `slots`, and its priority in leaf k mod `capacity` of
+    the tree: draws do not depend on how much larger the ring is.
+
     New items get the largest priority so far. An importance weight is (n P)^-exponent divided by
     the largest of its batch, with n the number of items and P the probability of the draw.
 
@@ -106,26 +109,27 @@ class PrioritySampler(Sampler):
     def extend(self, index: Tensor) -> None:
         """Slots int64 [N] were just written, in this order: N new items, which make as many too old
         to be drawn once the capacity is reached."""
-        slots = index.numpy()
-        self.tree.set((slots - self.capacity) % self.slots, np.zeros(len(slots)))
+        numbers = self.inserted + np.arange(len(index))
         newest = self.max_priority**self.priority_exponent
-        self.tree.set(slots, np.full(len(slots), newest))
-        self.inserted += len(slots)
+        self.tree.set(numbers % self.capacity, np.full(len(index), newest))
+        self.inserted += len(index)
 
     def sample(self, storage: Any, batch_size: int) -> tuple[Tensor, dict[str, Tensor]]:
-        """Slots int64 [N], ascending by strata, and `weight` float32 [N]."""
+        """Slots int64 [N], and `weight` float32 [N]."""
         offsets = torch.rand(batch_size, generator=self.generator, dtype=torch.float64).numpy()
         mass = (np.arange(batch_size) + offsets) * (self.tree.total / batch_size)
-        index = self.tree.find(mass)
-        probability = self.tree.leaves[index] / self.tree.total
+        leaves = self.tree.find(mass)
+        probability = self.tree.leaves[leaves] / self.tree.total
         weight = (len(self) * probability) ** -self.importance_exponent
         weight = (weight / weight.max()).astype(np.float32)
-        return torch.from_numpy(index), {"weight": torch.from_numpy(weight)}
+        slots = self._latest(leaves, self.capacity) % self.slots
+        return torch.from_numpy(slots), {"weight": torch.from_numpy(weight)}
 
     def update_priority(self, index: Any, priority: Any, *, storage: Any = None) -> None:
-        """The priorities float [N] of slots int64 [N]."""
+        """The priorities float [N] of slots int64 [N], of items that can be drawn."""
         priorities = np.maximum(priority.numpy().astype(np.float64), SMALLEST_PRIORITY)
-        self.tree.set(index.numpy(), priorities**self.priority_exponent)
+        leaves = self._latest(index.numpy(), self.slots) % self.capacity
+        self.tree.set(leaves, priorities**self.priority_exponent)
         self.max_priority = max(self.max_priority, float(priorities.max()))
 
     def state_dict(self) -> dict[str, Any]:
@@ -142,7 +146,7 @@ class PrioritySampler(Sampler):
         self._empty()
         self.inserted = state_dict["inserted"]
         self.max_priority = state_dict["max_priority"]
-        self.tree.set(np.arange(self.slots), state_dict["leaves"].numpy())
+        self.tree.set(np.arange(self.capacity), state_dict["leaves"].numpy())
         self.generator.set_state(state_dict["generator"])
 
     def dumps(self, path: Any) -> None:
@@ -156,4 +160,9 @@ class PrioritySampler(Sampler):
     def _empty(self) -> None:
         self.inserted = 0
         self.max_priority = 1.0
-        self.tree = SumTree(self.slots)
+        self.tree = SumTree(self.capacity)
+
+    def _latest(self, places: NDArray[np.int64], length: int) -> NDArray[np.int64]:
+        """The numbers of the latest items in these places of a ring of that length."""
+        last = self.inserted - 1
+        return last - (last - places) % length

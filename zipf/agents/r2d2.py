@@ -99,6 +99,8 @@ class DuelingQ(Torso):
     the mean of the advantages; where a critic has several outputs, each of them so (Hessel et al.
     2018)."""
 
+    value_heads = ("value", "advantage")
+
     def __init__(
         self,
         observation_space: gym.spaces.Dict,

@@ -25,8 +25,9 @@ class NoReweightingOptions(Options):
 
 
 class _Weights(Options):
-    """`largest_weight` bounds a frame's weight; the mean of an unroll's weights is 1. Goals that
-    differ share a counter with probability 1 / table_size."""
+    """`largest_weight` bounds a frame's weight, and with it how much a goal's share of the loss can
+    grow; the mean weight of all episodes so far is 1. Goals that differ share a counter with
+    probability 1 / table_size."""
 
     largest_weight: Annotated[float, Field(ge=1, allow_inf_nan=False)]
     table_size: Annotated[int, Field(ge=1, le=2**30)]
@@ -34,7 +35,7 @@ class _Weights(Options):
 
 class InverseCountOptions(_Weights):
     """Weights proportional to n^-power of a goal that was asked for n times: 0 leaves frames alike,
-    1 makes all goals count the same."""
+    1 makes all goals count the same, as far as `largest_weight` allows it."""
 
     name: Literal["inverse_count"]
     power: Annotated[float, Field(ge=0, le=1)]
@@ -82,13 +83,17 @@ class GoalWeights:
 
     def weights(self, counters: NDArray[np.int64]) -> NDArray[np.float32]:
         """The weights, float32 [T, N], of frames of episodes with these `counters` [T, N], by the
-        counts as they are now. Their mean is 1."""
-        o, counts = self.options, self.counts[counters].astype(np.float64)
+        counts as they are now."""
+        o, asked = self.options, np.flatnonzero(self.counts)
+        counts = self.counts[asked].astype(np.float64)
         if isinstance(o, InverseCountOptions):
             raw = counts**-o.power
         else:
             raw = (1 - o.beta) / (1 - o.beta**counts)
-        return bounded(raw, o.largest_weight).astype(np.float32)
+        # Not of mean 1 in every unroll: one with a rare goal would make all of its weights smaller.
+        of_goals = np.zeros(len(self.counts), np.float32)
+        of_goals[asked] = bounded(raw, counts, o.largest_weight)
+        return of_goals[counters]
 
     def state_dict(self) -> dict[str, NDArray[np.int64]]:
         """The counts, and what each world was asked for."""
@@ -100,13 +105,15 @@ class GoalWeights:
         self.counters[:] = state["counters"]
 
 
-def bounded(raw: NDArray[np.float64], largest: float) -> NDArray[np.float64]:
-    """Weights of mean 1, none above `largest` >= 1: min(c raw, largest) with the c for which they
-    have that mean."""
+def bounded(
+    raw: NDArray[np.float64], counts: NDArray[np.float64], largest: float
+) -> NDArray[np.float64]:
+    """Weights [N] whose mean is 1 if each is taken as often as `counts` says, none above `largest`
+    >= 1: min(c raw, largest) with the c for which they have that mean."""
     at_bound = np.zeros(raw.shape, np.bool_)
     while True:
-        rest = raw.size - largest * at_bound.sum()  # for those below the bound
-        below = raw.sum(where=~at_bound)
+        rest = counts.sum() - largest * counts.sum(where=at_bound)  # for those below the bound
+        below = (counts * raw).sum(where=~at_bound)
         scaled = np.where(at_bound, largest, raw * (rest / below))
         over = scaled > largest
         if not over.any() or (at_bound | over).all():

@@ -114,6 +114,12 @@ class Dictionary(nn.Module):
         self.priorities[places] = priorities[best]
         self.filled.copy_(self.priorities.isfinite().sum())
 
+    def become_old(self) -> None:
+        """Gives the rows priorities below those of all new rows, in the same order: for a run that
+        begins with the rows of another, whose priorities count that one's updates."""
+        if self.filled > 0:
+            self.priorities -= self.priorities.max() + 1
+
 
 def build_dictionary(core_size: int, actions: int, options: EpisodicOptions) -> Dictionary | None:
     """The dictionary of a network whose memory has outputs of that size; None for none."""

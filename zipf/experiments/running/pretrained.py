@@ -8,6 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from zipf.agents.agent import Agent
+from zipf.agents.critics import CriticOptions
 from zipf.agents.network import Torso
 from zipf.experiments.config import Config
 from zipf.experiments.errors import UserError
@@ -48,6 +49,12 @@ def told(described: dict[str, Any]) -> str:
     )
 
 
+def _outputs(critic: CriticOptions) -> str:
+    """What the outputs of a value's head mean to a critic; a measure of risk is no part of it."""
+    options = critic.model_dump(exclude={"name", "risk", "risk_level"})
+    return " ".join([critic.name, *(f"{name}={value}" for name, value in options.items())])
+
+
 def _read(config: Config, run: str) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any]]:
     """The weights by part of the network, and where they are from."""
     folder = Path(run).expanduser()
@@ -64,6 +71,15 @@ def _read(config: Config, run: str) -> tuple[dict[str, dict[str, Tensor]], dict[
             f"has {', '.join(parts) or 'no parts with weights'}"
         )
     there = trained.config
+    heads = actor.value_heads if isinstance(actor, Torso) else ()
+    if taken := [name for name in wanted if name in heads]:
+        # As many outputs may have another meaning, such as other bins of a histogram.
+        one, other = (_outputs(options) for options in (config.critic, there.critic))
+        if one != other:
+            raise UserError(
+                f"pretrained.parts=[{','.join(wanted)}]: {taken[0]} of {run} is for critic={other}"
+                f", and this run has critic={one}; choose the same critic, or leave it out"
+            )
     before = run_folder.read_description(folder).get("pretrained") or {"frames": 0}
     frames = trained.update * there.collector.num_envs * there.collector.unroll_length
     described = {

@@ -45,12 +45,13 @@ class Lasertag(Episode):
     0.4 s at arm's length) and with Rapid and 100 shots (7 every 0.1 s). An orb flies and does 100
     where it hits, less around (10 orbs, one in 0.8 s); the beam does 8 every 0.05 s as far as 768
     units (100); a disc does 100 to all in its way (10, one in 1.5 s). A gadget that is picked up is
-    taken in hand at once; without ammunition, the best that has some. Damage costs health, of which there
-    are 125, soon 100, and pushes. Armour takes two thirds of it. A health pack gives 50 up to 100
-    and is back after 35 s, armour 50 up to 200 (25 s), a gadget is back after 5 s. Without health
-    one is tagged: the player sees the place from the ground until he fires, from 1.7 s on, or until
-    21.7 s are over. He then begins again in a random spawn cell that is free, looking anywhere. Who
-    is tagged drops the gadget in hand for 30 s. Bars show health (left) and ammunition (right).
+    taken in hand at once; without ammunition, the best that has some. Damage costs health, of which
+    there are 125, soon 100, and pushes. Armour takes two thirds of it. A health pack gives 50 up to
+    100 and is back after 35 s, armour 50 up to 200 (25 s), a gadget is back after 5 s. Without
+    health one is tagged: the player sees the place from the ground until he fires, from 1.7 s on,
+    or until 21.7 s are over. He then begins again in a random spawn cell that is free, looking
+    anywhere. Who is tagged drops the gadget in hand for 30 s. Bars show health (left) and
+    ammunition (right).
     Rewards: +1 for tagging an opponent, -1 for tagging oneself with an orb.
     Length: 240 s.
     Approximated: the original's opponents are programs of tens of thousands of lines. These have
