@@ -6,6 +6,7 @@ zipf/envs/render3d/meshes.npz and zipf/envs/labyrinth/meshes.npz.
 The same code gives the same bytes. Prints a table of what was built.
 """
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,7 @@ ATLASES = {
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     for target, make in ATLASES.items():
         meshes = make()
         np.savez(target, **pack(meshes))  # type: ignore[arg-type]

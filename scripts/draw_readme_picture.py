@@ -6,6 +6,7 @@ Every number in it is computed from the environment: the distributions, the prob
 into them, the map and what the agent sees.
 """
 
+import argparse
 from pathlib import Path
 
 import matplotlib
@@ -37,6 +38,7 @@ NEVER = "#f1f1f1"
 
 def main() -> None:
     """Writes the picture."""
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     plt.rcParams.update(
         {
             "font.family": "DejaVu Sans",

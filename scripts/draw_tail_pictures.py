@@ -7,6 +7,7 @@ against the frames that it has learned from, in `docs/tail_<name>_learning.png`,
 against how rarely training draws a situation, in `docs/tail_<name>_rarity.png`.
 """
 
+import argparse
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -137,6 +138,7 @@ BINS = 8
 
 def main() -> None:
     """Writes the pictures."""
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     plt.rcParams.update(
         {
             "font.family": "DejaVu Sans",

@@ -4,7 +4,8 @@
     make results
 
 Checkpoints, TensorBoard's files and situations outside the window are not copied. `run_root` is
-left out of the options: it changes nothing and tells where somebody keeps their runs.
+left out of the options: it changes nothing and tells where somebody keeps their runs. Files that
+are not as the run left them are refused.
 """
 
 from __future__ import annotations
@@ -13,17 +14,26 @@ import argparse
 import json
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import pandas as pd
 
+from zipf.experiments.errors import TOLD, UserError, tell
 from zipf.experiments.reporting import checksums
+from zipf.experiments.reporting.results import load_run
 
 RESULTS = Path(__file__).parent.parent / "results"
 
 
 def keep(run: Path) -> Path:
-    """Copies one run; returns the folder of the copy."""
+    """Copies one run; returns the folder of the copy.
+
+    Raises:
+        UserError: it is no run, or is damaged.
+    """
+    if notes := load_run(run).notes:
+        raise UserError(f"{run}: {notes[0]}")
     description = json.loads((run / "run.json").read_text())
     target = RESULTS / description["experiment"] / description["condition"]
     target /= f"seed{description['seed']}"
@@ -52,7 +62,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", nargs="+", type=Path, help="run folders")
     for run in parser.parse_args().runs:
-        print(f"{run} -> {keep(run)}")
+        try:
+            print(f"{run} -> {keep(run)}")
+        except TOLD as error:
+            tell(error)
+            sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -35,13 +35,14 @@ TASKS = (
         "Gridworld",
         "gridworld_compact",
         {
-            "impala_mlp": "IMPALA, `compact` network",
+            "impala_mlp": "IMPALA + MLP, `compact` network",
             "impala_given_augmented": "IMPALA, given comparison, then augmentation",
-            "impala_comparing_hindsight,precision=bfloat16": "IMPALA, learned comparison and "
+            "impala_comparing_hindsight,precision=bfloat16": "IMPALA + MLP, learned comparison and "
             "hindsight",
             "impala_comparing_augmented,precision=bfloat16,"
             "pretrained.run=gridworld_compact_impala_comparing_hindsight,precision=bfloat16,"
-            "collector.num_envs=64,collector.unroll_length=64": "The same, then augmentation",
+            "collector.num_envs=64,collector.unroll_length=64": "Its encoder, then LSTM and "
+            "augmentation",
             "impala_comparing_settled_whole": "The same, then whole episodes and a falling "
             "learning rate",
             "imitation_comparing_augmented,precision=bfloat16": "Imitation, learned comparison, "

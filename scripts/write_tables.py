@@ -11,6 +11,7 @@ The lines between them are replaced by what the function in `BLOCKS` returns. Th
 page is out of date.
 """
 
+import argparse
 import ast
 import re
 from collections.abc import Callable
@@ -164,6 +165,7 @@ def new_pages() -> dict[Path, str]:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     for page, text in new_pages().items():
         page.write_text(text, encoding="utf-8")
     for page in pages():

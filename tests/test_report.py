@@ -685,7 +685,7 @@ def test_titles_name_what_only_some_runs_tell_only_where_nothing_else_does() -> 
     assert titles == ["lift (window 1:2)", "lift (window 3:4)"]
     old = {"split": "s", "window": "1:2"}
     titles = [comparable._title("lift", one, [new, old]) for one in (new, old)]
-    assert titles == ["lift (reach 2.0)", "lift (reach as by default)"]
+    assert titles == ["lift (reach 2.0)", "lift (reach not recorded)"]
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,7 @@ def _evaluate_script(options: EvaluateOptions) -> None:
 def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> None:
     """Prints scores by kind, and by level where there are more, beside those of references."""
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from zipf import envs
     from zipf.experiments.running import run_folder
@@ -126,13 +126,15 @@ def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> No
         if reference.name == "chance" or any(mean is not None for mean in means):
             table.add_row(reference.name, *map(_figure, means))
     console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=120)
     console.print(title, soft_wrap=True, markup=False)
     console.print(table)
     if len(results) > len(by_kind):
         described = {level["level"]: level for level in levels}
         of_any = {name for level in levels for name in level["references"]}
         names = [one.name for one in envs.REFERENCES if one.name in of_any]
-        each = Table("level", "score", *names)
+        each = Table(Column("level", overflow="fold"), "score", *names)
         for result in results:
             known = described[result.level]["references"]
             scores_of = (known[name]["score"] if name in known else None for name in names)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from zipf.experiments.reporting.claim_results import ClaimLine
     from zipf.experiments.reporting.seed_statistics import SeedStatistics
     from zipf.experiments.reporting.tables import ScoreTable
+    from zipf.experiments.reporting.windows import Asked
 
 
 EXAMPLES = """examples:
@@ -82,11 +83,8 @@ def report(
         statistics_frame,
     )
     from zipf.experiments.reporting.side_by_side import side_by_side
-    from zipf.experiments.reporting.windows import parse_window
 
-    if html and Path(html).suffix != ".html":
-        raise UserError(f"--html {html}: should end in .html")
-    chosen = parse_window(window) if window is not None else None
+    chosen = _checked(window, html)
     target = Path(output) if output is not None else Path(folders[0]) / "report"
     found = tables.score_tables(results.load_runs(folders), chosen)
     pages = [] if record is None else _pages(folders, [target / "report.md", Path(record)])
@@ -153,6 +151,16 @@ def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str
             except UnicodeDecodeError as error:
                 raise UserError(f"{path.as_posix()}: is not UTF-8 text: {error}") from None
     return texts
+
+
+def _checked(window: str | None, html: str | Path | None) -> Asked | None:
+    """The window that is asked for. Raises `UserError` for one that there is not, or a page whose
+    name does not end in .html."""
+    from zipf.experiments.reporting.windows import parse_window
+
+    if html and Path(html).suffix != ".html":
+        raise UserError(f"--html {html}: should end in .html")
+    return parse_window(window) if window is not None else None
 
 
 def _remove_earlier_plots(folder: Path) -> None:
@@ -248,6 +256,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from zipf.experiments.config import module_names
             from zipf.experiments.playing.videos import record_videos
 
+            _checked(chosen.window, chosen.html)
             record_videos(chosen.folders, chosen.videos, module_names(chosen.plugins), print)
             chosen.html = chosen.html or ""
         elif chosen.plugins:

@@ -27,8 +27,12 @@ def conditions() -> dict[str, RowOptions]:
         name: RowOptions(**(composing.condition_file(name).get("row") or {"title": name}))
         for name in composing.choices("condition")
     }
-    unordered = float("inf")
-    return dict(sorted(rows.items(), key=lambda item: (item[1].order or unordered, item[0])))
+
+    def place(item: tuple[str, RowOptions]) -> tuple[float, str]:
+        name, row = item
+        return float("inf") if row.order is None else row.order, name
+
+    return dict(sorted(rows.items(), key=place))
 
 
 def summary(group: str, name: str) -> str:

@@ -102,8 +102,7 @@ def results_of(table: ScoreTable) -> Results:
     for row in rows:
         for levels in table.kinds:
             means = [run.mean_scores(levels) for run in row.runs]
-            curve = pd.concat(means).groupby("update")["score"].median()
-            curves[row.condition, levels.level_kind] = curve, sum(len(one) > 0 for one in means)
+            curves[row.condition, levels.level_kind] = _curve(means)
     experiment = table.description.paper
     return Results(
         scores={
@@ -119,6 +118,16 @@ def results_of(table: ScoreTable) -> Results:
         else None,
         curves=curves,
     )
+
+
+def _curve(seeds: Sequence[pd.DataFrame]) -> tuple[pd.Series, int]:
+    """The median over seeds by update, of the updates with as many seeds as any has; and how many
+    seeds that are."""
+    by_update = pd.concat(seeds).groupby("update")["score"]
+    counts = by_update.count()
+    most = int(counts.max()) if len(counts) else 0
+    most = min(most, PROTOCOL_SEEDS)
+    return by_update.median()[counts >= most], most
 
 
 def published_results(experiment: str) -> Results:

@@ -137,7 +137,7 @@ def _title(experiment: str, identity: dict[str, Any], siblings: list[dict[str, A
         names = _differing(told, siblings)
     differing = [
         f"{name.removeprefix('environment.')} "
-        + textwrap.shorten(str(identity.get(name, "as by default")), 60, placeholder=" ...")
+        + textwrap.shorten(str(identity.get(name, "not recorded")), 60, placeholder=" ...")
         for name in names
     ]
     return f"{experiment} ({', '.join(differing)})" if differing else experiment

@@ -19,10 +19,11 @@ import pandas as pd
 
 from zipf.experiments.errors import UserError
 
-Kind = Literal["count", "number", "number or empty", "text"]
+Kind = Literal["count", "count or empty", "number", "number or empty", "text"]
 
 EXPECTED: Mapping[Kind, str] = {
     "count": "a whole number",
+    "count or empty": "a whole number or nothing",
     "number": "a finite number",
     "number or empty": "a finite number or nothing",
 }
@@ -125,10 +126,10 @@ def _convert(path: Path, texts: pd.Series, kind: Kind) -> pd.Series:
         return texts
     values = pd.to_numeric(texts, errors="coerce").astype(float)
     good = np.isfinite(values.to_numpy())
-    if kind == "count":
+    if kind.startswith("count"):
         good = texts.str.fullmatch("[0-9]{1,15}").to_numpy(bool)  # more are not exact as float64
-    elif kind == "number or empty":
-        good |= (texts == "").to_numpy(bool)
+    if kind.endswith("or empty"):
+        good = good | (texts == "").to_numpy(bool)
     if not good.all():
         line, text = next(iter(texts[~good].items()))
         shown = text if len(text) <= 40 else f"{text[:40]}..."

@@ -185,11 +185,16 @@ def counting_text(table: ScoreTable) -> str:
     names = situation_names(table)
     own = [run for run in table.runs if not run.description.external]
     if all(counted_visits(run, table, name) is not None for run in own for name in names):
-        return "counted in training."
-    return (
-        "estimated: the share of this rank in evaluations on the train levels, times the frames of "
-        "training divided by the mean length of its episodes. Ranks not met there are left out."
-    )
+        text = "counted in training."
+    else:
+        text = (
+            "estimated: the share of this rank in evaluations on the train levels, times the "
+            "frames of training divided by the mean length of its episodes. Ranks not met there "
+            "are left out."
+        )
+    if any(run.description.pretrained for run in own):
+        text += " Without those of runs whose weights other agents began with."
+    return text
 
 
 def band_text(table: ScoreTable) -> str:

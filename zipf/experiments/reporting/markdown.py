@@ -194,4 +194,4 @@ def _commit_text(commit: str | None) -> str:
 
 
 def _escape(text: str) -> str:
-    return re.sub(r"([|*_<])", r"\\\1", text)
+    return re.sub(r"([\\|*_<]|\](?=\())", r"\\\1", text)  # `](` would end a link's text

@@ -230,7 +230,7 @@ def _read_situations(
         "return_sum": "number",
     }
     visits = ("visits", *(f"visits_{name}" for name in names))
-    columns |= dict.fromkeys([name for name in visits if name in header], "count")
+    columns |= dict.fromkeys([name for name in visits if name in header], "count or empty")
     rows = read_table(path, columns, notes)
     _check_kinds(path, rows)
     for name in names:
@@ -246,6 +246,12 @@ def _read_situations(
                 f"{path.as_posix()}, line {too_large.index[0]}: {name} "
                 f"{too_large[name].iloc[0]}, but by run.json the ranks are 0 to {size - 1}"
             )
+    too_many = rows[rows["successes"] > rows["episodes"]]
+    if len(too_many):
+        raise UserError(
+            f"{path.as_posix()}, line {too_many.index[0]}: {too_many['successes'].iloc[0]:g} "
+            f"successes of {too_many['episodes'].iloc[0]} episodes"
+        )
     return _latest(rows, ["update", "level_kind", *names]), names
 
 

@@ -150,7 +150,8 @@ def seed_statistics(table: ScoreTable, frame: pd.DataFrame) -> SeedStatistics:
         sentences.append(
             "Met in training: how often the situation of an episode of the rare levels, or the one "
             "rank of it, had been met in training by the time of the evaluation; median over "
-            "episodes, lowest to highest."
+            "episodes, lowest to highest. At least: without those of the run whose weights the "
+            "agent began with."
         )
     return SeedStatistics(table, tuple(grids), " ".join(sentences))
 
@@ -226,7 +227,12 @@ def _visits(table: ScoreTable) -> Grid | None:
             seeds_text(_seeds(table, row)),
             score_text(scores["score"]["rare"], scores["error"]["rare"]),
         ]
-        lines.append((leading, {name: _met(rare[name], rare["episodes"]) for name in found}))
+        # Of what the run met whose weights an agent began with, nothing is known here.
+        before = any(run.description.pretrained for run in row.runs)
+        texts = {name: _met(rare[name], rare["episodes"]) for name in found}
+        if before:
+            texts = {n: text if text == NONE else f"at least {text}" for n, text in texts.items()}
+        lines.append((leading, texts))
     if not columns:
         return None
     shown = [

@@ -72,13 +72,12 @@ class ScoreTable:
     def reference_episodes(self, name: str) -> list[int]:
         """Over how many episodes a reference was measured on each level, without those on which it
         is exact or not known."""
-        known = (
-            level.references[name]
-            for run in self.runs
-            for level in run.description.levels
-            if name in level.references
-        )
-        return [one.episodes for one in known if one.episodes is not None]
+        shown: dict[tuple[str, str], int | None] = {}  # the first that is known, as in the scores
+        for level in (level for run in self.runs for level in run.description.levels):
+            if name in level.references:
+                key = level.level_kind, level.level
+                shown.setdefault(key, level.references[name].episodes)
+        return [episodes for episodes in shown.values() if episodes is not None]
 
     @property
     def is_capped(self) -> bool:

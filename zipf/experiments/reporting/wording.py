@@ -37,7 +37,8 @@ def count_text(count: int) -> str:
     """12,345,678 as it is below ten million, then 12.3 million or 12.3 billion."""
     for size, word in ((10**9, "billion"), (10**6, "million")):
         if count >= max(size, 10**7):
-            return f"{count / size:.3g} {word}"
+            number = count / size  # in exponents from 1,000 on, where it is rounded up to that, too
+            return f"{number:.3g} {word}" if number < 999.5 else f"{number:,.0f} {word}"
     return f"{count:,}"
 
 
