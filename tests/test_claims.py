@@ -18,6 +18,7 @@ from zipf.experiments.reporting.claim_results import (
     check_claims,
     csv_claims,
     published_results,
+    results_of,
 )
 from zipf.experiments.reporting.claims import Measured, Results, judge
 
@@ -198,6 +199,33 @@ def test_curves_windows_and_effort() -> None:
     known[("b", "rare")] = Measured(0.5, 3, 999)
     assert judge(effort, Results(known, [])).outcome == "fails"
     assert judge(effort, Results({}, [])).outcome == "not enough data"
+
+
+def test_a_curve_has_as_many_seeds_at_every_update(tmp_path: Path) -> None:
+    """Seeds that were just begun do not make the others' curves those of three."""
+    for condition in ("impala", "supervised"):
+        for seed in range(3):
+            scores = {0: (0.1,) * 3} if seed else {0: (0.1,) * 3, **constant(0.5)}
+            worlds = {"paper": "playroom_finding", "experiment": "playroom_find"}
+            write_run(tmp_path, scores, condition=condition, seed=seed, **worlds)
+    lines = check_claims(tables.score_tables(results.load_runs([tmp_path])))
+    (line,) = (line for line in lines if line.claim.id == "rl_curve_match")
+    assert line.outcome == "not enough data"
+    for condition in ("impala", "supervised"):
+        for seed in range(3):
+            worlds = {"paper": "playroom_finding", "experiment": "playroom_find"}
+            write_run(tmp_path / "all", constant(0.5), condition=condition, seed=seed, **worlds)
+    lines = check_claims(tables.score_tables(results.load_runs([tmp_path / "all"])))
+    (line,) = (line for line in lines if line.claim.id == "rl_curve_match")
+    assert line.outcome == "holds"
+
+
+def test_a_window_is_kept_by_runs_that_have_come_to_its_end(tmp_path: Path) -> None:
+    for seed in range(3):
+        scores = {update: (0.5,) * 3 for update in ((100, 200) if seed else (100, 200, 300))}
+        write_run(tmp_path, scores, seed=seed)
+    (table,) = tables.score_tables(results.load_runs([tmp_path]))
+    assert results_of(table).window == (100, 200)
 
 
 def test_claims_in_the_report(tmp_path: Path) -> None:

@@ -467,6 +467,23 @@ def test_disagreement_about_chance_is_noted(tmp_path: Path) -> None:
     assert "seed1 disagree about chance (0.09 and 0.10 on gridworld/rare)" in table.notes[0]
 
 
+def test_episodes_of_a_reference_are_those_of_the_score_that_is_shown(tmp_path: Path) -> None:
+    measured = [
+        level(kind, f"gridworld/{kind}", chance=CHANCE[kind], episodes=500) for kind in envs.KINDS
+    ]
+    write_run(tmp_path, constant(0.5))
+    write_run(tmp_path, constant(0.5), seed=1, levels=measured)
+    assert only_table(tmp_path).reference_episodes("chance") == []
+    write_run(tmp_path / "other", constant(0.5), levels=measured)
+    assert only_table(tmp_path / "other").reference_episodes("chance") == [500] * 3
+
+
+def test_text_in_square_brackets_is_no_link(tmp_path: Path) -> None:
+    row = {"title": "[click](http://there) [0.1, 0.2]", "order": None, "colour": None}
+    write_run(tmp_path, constant(0.5), row={**row, "line": "solid"})
+    assert r"[click\](http://there) [0.1, 0.2]" in markdown.markdown(only_table(tmp_path))
+
+
 def test_the_record_ends_with_the_pages_beside_the_runs(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.6))
     (tmp_path / "references.md").write_text("## References\n\n± 0.1\n", "utf-8")
@@ -711,7 +728,15 @@ def test_duration_text(seconds: float, text: str) -> None:
 
 @pytest.mark.parametrize(
     ("count", "text"),
-    [(0, "0"), (9_999_999, "9,999,999"), (12_288_000, "12.3 million"), (9 * 10**9, "9 billion")],
+    [
+        (0, "0"),
+        (9_999_999, "9,999,999"),
+        (12_288_000, "12.3 million"),
+        (999_400_000, "999 million"),
+        (999_600_000, "1,000 million"),
+        (9 * 10**9, "9 billion"),
+        (1_228_800_000_000, "1,229 billion"),
+    ],
 )
 def test_count_text(count: int, text: str) -> None:
     assert wording.count_text(count) == text

@@ -226,6 +226,15 @@ def test_a_description_of_another_seed_is_refused(
     assert "options of another run than run.json (seed)" in refusal(capsys, str(tmp_path))
 
 
+def test_more_successes_than_episodes_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = (SITUATIONS, "300,uniform,1,1,10,12,5.0")
+    write_run(tmp_path, constant(0.5), situations=rows)
+    message = refusal(capsys, str(tmp_path))
+    assert "situations.csv, line 2: 12 successes of 10 episodes" in message
+
+
 def test_a_rank_that_cannot_be_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

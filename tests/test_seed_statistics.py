@@ -149,7 +149,14 @@ def test_visits_stand_beside_rare_scores(tmp_path: Path) -> None:
     text = shown(tmp_path)
     assert "| Condition | Seeds | Rare score | Situation met | Map met | Target met |" in text
     assert "| IMPALA | 1/3 | 0.50 | 1 (0 to 1) | 60 (60 to 60) | 50 (50 to 7,000) |" in text
-    groups = rates_by_visits(only_table(tmp_path), "visits")
+    there = {"experiment": "gridworld", "condition": "impala", "seed": 0, "update": 300}
+    there |= {"frames": 1_228_800, "parts": ["encoder"]}
+    options = {"condition": "r2d2", "situations": rows, "pretrained": there}
+    write_run(tmp_path / "other", constant(0.5), **options)
+    text = shown(tmp_path / "other")
+    assert "| R2D2 | 1/3 | 0.50 | at least 1 (0 to 1) | at least 60 (60 to 60) |" in text
+    assert "At least: without those of the run whose weights" in text
+    groups = rates_by_visits(only_table(tmp_path / "gridworld"), "visits")
     # 0; 2 and 3 together; 5000 alone.
     assert groups["episodes"].tolist() == [5, 10, 10]
     assert groups["met"].tolist() == pytest.approx([0, (2 * 4 + 3 * 6) / 10, 5000])

@@ -20,6 +20,7 @@ from zipf.experiments.reporting.claims import (
     together,
 )
 from zipf.experiments.reporting.paper import paper_table
+from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import UpdateWindow
 from zipf.experiments.reporting.wording import PROTOCOL_SEEDS
@@ -113,11 +114,19 @@ def results_of(table: ScoreTable) -> Results:
         },
         every=list(paper_table(experiment).rows) if experiment else [],
         titles={row.condition: row.title for row in rows},
-        window=(table.window.start, table.window.end)
-        if isinstance(table.window, UpdateWindow)
-        else None,
+        window=_window(table, rows),
         curves=curves,
     )
+
+
+def _window(table: ScoreTable, rows: Sequence[Row]) -> tuple[int, int] | None:
+    """The updates that scores were taken from, as far as all runs have come; None for another kind
+    of window."""
+    if not isinstance(table.window, UpdateWindow):
+        return None
+    reached = [run.updates for row in rows for run in row.runs]
+    scored = [updates for updates in reached if updates >= table.window.start]
+    return table.window.start, min([table.window.end, *scored])
 
 
 def _curve(seeds: Sequence[pd.DataFrame]) -> tuple[pd.Series, int]:
