@@ -561,6 +561,16 @@ def test_an_external_agent_stands_in_every_table_of_its_worlds(tmp_path: Path) -
     assert [len(table.rows) for table in found] == [1, 2, 1]
 
 
+def test_an_external_agent_of_several_experiments_has_a_table_for_each(tmp_path: Path) -> None:
+    """In a table of ours they would be the same row twice."""
+    write_run(tmp_path, constant(0.5))
+    for number, name in enumerate(("lr_1e-3", "lr_1e-4")):
+        write_external(tmp_path, {7: (0.1 * number,) * 3}, experiment=name)
+    found = tables.score_tables(results.load_runs([tmp_path]))
+    assert [table.title for table in found] == ["gridworld", "lr_1e-3", "lr_1e-4"]
+    assert [len(table.rows) for table in found] == [1, 1, 1]
+
+
 def test_external_agents_alone_have_a_table(tmp_path: Path) -> None:
     for seed, score in enumerate((0.3, 0.5, 0.4)):
         scores = {3: (0.9, 0.9, 0.9), 7: (score, 0.2, 0.1)}

@@ -289,6 +289,18 @@ def test_an_external_agent_is_drawn_against_frames(tmp_path: Path) -> None:
     assert "Window of the table" not in legend(figure)
 
 
+def test_the_median_of_seeds_that_were_recorded_at_other_frames(tmp_path: Path) -> None:
+    for seed, score in enumerate((0.2, 0.5, 0.8)):
+        scores = {count * 10 + seed: (score,) * 3 for count in (1, 2, 3)}
+        write_external(tmp_path, scores, seed=seed)
+    table = only_table(tmp_path)
+    figure = learning_curves(table, line_styles(table.rows))
+    assert figure is not None
+    median = figure.axes[0].lines[0]
+    np.testing.assert_array_equal(median.get_ydata(), [0.5] * 3)
+    np.testing.assert_array_equal(median.get_xdata(), [11 * 4096, 21 * 4096, 31 * 4096])
+
+
 # --- lines -----------------------------------------------------------------------------------
 
 

@@ -53,11 +53,18 @@ def group_runs(runs: Sequence[Run], window: Asked | None) -> list[RunGroup]:
         if not run.description.external:
             by_key.setdefault(_key(run, window), []).append(run)
     tabled = list(by_key.values())
+    experiments: dict[str, set[str]] = {}  # of each agent from outside the package
+    for run in runs:
+        if run.description.external:
+            of_agent = experiments.setdefault(run.description.row_key, set())
+            of_agent.add(run.description.experiment)
     for run in runs:
         if run.description.external:
             places = [group for group in tabled if _worlds(group[0]) == _worlds(run)]
             experiment = run.description.experiment
             own = [group for group in places if group[0].description.experiment == experiment]
+            if len(experiments[run.description.row_key]) > 1:
+                places = []  # as rows of another experiment's table they would be one agent
             for group in own or places or [by_key.setdefault(_key(run, window), [])]:
                 group.append(run)
 

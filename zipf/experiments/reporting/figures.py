@@ -16,6 +16,7 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 from zipf.experiments.reporting.average_figures import averages
 from zipf.experiments.reporting.frequency_figures import by_visits, frequencies
 from zipf.experiments.reporting.markdown import PLOT_KINDS
+from zipf.experiments.reporting.results import aligned
 from zipf.experiments.reporting.situation_figures import by_rank, by_situation
 from zipf.experiments.reporting.styles import (
     BAND,
@@ -87,7 +88,9 @@ def learning_curves(
     """
     rows = [row for row in table.rows if not (in_hours and row.external)]
     scores = {
-        (row.key, levels.level_kind): pd.concat([run.mean_scores(levels) for run in row.runs])
+        (row.key, levels.level_kind): pd.concat(
+            aligned([run.mean_scores(levels) for run in row.runs])
+        )
         for row in rows
         for levels in table.kinds
     }

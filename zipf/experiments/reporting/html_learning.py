@@ -18,7 +18,7 @@ from zipf.experiments.reporting.html_panels import (
     panel,
     shade,
 )
-from zipf.experiments.reporting.results import LevelGroup, Run
+from zipf.experiments.reporting.results import LevelGroup, Run, aligned
 from zipf.experiments.reporting.styles import LineStyle
 from zipf.experiments.reporting.tables import Row, ScoreTable
 from zipf.experiments.reporting.wording import KIND_NAMES
@@ -103,7 +103,7 @@ def _curves(
             thin = line(row, style, hover, width=0.8, opacity=0.45)
             thin.y = numbers(seed["score"])
             yield thin, seed[columns]
-    pooled = pd.concat(list(seeds))
+    pooled = pd.concat(aligned(seeds))
     middle = pooled.assign(at=pooled["update"]).groupby("at")[columns].median()
     hover = f"{'median' if len(seeds) > 1 else 'one seed'}: %{{y:.3f}} at %{{x:.4s}}"
     thick = line(row, style, hover)

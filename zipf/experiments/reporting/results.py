@@ -7,7 +7,7 @@ docs/results.md describes every file and column.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -153,6 +153,25 @@ def _run_folders(root: Path) -> Iterator[Path]:
         inner.sort()
         if "run.json" in files:
             yield Path(folder)
+
+
+def aligned(seeds: Sequence[pd.DataFrame]) -> list[pd.DataFrame]:
+    """The seeds' `mean_scores` with places in common, so that a median over seeds can be taken.
+
+    Where no two seeds were evaluated at the same update, as agents from outside the package may be,
+    the k-th evaluation of each is at the median of the places of all their k-th ones.
+    """
+    updates = pd.concat([seed["update"] for seed in seeds])
+    trained = updates[updates > 0]
+    if len(seeds) < 2 or trained.duplicated().any():
+        return list(seeds)
+    numbered = pd.concat([seed.assign(number=range(len(seed))) for seed in seeds])
+    columns = [name for name in ("update", "frames", "seconds", "hours") if name in numbered]
+    places = numbered.groupby("number")[columns].median()
+    return [
+        seed.assign(**{name: places[name].to_numpy()[: len(seed)] for name in columns})
+        for seed in seeds
+    ]
 
 
 def load_run(folder: Path) -> Run:
