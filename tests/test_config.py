@@ -255,8 +255,6 @@ MISTAKES = [
     (["experiment=demo", "run_root=/tmp/a=b"], ["quotes"]),
     (["experiment=demo", "+agent.momentum=1"], ["agent.momentum", "no such option"]),
     (["experiment=demo", "hydrax=1"], ["hydrax: no such option"]),
-    (["experiment=demo", "schedule.window=[401,449]"], ["no evaluation would be in it"]),
-    (["experiment=demo", "evaluation.every=1000", "schedule.window=[100,400]"], ["no evaluation"]),
     (["gridworld"], ["environment=gridworld or experiment=gridworld?"]),
     (["experiment=demo", 'updates="1'], ["check its quotes"]),
     (["experiment=demo", "experiment=gridworld"], ["choose one", "experiment=demo,gridworld"]),

@@ -117,9 +117,9 @@ def test_the_last_trial_ends_the_episode(level: str) -> None:
         answer(episode, right=True)
     assert episode.done == trials
     env.worlds.timers[:] = -1  # those that no frame has seen
-    for frame in range(12):
+    for frame in range(13):  # that of the answer, which was given between frames here, and 12
         _, _, terminated, truncated, _ = env.step(np.array([14]))
-        assert (bool(terminated[0]), bool(truncated[0])) == (frame == 11, False)
+        assert (bool(terminated[0]), bool(truncated[0])) == (frame == 12, False)
         assert empty(env)
 
 

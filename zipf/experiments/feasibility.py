@@ -25,23 +25,11 @@ from zipf.experiments.runtime import RayOptions, TorchrunOptions, has_ray
 from zipf.experiments.settings import flatten
 
 
-def _is_evaluated_inside(config: Config) -> bool:
-    """Whether there is an evaluation in the window, now or with more updates."""
-    start, end = config.schedule.window
-    every = config.evaluation.every
-    return end // every * every >= start or start <= config.updates <= end
-
-
 def problems(config: Config) -> Iterator[str]:
     """The problems of options that are each valid by themselves, one line each."""
     start, end = config.schedule.window
     if start > end:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"
-    elif not _is_evaluated_inside(config):
-        yield (
-            f"schedule.window=[{start}, {end}]: no evaluation would be in it, which are every "
-            f"evaluation.every={config.evaluation.every} updates and at the last one"
-        )
     if decay := config.learning_rate_decay:
         if decay[0] >= decay[1]:
             yield f"learning_rate_decay={decay}: should begin before it ends"
