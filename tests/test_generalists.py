@@ -46,10 +46,9 @@ def test_who_has_a_generalist() -> None:
         envs.generalist("gridwrld/rare", env)
 
 
-@pytest.mark.parametrize("name", envs.SCRIPTED)
-@pytest.mark.parametrize("family", ["gridworld", "playroom", "labyrinth"])
+@pytest.mark.parametrize(("family", "name"), PLAYERS)
 def test_players_refuse_worlds_that_they_cannot_play(family: str, name: envs.Scripted) -> None:
-    others = [one for one in ("gridworld", "playroom", "labyrinth") if one != family]
+    others = [one for one in envs.families() if one != family]
     level, *other = (f"{one}/{envs.find_family(one).levels[0]}" for one in (family, *others))
     with pytest.raises(ValueError, match=f"the {name} plays what make_vec makes, got"):
         envs.scripted(name, level, envs.make(level))  # type: ignore[arg-type]

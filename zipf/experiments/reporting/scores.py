@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from zipf.experiments.reporting.descriptions import LevelGroup
+from zipf.experiments.reporting.descriptions import LevelGroup, ReferenceDescription
 from zipf.experiments.reporting.paper import PaperTable
 from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.rows import Row
@@ -189,17 +189,24 @@ def _capped(run: Run, levels: LevelGroup) -> bool:
     )
 
 
+def known_references(runs: Sequence[Run], name: str) -> dict[tuple[str, str], ReferenceDescription]:
+    """The first known values of a reference, by level kind and level."""
+    known: dict[tuple[str, str], ReferenceDescription] = {}
+    for level in (level for run in runs for level in run.description.levels):
+        if name in level.references:
+            known.setdefault((level.level_kind, level.level), level.references[name])
+    return known
+
+
 def _references(runs: Sequence[Run], levels: LevelGroup) -> dict[str, float]:
     """For each reference the first known values of each level, averaged by their weights, with the
     same weights and capped; NaN where a level's is not known."""
     weights = list(levels.weights.values())
     found = {}
     for name in REFERENCE_NAMES:
-        known: dict[str, float] = {}
-        for level in (level for run in runs for level in run.description.levels):
-            if level.level_kind == levels.level_kind and name in level.references:
-                known.setdefault(level.level, level.references[name].score)
-        values = np.array([known.get(one, np.nan) for one in levels.weights])
+        known = known_references(runs, name)
+        places = ((levels.level_kind, one) for one in levels.weights)
+        values = np.array([known[one].score if one in known else np.nan for one in places])
         found[name] = weighted_mean(values, weights)
         found[f"plain_{name}"] = weighted_mean(values, np.ones(len(values)))
         capped = np.minimum(values, CAP) if _capped(runs[0], levels) else values * np.nan

@@ -228,11 +228,8 @@ def _visits(table: ScoreTable) -> Grid | None:
             score_text(scores["score"]["rare"], scores["error"]["rare"]),
         ]
         # Of what the run met whose weights an agent began with, nothing is known here.
-        before = any(run.description.pretrained for run in row.runs)
-        texts = {name: _met(rare[name], rare["episodes"]) for name in found}
-        if before:
-            texts = {n: text if text == NONE else f"at least {text}" for n, text in texts.items()}
-        lines.append((leading, texts))
+        least = "at least " if any(run.description.pretrained for run in row.runs) else ""
+        lines.append((leading, {name: _met(rare[name], rare["episodes"], least) for name in found}))
     if not columns:
         return None
     shown = [
@@ -244,13 +241,13 @@ def _visits(table: ScoreTable) -> Grid | None:
     return Grid("met in training", name, leading, list(columns.values()), shown, [])
 
 
-def _met(visits: pd.Series, episodes: pd.Series) -> str:
+def _met(visits: pd.Series, episodes: pd.Series, least: str) -> str:
     known = visits.notna() & (episodes > 0)
     if not known.any():
         return NONE
     each = np.repeat(visits[known].to_numpy(int), episodes[known].to_numpy(int))
     low, middle, high = (count_text(int(one)) for one in (each.min(), np.median(each), each.max()))
-    return f"{middle} ({low} to {high})"
+    return f"{least}{middle} ({low} to {high})"
 
 
 def _seeds(table: ScoreTable, row: Row) -> int:

@@ -17,7 +17,7 @@ from zipf.experiments.reporting.notes import notes
 from zipf.experiments.reporting.paper import PaperTable
 from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.rows import Row, rows_of
-from zipf.experiments.reporting.scores import CSV_COLUMNS, score_frame
+from zipf.experiments.reporting.scores import CSV_COLUMNS, known_references, score_frame
 from zipf.experiments.reporting.windows import (
     Asked,
     Window,
@@ -72,12 +72,8 @@ class ScoreTable:
     def reference_episodes(self, name: str) -> list[int]:
         """Over how many episodes a reference was measured on each level, without those on which it
         is exact or not known."""
-        shown: dict[tuple[str, str], int | None] = {}  # the first that is known, as in the scores
-        for level in (level for run in self.runs for level in run.description.levels):
-            if name in level.references:
-                key = level.level_kind, level.level
-                shown.setdefault(key, level.references[name].episodes)
-        return [episodes for episodes in shown.values() if episodes is not None]
+        known = known_references(self.runs, name).values()
+        return [one.episodes for one in known if one.episodes is not None]
 
     @property
     def is_capped(self) -> bool:
