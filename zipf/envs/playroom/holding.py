@@ -75,9 +75,12 @@ def _find_room(agent, world, held, floor, spot):
         _clear_walls(agent, frame, extent, cos, sin, spot)
         if low:
             _clear_bed(agent, world, held, cos, sin, spot)
+        # Pushes that the body's walls undo leave the agent in place, but make no room.
+        pushed = math.hypot(agent[AX] - start_x, agent[AY] - start_y)
         if agent[AX] != x or agent[AY] != y:
             _keep_body_out(agent, world)
-        if math.hypot(agent[AX] - start_x, agent[AY] - start_y) < _EXACT:
+        moved = math.hypot(agent[AX] - start_x, agent[AY] - start_y)
+        if max(pushed, moved) < _EXACT:
             agent[PITCH] = max(agent[PITCH], math.atan2(height - EYE, far) - STEEP)
             return True
     agent[AX], agent[AY] = x, y
@@ -121,11 +124,14 @@ def _clear_bed(agent, world, held, cos, sin, spot):
         spot[1] = max(enter, spot[0])
     else:
         near_x, near_y = x + along_x * spot[0], y + along_y * spot[0]
-        push_x = push_y = 0.0
-        if abs(x) - FURNITURE_SIZE[0, 0] > abs(y) - FURNITURE_SIZE[0, 1]:
-            push_x = math.copysign(half_x, x) - near_x
+        push_x, push_y = math.copysign(half_x, x) - near_x, math.copysign(half_y, y) - near_y
+        # To the side of the bed where the agent stands; beside a corner, the shorter way.
+        beside_x, beside_y = abs(x) - FURNITURE_SIZE[0, 0], abs(y) - FURNITURE_SIZE[0, 1]
+        corner = min(beside_x, beside_y) > 0
+        if abs(push_x) < abs(push_y) if corner else beside_x > beside_y:
+            push_y = 0.0
         else:
-            push_y = math.copysign(half_y, y) - near_y
+            push_x = 0.0
         agent[AX] += c * push_x - s * push_y
         agent[AY] += s * push_x + c * push_y
         spot[1] = spot[0]
