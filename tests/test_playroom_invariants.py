@@ -117,6 +117,8 @@ def repeated_actions(rng: np.random.Generator, steps: int) -> NDArray[np.int64]:
 @pytest.mark.parametrize("level", LEVELS)
 @given(seed=st.integers(0, 2**32), repeated=st.booleans())
 @example(seed=9638, repeated=True)  # walks with a held object between the bed and a wall
+@example(seed=2145, repeated=True)  # walks onto the tray with a held object
+@example(seed=2509, repeated=True)  # pushes an object between the bed and a wall
 @settings(max_examples=12, deadline=None)
 def test_the_state_stays_consistent_under_any_actions(
     level: str, seed: int, repeated: bool

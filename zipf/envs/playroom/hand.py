@@ -25,7 +25,7 @@ from zipf.envs.playroom.constants import (
     STEP,
 )
 from zipf.envs.playroom.geometry import half_width, set_upright
-from zipf.envs.playroom.holding import find_room, floor_of_hand
+from zipf.envs.playroom.holding import find_room, floor_of_hand, keep_in_view
 from zipf.envs.playroom.state import (
     AIR,
     ANGLE,
@@ -101,6 +101,7 @@ def control(mask, actions, worlds, commands):
                 held = pick(agent, one_world(worlds, i))
                 if held >= 0 and find_room(agent, one_world(worlds, i), held, spot):
                     worlds.hands[i] = held
+                    worlds.spots[i] = spot
                     status[held] = HELD
                     agent[BASE] = objects[held, Z]
         elif act[8] == 0:
@@ -113,14 +114,15 @@ def control(mask, actions, worlds, commands):
             agent[HOLD] += act[7] * PUSH_RATE * STEP
             agent[HOLD] = min(max(agent[HOLD], NEAREST_HOLD), worlds.reach)
             _spin(orientation[held], agent, act)
-            if not find_room(agent, one_world(worlds, i), held, spot):
+            if find_room(agent, one_world(worlds, i), held, spot):
+                worlds.spots[i] = spot
+            else:
                 agent[:] = pose
                 orientation[held] = turned
-                find_room(agent, one_world(worlds, i), held, spot)
         held = worlds.hands[i]
         if held >= 0:
-            _reach_out(agent, objects[held], spot, commands.drives[i])
-            objects[held, Z] = spot[2]
+            _reach_out(agent, objects[held], worlds.spots[i], commands.drives[i])
+            objects[held, Z] = worlds.spots[i, 2]
         cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
         push = AGENT_MASS * ACCELERATION
         commands.forces[i, 0] = push * (act[0] * cos + act[1] * sin)
@@ -273,12 +275,16 @@ def keep_in_hand(worlds, i, start):
     """
     held = worlds.hands[i]
     agent, item = worlds.agents[i], worlds.objects[i, held]
-    world, spot = one_world(worlds, i), np.empty(3)
-    if not find_room(agent, world, held, spot):
+    spot = np.empty(3)
+    if find_room(agent, one_world(worlds, i), held, spot):
+        worlds.spots[i] = spot
+    else:
         agent[AX], agent[AY] = start[0], start[1]
-        find_room(agent, world, held, spot)
+        spot[:] = worlds.spots[i]
     cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
     distance = (item[X] - agent[AX]) * cos + (item[Y] - agent[AY]) * sin
     distance = min(max(distance, spot[0]), spot[1])
     item[X], item[Y] = agent[AX] + distance * cos, agent[AY] + distance * sin
     item[Z] = max(spot[2], floor_of_hand(worlds.furnished, worlds.furniture[i], item))
+    if item[Z] > spot[2]:  # it slid onto a support
+        keep_in_view(agent, one_world(worlds, i), held, distance)

@@ -70,17 +70,14 @@ def _find_room(agent, world, held, floor, spot):
     low = world.furnished and height - high < FURNITURE_SIZE[0, 2] - CLIMB
     x, y = agent[AX], agent[AY]
     for _ in range(_ROUNDS):
-        start_x, start_y = agent[AX], agent[AY]
         spot[0], spot[1], spot[2] = near, far, height - high
-        _clear_walls(agent, frame, extent, cos, sin, spot)
+        # Summed up: pushes that undo each other leave the agent in place, but make no room.
+        pushed = _clear_walls(agent, frame, extent, cos, sin, spot)
         if low:
-            _clear_bed(agent, world, held, cos, sin, spot)
-        # Pushes that the body's walls undo leave the agent in place, but make no room.
-        pushed = math.hypot(agent[AX] - start_x, agent[AY] - start_y)
+            pushed += _clear_bed(agent, world, held, cos, sin, spot)
         if agent[AX] != x or agent[AY] != y:
-            _keep_body_out(agent, world)
-        moved = math.hypot(agent[AX] - start_x, agent[AY] - start_y)
-        if max(pushed, moved) < _EXACT:
+            pushed += _keep_body_out(agent, world)
+        if pushed < _EXACT:
             agent[PITCH] = max(agent[PITCH], math.atan2(height - EYE, far) - STEEP)
             return True
     agent[AX], agent[AY] = x, y
@@ -88,16 +85,33 @@ def _find_room(agent, world, held, floor, spot):
 
 
 @compiled()
+def keep_in_view(agent, world, held, distance):
+    """Keeps the view from pointing too far below an object at this distance, metres."""
+    extent = world.extents[world.ranks[held]]
+    high = half_width(world.orientation[held], extent, 0.0, 0.0, 1.0)
+    above = math.atan2(world.objects[held, Z] + high - EYE, distance)
+    agent[PITCH] = max(agent[PITCH], above - STEEP)
+
+
+@compiled()
 def _clear_walls(agent, frame, extent, cos, sin, spot):
-    """Shortens the greatest distance to the walls, and pushes the agent back if it is too short."""
+    """Shortens the greatest distance to the walls, and pushes the agent back if it is too short.
+
+    Returns:
+        How far it was pushed, metres; so do the two functions below.
+    """
+    pushed = 0.0
     for axis in range(2):
         along = cos if axis == 0 else sin
         limit = ROOM / 2 - half_width(frame, extent, 1.0 - axis, float(axis), 0.0)
         nearest = agent[AX + axis] + along * spot[0]
-        agent[AX + axis] += min(max(nearest, -limit), limit) - nearest
+        push = min(max(nearest, -limit), limit) - nearest
+        agent[AX + axis] += push
+        pushed += abs(push)
         if along != 0:
             reach = (math.copysign(limit, along) - agent[AX + axis]) / along
             spot[1] = min(spot[1], max(reach, spot[0]))
+    return pushed
 
 
 @compiled()
@@ -116,7 +130,7 @@ def _clear_bed(agent, world, held, cos, sin, spot):
     enter_y, leave_y = _crossing(y, along_y, half_y)
     enter, leave = max(enter, enter_y), min(leave, leave_y)
     if enter >= leave - _EXACT or leave <= spot[0] + _EXACT or enter >= spot[1]:
-        return
+        return 0.0
     now = (item[X] - agent[AX]) * cos + (item[Y] - agent[AY]) * sin
     if leave <= spot[1] and (now > (enter + leave) / 2):
         spot[0] = leave
@@ -125,16 +139,16 @@ def _clear_bed(agent, world, held, cos, sin, spot):
     else:
         near_x, near_y = x + along_x * spot[0], y + along_y * spot[0]
         push_x, push_y = math.copysign(half_x, x) - near_x, math.copysign(half_y, y) - near_y
-        # To the side of the bed where the agent stands; beside a corner, the shorter way.
-        beside_x, beside_y = abs(x) - FURNITURE_SIZE[0, 0], abs(y) - FURNITURE_SIZE[0, 1]
-        corner = min(beside_x, beside_y) > 0
-        if abs(push_x) < abs(push_y) if corner else beside_x > beside_y:
+        # To where the agent stands, the shorter way.
+        if abs(push_x) < abs(push_y):
             push_y = 0.0
         else:
             push_x = 0.0
         agent[AX] += c * push_x - s * push_y
         agent[AY] += s * push_x + c * push_y
         spot[1] = spot[0]
+        return math.hypot(push_x, push_y)
+    return 0.0
 
 
 @compiled()
@@ -149,15 +163,17 @@ def _crossing(start, along, half):
 @compiled()
 def _keep_body_out(agent, world):
     """Moves the agent out of the walls and the bed."""
-    limit = ROOM / 2 - AGENT_RADIUS
-    agent[AX] = min(max(agent[AX], -limit), limit)
-    agent[AY] = min(max(agent[AY], -limit), limit)
+    limit, pushed = ROOM / 2 - AGENT_RADIUS, 0.0
+    for axis in range(2):
+        inside = min(max(agent[AX + axis], -limit), limit)
+        pushed += abs(inside - agent[AX + axis])
+        agent[AX + axis] = inside
     if not world.furnished:
-        return
+        return pushed
     bed = world.furniture[0]
     gap = rectangle_gap(bed, FURNITURE_SIZE[0], agent[AX], agent[AY])
     if gap >= AGENT_RADIUS:
-        return
+        return pushed
     c, s = math.cos(bed[2]), math.sin(bed[2])
     x = c * (agent[AX] - bed[0]) + s * (agent[AY] - bed[1])
     y = c * (agent[AY] - bed[1]) - s * (agent[AX] - bed[0])
@@ -168,6 +184,7 @@ def _keep_body_out(agent, world):
     push_x, push_y = (out_x / gap * (AGENT_RADIUS - gap), out_y / gap * (AGENT_RADIUS - gap))
     agent[AX] += c * push_x - s * push_y
     agent[AY] += s * push_x + c * push_y
+    return pushed + math.hypot(push_x, push_y)
 
 
 @compiled()

@@ -47,6 +47,7 @@ _LAYERS = {
 _SLOP = 0.005  # metres of overlap that is not corrected; pymunk's 0.1 is meant for pixels
 _ITERATIONS = 30  # ours: enough for several objects that are pushed into a corner
 _MASS = 2.0  # kilograms, of every object: ours
+_NARROW = 0.1  # metres between bed and wall, closed so that no object is pushed in there: ours
 _ELONGATED = 1.3  # above this ratio of sides a footprint is a box, below it a disc: ours
 
 
@@ -80,6 +81,8 @@ class Room:
                 piece.filter = _filter(kind, _AGENT, _GROUND, _RAISED)
                 self._still.append(body)
                 self._fixed.append(piece)
+                if kind == _BED:
+                    self._bed = piece
         self.agent = pymunk.Body(AGENT_MASS, math.inf)
         self._disc = pymunk.Circle(self.agent, AGENT_RADIUS)
         self._disc.filter = _filter(_AGENT, _WALL, _GROUND, _BED, _SUPPORTED)
@@ -111,6 +114,8 @@ class Room:
             self.space.remove(*self.bodies, *self._still)
         for body, pose in zip(self._still[1:], furniture, strict=True):
             _place(body, *pose)
+        if furniture:
+            self._bed.unsafe_set_vertices(_up_to_the_walls(*furniture[0]))
         _place(self.agent, agent[0], agent[1], 0.0)
         self.shapes = []
         for j, (x, y, angle, length, width) in enumerate(objects):
@@ -168,6 +173,21 @@ class Room:
         back = (vx * dx + vy * dy) / (dx * dx + dy * dy)
         if back < 0:
             agent.velocity = vx - back * dx, vy - back * dy
+
+
+def _up_to_the_walls(x: float, y: float, angle: float) -> list[tuple[float, float]]:
+    """The bed's corners in its own frame, without narrow gaps between its sides and the walls."""
+    length, width = FURNITURE_SIZE[0].tolist()[:2]
+    sides = []
+    for turn, half in ((0.0, length), (0.5, width), (1.0, length), (1.5, width)):
+        along = math.cos(angle + turn * math.pi), math.sin(angle + turn * math.pi)
+        gap = math.inf
+        for centre, step in zip((x, y), along, strict=True):
+            if abs(step) > 1e-6:
+                gap = min(gap, (math.copysign(ROOM / 2, step) - centre) / step - half)
+        sides.append(half + gap if 0 < gap < _NARROW else half)
+    one, two, three, four = sides
+    return [(one, -four), (one, two), (-three, two), (-three, -four)]
 
 
 def _place(body: pymunk.Body, x: float, y: float, angle: float) -> None:

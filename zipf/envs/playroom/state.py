@@ -45,6 +45,9 @@ class Worlds(NamedTuple):
     """[N, 6], columns AX .. BASE."""
     hands: NDArray[np.int64]
     """[N]: the held object, or -1."""
+    spots: NDArray[np.float64]
+    """Where the held object has room, [N, 3], as `holding.find_room` wrote it last; meaningless
+    where nothing is held."""
     objects: NDArray[np.float64]
     """[N, C, 5], columns X .. VZ."""
     orientation: NDArray[np.float64]
@@ -123,6 +126,7 @@ def make_worlds(
         scenery=np.zeros((n, 4), np.uint64),
         agents=np.zeros((n, 6)),
         hands=np.full(n, -1, np.int64),
+        spots=np.zeros((n, 3)),
         objects=np.zeros((n, count, 5)),
         orientation=np.zeros((n, count, 3, 3)),
         furniture=np.zeros((n, 2, 3)),
