@@ -1,5 +1,6 @@
 """What `--help` of the commands says: usage, purpose, examples that are accepted, every default."""
 
+import contextlib
 import re
 import shlex
 import sys
@@ -10,6 +11,7 @@ from pages import ROOT
 import zipf.evaluate
 import zipf.play
 import zipf.report
+import zipf.train
 from zipf import envs
 from zipf.experiments import command_line, sweeps
 from zipf.experiments.config import EvaluateOptions
@@ -44,6 +46,14 @@ def test_help_has_usage_purpose_and_examples(module, monkeypatch, capsys):
     assert len(purpose.split()) > 15
     assert len(examples(text, module)) >= 3
     assert max(map(len, text.splitlines())) <= 100
+
+
+@pytest.mark.parametrize("module", [*OPTIONS, zipf.report, zipf.train], ids=lambda m: m.__name__)
+def test_every_command_tells_its_version(module, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [module.__name__, "--version"])
+    with contextlib.suppress(SystemExit):
+        module.main()
+    assert capsys.readouterr().out == f"zipf {zipf.__version__}\n"
 
 
 @pytest.mark.parametrize("module", OPTIONS, ids=lambda module: module.__name__)
@@ -87,7 +97,8 @@ def test_options_of_the_report_tell_their_defaults(monkeypatch, capsys):
     text = shown(zipf.report, monkeypatch, capsys).split("options:\n")[1].split("examples:")[0]
     parts = re.split(r"^  (?:-h, )?(--\w+)", text, flags=re.MULTILINE)[1:]
     told = dict(zip(parts[::2], parts[1::2], strict=True))
-    assert all("default:" in text for name, text in told.items() if name != "--help")
+    plain = ("--help", "--version")
+    assert all("default:" in text for name, text in told.items() if name not in plain)
 
 
 def test_examples_of_train_are_accepted():

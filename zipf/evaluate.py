@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import zipf
 from zipf.experiments.errors import TOLD, UserError, tell
 from zipf.experiments.output import keep_going
 from zipf.experiments.running.external import record
@@ -53,6 +54,9 @@ def main() -> None:
     if not arguments or {"-h", "--help"} & set(arguments):
         print(USAGE)
         sys.exit(0 if arguments else 2)
+    if "--version" in arguments:
+        print(f"zipf {zipf.__version__}")
+        return
     try:
         _evaluate(arguments)
     except KeyboardInterrupt:

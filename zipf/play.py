@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 
+import zipf
 from zipf.experiments.command_line import read_options
 from zipf.experiments.errors import TOLD, tell
 from zipf.experiments.output import keep_going
@@ -54,6 +55,9 @@ def main() -> None:
     if not arguments or {"-h", "--help"} & set(arguments):
         print(USAGE)
         sys.exit(0 if arguments else 2)
+    if "--version" in arguments:
+        print(f"zipf {zipf.__version__}")
+        return
     for number in (signal.SIGTERM, signal.SIGHUP):  # leave a terminal and a recording in order
         signal.signal(number, _exit)
     try:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import zipf
 from zipf.experiments.errors import TOLD, UserError, tell
 from zipf.experiments.output import keep_going
 from zipf.experiments.reporting.wording import PLOT_FORMATS, VIDEO_FORMATS, PlotFormat
@@ -198,6 +199,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument("--version", action="version", version=f"zipf {zipf.__version__}")
     parser.add_argument(
         "folders", nargs="+", metavar="FOLDER", help="a run's folder, or one with runs at any depth"
     )

@@ -14,6 +14,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+import zipf
 from zipf.experiments import catalogue, command_line, composing, sweeps
 from zipf.experiments.errors import TOLD, UserError, tell
 from zipf.experiments.output import keep_going
@@ -58,10 +59,13 @@ def main() -> None:
 
 
 def _main() -> int:
+    if "--version" in sys.argv[1:]:  # Hydra would tell its own
+        print(f"zipf {zipf.__version__}")
+        return 0
     arguments = _parse(sys.argv[1:])
     flags = [word for word in sys.argv[1:] if word not in arguments.overrides]
     sys.argv[1:] = [*flags, *arguments.overrides]  # Hydra wants all overrides together
-    asks = ("help", "hydra_help", "info", "shell_completion", "version")
+    asks = ("help", "hydra_help", "info", "shell_completion")
     _check_flags(arguments)
     if arguments.config_dir:
         composing.add_folder(arguments.config_dir)
