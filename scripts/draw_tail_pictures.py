@@ -126,6 +126,9 @@ WORLDS = [
             "impala_matching_settled": Agent(
                 "The same, then with a falling learning rate", "#ee7733"
             ),
+            "impala_matching_settled_longer": Agent(
+                "The same, falling three times as slowly", "#aa3377"
+            ),
             "imitation_matching": Agent("Imitation, told where by a matcher", "#009988"),
         },
         "blind",

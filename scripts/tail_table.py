@@ -68,6 +68,7 @@ TASKS = (
             "impala,network=film": "IMPALA, `film` network",
             "impala_matching": "IMPALA, `matching` network, matcher from finding",
             "impala_matching_settled": "The same, then a falling learning rate",
+            "impala_matching_settled_longer": "The same, the rate falling three times as slowly",
             "imitation_matching": "Imitation, `matching` network, matcher from finding",
         },
     ),
