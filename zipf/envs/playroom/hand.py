@@ -83,13 +83,13 @@ def control(mask, actions, worlds, commands):
         worlds: read and written.
         commands: written.
     """
-    spot, pose, turned = np.empty(3), np.empty(6), np.empty((3, 3))
+    pose, turned = np.empty(6), np.empty((3, 3))
     for i in range(mask.size):
         if not mask[i]:
             continue
         act = CONTROL_TABLE[actions[i]]
         agent, objects, orientation = worlds.agents[i], worlds.objects[i], worlds.orientation[i]
-        status = worlds.status[i]
+        status, spot = worlds.status[i], worlds.spots[i]
         pose[:] = agent
         agent[YAW] -= act[2] * TURN_RATE * STEP
         agent[YAW] -= 2 * math.pi * math.floor((agent[YAW] + math.pi) / (2 * math.pi))
@@ -101,7 +101,6 @@ def control(mask, actions, worlds, commands):
                 held = pick(agent, one_world(worlds, i))
                 if held >= 0 and find_room(agent, one_world(worlds, i), held, spot):
                     worlds.hands[i] = held
-                    worlds.spots[i] = spot
                     status[held] = HELD
                     agent[BASE] = objects[held, Z]
         elif act[8] == 0:
@@ -114,15 +113,13 @@ def control(mask, actions, worlds, commands):
             agent[HOLD] += act[7] * PUSH_RATE * STEP
             agent[HOLD] = min(max(agent[HOLD], NEAREST_HOLD), worlds.reach)
             _spin(orientation[held], agent, act)
-            if find_room(agent, one_world(worlds, i), held, spot):
-                worlds.spots[i] = spot
-            else:
+            if not find_room(agent, one_world(worlds, i), held, spot):
                 agent[:] = pose
                 orientation[held] = turned
         held = worlds.hands[i]
         if held >= 0:
-            _reach_out(agent, objects[held], worlds.spots[i], commands.drives[i])
-            objects[held, Z] = worlds.spots[i, 2]
+            _reach_out(agent, objects[held], spot, commands.drives[i])
+            objects[held, Z] = spot[2]
         cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
         push = AGENT_MASS * ACCELERATION
         commands.forces[i, 0] = push * (act[0] * cos + act[1] * sin)
@@ -274,17 +271,15 @@ def keep_in_hand(worlds, i, start):
         start: the agent's x, y before the physics, float64 [2], where there was room.
     """
     held = worlds.hands[i]
-    agent, item = worlds.agents[i], worlds.objects[i, held]
-    spot = np.empty(3)
-    if find_room(agent, one_world(worlds, i), held, spot):
-        worlds.spots[i] = spot
-    else:
+    agent, item, spot = worlds.agents[i], worlds.objects[i, held], worlds.spots[i]
+    if not find_room(agent, one_world(worlds, i), held, spot):
         agent[AX], agent[AY] = start[0], start[1]
-        spot[:] = worlds.spots[i]
     cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
     distance = (item[X] - agent[AX]) * cos + (item[Y] - agent[AY]) * sin
     distance = min(max(distance, spot[0]), spot[1])
     item[X], item[Y] = agent[AX] + distance * cos, agent[AY] + distance * sin
     item[Z] = max(spot[2], floor_of_hand(worlds.furnished, worlds.furniture[i], item))
     if item[Z] > spot[2]:  # it slid onto a support
-        keep_in_view(agent, one_world(worlds, i), held, distance)
+        extent = worlds.extents[worlds.ranks[i, held]]
+        high = half_width(worlds.orientation[i, held], extent, 0.0, 0.0, 1.0)
+        keep_in_view(agent, item[Z] + high, distance)

@@ -7,6 +7,8 @@ One that lies before the agent's feet keeps the view from turning further down.
 
 import math
 
+import numpy as np
+
 from zipf.compiled import compiled
 from zipf.envs.playroom.constants import AGENT_RADIUS, CEILING, EYE, FURNITURE_SIZE, ROOM
 from zipf.envs.playroom.geometry import half_width, rectangle_gap
@@ -36,8 +38,9 @@ def find_room(agent, world, held, spot):
         agent: a row of `Worlds.agents`; its place and its pitch may be changed.
         world: `World`, read.
         held: the object.
-        spot: float64 [3], written: the least and greatest distance of the object's middle from
-            the agent's on the floor plane, and the height of its lowest point, metres.
+        spot: float64 [3], written where there is room: the least and greatest distance of the
+            object's middle from the agent's on the floor plane, and the height of its lowest
+            point, metres.
 
     Returns:
         Whether there is room. If not, the agent's place is as it was.
@@ -69,54 +72,56 @@ def _find_room(agent, world, held, floor, spot):
     near = max(body, abs(height - EYE) / math.tan(steepest))
     low = world.furnished and height - high < FURNITURE_SIZE[0, 2] - CLIMB
     x, y = agent[AX], agent[AY]
+    reach = np.empty(2)
     for _ in range(_ROUNDS):
-        spot[0], spot[1], spot[2] = near, far, height - high
+        reach[0], reach[1] = near, far
         # Summed up: pushes that undo each other leave the agent in place, but make no room.
-        pushed = _clear_walls(agent, frame, extent, cos, sin, spot)
+        pushed = _clear_walls(agent, frame, extent, cos, sin, reach)
         if low:
-            pushed += _clear_bed(agent, world, held, cos, sin, spot)
+            pushed += _clear_bed(agent, world, held, cos, sin, reach)
         if agent[AX] != x or agent[AY] != y:
             pushed += _keep_body_out(agent, world)
         if pushed < _EXACT:
-            agent[PITCH] = max(agent[PITCH], math.atan2(height - EYE, far) - STEEP)
+            spot[0], spot[1], spot[2] = reach[0], reach[1], height - high
+            keep_in_view(agent, height, far)
             return True
     agent[AX], agent[AY] = x, y
     return False
 
 
 @compiled()
-def keep_in_view(agent, world, held, distance):
-    """Keeps the view from pointing too far below an object at this distance, metres."""
-    extent = world.extents[world.ranks[held]]
-    high = half_width(world.orientation[held], extent, 0.0, 0.0, 1.0)
-    above = math.atan2(world.objects[held, Z] + high - EYE, distance)
-    agent[PITCH] = max(agent[PITCH], above - STEEP)
+def keep_in_view(agent, height, distance):
+    """Keeps the view from pointing too far below a held object.
+
+    Args:
+        agent: a row of `Worlds.agents`; its pitch may be changed.
+        height, distance: of the object's middle, metres.
+    """
+    agent[PITCH] = max(agent[PITCH], math.atan2(height - EYE, distance) - STEEP)
 
 
 @compiled()
-def _clear_walls(agent, frame, extent, cos, sin, spot):
-    """Shortens the greatest distance to the walls, and pushes the agent back if it is too short.
-
-    Returns:
-        How far it was pushed, metres; so do the two functions below.
-    """
+def _clear_walls(agent, frame, extent, cos, sin, reach):
+    """Shortens the greatest distance to the walls, and pushes the agent back if it is too short;
+    returns how far."""
     pushed = 0.0
     for axis in range(2):
         along = cos if axis == 0 else sin
         limit = ROOM / 2 - half_width(frame, extent, 1.0 - axis, float(axis), 0.0)
-        nearest = agent[AX + axis] + along * spot[0]
+        nearest = agent[AX + axis] + along * reach[0]
         push = min(max(nearest, -limit), limit) - nearest
         agent[AX + axis] += push
         pushed += abs(push)
         if along != 0:
-            reach = (math.copysign(limit, along) - agent[AX + axis]) / along
-            spot[1] = min(spot[1], max(reach, spot[0]))
+            wall = (math.copysign(limit, along) - agent[AX + axis]) / along
+            reach[1] = min(reach[1], max(wall, reach[0]))
     return pushed
 
 
 @compiled()
-def _clear_bed(agent, world, held, cos, sin, spot):
-    """Keeps the distances on the side of the bed where the object is, or pushes the agent back."""
+def _clear_bed(agent, world, held, cos, sin, reach):
+    """Keeps the distances on the side of the bed where the object is, or pushes the agent back;
+    returns how far."""
     bed, item, frame = world.furniture[0], world.objects[held], world.orientation[held]
     extent = world.extents[world.ranks[held]]
     c, s = math.cos(bed[2]), math.sin(bed[2])
@@ -129,15 +134,15 @@ def _clear_bed(agent, world, held, cos, sin, spot):
     enter, leave = _crossing(x, along_x, half_x)
     enter_y, leave_y = _crossing(y, along_y, half_y)
     enter, leave = max(enter, enter_y), min(leave, leave_y)
-    if enter >= leave - _EXACT or leave <= spot[0] + _EXACT or enter >= spot[1]:
+    if enter >= leave - _EXACT or leave <= reach[0] + _EXACT or enter >= reach[1]:
         return 0.0
     now = (item[X] - agent[AX]) * cos + (item[Y] - agent[AY]) * sin
-    if leave <= spot[1] and (now > (enter + leave) / 2):
-        spot[0] = leave
-    elif enter >= spot[0] - _EXACT:
-        spot[1] = max(enter, spot[0])
+    if leave <= reach[1] and (now > (enter + leave) / 2):
+        reach[0] = leave
+    elif enter >= reach[0] - _EXACT:
+        reach[1] = max(enter, reach[0])
     else:
-        near_x, near_y = x + along_x * spot[0], y + along_y * spot[0]
+        near_x, near_y = x + along_x * reach[0], y + along_y * reach[0]
         push_x, push_y = math.copysign(half_x, x) - near_x, math.copysign(half_y, y) - near_y
         # To where the agent stands, the shorter way.
         if abs(push_x) < abs(push_y):
@@ -146,7 +151,7 @@ def _clear_bed(agent, world, held, cos, sin, spot):
             push_x = 0.0
         agent[AX] += c * push_x - s * push_y
         agent[AY] += s * push_x + c * push_y
-        spot[1] = spot[0]
+        reach[1] = reach[0]
         return math.hypot(push_x, push_y)
     return 0.0
 
@@ -162,7 +167,7 @@ def _crossing(start, along, half):
 
 @compiled()
 def _keep_body_out(agent, world):
-    """Moves the agent out of the walls and the bed."""
+    """Moves the agent out of the walls and the bed; returns how far."""
     limit, pushed = ROOM / 2 - AGENT_RADIUS, 0.0
     for axis in range(2):
         inside = min(max(agent[AX + axis], -limit), limit)

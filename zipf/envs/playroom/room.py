@@ -186,8 +186,8 @@ def _up_to_the_walls(x: float, y: float, angle: float) -> list[tuple[float, floa
             if abs(step) > 1e-6:
                 gap = min(gap, (math.copysign(ROOM / 2, step) - centre) / step - half)
         sides.append(half + gap if 0 < gap < _NARROW else half)
-    one, two, three, four = sides
-    return [(one, -four), (one, two), (-three, two), (-three, -four)]
+    foot, left, head, right = sides
+    return [(foot, -right), (foot, left), (-head, left), (-head, -right)]
 
 
 def _place(body: pymunk.Body, x: float, y: float, angle: float) -> None:
