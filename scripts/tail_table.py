@@ -59,6 +59,8 @@ TASKS = (
             "supervised_matching": "Classifier, `matching` network, memory of questions",
             "supervised_matching_scaled": "Classifier, `matching` network, memory of questions, "
             "images scaled 0.4 to 1.4",
+            "impala,network=film": "IMPALA, `film` network",
+            "imitation,network=film": "Imitation, `film` network",
         },
     ),
     Task(
