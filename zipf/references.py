@@ -47,6 +47,6 @@ REFERENCES = (
         "a scripted player that reads the whole state of the world",
     ),
 )
-"""In the order of tables."""
+"""All references, in the order of tables."""
 
 REFERENCE_NAMES = tuple(reference.name for reference in REFERENCES)

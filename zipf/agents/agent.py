@@ -62,8 +62,8 @@ class Setting:
         precision: "float32", or "bfloat16" for automatic mixed precision.
         folder: where the agent may keep files; None where there is no such place.
         updates_between_checkpoints: at most.
-        reweighting: unrolls have weights of their frames, unless it is "none".
-        hindsight: unrolls have relabelled episodes, unless it is "none".
+        reweighting: options of loss reweighting; unless "none", unrolls have a `weight` per frame.
+        hindsight: options of hindsight; unless "none", unrolls have relabelled `episodes`.
     """
 
     observation_space: gym.spaces.Dict
@@ -90,23 +90,23 @@ class Agent(ABC):
     Attributes:
         Options: the class of its options; their `name: Literal["..."]` names the agent.
         auxiliary_losses: whether it adds `setting.auxiliary` to its loss.
-        any_critic: whether it learns returns as `setting.critic` says; if not, as a scalar or not
-            at all.
+        any_critic: whether it supports every critic; if not, only the scalar one or none.
         episodic_memory: whether it reads and writes the dictionary of `setting.episodic`.
         weighted_losses: whether it multiplies the loss of a frame by the unroll's `weight`.
         learns_from_hindsight: whether it learns from the unroll's relabelled `episodes`.
         averages_gradients: whether it learns from the mean of several learners' gradients
             (`zipf.agents.averaging`), so that its state stays the same in all of them.
-        largest_lag: how many unrolls collection may run ahead of learning on one machine. An agent
-            with 0 learns from what its newest weights have played; others may also learn from
-            actors in a cluster, whose weights are older by some updates.
-        answers_questions: whether it is asked about an episode's first frame instead of acting.
-        learns_from_rewards: whether it does; others cannot be given a bonus for exploring.
+        largest_lag: how many unrolls collection may run ahead of learning on one machine. With 0
+            an agent is on-policy: it learns only from unrolls of its newest weights. With more it
+            can also learn from actors in a cluster, whose weights are older by some updates.
+        answers_questions: whether it is a classifier, which answers a question about an episode's
+            first frame and takes no other action.
+        learns_from_rewards: whether rewards enter its loss; if not, it takes no exploration bonus.
         burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
             an unroll holds the memory before them (`Unroll.late_memory`).
-        final_observations: how many of the observations that episodes were truncated at an unroll
-            holds of each world, for agents that value them when they learn (`Unroll.final`); those
-            agents need no `value`.
+        final_observations: of each world an unroll holds up to so many of the observations at
+            which episodes were truncated (`Unroll.final`), for agents that compute their values
+            when they learn; those agents need no `value`.
         teacher: name of the scripted player of the worlds that labels every step of an unroll with
             the action that it would take (`zipf.envs.SCRIPTED`); None: no labels.
         teacher_share: the probability that the teacher acts in a step in the agent's place.
@@ -156,7 +156,7 @@ class Agent(ABC):
 
     @classmethod
     def lacks(cls, name: str, chosen: Any) -> Iterator[str]:
-        """What an agent of this name cannot do of what was chosen, a line for each.
+        """One line for each chosen option that an agent of this name does not support.
 
         Args:
             chosen: has the options of these parts, as a `Setting` does.
@@ -205,10 +205,10 @@ class Agent(ABC):
         return torch.zeros(len(inputs.is_first), device=self.device)
 
     def begin_with(self, weights: Mapping[str, Mapping[str, Tensor]]) -> None:
-        """Takes weights of another agent, before anything else is called.
+        """Loads parts of another agent's network; called before any other method.
 
-        All attributes that are a `Torso` take them, and the auxiliary loss follows their encoder.
-        Agents without one may take what they like.
+        All attributes that are a `Torso` load them, and the auxiliary loss follows their encoder.
+        Agents whose network is no `Torso` override this method.
 
         Args:
             weights: a state dictionary for each part to take, by the part's name in both networks
@@ -281,13 +281,13 @@ class Agent(ABC):
         """Continues from `state_dict()`."""
 
     def carried(self) -> dict[str, Any]:
-        """What the last update keeps for the next unroll of the same worlds, as tensors that later
-        updates leave alone; empty for most agents."""
+        """State that the last update keeps for the next unroll of the same worlds, such as R2D2's
+        burn-in rows; later updates do not change its tensors. Empty for most agents."""
         return {}
 
     def carry(self, carried: dict[str, Any]) -> None:
-        """The next update is from other worlds than the last one, of which this is what `carried()`
-        was then; empty where nothing has been learned from what came just before."""
+        """Restores what `carried()` was after the previous unroll of the worlds that the next
+        update learns from; empty if that unroll was not learned from."""
         return
 
     def separate_acting(self) -> None:

@@ -46,10 +46,10 @@ def average(tensor: Tensor) -> Tensor:
 
 
 def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
-    """Replaces the gradients of an agent's parameters by their means over learners; for between
-    `backward()` and what depends on gradients, such as a bound on their norm.
+    """Replaces the gradients of an agent's parameters by their means over learners. Call it after
+    `backward()` and before the gradients are read, for example to clip their norm.
 
-    A parameter that has a gradient in some of the learners only has one of zeros in the others.
+    Where a parameter has a gradient in only some learners, zeros stand for it in the others.
 
     Args:
         parameters: all that are learned, in the same order in all learners.

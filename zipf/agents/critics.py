@@ -134,7 +134,7 @@ class Distribution(nn.Module):
 def cvar(returns: Tensor, probabilities: Tensor, level: float) -> Tensor:
     """The mean of the lowest `level` of a distribution, [..., n], [..., n] -> [...].
 
-    Of a return at the boundary the share that belongs to the lowest counts.
+    A return at the boundary counts with the part of its probability that lies below `level`.
 
     Args:
         returns: ascending.

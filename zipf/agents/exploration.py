@@ -45,8 +45,8 @@ ExplorationOptions = Annotated[AnyExploration, Field(discriminator="name")]
 
 
 class Bonus(Protocol):
-    """What every bonus is. It is called with the observations that actions led to, each of them
-    once, by the thread that collects."""
+    """The interface of exploration bonuses. The collecting thread calls it once for every
+    observation that an action led to."""
 
     def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
         """The bonus of the observations `{name: [N, ...]}` where `mask` [N], elsewhere 0; returns

@@ -40,9 +40,9 @@ class AchievedOptions(Options):
     """Episodes are also learned from as if what they achieved had been asked for.
 
     At most `episodes` of them an update, drawn at random from those that ended during the unroll,
-    and of each the last `length` frames, None: all. With `kept_per_goal` so many of the last
-    episodes that achieved a goal, asked for or not, are kept of each goal, and updates draw from
-    these, every goal as often as the others. `reward` is what success pays. `policy_cost` and
+    and of each the last `length` frames, None: all. With `kept_per_goal` the last so many episodes
+    that achieved each goal are kept, whether or not it was asked for, and updates draw from these,
+    every goal as often as the others. `reward` is what success pays. `policy_cost` and
     `value_cost` are c_p and c_v, and after `fade` updates they are 0; None: they stay as they are.
     `advantage` and `value_cost` are of actor-critics alone, and `reward` of these and R2D2, which
     needs no costs. `matching_cost` times the contrastive loss of `network=matching` is added.
@@ -60,7 +60,7 @@ class AchievedOptions(Options):
     matching_cost: NotNegative = 0.0
 
     def share(self, updates: int) -> float:
-        """Of the costs, after so many updates."""
+        """The factor of `policy_cost` and `value_cost` after so many updates, in [0, 1]."""
         return 1.0 if self.fade is None else max(0.0, 1 - updates / self.fade)
 
 
@@ -130,9 +130,9 @@ def matching_loss(
 
     It is the cross-entropy of softmax_g(m_g), where m_g = log sum_p e^s_pg over the places p. Where
     episodes have a `region` [L, E, 4], the part of the image that the last action points at (as
-    `ZipfVectorEnv.action_regions`), the sum is over the places there, and the softmax has one more
-    term, the achieved goal in all other places: it is seen where it was pointed at. Where episodes
-    tell whether they `achieved` what they ask for, bool [L, E], the others are left out.
+    `ZipfVectorEnv.action_regions`), the sum is over the places there, and the softmax has one more,
+    negative term: the achieved goal at all places outside the region. Where episodes have
+    `achieved`, bool [L, E], those that did not achieve what they ask for are left out.
 
     Without such an episode the loss is 0 and the metric NaN; without a cost there is no metric.
     """

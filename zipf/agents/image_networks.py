@@ -89,8 +89,8 @@ def convolve_pixels(image: Tensor, convolution: nn.Module, *, centred: bool) -> 
     """A convolution of images uint8 [N, H, W, C] whose pixels are scaled to [0, 1], or to [-1, 1]
     if `centred`: [N, F, h, w].
 
-    Its weights are scaled in the place of the pixels, which saves passes over the largest tensor
-    there is, and bfloat16 holds every byte as it is. Centred pixels are not padded.
+    The weights are scaled instead of the pixels: this saves passes over the largest tensor, and
+    bfloat16 represents every byte exactly. Centred pixels are not padded.
     """
     assert isinstance(convolution, nn.Conv2d)
     assert convolution.bias is not None
@@ -154,12 +154,12 @@ class PatchEncoder(nn.Module):
 class ComparingEncoder(PatchEncoder):
     """Patches that are compared with each other: uint8 [N, H, W, C] -> [N, F].
 
-    What is known of a patch is a small embedding, and how alike it and each of all patches are. One
-    dense layer for all patches reads this, then 3 x 3 convolutions over the grid of patches, then a
-    dense layer. With a cue among the patches, the convolutions are told where else in view is what
-    the cue shows, whatever that is. The embedding is small so that relations tell more than looks,
-    which would have to be learned anew for everything that is rarely seen: a relational bottleneck
-    (Webb et al. 2024; Kerg et al. 2022).
+    Each patch is described by a small embedding and by its similarity to every patch. A dense layer
+    that all patches share reads this, followed by 3 x 3 convolutions over the grid of patches and a
+    dense layer. With a cue among the patches, the similarities show the convolutions where else in
+    view the cued object is, whichever it is. The embedding is small so that the network relies on
+    similarities rather than on appearance, which it would have to learn separately for every rare
+    object: a relational bottleneck (Webb et al. 2024; Kerg et al. 2022).
 
     "learned": exp(s (c - 1)), where c is the cosine of two patches' keys, k = W (p - mean(p)), one
     W for all patches, and s a learned number. W begins as a random rotation, which leaves cosines
@@ -226,8 +226,8 @@ class ComparingEncoder(PatchEncoder):
 
 def _codes_of_colours(patch: int, channels: int) -> Tensor:
     """Weights float32 [2, pixels * C] of whole numbers, whose sum over a pixel's first three
-    channels is 0: what they make of two patches is hardly ever the same unless their pixels are, up
-    to greys."""
+    channels is 0: two patches get the same code only if their pixels differ by greys alone, apart
+    from rare collisions."""
     random = torch.Generator().manual_seed(0)
     most = max(1, 2**21 // (255 * patch**2))  # keeps sums below 2^23
     codes = torch.randint(-most, most + 1, (2, patch**2, channels), generator=random)
@@ -235,7 +235,7 @@ def _codes_of_colours(patch: int, channels: int) -> Tensor:
     return codes.flatten(1).float()
 
 
-_FAINT = 0.1  # ours: the norm below which keys are taken for shorter; rounding in bfloat16 has 0.01
+_FAINT = 0.1  # ours: shorter keys are not stretched to length 1; bfloat16's rounding is about 0.01
 
 
 def largest_patch(height: int, width: int) -> int:

@@ -166,8 +166,8 @@ class MatchingNet(InstructedNet):
 
     The dense layer reads what the convolutions found, the matcher's score in every place, and of
     softmax(scores) the mean place (x, y in [-1, 1]; a spatial soft argmax, Levine et al. 2016) and
-    the mean score. So all that it makes of the instruction is where things are, which is the same
-    for one goal and for any other.
+    the mean score. The instruction therefore reaches the dense layer only through scores and
+    places, which are computed alike for every goal.
     """
 
     places: Tensor

@@ -70,8 +70,8 @@ def autocast(device: str, precision: str) -> torch.autocast:
 
 @contextmanager
 def in_full(core: Tensor) -> Iterator[Tensor]:
-    """The memory's output in float32, with autocast off: for heads, whose outputs are compared to
-    more digits than the two or three of bfloat16, and which cost little."""
+    """The memory's output in float32, with autocast off: for heads. They are cheap, and the two or
+    three digits of bfloat16 are too few to compare their outputs."""
     with torch.autocast(core.device.type, enabled=False):
         yield core.float()
 

@@ -1,4 +1,4 @@
-"""Weights of frames in the loss, by how rarely what their episode asks for was asked for.
+"""Weights of frames in the loss: frames of episodes with a rare goal weigh more.
 
 What episodes ask for, their goals, is read from observations and counted when they begin. An agent
 multiplies the loss of each frame by its weight, so that on average it learns as if goals were

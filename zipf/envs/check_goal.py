@@ -1,11 +1,13 @@
 """A self-check of goals: what a family says that its observations ask for.
 
-from functools import partial
-from zipf.envs import goal, make_vec
-from zipf.envs.check_goal import check_goal
+    from functools import partial
+    from zipf.envs import goal, make_vec
+    from zipf.envs.check_goal import check_goal
 
-level = "gridworld/zipf_2"
-check_goal(partial(goal, level), partial(make_vec, level))
+    level = "gridworld/zipf_2"
+    check_goal(partial(goal, level), partial(make_vec, level))
+
+It raises AssertionError where they are wrong.
 """
 
 from collections.abc import Callable

@@ -1,11 +1,13 @@
 """A self-check of scripted players: that they can label what another policy does.
 
-from functools import partial
-from zipf.envs import generalist, make_vec
-from zipf.envs.check_player import check_player
+    from functools import partial
+    from zipf.envs import generalist, make_vec
+    from zipf.envs.check_player import check_player
 
-level = "gridworld/zipf_2"
-check_player(partial(generalist, level), partial(make_vec, level))
+    level = "gridworld/zipf_2"
+    check_player(partial(generalist, level), partial(make_vec, level))
+
+It raises AssertionError where they cannot.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What checks of environments require of what reset and step return, and of the errors raised."""
+"""Assertions that the environment checks share: results of reset and step, and expected errors."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

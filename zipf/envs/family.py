@@ -57,8 +57,8 @@ class Symmetries(Protocol):
 
     Attributes:
         count: how many there are. Number 0 changes nothing.
-        actions: int64 [count, actions], in each row a permutation: what a player who sees a world
-            in this way does by an action, as the action of the world.
+        actions: int64 [count, actions]; row `k` is a permutation, which maps each action of an
+            agent that sees the world under symmetry `k` to the action in the unchanged world.
     """
 
     count: int
@@ -434,8 +434,8 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> Player | None:
 
 
 def goal(level: str, env: ZipfVectorEnv) -> Goal | None:
-    """What reads from observations of worlds that `make_vec` made of a level what an episode asks
-    for; None in a family that does not say.
+    """The `Goal` of worlds that `make_vec` made of a level: it reads from observations what an
+    episode asks for. None if the family defines no goals.
 
     Raises:
         ValueError: for an unknown level.

@@ -222,12 +222,12 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         return {}
 
     def _achieved(self, ended: NDArray[np.bool_]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """What the episodes have achieved that have just ended in the worlds of `ended`; for
+        """Goals that the episodes achieved which have just ended in the worlds of `ended`; for
         families with `achieves`.
 
-        Returns goals [N, K], as the family's `Goal` reads them, fresh, and bool [N], where there is
-        one: an episode that had asked for it would have ended with this step, as a success. Of an
-        episode that is a success it is what was asked for.
+        Returns a fresh array [N, K] of goals, as the family's `Goal` reads them, and bool [N]:
+        whether there is one. A goal counts as achieved if an episode that asked for it would have
+        ended with this step as a success. Of a successful episode it is its own goal.
         """
         raise NotImplementedError
 
@@ -263,8 +263,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         raise NotImplementedError
 
     def _use_processes(self, other: "ZipfVectorEnv") -> None:
-        """In a mixture: uses what `other`, its first batch, has for each world outside this
-        process and every level needs for its own worlds alone. Nothing in most families."""
+        """In a mixture: shares the external processes (an engine for each world) of `other`, the
+        mixture's first batch, since a world is of one level at a time. Most families have none."""
 
     # What users call.
 

@@ -179,7 +179,7 @@ class Augmentation:
     def move(self, regions: NDArray[np.float32], drawn: Draw) -> NDArray[np.float32]:
         """Where the draw of an episode moves regions of its images to, [..., 4] -> [..., 4] (top,
         left, bottom, right, in sides of the image). Sides on the image's border stay there, since
-        it is repeated; symmetries change what regions stand for, and not here."""
+        it is repeated. Symmetries are ignored here: they change what regions stand for."""
         height, width, _ = self._space[self.images[0]].shape or ()
         down, right = drawn["shift"][0] / (height, width)
         moved = (regions - 0.5) * drawn["scale"][0] + 0.5 + np.array([down, right, down, right])
@@ -241,7 +241,7 @@ def _replace_actions(fields: dict[str, NDArray], table: NDArray[np.int64]) -> No
 
 @compiled()
 def _source(pixel, size, scale):
-    """The pixel of a row of `size` that is nearest to what is seen in another after scaling."""
+    """The source pixel, in a row of `size`, that `pixel` shows after scaling."""
     source = math.floor((pixel + 0.5 - size / 2) / scale + size / 2)
     return min(max(source, 0), size - 1)
 

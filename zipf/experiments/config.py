@@ -90,7 +90,7 @@ class RowOptions(Options):
 
 
 class PretrainedOptions(Options):
-    """What of another run's weights a new run begins with.
+    """Which weights of another run a new run begins with.
 
     `run` is the other run's folder; None: all weights are drawn from the seed. `parts` are those of
     the agents' networks that are taken: `encoder`, `memory`, heads of the same name, and of the

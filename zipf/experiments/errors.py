@@ -1,4 +1,4 @@
-"""The exceptions that every command tells without a traceback, with exit code 2."""
+"""Exceptions that commands print as `error:` lines, without a traceback, with exit code 2."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class UserError(Exception):
 
 
 TOLD = (UserError, EngineError)
-"""What a command tells without a traceback."""
+"""What commands print without a traceback."""
 
 
 def tell(error: Exception) -> None:

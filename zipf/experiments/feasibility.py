@@ -90,7 +90,7 @@ def _no_pretrained(config: Config) -> Iterator[str]:
 
 
 def _no_matcher(config: Config) -> Iterator[str]:
-    """Options of a matcher that there is not, or that could not have learned."""
+    """Options of a matcher where there is none, or of one that cannot have learned."""
     network, hindsight = config.network, config.hindsight
     fixed = isinstance(network, MatchingOptions) and network.matcher == "fixed"
     if fixed and config.pretrained.run is None:
@@ -110,7 +110,7 @@ def _no_matcher(config: Config) -> Iterator[str]:
 
 
 def _not_in_a_cluster(config: Config) -> Iterator[str]:
-    """What does not go with actors in a cluster."""
+    """Options that `runtime=ray` does not support."""
     if not isinstance(config.runtime, RayOptions):
         return
     if not has_ray():
@@ -169,12 +169,12 @@ def _lacks_goals(config: Config) -> Iterator[str]:
 
 
 def _reads_itself(config: Config) -> Iterator[str]:
-    """A memory of episodes that would be found in a dictionary of the same episodes."""
+    """Kept episodes together with episodic memory: they would read their own rows from it."""
     hindsight, episodic = config.hindsight, config.episodic
     kept = hindsight.kept_per_goal if isinstance(hindsight, AchievedOptions) else None
     if kept and episodic != NO_EPISODIC:
         yield (
-            f"hindsight.kept_per_goal={kept}: kept episodes would find themselves in the "
+            f"hindsight.kept_per_goal={kept}: kept episodes would read their own rows from the "
             f"dictionary of episodic={episodic.name}; choose null, or episodic=none"
         )
 

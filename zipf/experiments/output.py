@@ -9,8 +9,8 @@ from typing import Any, TextIO
 
 
 def keep_going() -> None:
-    """From now on, what cannot be shown is dropped: the reader has gone (`| head`), the terminal
-    was closed, the device is full. A character that the encoding lacks is shown as `?`.
+    """From now on output that cannot be written is dropped: after `| head` has exited, when the
+    terminal was closed or the device is full. A character that the encoding lacks is shown as `?`.
 
     Streams that are no files, as a test's or a notebook's, stay as they are.
     """

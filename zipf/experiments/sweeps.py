@@ -123,8 +123,8 @@ def expand(
 ) -> Iterator[tuple[tuple[str, ...], tuple[str, str] | None]]:
     """The overrides of each job of a command line, not yet checked.
 
-    Beside them stand the job's experiment and condition where the latter is of a set of which those
-    are left out that do not fit.
+    With them come the job's experiment and condition if the condition is from a set of conditions,
+    of which those that do not fit are left out; else None.
 
     Raises:
         UserError: there is no such sweep, or what narrows it is not in it.

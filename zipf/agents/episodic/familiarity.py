@@ -19,9 +19,9 @@ reading, where we know of no text:
 - The buffer has one row of every episode rather than all frames (`zipf.agents.episodic.recorder`).
 - Epochs and collection are not in turns: every update learns from `batch` rows, in the order of the
   buffer, beginning again at its end. The loss is added to the agent's, with a weight.
-- A row that makes place in the buffer for a new one is offered to the dictionary, with the number
-  of the update plus `longer` times the share of the buffer's rows whose momentum loss is lower as
-  its priority. Ranks are used because losses fall as the encoder learns. Rows that no update
+- When a new row replaces a row of the buffer, the old row is offered to the dictionary. Its
+  priority is the number of the update plus `longer` times the fraction of the buffer's rows with a
+  lower momentum loss. Ranks are used because losses fall as the encoder learns. Rows that no update
   learned from yet are dropped.
 - Rows whose images differ nowhere by more than two noisy copies of one image would are not each
   other's negatives. What is frequent is several times in a batch; as a negative of itself its loss
@@ -166,9 +166,9 @@ def contrastive_losses(
 
 
 def alike(image: Tensor, noise: float) -> Tensor:
-    """Which images, uint8 [N, H, W, C], differ by at most what is expected of two copies of one
-    image with noise of that standard deviation, in the mean over a block's pixels of the squared
-    difference, in every block of 8 x 8 pixels: bool [N, N].
+    """Which images, uint8 [N, H, W, C], could be noisy copies of one image: bool [N, N], True where
+    in every block of 8 x 8 pixels the mean squared difference is at most what two copies with noise
+    of this standard deviation are expected to have.
 
     In the mean over the whole image, two goals of a world would often be the same: they may differ
     in few pixels. In float32 under autocast, too: bfloat16 rounds by more than such a difference.

@@ -50,8 +50,8 @@ class MemOptions(DictionarySizes):
     Rows are in a buffer of `familiarity_capacity` first. Every update a contrastive loss with that
     `temperature` and `weight` learns from `batch` of them, against copies with Gaussian noise (of
     `noise` times the range of pixels) and a square cut out (of `cutout` times the sides).
-    `loss_momentum` is that of each row's loss. The least familiar row stays in the dictionary for
-    `longer` more updates than the most familiar one.
+    `loss_momentum` is that of each row's loss. `longer` is how many updates longer the least
+    familiar row stays in the dictionary than the most familiar one.
     """
 
     name: Literal["mem"]

@@ -1,4 +1,4 @@
-"""Which rows of past episodes are written: one of each, when it has ended.
+"""Draws one row of every episode, and writes it to the dictionary when the episode has ended.
 
 The row is of a frame of the episode that is drawn uniformly (reservoir sampling: Vitter 1985), as
 far as an update has learned from the episode's frames. Its key is made of the memory's output
@@ -35,7 +35,7 @@ class Rows(NamedTuple):
 
 
 class Recorder(nn.Module):
-    """What an agent without episodic memory has: it records nothing, and its loss is 0."""
+    """The recorder of agents without episodic memory: it records nothing, and its loss is 0."""
 
     def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
         """The weighted loss of an update, float32 [], and metrics to log, [] each.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 DEGREES_PER_PIXEL = 0.11 * 0.06 * 16
-"""Of turning, in a frame (DeepMind Lab: sensitivity, scale and milliseconds of a frame)."""
+"""Degrees of turning in a frame (DeepMind Lab: sensitivity, scale, milliseconds of a frame)."""
 
 
 class Action(NamedTuple):
@@ -56,7 +56,7 @@ IMPALA = (
 )
 
 TABLES = {15: EXTENDED, 9: IMPALA}
-"""By the number of actions."""
+"""The action tables by their number of actions."""
 
 
 def commands(num_actions: int) -> np.ndarray:

@@ -151,7 +151,7 @@ def _tasks(order: str) -> list[str]:
 
 
 EPISODES = 100
-"""Of each task in an evaluation that is not told otherwise; the paper has 1000.
+"""Default number of episodes of each task in an evaluation; the paper has 1000.
 
 Over all tasks they take 6 million steps at most. The standard error that this number leaves, by the
 returns of random actions and of the scripted experts in `references.json`, is 0.002 to 0.006 for

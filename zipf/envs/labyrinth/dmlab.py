@@ -19,7 +19,7 @@ from zipf.envs.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 FOLDER = "contributed/dmlab30"
-"""Of the levels' scripts, in DeepMind Lab."""
+"""Folder of the levels' scripts in DeepMind Lab."""
 
 _PICTURES = ("psychlab_arbitrary_visuomotor_mapping", "psychlab_continuous_recognition")
 _CONTROLS = {

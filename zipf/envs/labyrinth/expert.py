@@ -57,7 +57,7 @@ class Expert(Remembering):
         return actions
 
     def _free(self, i: int, episode: Episode) -> int | None:
-        """The action that leaves a place where the player is stuck; None where he is not."""
+        """The action that leaves a place where the player is stuck; None where it is not."""
         aside = episode.aside()
         if aside is None:
             return None

@@ -14,7 +14,7 @@ _GRAZING = 0.01
 @compiled(error_model="numpy")
 def gaze(worlds, i):
     """x and y of the point of the screen's plane that the player of world `i` looks at, as shares
-    of the screen's side from its top left corner; NOWHERE if he looks away from it."""
+    of the screen's side from its top left corner; NOWHERE if the player looks away from it."""
     body = worlds.bodies[i]
     x, y, z, side = worlds.screen[i]
     north = math.sin(body[YAW])

@@ -9,7 +9,7 @@ from zipf.envs.labyrinth.state import CELL, PITCH, YAW, X, Y, Z
 from zipf.envs.labyrinth.terrain import height_at
 
 NEVER = -1
-"""In the place of the frame at which a cell was seen last."""
+"""Stands for the frame at which a cell was seen last, where it never was."""
 RAYS = 96
 """Directions, across the view, in which cells are looked for: as many as the paper's images have
 columns."""

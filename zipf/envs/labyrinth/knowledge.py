@@ -72,7 +72,7 @@ class Knowledge(Protocol):
         ...
 
     def free(self) -> int | None:
-        """The action that leaves a place where the player is stuck; None where he is not."""
+        """The action that leaves a place where the player is stuck; None where it is not."""
         ...
 
 

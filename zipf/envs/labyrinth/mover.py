@@ -20,14 +20,14 @@ GRAVITY = 800.0
 WIDE = 15.0
 """Half the width of the player's box."""
 BELOW, ABOVE = 24.0, 32.0
-"""From the player's point down to the soles and up to the crown."""
+"""Distances from the player's point down to the soles and up to the crown."""
 EYE = 26.0
-"""Of the eye above the player's point."""
+"""Height of the eye above the player's point."""
 STEP_UP = 18.0
 STEEPEST = math.sqrt(1.0 / 0.7**2 - 1.0)
 """Slope that can be climbed: where the unit normal is 0.7 high."""
 RISE = 12.0
-"""Of a platform that holds the player, units per frame."""
+"""Speed of a rising platform that holds the player, units per frame."""
 _MOST_PITCH = math.radians(89.0)
 _SKIN = 1e-6
 
@@ -113,7 +113,7 @@ def turn_and_run(body, turn, rise, strafe, forward, acceleration, friction):
 
 @compiled(error_model="numpy")
 def _stay_in_room(worlds, i):
-    """Moves the player out of the walls of a convex room, along which he slides."""
+    """Moves the player out of the walls of a convex room, along which it slides."""
     body = worlds.bodies[i]
     for k in range(worlds.plane_count[i]):
         x, y, distance = worlds.planes[i, k]
@@ -129,7 +129,7 @@ def _stay_in_room(worlds, i):
 
 @compiled(error_model="numpy")
 def _stay_off_pillars(worlds, i):
-    """Moves the player out of pillars, round which he slides."""
+    """Moves the player out of pillars, round which it slides."""
     body = worlds.bodies[i]
     for k in range(worlds.pillar_count[i]):
         x, y = body[X] - worlds.pillars[i, k, 0], body[Y] - worlds.pillars[i, k, 1]
@@ -147,7 +147,7 @@ def _stay_off_pillars(worlds, i):
 
 @compiled(error_model="numpy")
 def _stay_off_slopes(worlds, i, before_x, before_y):
-    """Keeps the player from climbing what is too steep, along which he slides."""
+    """Keeps the player from climbing what is too steep, along which it slides."""
     body = worlds.bodies[i]
     size = worlds.quad[i]
     now = height_at(worlds.heights[i], size, before_x, before_y)

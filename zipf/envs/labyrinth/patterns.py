@@ -32,7 +32,7 @@ FLOORS: dict[str, Colour] = {
     "magenta": (190, 44, 186), "yellow": (216, 200, 40), "orange": (214, 122, 24),
     "black": (26, 26, 30),
 }  # fmt: skip
-"""Of floors that have a colour word, darker than objects, which stand out against them."""
+"""Colours of floors that have a colour word: darker than objects, which stand out from them."""
 
 _Y, _X = np.mgrid[0:SIZE, 0:SIZE]
 

@@ -21,7 +21,7 @@ _MAIN, _ACCENT, _DARK, _LIGHT, _SECOND, _SKY, _GROUND = range(7)
 """Colours of a picture; of the first four a shape has one. Main shapes are patterned with the
 second colour."""
 _SMALLER = 1.12
-"""Than the picture is the thing in it."""
+"""How many times smaller the thing in a picture is than the picture."""
 
 # Of each thing its shapes, of which later ones cover earlier ones: kind (ellipse, box, triangle,
 # dome or ring) and paint (main, accent, dark or light), x and y of the middle, half width and half

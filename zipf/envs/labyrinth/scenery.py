@@ -17,7 +17,7 @@ from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Worl
 from zipf.envs.render3d import MeshAtlas, Renderer, Scenes, load_meshes, pack_textures
 
 METRES = 0.01
-"""Of the renderer, in a unit."""
+"""Metres of the renderer in one unit."""
 FIELD_OF_VIEW = 90.0
 """Horizontal, degrees (DeepMind Lab)."""
 LARGE = 288, 384

@@ -1,4 +1,4 @@
-"""A square screen in front of the player, with parts that tell when he looks at them."""
+"""A square screen in front of the player, with parts that tell when it looks at them."""
 
 from __future__ import annotations
 

@@ -73,9 +73,9 @@ class Worlds(NamedTuple):
     heights: NDArray[np.float64]
     """[N, QUADS + 1, QUADS + 1]: of a terrain, rows to the north."""
     held: NDArray[np.bool_]
-    """[N]: whether the player stands on a platform that holds him."""
+    """[N]: whether the player stands on a platform that holds it."""
     hold: NDArray[np.float64]
-    """[N, 3]: where it holds him."""
+    """[N, 3]: where it holds the player."""
     places: NDArray[np.float64]
     """[N, ITEMS, 3]: where items are."""
     present: NDArray[np.bool_]

@@ -171,7 +171,7 @@ def _places(
         row, column = cells[int(rng.integers(len(cells)))]
         x, y = (column + rng.uniform(0.2, 0.8)) * size, (row + rng.uniform(0.2, 0.8)) * size
         clear = 60 if attempt < 50 * count else 20
-        # Starts are found first; who stands there touches no mushroom.
+        # Starts are found first; a player that stands there touches no mushroom.
         if all(
             np.hypot(x - a, y - b) > (60 if k < _STARTS else 32) for k, (a, b) in enumerate(found)
         ) and all(np.hypot(x - a, y - b) > clear for a, b in taken):

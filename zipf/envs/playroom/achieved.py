@@ -36,8 +36,8 @@ def _approached(worlds: Worlds, i: int) -> Achievement | None:
 
 
 def _put(worlds: Worlds, i: int) -> Achievement | None:
-    """What was asked for if that was done, else an object on a support, else one near a support,
-    where that ends the episode: what was near a support already is not achieved at its end."""
+    """What was asked for if that was done, else an object on a support, else an object near a
+    support, which counts only if it ends the episode: it may have been near before."""
     task = int(worlds.task[i])
     near = task < ON
     on_top: list[Achievement] = []

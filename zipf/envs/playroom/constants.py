@@ -18,14 +18,14 @@ FRAME = 1 / 30
 STEP = FRAMES * FRAME
 
 MOST_PIXELS = 4096
-"""Of a side of the image; ours."""
+"""Largest height or width of the image; ours."""
 MOST_STEPS = 1_000_000
-"""Of an episode; ours: 37 hours. A world keeps its actions, a byte each."""
+"""Largest length of an episode; ours: 37 hours. A world keeps its actions, a byte each."""
 
 REACH_BOUNDS = 1.5, 4.0
-"""Of the option `reach`, the hand's from the eye. To the floor just before the agent it is 1.2."""
+"""Bounds of the option `reach`, from the eye; the floor just before the agent is 1.2 away."""
 EXPONENT_BOUNDS = 0.0, 10.0
-"""Of the option `frequent_exponent`."""
+"""Bounds of the option `frequent_exponent`."""
 
 AGENT_RADIUS = 0.25
 AGENT_MASS = 20.0

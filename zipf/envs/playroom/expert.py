@@ -68,7 +68,7 @@ class Expert:
         require_playable(env, "expert")
         self.env = env
         self.worlds = env.worlds
-        # By what is looked for in which world: what it depends on, and what was found.
+        # By search and world: the state that the search depends on, and its result.
         self._found: dict[tuple[str, int], tuple[bytes, NDArray[Any]]] = {}
 
     def __call__(self) -> NDArray[np.int64]:

@@ -109,8 +109,8 @@ class FirstFrames:
     def reference(self, name: str, **options: Any) -> ReferenceScore | None:
         """What a player that does not learn scores with its answers, see `zipf.envs.reference`.
 
-        Random answers name a random one of the two objects, and so does who cannot read: both score
-        what a blind policy does that walks to an object. No scripted player answers questions.
+        Random answers name a random one of the two objects, and so does a policy that cannot read:
+        both score as a blind policy that walks to an object. No scripted player answers questions.
         """
         if name not in ("chance", "blind"):
             return None

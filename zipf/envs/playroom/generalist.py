@@ -29,7 +29,7 @@ _PITCHES = (
 """Views, radians, at which the room is searched by turns, first with an empty hand, then with a toy
 in it: at lower views the toy would be so low that the bed and other toys were in its way."""
 _SPOTS = np.array([(x, y) for x in (-1.0, 1.0) for y in (-1.0, 1.0)])
-"""From where it is searched again, metres."""
+"""Places from which the room is searched again, metres."""
 _THERE = 0.4
 """Distance at which a spot is reached, metres."""
 _TOUCH = 0.02

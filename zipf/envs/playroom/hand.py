@@ -55,7 +55,7 @@ from zipf.envs.playroom.state import (
 
 # Ours.
 ACCELERATION = 12.5
-"""Of the agent, m/s^2: with the damping, 2.7 m/s at most."""
+"""The agent's acceleration, m/s^2: with the damping it moves at 2.7 m/s at most."""
 TURN_RATE = math.radians(120)
 LOOK_RATE = math.radians(90)
 LOWEST, HIGHEST = math.radians(-75), math.radians(60)
@@ -66,7 +66,7 @@ AIM_MARGIN = 0.03
 PUSH_RATE = 1.0
 SPIN_RATE = math.radians(180)
 HAND_SPEED = 5.0
-"""At which a held object moves back to its distance, m/s."""
+"""Speed at which a held object moves back to its distance, m/s."""
 
 # How far a body coasts in one action, divided by its speed at the beginning: positions are
 # advanced before the damping.

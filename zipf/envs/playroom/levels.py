@@ -27,8 +27,8 @@ ALTERNATE = (
     *("hammer", "basket", "teapot", "plate", "apple", "teddy", "hairdryer", "ball", "duck"),
     *("carrot", "bus", "lamp", "plane", "guitar"),
 )
-"""A second order, shuffled so that nothing frequent or rare stays what it was: it tells what hangs
-on rarity from what hangs on shape."""
+"""A second order, shuffled so that nothing frequent or rare stays what it was: it separates
+effects of rarity from effects of shape."""
 
 ORDERS = {"default": OBJECTS, "alternate": ALTERNATE}
 

@@ -15,7 +15,7 @@ IMAGE = (
     "gcr.io/google.com/deepmind-environments-staging/dm_zipfian_distributions:"
     "dm_zipfian_distributions_staging_gcr_20220629_RC00"
 )
-"""Of the released environment, as its loader names it."""
+"""The released environment's image, as its loader names it."""
 
 FRAMES_PER_SECOND = 30
 ADDRESS = "ZIPF_PLAYROOM_ADDRESS"

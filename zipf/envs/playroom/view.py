@@ -28,7 +28,7 @@ _SPREAD = 0.25
 _FAINT = 0.5
 """Height at which half of the darkness is left, metres."""
 _FURNITURE_SOFTNESS = (0.2, 0.09)
-"""Of bed and tray, metres, from as far inside their edges."""
+"""Widths of the soft edges of bed's and tray's shadows on each side of the edge, metres."""
 
 _FRAME = (240, 384)
 _CAPTION = 48
@@ -148,7 +148,8 @@ def _pose(
     mask, agents, objects, orientation, ranks, extents, furnished, furniture, scale, camera,
     position, rotation, shadows,
 ):  # fmt: skip
-    """Writes the last four, which are arrays of `Scenes` as `scale` is, from those of `Worlds`."""
+    """Writes `camera`, `position`, `rotation` and `shadows`, arrays of `Scenes`, from arrays of
+    `Worlds`. `scale` is an array of `Scenes`, too."""
     size = np.empty(3)
     for i in range(mask.size):
         if not mask[i]:

@@ -13,7 +13,7 @@ from zipf.envs.render3d.textures import SIZE
 FIXED_COLOURS = np.array(
     [(40, 40, 40), (235, 235, 235), (150, 105, 65), (70, 140, 60)], dtype=np.uint8
 )
-"""Of the parts of meshes from 2 on: dark, light, wood, green."""
+"""Colours of the parts of meshes from part 2 on: dark, light, wood, green."""
 
 _LINE = 2 * SIZE
 """Texels in a line of a texture and of its smaller versions together."""

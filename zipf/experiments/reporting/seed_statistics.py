@@ -227,7 +227,7 @@ def _visits(table: ScoreTable) -> Grid | None:
             seeds_text(_seeds(table, row)),
             score_text(scores["score"]["rare"], scores["error"]["rare"]),
         ]
-        # Of what the run met whose weights an agent began with, nothing is known here.
+        # The visits of the run whose weights an agent began with are not known here.
         least = "at least " if any(run.description.pretrained for run in row.runs) else ""
         lines.append((leading, {name: _met(rare[name], rare["episodes"], least) for name in found}))
     if not columns:

@@ -72,7 +72,7 @@ class ScaledWindow:
 
 @dataclass(frozen=True)
 class OwnWindows:
-    """Of each run the window in its options, where those of a table's runs differ."""
+    """Each run's own window, for tables whose runs have different windows."""
 
     def __str__(self) -> str:
         return "own"

@@ -54,15 +54,15 @@ class Collector:
         device: where the agent computes. Unrolls are in RAM: pinned, if the device is CUDA.
         exploration: adds a bonus for the observations that actions lead to, before augmentation.
         augmentation: changes what the agent sees of the worlds.
-        lag: an unroll is overwritten by the call of `collect` after `lag` further ones.
+        lag: for how many further calls of `collect` an unroll stays valid.
         bootstrap_at_time_limit: whether unrolls tell time limits from the end of the task. If
             not, `terminated` is set in the place of `truncated`.
         teacher: of these worlds, for an agent that learns from one.
-        reward_clipping: "none", or "soft_asymmetric": learned from are rewards as
-            `soft_asymmetric` squashes them. What the agent is told of its last reward, and returns
-            of episodes, stay as they are.
+        reward_clipping: "none", or "soft_asymmetric": the agent learns from squashed rewards (see
+            `soft_asymmetric`); the previous rewards in its input and episodes' returns stay as
+            they are.
         goal: reads what episodes ask for; needed where something depends on it.
-        reweighting: weighs frames by how rarely what their episode asks for was asked for.
+        reweighting: gives frames of episodes with a rare goal a larger weight.
         hindsight: relabels episodes with what they achieved.
 
     Raises:

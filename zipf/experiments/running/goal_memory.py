@@ -17,8 +17,8 @@ class GoalMemory:
     """Keeps the last `per_goal` episodes of each goal.
 
     Draws every goal as often as the others, however rare its episodes are, and of a goal every kept
-    episode (as classes are in class-balanced sampling: Kang et al. 2020). Who keeps episodes that
-    asked for a goal apart from those that achieved it draws both alike.
+    episode (as classes are in class-balanced sampling: Kang et al. 2020). To draw episodes that
+    asked for a goal as often as those that achieved it, keep them under different goals.
     """
 
     def __init__(self, per_goal: int):

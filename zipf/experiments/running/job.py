@@ -58,7 +58,7 @@ class Outcome:
 
 
 class Board:
-    """Where jobs tell what becomes of them, and see whether the sweep stops: files in a folder.
+    """A folder of files through which jobs report their state and learn that the sweep stops.
 
     Jobs may be processes of other machines; what they return reaches the sweep late, or not at all
     where a launcher's process was killed.

@@ -2,8 +2,8 @@
 
 Every learner has a share of the worlds and all of the weights, and they make the same updates
 (`zipf.agents.averaging`). Their ranks count from 0. The first one alone writes files, shows the run
-and evaluates; what it needs of the others it asks them for at the same places of the program, where
-each waits for all.
+and evaluates. It collects what it needs of the others at fixed points of the program, where all
+learners wait for each other.
 """
 
 from __future__ import annotations
@@ -223,8 +223,8 @@ def joined(config: Config) -> Iterator[OnlyLearner]:
 
 
 def let_others_tell(error: Exception) -> None:
-    """Waits before an error is shown where another learner is to tell: of a mistake that all find
-    the first, and of the end of a learner the one that ends. Torchrun ends the others meanwhile."""
+    """Delays this process's error message so that the responsible learner reports first: learner 0
+    a mistake that all find, a learner that ends its own end. Torchrun ends the others meanwhile."""
     late = 2 * isinstance(error, LearnerLost)
     if _started_by_torchrun() and os.environ["RANK"] != "0":
         late += 1
@@ -237,8 +237,8 @@ def _started_by_torchrun() -> int:
 
 
 def of_these(store: dist.Store, rank: int, count: int) -> dist.Store:
-    """The part of torchrun's store that these learners alone use. When torchrun has started them
-    again, it still holds what those before them have told each other, such as where they listen.
+    """A part of torchrun's store that only this start of the learners uses. After a restart the
+    store still holds entries of the learners before, such as the addresses at which they listened.
 
     Raises:
         RuntimeError: some of them have not come.

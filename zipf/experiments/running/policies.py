@@ -21,7 +21,7 @@ from zipf.experiments.running.seeds import derive_seed
 
 @dataclass(frozen=True)
 class Worlds:
-    """What a policy has to fit.
+    """What a policy must match.
 
     Attributes:
         split: its name.

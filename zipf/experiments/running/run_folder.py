@@ -47,7 +47,7 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
             if last not in (None, "0"):
                 raise UserError(
                     f"{config.folder / name}: holds results up to update {last:.40}, and their "
-                    "checkpoint is gone; bring it back, or remove the folder, or choose another "
+                    "checkpoint is missing; restore it, or remove the folder, or choose another "
                     "run_root or name"
                 )
         return None

@@ -194,7 +194,7 @@ def geometry(split: str | envs.Split, **level_options: Any) -> dict[str, dict[st
 
 
 def _worlds(split: envs.Split, level_options: Mapping[str, Any]) -> Worlds:
-    """What a policy has to fit. Raises ValueError where the split's levels are not alike."""
+    """What a policy must match. Raises ValueError where the split's levels are not alike."""
     spaces: dict[str, tuple[Any, Any]] = {}
     for level in split.all_levels:
         env = envs.make_vec(level, 1, **level_options)

@@ -15,7 +15,7 @@ FIGHTERS = 4
 SECOND = 60
 """Frames."""
 MILLISECONDS = 16
-"""Of physics in a frame."""
+"""Duration of a frame of physics."""
 
 IMPULSE, RAPID, ORB, BEAM, DISC = range(5)
 """Gadgets."""
@@ -34,7 +34,7 @@ RETURN = np.array([0, 0, 5, 5, 5, 35, 25]) * SECOND
 """Frames until a supply that was taken is there again, by kind."""
 DROP_LIFE = 30 * SECOND
 REST, LONGEST_REST = round(1.7 * SECOND), round(21.7 * SECOND)
-"""Frames after which who was tagged may respawn by firing, and respawns by itself."""
+"""Frames after which a tagged fighter may respawn by firing, and respawns by itself."""
 
 HEALTH, ARMOUR, GADGET, WAIT, TAGGED_AT, SLIDE, CLOCK, TAGS = range(8)
 LOADED = 8
@@ -51,12 +51,12 @@ health last decayed; tags of others less tags of itself; and from LOADED on shot
 the cell where; the cell that the opponent goes to, and that its field leads to; the side to which
 it strafes, 1 right or -1 left, and until which frame; until which frames it shoots, holds its fire,
 and stays where it is; where it wants to look; the direction in which it wants to go; whether it
-holds the trigger; who hurt it, and when."""
+holds the trigger; which fighter hurt it, and when."""
 
 SPAWNS, SUPPLIES, SHOTS, TRACES, FLASHES = 12, 24, 16, 12, 8
 """Capacities of each world."""
 SHOOTER, BORN = 6, 7
-"""Columns of `shots` after place and direction: who shot, and the frame."""
+"""Columns of `shots` after place and direction: the shooter, and the frame."""
 TRACE_FRAME, TRACE_GADGET, TRACE_SHOOTER = 6, 7, 8
 """Columns of `traces` after start and end."""
 FLASH_FRAME, FLASH_KIND = 3, 4

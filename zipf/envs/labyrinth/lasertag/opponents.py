@@ -1,7 +1,7 @@
 """How opponents play: ten times a second each decides where to go, where to look, when to shoot.
 
 Their parameters are those of DeepMind Lab's first three bots at skill 4; what they do with them is
-ours. An opponent fights the nearest enemy it sees: it turns to him, strafes, keeps its distance and
+ours. An opponent fights the nearest enemy it sees: it turns to it, strafes, keeps its distance and
 fires in bursts. Out of sight it fetches supplies it can use, looks where the enemy was last, or
 roams: to a random spawn cell, or to where somebody else is, whom it is said to hear. It walks by
 the shortest way through the maze and moves by the same kinematics as the player.
@@ -60,21 +60,21 @@ from zipf.envs.labyrinth.state import CELL, PITCH, VX, VY, YAW, X, Y, Z
 ACCURACY = np.array(
     [[1.0, 0.7, 0.9, 0.7, 1.0], [1.0, 0.9, 0.9, 0.9, 0.9], [1.0, 0.5, 0.75, 0.75, 0.75]]
 )
-"""By opponent and gadget; Impulse's is ours."""
+"""For each opponent and gadget; Impulse's is ours."""
 THROTTLE = np.array([0.5, 0.9, 1.0])
 CAMPING = np.array([0.3, 0.5, 0.5])
 REACTION, AIM_DELAY = 1.0 * SECOND, 0.5 * SECOND
-"""Frames from the first sight of an enemy to the first shot, and until it turns to him."""
+"""Frames from the first sight of an enemy to the first shot, and until it turns to it."""
 TURN = math.radians(240.0 / SECOND)
 """Most that an opponent turns in a frame."""
 CONE, CLOSE_CONE, CLOSE = math.radians(25.0), math.radians(60.0), 100.0
-"""It shoots at an enemy so far off its view, at most; when he is closer than CLOSE, the latter."""
+"""Largest angle between its view and an enemy at which it shoots; CLOSE_CONE within CLOSE units."""
 SIGHT = math.radians(60.0)
-"""It sees to this angle on both sides."""
+"""Half the angle of its field of view."""
 NEAREST, FARTHEST = 150.0, 400.0
-"""Distances that it keeps."""
+"""Distances that it keeps from an enemy, units."""
 LOW_HEALTH, WOUNDED = 40, 70
-"""Below which it leaves a fight to be healed, and heals itself when there is none."""
+"""Health below which it leaves a fight to be healed, and heals itself when there is no fight."""
 DETOUR = 800.0
 """It goes so far for a supply, along x and y together, and anywhere once all it has is Impulse."""
 CHASE = 5 * SECOND

@@ -54,7 +54,7 @@ from zipf.envs.labyrinth.mover import ABOVE, BELOW, EYE, FRAME, WIDE
 from zipf.envs.labyrinth.state import PITCH, VX, VY, VZ, YAW, X, Y, Z
 
 MUZZLE = 14.0
-"""From the eye forward to where shots begin."""
+"""Distance from the eye forward to where shots begin."""
 SPREAD = math.tan(math.radians(1.4))
 """Most of Rapid's, sideways in a unit of distance."""
 ORB_SPEED, ORB_LIFE = 900.0, 600
@@ -176,7 +176,7 @@ def _tag(worlds, i, target, attacker):
     status, body = combat.status[i, target], combat.bodies[i, target]
     status[HEALTH] = 0
     status[TAGGED_AT] = worlds.clock[i]
-    if target > 0:  # the player would see his own from inside
+    if target > 0:  # the player would see its own from inside
         flash(combat, i, worlds.clock[i], body[X], body[Y], body[Z], PUFF)
     gadget = status[GADGET]
     if gadget > RAPID and status[LOADED + gadget] > 0:
@@ -285,7 +285,7 @@ def _trace(combat, i, now, f, x, y, z):
 
 @compiled(error_model="numpy")
 def make_ready(status):
-    """A frame passes for a fighter's gadget and for what slows him."""
+    """A frame passes for a fighter's gadget and for what slows it."""
     if status[WAIT] > 0:
         status[WAIT] -= MILLISECONDS
     if status[SLIDE] > 0:

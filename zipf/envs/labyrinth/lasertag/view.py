@@ -40,13 +40,13 @@ from zipf.envs.labyrinth.mover import BELOW
 from zipf.envs.labyrinth.state import YAW, X, Y, Z
 
 SEGMENTS, DASHES, DASH = 36, 12, 50.0
-"""Of which shots are drawn: how many there are, at most for one shot, and their least distance."""
+"""Segments of which shots are drawn: how many, at most for one shot, their least distance."""
 ACTORS = 2 * (FIGHTERS - 1) + SHOTS + FLASHES + SEGMENTS
 """Instances of meshes that a world needs beside its items."""
 BARS = 6
 """Overlays: two bars with their grounds, and a cross in the middle of the view."""
 SUPPLY_MESHES = ("", "", "orb_gadget", "beam_gadget", "disc_gadget", "health_pack", "armour_pack")
-"""By kind."""
+"""The mesh of each kind of supply."""
 ACTOR_MESHES = ("robot", "robot_head", "orb", "puff", "bolt")
 _ROBOT, _HEAD, _ORB, _PUFF, _BOLT = range(5)
 COLOURS: tuple[tuple[Colour, Colour], ...] = (

@@ -59,7 +59,7 @@ def walk(solid, bodies, status, count, f, turn, rise, strafe, forward):
         x, y, wide = bodies[other, X], bodies[other, Y], 2 * WIDE
         if abs(body[X] - x) >= wide or abs(body[Y] - y) >= wide:
             continue
-        # Who is pushed into another may walk away from him.
+        # A fighter that is pushed into another may walk away from it.
         if abs(before_x - x) >= wide:
             body[X], body[VX] = before_x, 0.0
         elif abs(before_y - y) >= wide:

@@ -159,7 +159,7 @@ LEVELS: dict[str, Level] = {
         ),
     )
 }
-"""By name, in the order of the paper: the most frequent first."""
+"""All levels by name, in the order of the paper: the most frequent first."""
 
 _LONGER = "_v2"
 """What the paper adds to the names of the skymazes."""

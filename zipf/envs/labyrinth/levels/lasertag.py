@@ -31,7 +31,7 @@ from zipf.envs.labyrinth.world import World
 
 _FIRE = NAMES["fire"]
 _STEP = 4 / 60
-_STOP = 0.1  # seconds after which who does not run stands
+_STOP = 0.1  # seconds after which a fighter that does not run stands still
 
 
 class Lasertag(Episode):
@@ -48,16 +48,16 @@ class Lasertag(Episode):
     taken in hand at once; without ammunition, the best that has some. Damage costs health, of which
     there are 125, soon 100, and pushes. Armour takes two thirds of it. A health pack gives 50 up to
     100 and is back after 35 s, armour 50 up to 200 (25 s), a gadget is back after 5 s. Without
-    health one is tagged: the player sees the place from the ground until he fires, from 1.7 s on,
-    or until 21.7 s are over. He then begins again in a random spawn cell that is free, looking
-    anywhere. Who is tagged drops the gadget in hand for 30 s. Bars show health (left) and
+    health a fighter is tagged: the player sees the place from the ground until it fires, from 1.7 s
+    on, or until 21.7 s are over. It then begins again in a random spawn cell that is free, looking
+    anywhere. A tagged fighter drops the gadget in hand for 30 s. Bars show health (left) and
     ammunition (right).
     Rewards: +1 for tagging an opponent, -1 for tagging oneself with an orb.
     Length: 240 s.
     Approximated: the original's opponents are programs of tens of thousands of lines. These have
     the parameters of the same three at skill 4 (accuracy, reaction, turning, bursts), but decide by
-    a state machine of ours, see `lasertag.opponents`. What bursts hurts who has no wall between his
-    middle and the burst. One may fire again at once after respawning. The dead view is from 8 units
+    a state machine of ours, see `lasertag.opponents`. A burst hurts fighters with no wall between
+    their middle and it. One may fire again at once after respawning. The dead view is from 8 units
     above the ground. No clock and no numbers are shown; armour has no bar.
     """
 
@@ -91,7 +91,7 @@ class Lasertag(Episode):
 
     def act(self, known: Knowledge) -> int:
         """Fights an opponent in view, a near and weak one first; else fetches what it needs, or
-        chases the nearest; who does not know where anybody is explores."""
+        chases the nearest. A player that does not know where anybody is explores."""
         match = self.match
         if not match.is_up(0):
             return _FIRE
@@ -158,7 +158,7 @@ class Lasertag(Episode):
         return ways.walk_to(self.world, cell)
 
     def _fight(self, enemy: int, known: Knowledge) -> int | None:
-        """Aims and fires at an opponent in view; None: he is out of reach."""
+        """Aims and fires at an opponent in view; None: it is out of reach."""
         match, gadget = self.match, self.match.gadget
         x, y, yaw, _ = self.world.player
         to_x, to_y = match.place(enemy)
@@ -169,7 +169,7 @@ class Lasertag(Episode):
         own_x, own_y = match.velocity(0)
 
         def off_after(seconds: float) -> float:
-            """By how many degrees he will be to the left of the view."""
+            """By how many degrees it will be to the left of the view."""
             flight = seconds + (away / ORB_SPEED if gadget == ORB else 0.0)
             ahead_x = to_x + speed_x * flight - x - own_x * min(seconds, _STOP)
             ahead_y = to_y + speed_y * flight - y - own_y * min(seconds, _STOP)
@@ -183,7 +183,7 @@ class Lasertag(Episode):
             return NAMES["backward"]
         if abs(off) <= math.degrees(math.atan(0.8 * WIDE / away)):
             return _FIRE
-        off = off_after(1.5 * _STEP)  # after a turn, when he is fired at
+        off = off_after(1.5 * _STEP)  # after a turn, when it is fired at
         side = "left" if off > 0 else "right"
         if abs(off) > (SMALL + LARGE) / 2:
             return NAMES[f"look {side}"]

@@ -17,7 +17,7 @@ from zipf.envs.labyrinth.steering import look_at
 from zipf.envs.labyrinth.world import World
 
 DISTANCE, HEIGHT, SIDE = 90.0, 51.0, 112.0
-"""Of the screen from the eye, of its middle above the soles, and its side, units."""
+"""The screen's distance from the eye, its middle's height above the soles, its side; units."""
 _FRAME, _DEEP, _PEDESTAL = 7.0, 4.0, 26.0
 _DARK: Colour = (48, 50, 58)
 START = math.radians(22.5)

@@ -13,7 +13,7 @@ from zipf.envs.labyrinth.world import World
 UNITS, STEP = 64, 8
 """Units a side of the array in the middle of the screen, and those of a cell."""
 POSITIONS = range(4, 60, STEP)
-"""Of cells, in units from the array's left or top."""
+"""Positions of cells, in units from the array's left or top."""
 START, UNIT = 16, 1.5
 """The array's left and top, and a unit, in pixels of the screen; it covers 0.75 of it."""
 _BUTTON_AREA = (12, 20, 36, 44)

@@ -13,7 +13,7 @@ from zipf.envs.labyrinth.world import World
 SIZE, START = 96, 16
 """Side of a picture, 0.75 of the screen's, and its left and top, in pixels of the screen."""
 BUTTONS: tuple[Place, ...] = ((0.45, 0.0, 0.55, 0.1), (0.45, 0.9, 0.55, 1.0), LEFT, RIGHT)
-"""Of the mapping: north, south, and what the original calls east and west."""
+"""Buttons of the mapping: north, south, and what the original calls east and west."""
 _TOLD_CORRECT: Colour = (100, 200, 100)
 _TOLD_WRONG: Colour = (200, 100, 100)
 

@@ -17,7 +17,7 @@ MOST = 10
 """Objects that are taken before the episode ends."""
 
 _SPOTS = ((224.0, -96.0), (-300.0, 300.0), (700.0, -500.0))
-"""From where the room is searched again by who finds nothing."""
+"""Places from which a player that finds nothing searches the room again."""
 _KINDS = {
     "hat": ((58, 31, 255), (20, 14, 110)),
     "can": ((241, 255, 30), (150, 150, 20)),

@@ -21,7 +21,7 @@ _COLOURS: tuple[tuple[Colour, Colour], ...] = (
     ((60, 190, 90), (240, 240, 240)),
     ((250, 150, 40), (70, 40, 120)),
 )
-"""Of the three looks of a form."""
+"""Colours of the three looks of a form."""
 _BLUE: Colour = (150, 185, 255)
 _SAMPLES = ((40.0, 64.0), (40.0, -192.0))
 _CHOICES = ((600.0, 64.0), (600.0, -192.0))

@@ -23,14 +23,15 @@ _CIRCLES = tuple(
     for radius in (560.0, 450.0, 340.0, 230.0, 120.0, 10.0)
     for k in range(16)
 )
-"""The way of who looks for the platform: a path as wide as it is from the wall to the middle."""
+"""The way of a player that looks for the platform: a path as wide as it is from the wall to the
+middle."""
 
 
 class Watermaze(Episode):
     """Goal: reach the hidden platform as often as possible; it stays where it is.
 
     Layout: a large round room with blue water. Eight different pictures hang on the wall.
-    Rules: the platform is invisible until the player steps on it. Then it rises and holds him, for
+    Rules: the platform is invisible until the player steps on it. Then it rises and holds it, for
     about two seconds and five points; after that a new map begins, at one of eight places along
     the wall, looking anywhere.
     Rewards: +1, five times for each visit of the platform.

@@ -16,9 +16,9 @@ from zipf.envs.labyrinth.steering import BACKWARD, WAIT, walk_to
 from zipf.envs.labyrinth.world import World, middle
 
 UNIT = 20.0
-"""Of height; more than a player can step up."""
+"""One step of height; more than a player can step up."""
 _SLOW = 120.0  # units per second
-_PITCHES = (0.0, math.radians(-50))  # of the view of who looks for a way
+_PITCHES = (0.0, math.radians(-50))  # of the view, when looking for a way
 _START, _TOP, _LOWEST, _ABOVE = 26, 21, 8, 14
 
 
@@ -138,7 +138,7 @@ class IrreversiblePath(Episode):
         self.world.end_episode()
 
     def act(self, known: Knowledge) -> int:
-        """Follows the way to the goal; who does not see one looks around."""
+        """Follows the way to the goal; a player that does not see one looks around."""
         cell = self.world.cell
         steps = self._distances(known.seen(*self.heights.shape))
         forward, left, up = self.world.velocity
