@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as wrappers
 from numpy.typing import NDArray
 
-from zipf.envs import Mixture, ZipfVectorEnv, make_vec
+from zipf.envs import Mixture, ZipfVectorEnv, make, make_vec
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 LEVEL = "gridworld/zipf_2"
@@ -197,6 +197,18 @@ def test_sb3_is_told_of_levels_that_are_drawn(actions):
     assert all(info["level_name"] == ("zipf_2", "uniform")[info["level"]] for info in ended)
 
 
+class Told(GridworldVectorEnv):
+    def _describe(self) -> dict[str, Any]:
+        return {"words": np.array(["go"] * self.num_envs, object)}
+
+
+def test_sb3_is_told_texts_of_any_kind(actions):
+    env = sb3_env(Told(WORLDS, **SMALL))
+    env.reset()
+    assert env.reset_infos[0]["words"] == "go"
+    assert {info["words"] for action in actions for info in env.step(action)[3] if info} == {"go"}
+
+
 def test_sb3_hears_of_no_success_where_there_is_none(actions):
     env = sb3_env(Quiet(WORLDS, **SMALL))
     env.reset()
@@ -289,6 +301,21 @@ def test_torchrl_hears_of_no_success_where_there_is_none():
 def test_torchrl_needs_batches_that_it_resets_itself():
     with pytest.raises(ValueError, match=r"DISABLED .* got SAME_STEP"):
         torchrl_env(batch())
+
+
+@pytest.mark.parametrize("adapter", [sb3_env, torchrl_env])
+def test_only_batches_are_adapted(adapter):
+    with pytest.raises(ValueError, match=r"what zipf\.envs\.make_vec makes, got GridworldEnv"):
+        adapter(make(LEVEL))
+
+
+@pytest.mark.parametrize("rank", ["image", "reward", "done"])
+def test_torchrl_has_one_entry_of_a_name(rank):
+    makers = {str(i): partial(make_vec, LEVEL, **SMALL) for i in range(2)}
+    options = {"draw": "resets", "exponent": 1, "autoreset_mode": "Disabled"}
+    torchrl_env(Mixture(makers, WORLDS, **options))
+    with pytest.raises(ValueError, match=f"'{rank}' cannot be both an observation or a rank of"):
+        torchrl_env(Mixture(makers, WORLDS, rank=rank, **options))
 
 
 # Gymnasium's vector wrappers

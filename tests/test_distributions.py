@@ -43,6 +43,8 @@ def test_empty_distributions_are_refused() -> None:
     for distribution in (uniform, rare, by_name("zipf_2")):
         with pytest.raises(ValueError, match="at least one rank"):
             distribution(0)
+        with pytest.raises(ValueError, match="a whole number of them, got n = 2"):
+            distribution(2.5)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="n >= 5"):
         rare(4)
 
@@ -77,9 +79,10 @@ ODD = ("1_5", "+2", " 2", "2 ", "02", "2e0", ".5", "2.", "\u0662", "2\n")
         ("zipf_inf", "finite and >= 0"),
         *((f"zipf_{one}", "unknown level.*such as 2 or 1.5") for one in ODD),
         ("", "unknown level"),
+        (3, "a level must be a name such as 'zipf_2', got 3"),
     ],
 )
-def test_unknown_names_say_what_would_do(name: str, message: str) -> None:
+def test_unknown_names_say_what_would_do(name: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         by_name(name)
 

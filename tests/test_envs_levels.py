@@ -104,6 +104,22 @@ def test_a_world_takes_little_memory_beside_its_observation() -> None:
     assert (taken(2050) - taken(2)) / 2048 < 1024
 
 
+@pytest.mark.parametrize(
+    "function",
+    [
+        make,
+        partial(make_vec, num_envs=2),
+        lambda level, **options: make_vec([level, "gridworld/zipf_2"], 2, **options),
+        measure_chance,
+        partial(reference, "chance"),
+    ],
+)
+def test_unknown_options_name_the_nearest(function: Any) -> None:
+    message = r"unknown gridworld option 'num_map' \(did you mean 'num_maps'.* one of num_maps, num"
+    with pytest.raises(ValueError, match=message):
+        function("gridworld/rare", num_map=3)
+
+
 def test_unknown_splits_name_the_nearest() -> None:
     with pytest.raises(ValueError, match="did you mean 'gridworld'"):
         split("gridwolrd")
@@ -133,16 +149,39 @@ def test_splits_that_are_none_are_refused(options: dict[str, Any], message: str)
         Split("own", **{**dict.fromkeys(KINDS, "gridworld/rare"), **options})
 
 
+def test_levels_made_by_functions_have_names_of_their_own() -> None:
+    """The same in every process, and not those of others."""
+    local = "test_levels_made_by_functions_have_names_of_their_own.<locals>"
+
+    def easy(num_envs: int, **options: Any) -> ZipfVectorEnv:
+        return make_vec("gridworld/rare", num_envs, **options)
+
+    partly = partial(easy, 2)
+    assert SplitLevel(easy).name == f"{local}.easy"
+    assert SplitLevel(partly).name == f"functools.partial(<function {local}.easy>, 2)"
+    assert SplitLevel(ZipfVectorEnv).name == "ZipfVectorEnv"
+    Split("own", easy, easy, partial(easy))
+    with pytest.raises(ValueError, match=r"split 'own' has two levels called .*<lambda>: give"):
+        Split("own", lambda n: easy(n), "gridworld/uniform", lambda n: easy(n))
+
+
 @pytest.mark.parametrize("weight", ["1", None, 0, -1.0, float("nan"), True])
 def test_weights_that_are_none_are_refused(weight: Any) -> None:
     with pytest.raises(ValueError, match="the weight of gridworld/rare must be positive, got"):
         SplitLevel("gridworld/rare", weight=weight)
 
 
-@pytest.mark.parametrize("options", [{"episodes": "10"}, {"episodes": 2.5}, {"max_steps": "a"}])
+@pytest.mark.parametrize(
+    "options", [{"episodes": "10"}, {"episodes": 2.5}, {"num_envs": "a"}, {"max_steps": "a"}]
+)
 def test_chance_is_not_measured_with_what_is_no_number(options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="must be a whole number, got"):
         measure_chance("gridworld/rare", **options)
+
+
+def test_chance_is_measured_of_worlds_that_start_over() -> None:
+    with pytest.raises(ValueError, match="autoreset_mode must be SAME_STEP, got DISABLED"):
+        measure_chance("gridworld/rare", autoreset_mode="Disabled")
 
 
 @pytest.mark.parametrize("max_steps", ["a", 0])

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 
 from zipf.envs import GymnasiumVectorEnv, Mixture, ZipfVectorEnv, make_vec
 from zipf.envs.gridworld.level import Level
-from zipf.envs.vector import RESERVED
+from zipf.envs.vector import COLUMNS, RESERVED
 
 SMALL = {"num_maps": 2, "num_objects": 3}
 BATCHES: dict[str, Callable[[Any], ZipfVectorEnv]] = {
@@ -49,6 +50,15 @@ def test_names_that_every_batch_uses(name: Any, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(env, "_describe", lambda: {name: np.zeros(3)})
     with pytest.raises(ValueError, match=f"an entry of info cannot be called {name!r}"):
         env.reset()
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+def test_ranks_are_not_called_as_columns_of_evaluations(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Level, "situation", {name: 2, "target": 3})
+    with pytest.raises(ValueError, match=f"a rank cannot be called {name!r}: evaluations have"):
+        BATCHES["gridworld"](3)
 
 
 def test_a_rank_is_not_described_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,6 +109,42 @@ def test_buffers_that_are_no_arrays(
     with pytest.raises(ValueError, match=name):
         env.step(np.zeros(3, np.int64), **{name: buffers})
     np.testing.assert_equal(env.get_state(), before)
+
+
+@pytest.mark.parametrize("given", ["both", "own"])
+def test_buffers_that_share_memory(env: ZipfVectorEnv, given: str) -> None:
+    env.copy = False
+    out = env.allocate() if given == "both" else env.step(np.zeros(3, np.int64))[0]
+    buffers = {"out": out, "final_out": out} if given == "both" else {"final_out": out}
+    before = env.get_state()
+    with pytest.raises(ValueError, match=r"final_out\['\w+'\] must not share memory"):
+        env.step(np.zeros(3, np.int64), **buffers)
+    np.testing.assert_equal(env.get_state(), before)
+    both = {key: np.zeros((2, *array.shape), array.dtype) for key, array in out.items()}
+    halves = [{key: array[i] for key, array in both.items()} for i in range(2)]
+    env.step(np.zeros(3, np.int64), out=halves[0], final_out=halves[1])
+
+
+@pytest.mark.parametrize("method", ["_advance", "_begin"])
+def test_worlds_are_reset_after_an_error(
+    env: ZipfVectorEnv, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: Any) -> Any:
+        raise RuntimeError("the engine is gone")
+
+    def steps() -> None:  # several, for `_begin` is called when an episode ends
+        for _ in range(200):
+            env.step(np.zeros(3, np.int64))
+
+    with monkeypatch.context() as changed:
+        changed.setattr(env, method, fails)
+        with pytest.raises(RuntimeError, match="the engine is gone"):
+            steps()
+    with pytest.raises(ResetNeeded, match="reset worlds"):
+        env.step(np.zeros(3, np.int64))
+    env.reset()
+    env.step(np.zeros(3, np.int64))
+    env.set_state(env.get_state())
 
 
 def test_a_state_of_the_wrong_kind(env: ZipfVectorEnv) -> None:

@@ -123,9 +123,13 @@ def test_what_cannot_be_done_is_refused() -> None:
         env.reset(seed=-1)
     with pytest.raises(ValueError, match=r"must be in 0 \.\. 2"):
         env.reset(options={"map": 3})
+    with pytest.raises(ValueError, match=r"\['reset_mask'\]: expected \['map', 'target'\]"):
+        env.reset(options={"reset_mask": np.array([False])})
     env.reset()
     with pytest.raises(ValueError, match=r"must be in 0 \.\. 7"):
         env.step(8)
+    with pytest.raises(TypeError, match=r"the action must be an integer in 0 \.\. 7, got 1\.0"):
+        env.step(1.0)
     env.close()
     with pytest.raises(ClosedEnvironmentError):
         env.step(0)

@@ -137,15 +137,47 @@ def test_bad_requests():
         evaluate.score(scripted, episodes=0)
     with pytest.raises(ValueError, match="episodes must be a whole number, got '5'"):
         evaluate.score(scripted, episodes="5")
-    with pytest.raises(ValueError, match="num_envs"):
-        evaluate.score(scripted, num_envs=0)
     with pytest.raises(ValueError, match="gridworld"):
         evaluate.score(scripted, split="gridwrld")
+    with pytest.raises(ValueError, match=r"split must be a split's name or .*, got a NoneType"):
+        evaluate.geometry(None)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        *(({"seed": one}, "seed must be") for one in ("a", 1.5, None, True, -1)),
+        *(({"num_envs": one}, "num_envs must be") for one in (0, "a", None)),
+        ({"split": None}, "split must be a split's name or a zipf.envs.Split, got a NoneType"),
+        ({"split": envs.find_family("gridworld")}, "split must be .*, got a Family"),
+        ({"level": "gridworld/rare"}, "level='gridworld/rare' is no option here"),
+        ({"autoreset_mode": "Disabled"}, "autoreset_mode='Disabled' is no option here"),
+        ({"num_map": 3}, r"unknown gridworld option 'num_map' \(did you mean 'num_maps'"),
+    ],
+)
+def test_wrong_arguments_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        evaluate.score(scripted, **{"episodes": 5, **SMALL, **options})
+
+
+def test_a_seed_may_be_numpys():
+    expected = evaluate.score(scripted, episodes=20, seed=1, **SMALL)
+    assert evaluate.score(scripted, episodes=20, seed=np.int64(1), **SMALL) == expected
+
+
+def test_any_rank_has_its_column():
+    """Columns for internal use are not taken from the ranks."""
+    episodes = pd.DataFrame({"unknown": [0, 1, 1], "return": [0.0, 1.0, 1.0], "length": [1, 2, 3]})
+    level = envs.SplitLevel("gridworld/rare")
+    table = evaluator.situations([evaluator.Result("train", level, episodes)])
+    assert table["unknown"].tolist() == [0, 1]
+    assert table["episodes"].tolist() == [1, 2]
 
 
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
+        ((np.zeros(5, np.int64), None), r"returned a tuple that is no array as actions; should"),
         (3, r"int64 of shape \(\) as actions; should be integers in 0 \.\. 7 of shape \(5,\)"),
         (np.zeros((5, 1), np.int64), r"int64 of shape \(5, 1\)"),
         (np.zeros(4, np.int64), r"int64 of shape \(4,\)"),

@@ -71,6 +71,13 @@ def test_the_benchmarks_own_worlds_are_the_papers(tmp_path):
     assert json.loads((tmp_path / "run.json").read_text())["paper"] == "gridworld"
 
 
+def test_how_worlds_are_stepped_is_not_recorded(tmp_path):
+    recorded(tmp_path / "seed0")
+    recorded(tmp_path / "seed0", copy=False, render_mode="rgb_array")
+    environment = json.loads((tmp_path / "seed0" / "run.json").read_text())["environment"]
+    assert not {"copy", "render_mode"} & environment.keys()
+
+
 def test_several_records_are_a_curve(tmp_path):
     for frames in (1000, 3000, 2000):
         recorded(tmp_path, frames)
@@ -174,6 +181,13 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
         ({"name": " "}, "name=' '"),
         ({"name": "a\nb"}, "should be one line"),
         ({"seconds": float("nan")}, "seconds=nan"),
+        ({"name": None}, "name=None: should be one line"),
+        ({"experiment": ""}, "experiment='': should be one line"),
+        ({"experiment": 3}, "experiment=3: should be one line"),
+        ({"seconds": "x"}, "seconds='x': should be a number"),
+        ({"num_envs": "a"}, "num_envs must be a whole number, got 'a'"),
+        ({"level": "rare"}, "level='rare' is no option here"),
+        ({"colour": 3}, "colour=3: should be '#rrggbb'"),
         ({"colour": "red"}, "colour='red': should be '#rrggbb'"),
         ({"line": "dotted"}, "line='dotted': should be 'solid' or 'dashed'"),
     ],

@@ -175,6 +175,18 @@ def test_outcomes_are_as_before_unless_asked_for():
         labyrinth.report_achieved()
 
 
+def test_goals_and_players_are_of_batches():
+    single = envs.make("gridworld/rare")
+    with pytest.raises(ValueError, match="a goal is of what make_vec makes, got GridworldEnv"):
+        envs.goal("gridworld/rare", single)
+    with pytest.raises(ValueError, match="the expert plays what make_vec makes, got GridworldEnv"):
+        envs.expert("gridworld/rare", single)
+    with pytest.raises(
+        ValueError, match=r"unknown scripted player 'exprt' \(did you mean 'expert'"
+    ):
+        envs.scripted("exprt", "gridworld/rare", envs.make_vec("gridworld/rare", 1))
+
+
 class Flawed(Cue):
     """Goals with one mistake each."""
 

@@ -97,6 +97,8 @@ def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:
         ({"map": 20}, "'map' must be an integer in 0 .. 19, got 20"),
         ({"target": -1}, "'target' must be an integer in 0 .. 19, got -1"),
         ({"target": 1.5}, "must be an integer"),
+        ({"map": True}, "'map' must be an integer in 0 .. 19, got True"),
+        ({"reset_mask": [True]}, r"unknown reset options \['reset_mask'\]: expected \['map', 't"),
         ({"goal": 1}, r"unknown reset options \['goal'\]: expected \['map', 'target'\]"),
     ],
 )
@@ -114,8 +116,8 @@ def test_single_world_refuses_what_cannot_be_done() -> None:
     for action in (-1, 8):
         with pytest.raises(ValueError, match=r"0 .. 7"):
             env.step(action)
-    with pytest.raises(TypeError):
-        env.step(0.5)
+    with pytest.raises(TypeError, match=r"the action must be an integer in 0 .. 7, got 1.0"):
+        env.step(1.0)
     env.step(0)
     with pytest.raises(ResetNeeded, match="reset"):
         env.step(0)
@@ -168,7 +170,8 @@ BAD_SIZES = [
     ({"num_rooms": "33"}, r"num_rooms must be \(rows, columns\)"),
     ({"num_rooms": 3}, r"num_rooms must be \(rows, columns\)"),
     ({"num_rooms": ([3], 3)}, "num_rooms must be a whole number"),
-    ({"num_rooms": (1000, 1000)}, "pairs of rooms"),
+    ({"num_rooms": (1000, 1000)}, "maps of 1,000,000 rooms"),
+    ({"num_rooms": (50, 50), "num_maps": 1}, r"maps of 2,500 rooms; .*num_maps \* rooms \*\* 3"),
     ({"room_size": (10**6, 10**6)}, "cells"),
     ({"num_objects": "20"}, "num_objects must be a whole number"),
     ({"level": 2}, "level must be a level's name"),

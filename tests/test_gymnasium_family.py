@@ -1,6 +1,7 @@
 """Lists of Gymnasium environments become families with train, uniform and rare levels."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -203,12 +204,36 @@ def test_chance_counts_episodes_as_they_start() -> None:
         ({"ids": [*IDS, "uniform"]}, "environments cannot be called uniform, as"),
         ({"ids": IDS, "options": 3}, "options must be a mapping, got 3"),
         ({"ids": IDS, "chance": 3}, "chance must be a mapping, got 3"),
+        ({"ids": IDS, "chance": {"unifrom": 0.1}}, "unknown level 'unifrom'"),
+        ({"ids": IDS, "chance": {3: 0.1}}, "a level must be a name such as 'zipf_2', got 3"),
+        ({"ids": IDS, "chance": {"zipf_1.0": 0.1}}, "'zipf_1.0': expected its usual name 'zipf_1'"),
+        ({"ids": IDS, "chance": {"rare": 0.1}}, "chance of 'rare' must be a ReferenceScore, got 0"),
+        ({"ids": IDS, "code": {}}, r"unknown arguments \['code'\]: expected some of wrap, codes,"),
         ({"ids": ["A-v0", "B-v0", "C-v0", "D-v0", "E-v0"]}, "nothing in common.*: give name="),
     ],
 )
 def test_what_is_no_family_is_refused(arguments: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         zipf.envs.zipfian(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"id": "no id"}, "Gymnasium does not take the id 'no id': Malformed"),
+        ({"id": 3}, "Gymnasium does not take the id 3"),
+        ({"id": "zipf/Gridworld-v0"}, "has an environment 'zipf/Gridworld-v0' already"),
+        ({"splits": over().splits * 2}, "there is a split 'goal' already"),
+    ],
+)
+def test_a_family_is_registered_as_a_whole(wrong: Any, message: str) -> None:
+    made = replace(over(name="whole"), **{"id": "Whole-v0", **wrong})
+    gridworld = gym.spec("zipf/Gridworld-v0")
+    with pytest.raises(ValueError, match=message):
+        zipf.envs.register(made)
+    assert "whole" not in zipf.envs.families()
+    assert "Whole-v0" not in gym.registry
+    assert gym.spec("zipf/Gridworld-v0") is gridworld
 
 
 def test_unknown_levels_and_environments_are_named() -> None:

@@ -195,6 +195,18 @@ def test_what_cannot_be_mixed_is_refused() -> None:
         make_vec(["gridworld/uniform", "gridwrld/rare"], 2)
 
 
+@pytest.mark.parametrize(
+    ("make_other", "message"),
+    [
+        (lambda n, **_: EASY["rare"](n - 1), "level 'b' must have the 4 worlds .*, got 3"),
+        (lambda n, **_: make("gridworld/rare"), "level 'b' must be a ZipfVectorEnv of 4 worlds, g"),
+    ],
+)
+def test_levels_must_be_the_batches_asked_for(make_other: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Mixture({"a": EASY["rare"], "b": make_other}, 4)
+
+
 def test_the_train_levels_of_a_split_share_the_worlds() -> None:
     several = Split("several", LEVELS[:2], *LEVELS[1:])
     assert make_vec(several.train, 5, **SMALL).level_names == LEVELS[:2]
@@ -453,6 +465,14 @@ def test_mixtures_are_levels_of_mixtures() -> None:
 def test_wrong_laws_are_refused(options: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         drawn(**options)
+
+
+def test_probabilities_are_changed_as_a_whole() -> None:
+    env = drawn()
+    with pytest.raises(ValueError, match="read-only"):
+        env.probabilities[0] = 1.0
+    env.probabilities = [1e308] * 4
+    np.testing.assert_array_equal(env.probabilities, [0.25] * 4)
 
 
 def test_a_rank_that_the_levels_describe_is_refused() -> None:

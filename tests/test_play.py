@@ -398,8 +398,17 @@ def test_a_run_without_a_checkpoint(run, tmp_path):
 def test_a_level_that_the_agent_cannot_play(run, tmp_path):
     others = [level for family, level in FAMILIES.items() if family != "gridworld"]
     for level in others:
-        with pytest.raises(UserError, match=f"level={level}: "):
+        with pytest.raises(UserError, match=f"level={level}: belongs to another family than"):
             play(f"run={run}", f"level={level}", f"record={tmp_path}/x.gif")
+
+
+def test_faults_of_worlds_are_not_taken_for_the_users(run, monkeypatch, tmp_path):
+    def broken(*_, **__):
+        raise TypeError("a fault")
+
+    monkeypatch.setattr(envs, "make_vec", broken)
+    with pytest.raises(TypeError, match="a fault"):
+        play(f"run={run}", f"record={tmp_path}/x.gif")
 
 
 def test_a_family_may_have_neither_keys_nor_scripts(monkeypatch, tmp_path):

@@ -111,6 +111,26 @@ def test_what_plays_nothing_is_refused():
         evaluate.score("agent.onnx")
 
 
+@pytest.mark.parametrize(
+    ("predict", "options", "error", "message"),
+    [
+        (lambda seen, **_: scripted(seen), {}, ValueError, r"\(actions, state\), got a ndarray"),
+        (lambda seen, **_: None, {}, ValueError, r"return \(actions, state\), got a NoneType"),
+        (lambda seen, **_: (None, None), {}, ValueError, "returned object of shape"),
+        (lambda seen: None, {}, TypeError, r"take \(observation, state=\.\.\., episode_start="),
+        (
+            lambda seen, state, episode_start: None,
+            {"deterministic": True},
+            TypeError,
+            r"must take \(observation, .*, deterministic=\.\.\.\): got an unexpected",
+        ),
+    ],
+)
+def test_what_predict_takes_and_returns_is_told(predict, options, error, message):
+    with pytest.raises(error, match=message):
+        evaluate.score(SimpleNamespace(predict=predict), **PLAY, **SMALL, **options)
+
+
 # Spaces and geometry
 
 

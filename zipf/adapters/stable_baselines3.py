@@ -43,10 +43,12 @@ class ZipfVecEnv(VecEnv):
         env: a batch in `AutoresetMode.SAME_STEP`.
 
     Raises:
-        ValueError: the batch has another autoreset mode.
+        ValueError: `env` is no batch of ours, or has another autoreset mode.
     """
 
     def __init__(self, env: ZipfVectorEnv) -> None:
+        if not isinstance(env, ZipfVectorEnv):
+            raise ValueError(f"env must be what zipf.envs.make_vec makes, got {type(env).__name__}")
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(
                 f"autoreset_mode must be SAME_STEP for Stable-Baselines3, got "
@@ -142,4 +144,5 @@ class ZipfVecEnv(VecEnv):
 
 def _row(info: dict[str, Any], i: int) -> dict[str, Any]:
     """One world's entries as Python values."""
-    return {key: value[i].item() for key, value in info.items() if not key.startswith("_")}
+    own = {key: value[i] for key, value in info.items() if not key.startswith("_")}
+    return {key: one.item() if isinstance(one, np.generic) else one for key, one in own.items()}

@@ -15,6 +15,19 @@ from torchrl.envs.gym_like import BaseInfoDictReader
 
 from zipf.envs.vector import ZipfVectorEnv
 
+_TAKEN = (
+    "action",
+    "done",
+    "length",
+    "next",
+    "return",
+    "reward",
+    "success",
+    "terminated",
+    "truncated",
+)
+"""Entries of its TensorDicts beside observations and ranks."""
+
 
 def torchrl_env(env: ZipfVectorEnv, *, device: str | None = None) -> GymWrapper:
     """The worlds of a batch as a TorchRL environment of batch size [N].
@@ -34,12 +47,21 @@ def torchrl_env(env: ZipfVectorEnv, *, device: str | None = None) -> GymWrapper:
         device: where TorchRL puts the tensors.
 
     Raises:
-        ValueError: the batch has another autoreset mode.
+        ValueError: `env` is no batch of ours, has another autoreset mode, or a rank or a part of
+            its observations has the name of something else in a TensorDict.
     """
+    if not isinstance(env, ZipfVectorEnv):
+        raise ValueError(f"env must be what zipf.envs.make_vec makes, got {type(env).__name__}")
     if env.autoreset_mode is not AutoresetMode.DISABLED:
         raise ValueError(
             "autoreset_mode must be DISABLED for TorchRL (make_vec(..., "
             f'autoreset_mode="Disabled")), got {env.autoreset_mode.name}'
+        )
+    names = [*_TAKEN, *env.single_observation_space, *env.situation]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(
+            f"{twice[0]!r} cannot be both an observation or a rank of these worlds and another "
+            "entry of TorchRL's TensorDicts: give it another name"
         )
     with warnings.catch_warnings():
         # The bounds of the observation space are views; TorchRL only reads them.

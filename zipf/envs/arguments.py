@@ -1,6 +1,7 @@
 """Checks of arguments that the worlds have in common."""
 
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -48,3 +49,34 @@ def mapping(name: str, value: Any) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a mapping, got {value!r}")
     return value
+
+
+def reset_options(value: Any, known: Collection[str]) -> Mapping[str, Any]:
+    """The options of `reset`, which may have these names; an empty mapping for None.
+
+    Raises:
+        ValueError: it is no mapping, or has other names.
+    """
+    options = mapping("options", value)
+    if unknown := options.keys() - set(known):
+        raise ValueError(
+            f"unknown reset options {sorted(map(str, unknown))}: expected {list(known)}"
+        )
+    return options
+
+
+def single_action(action: Any, count: int) -> int:
+    """The action of one world as an int; whether it is in range is not checked.
+
+    Args:
+        count: how many actions there are, for the message.
+
+    Raises:
+        TypeError: it is no integer.
+    """
+    try:
+        return operator.index(action)
+    except TypeError:
+        raise TypeError(
+            f"the action must be an integer in 0 .. {count - 1}, got {action!r}"
+        ) from None

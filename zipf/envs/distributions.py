@@ -38,7 +38,8 @@ def zipfian(n: int, exponent: float) -> NDArray[np.float64]:
 
 
 def uniform(n: int) -> NDArray[np.float64]:
-    """Every rank is equally likely. Returns float64 [n]; raises `ValueError` if `n < 1`."""
+    """Every rank is equally likely. Returns float64 [n]; raises `ValueError` for an `n` that is
+    no whole number or below 1."""
     _check_size(n)
     return np.full(n, 1.0 / n)
 
@@ -72,6 +73,8 @@ def by_name(name: str) -> Distribution:
     Raises:
         ValueError: if the name is none of these.
     """
+    if not isinstance(name, str):
+        raise ValueError(f"a level must be a name such as 'zipf_2', got {name!r}")
     if name == "uniform":
         return uniform
     if name in ("rare", "uniform_rare"):
@@ -115,5 +118,7 @@ def usual_name(name: str) -> str:
 
 
 def _check_size(n: int) -> None:
-    if n < 1:
-        raise ValueError(f"a distribution needs at least one rank, got n = {n}")
+    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
+        raise ValueError(
+            f"a distribution needs at least one rank, a whole number of them, got n = {n!r}"
+        )

@@ -5,15 +5,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import whole
-from zipf.envs.family import make_vec
+from zipf.envs.family import Player, make_vec
 from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Level, SplitLevel
 from zipf.envs.vector import Observation, ZipfVectorEnv
-
-Player = Callable[[], NDArray[np.int64]]
 
 
 def measure_chance(
@@ -59,9 +58,10 @@ def measure(
         options: constructor options of the level.
 
     Raises:
-        ValueError: no episodes, an unknown level, or options out of range.
+        ValueError: no episodes, no worlds, an unknown level, or options out of range.
     """
     episodes = whole("episodes", episodes, 1)
+    num_envs = whole("num_envs", num_envs, 1)
     env = make_vec(level, min(num_envs, episodes), **options)
     act = player(env)
     returns = play_episodes(env, lambda *_: act(), episodes, seed=seed)["return"]
@@ -94,7 +94,12 @@ def play_episodes(
     Returns:
         By name, an array [episodes] in the order in which the episodes started: the situation's
         ranks, `success` (where the worlds report it), `return` and `length`.
+
+    Raises:
+        ValueError: the batch has another autoreset mode.
     """
+    if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+        raise ValueError(f"autoreset_mode must be SAME_STEP, got {env.autoreset_mode.name}")
     names = [*env.situation, *(["success"] if env.reports_success else []), "return", "length"]
     records: dict[str, NDArray] = {}
     # The episode that each world plays, numbered as they start; from `episodes` on, not counted.

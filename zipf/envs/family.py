@@ -15,29 +15,28 @@ from __future__ import annotations
 
 import difflib
 import importlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
 import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
 
 from zipf.envs.references import ReferenceScore
-from zipf.envs.splits import Level, Split, SplitLevel
+from zipf.envs.splits import Level, Split, SplitLevel, level_name
 from zipf.options import Options
 from zipf.references import REFERENCE_NAMES
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from zipf.envs.goals import Goal
     from zipf.envs.keyboard import Keys
     from zipf.envs.vector import ZipfVectorEnv
 
-    Player = Callable[[], NDArray[np.int64]]
-    """A scripted player of a batch of worlds: called, it gives actions [N]."""
+Player = Callable[[], NDArray[np.int64]]
+"""A scripted player of a batch of worlds: called, it gives actions [N]."""
 
 Scripted = Literal["expert", "generalist"]
 SCRIPTED: tuple[Scripted, ...] = get_args(Scripted)
@@ -155,12 +154,24 @@ class Family:
         elif name not in self.levels:
             raise ValueError(_unknown(f"{self.name} level", name, self.levels))
 
+    def check_options(self, given: Iterable[str], *more: str) -> None:
+        """Raises ValueError for a name that is neither a constructor option nor one of `more`, if
+        the family declares options."""
+        if self.options is NoOptions:
+            return
+        known = (*self.options_class.model_fields, *more)
+        for name in given:
+            if name not in known:
+                raise ValueError(_unknown(f"{self.name} option", name, known))
+
     def make_batch(self, level: str, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
         """`num_envs` worlds of a level, named without the family's name."""
+        self.check_options(kwargs, "autoreset_mode", "copy", "render_mode")
         return _loaded(self.make_vec)(num_envs, level=level, **kwargs)
 
     def make_single(self, level: str, **kwargs: Any) -> gym.Env:
         """One world of a level, named without the family's name."""
+        self.check_options(kwargs, *(["copy"] if self.make is None else []), "render_mode")
         if self.make is not None:
             return _loaded(self.make)(level=level, **kwargs)
         from zipf.envs.single import SingleWorld
@@ -186,19 +197,26 @@ def register(family: Family) -> Family:
     """Adds a family: its levels, its splits and its Gymnasium id; returns it.
 
     Raises:
-        ValueError: a family or a split of that name is there already, a name cannot be part of a
-            level's name, or it has an unknown reference.
+        ValueError: a family or a split of that name is there already or twice, a name cannot be
+            part of a level's name, it has an unknown reference, or Gymnasium does not take the id.
+            Nothing is registered then.
     """
     check_name(family.name)
     if family.name in _FAMILIES:
         raise ValueError(f"there is a family {family.name!r} already")
+    splits = [*all_splits(), *(split.name for split in family.splits)]
     for split in family.splits:
-        if split.name in all_splits():
+        if splits.count(split.name) > 1:
             raise ValueError(f"there is a split {split.name!r} already")
     for name in family.references:
         _check_reference(name)
+    if family.id in gym.registry:
+        raise ValueError(f"Gymnasium has an environment {family.id!r} already")
+    try:
+        family.register_with_gymnasium()
+    except (gym.error.Error, TypeError) as error:
+        raise ValueError(f"Gymnasium does not take the id {family.id!r}: {error}") from None
     _FAMILIES[family.name] = family
-    family.register_with_gymnasium()
     return family
 
 
@@ -342,7 +360,7 @@ def _mixture(
     from zipf.envs.mixture import Mixture
 
     makers = {
-        one.name if isinstance(one, SplitLevel) else str(one): partial(make_vec, one)
+        one.name if isinstance(one, SplitLevel) else level_name(one): partial(make_vec, one)
         for one in levels
     }
     if len(makers) < len(levels):
@@ -365,7 +383,7 @@ def reference(name: str, level: Level | SplitLevel, /, **kwargs: Any) -> Referen
         The mean return, or None if it is not known for the level with these options.
 
     Raises:
-        ValueError: for an unknown reference or level.
+        ValueError: for an unknown reference, level or option.
     """
     _check_reference(name)
     if isinstance(level, SplitLevel):
@@ -376,6 +394,7 @@ def reference(name: str, level: Level | SplitLevel, /, **kwargs: Any) -> Referen
         known = getattr(level, "reference", None)
         return None if known is None else known(name, **kwargs)
     found, own = find_level(level)
+    found.check_options(kwargs)
     if name not in found.references:
         return None
     options = {key: value for key, value in kwargs.items() if key not in found.appearance}
@@ -422,13 +441,11 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> Player | None:
         env: the worlds.
 
     Raises:
-        ValueError: for an unknown level, or worlds that the player cannot play.
+        ValueError: for an unknown player or level, or worlds that the player cannot play.
     """
-    from zipf.envs.vector import ZipfVectorEnv
-
+    _named("scripted player", name, dict.fromkeys(SCRIPTED))
     found, _ = find_level(level)
-    if not isinstance(env, ZipfVectorEnv):
-        raise ValueError(f"the {name} plays what make_vec makes, got {type(env).__name__}")
+    _check_batch(f"the {name} plays", env)
     make = getattr(found, name)
     return None if make is None else _loaded(make)(env)
 
@@ -438,10 +455,18 @@ def goal(level: str, env: ZipfVectorEnv) -> Goal | None:
     episode asks for. None if the family defines no goals.
 
     Raises:
-        ValueError: for an unknown level.
+        ValueError: for an unknown level, or worlds that `make_vec` did not make.
     """
     found, _ = find_level(level)
+    _check_batch("a goal is of", env)
     return found.make_goal(env)
+
+
+def _check_batch(what: str, env: Any) -> None:
+    from zipf.envs.vector import ZipfVectorEnv
+
+    if not isinstance(env, ZipfVectorEnv):
+        raise ValueError(f"{what} what make_vec makes, got {type(env).__name__}")
 
 
 def questions(split: Split) -> Split:

@@ -14,7 +14,9 @@ from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
 from zipf.envs.mixture import Mixture, ordered
 from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Split
-from zipf.envs.vector import ZipfVectorEnv, own_name
+from zipf.envs.vector import ZipfVectorEnv, rank_name
+
+_WORLDS = ("wrap", "codes", "success", "text_length", "vocabulary")
 
 
 def zipfian(
@@ -51,7 +53,7 @@ def zipfian(
             The rank has this name, so it is none that `ZipfVectorEnv` reserves.
         order: "forward", "reversed", or an integer that seeds a shuffle; see `Mixture`.
         name: the family's; None: made from what the ids have in common, `minigrid` in the example.
-        chance: measured chance by level name, as `measure_chance` returns it.
+        chance: measured chance by level name, without the family's, as `measure_chance` returns it.
         options: arguments of `gymnasium.make` for all environments.
         worlds: further arguments of `GymnasiumVectorEnv`: `wrap`, `codes`, `success`,
             `text_length`, `vocabulary`.
@@ -62,11 +64,13 @@ def zipfian(
     Raises:
         ValueError: fewer than five environments, one of them twice, `over` missing or with several
             ids, a reserved name in `over`, an environment named like a distribution, no name that
-            fits, or arguments of another kind.
+            fits, chance of an unknown level, or unknown arguments or ones of another kind.
     """
     rank = "level"
     options = mapping("options", options)
     chance = mapping("chance", chance)
+    if unknown := sorted(worlds.keys() - set(_WORLDS)):
+        raise ValueError(f"unknown arguments {unknown}: expected some of {', '.join(_WORLDS)}")
     if isinstance(ids, str):
         if not isinstance(over, Mapping) or len(over) != 1:
             raise ValueError(
@@ -74,7 +78,7 @@ def zipfian(
                 f"environment, got over={over}; or give a list of ids"
             )
         ((rank, values),) = over.items()
-        own_name("over: an option that is a rank", rank)
+        rank_name("over: an option that is a rank", rank)
         values = _listed(f"over: the values of {rank!r}", values)
         given = [(f"{rank}_{value}", ids, {rank: value}) for value in values]
         ids = [ids]
@@ -108,6 +112,12 @@ def zipfian(
     name = _common_name(ids) if name is None else name
     check_name(name)
     levels = _Levels(makers, order, rank)
+    for level, score in chance.items():
+        levels.check(level)
+        if (usual := distributions.usual_name(level)) != level:
+            raise ValueError(f"chance has the level {level!r}: expected its usual name {usual!r}")
+        if not isinstance(score, ReferenceScore):
+            raise ValueError(f"chance of {level!r} must be a ReferenceScore, got {score!r}")
     return Family(
         name=name,
         summary=f"{len(makers)} environments of Gymnasium, one drawn at every reset",

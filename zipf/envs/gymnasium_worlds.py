@@ -1,6 +1,7 @@
 """Existing Gymnasium environments as batched worlds."""
 
 import hashlib
+import math
 import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
@@ -73,7 +74,8 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         ValueError: the environment cannot be made, or its observations or actions are of another
             kind; while stepping, for observations of another shape or kind than the space says,
             whole numbers that are not in it, codes out of range, a text of more words than
-            `text_length`, or an `info` without the name given as success.
+            `text_length`, rewards that are not finite, or an `info` without the name given as
+            success.
     """
 
     def __init__(
@@ -175,6 +177,8 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         observation, reward, terminated, truncated, info = env.step(self._first_action + action)
         # There is no future after a terminal state, whatever the time limit says.
         ends = bool(terminated), bool(truncated) and not terminated
+        if not math.isfinite(reward):  # a state with such a return could not be restored
+            raise ValueError(f"{self.id}: a reward must be a finite number, got {reward}")
         return Outcome(self._read(observation), float(reward), *ends, info)
 
     def _read(self, observation: Any) -> Observation:

@@ -12,7 +12,7 @@ from zipf.compiled import compiled
 from zipf.envs import pcg64
 from zipf.envs.arguments import mapping, whole
 from zipf.envs.distributions import zipfian
-from zipf.envs.vector import Observation, ZipfVectorEnv, own_name
+from zipf.envs.vector import Observation, ZipfVectorEnv, rank_name
 
 _SHARED = ("_streams", "_running", "_lengths", "_returns", "_restarted")
 """Arrays of the mixture that the levels' batches use in the place of their own."""
@@ -62,8 +62,8 @@ class Mixture(ZipfVectorEnv):
 
     Raises:
         ValueError: for no level, fewer worlds than levels with "worlds", levels with different
-            observations, actions or (with "worlds") situations, a bad law or order, or options of
-            an unknown level.
+            observations, actions or (with "worlds") situations or other numbers of worlds than
+            asked for, a bad law or order, or options of an unknown level.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Mixture(ZipfVectorEnv):
                 f"{', '.join(levels)}"
             )
         self.draw = draw
-        self.rank = own_name("rank: the levels' rank", rank)
+        self.rank = rank_name("rank: the levels' rank", rank)
         count = len(levels)
         if draw == "resets":
             if (exponent is None) == (probabilities is None):
@@ -120,6 +120,18 @@ class Mixture(ZipfVectorEnv):
             )
             for name in self.level_names
         ]
+        for name, batch in zip(self.level_names, self.batches, strict=True):
+            # The worlds of a smaller batch would be sought outside its arrays.
+            if not isinstance(batch, ZipfVectorEnv):
+                raise ValueError(
+                    f"level {name!r} must be a ZipfVectorEnv of {num_envs} worlds, got a "
+                    f"{type(batch).__name__}"
+                )
+            if batch.num_envs != num_envs:
+                raise ValueError(
+                    f"level {name!r} must have the {num_envs} worlds that it was asked for, got "
+                    f"{batch.num_envs}"
+                )
         self._require_alike("single_observation_space", "single_action_space")
         first = self.batches[0]
         situation: dict[str, int] = {}
@@ -178,10 +190,12 @@ class Mixture(ZipfVectorEnv):
     def probabilities(self) -> NDArray[np.float64]:
         """With `draw="resets"`, the probability of each rank, float64 [levels], summing to 1.
 
-        They may be changed at any time, for the episodes that begin from then on. To score one
-        level after another, give it probability 1 and reset.
+        Others may be assigned at any time, for the episodes that begin from then on; the array
+        itself is read-only. To score one level after another, give it probability 1 and reset.
         """
-        return self._probabilities
+        shown = self._probabilities.view()
+        shown.flags.writeable = False
+        return shown
 
     @probabilities.setter
     def probabilities(self, values: Any) -> None:
@@ -196,6 +210,9 @@ class Mixture(ZipfVectorEnv):
             raise ValueError(f"probabilities must be {count} finite numbers >= 0, got {values}")
         if not given.any():
             raise ValueError(f"probabilities must not all be 0, got {values}")
+        with np.errstate(over="ignore"):
+            if not np.isfinite(given.sum()):
+                given = given / given.max()
         self._probabilities = given / given.sum()
         self._cumulative = pcg64.cumulative(self._probabilities)
 

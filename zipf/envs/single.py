@@ -1,6 +1,5 @@
 """One world as a Gymnasium environment, for families written as batches."""
 
-import operator
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from zipf.envs.arguments import whole
+from zipf.envs.arguments import reset_options, single_action, whole
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 
@@ -56,7 +55,8 @@ class SingleWorld(gym.Env[dict[str, Any], Any]):
         """
         if seed is not None:
             seed = whole("seed", seed, 0)  # Gymnasium takes no NumPy integers
-        observation, info = self.batch.reset(seed=seed, options=options)
+        forced = reset_options(options, self.situation)  # without the batch's `reset_mask`
+        observation, info = self.batch.reset(seed=seed, options=forced)
         super().reset(seed=seed)
         return _row(observation), _items(info)
 
@@ -68,7 +68,7 @@ class SingleWorld(gym.Env[dict[str, Any], Any]):
             ValueError: for one out of range.
             ResetNeeded: if no episode is running.
         """
-        actions = np.array([operator.index(action)])
+        actions = np.array([single_action(action, int(self.action_space.n))])
         observation, reward, terminated, truncated, info = self.batch.step(actions)
         ends = bool(terminated[0]), bool(truncated[0])
         return _row(observation), float(reward[0]), *ends, _items(info)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
@@ -76,7 +77,7 @@ class SplitLevel:
     @property
     def name(self) -> str:
         """The level's name, in result files and tables."""
-        return str(self.level)
+        return level_name(self.level)
 
     def normalised(self, mean_return: float) -> float:
         """The score of a mean return."""
@@ -85,6 +86,15 @@ class SplitLevel:
     def score(self, returns: ArrayLike) -> float:
         """The score of the returns of episodes [n]."""
         return float(self.normalised(float(np.asarray(returns).mean())))
+
+
+def level_name(level: Level) -> str:
+    """A level's name; of a function its `__qualname__`, or what `str` says without addresses in
+    memory, which are others in every process."""
+    if isinstance(level, str):
+        return level
+    name: str | None = getattr(level, "__qualname__", None)
+    return name or re.sub(" at 0x[0-9a-fA-F]+", "", str(level))
 
 
 Levels = Level | SplitLevel | Sequence[Level | SplitLevel]
@@ -109,7 +119,7 @@ class Split:
             the options' defaults; None: none of them.
 
     Raises:
-        ValueError: a kind has no level, or one level twice.
+        ValueError: a kind has no level, or one level twice; or two levels have the same name.
     """
 
     name: str
@@ -133,6 +143,13 @@ class Split:
             if twice := sorted({name for name in names if names.count(name) > 1}):
                 raise ValueError(f"split {self.name!r} has the {kind} level {twice[0]} twice")
             object.__setattr__(self, kind, levels)
+        named: dict[str, str] = {}
+        for one in self.all_levels:
+            if named.setdefault(one.name, str(one.level)) != str(one.level):
+                raise ValueError(
+                    f"split {self.name!r} has two levels called {one.name}: give their functions "
+                    "different names"
+                )
         if self.draw not in ("worlds", "resets"):
             raise ValueError(f"draw must be 'worlds' or 'resets', got {self.draw!r}")
         if self.spread not in ("seeds", "tasks"):

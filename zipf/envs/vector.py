@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from zipf.envs import pcg64
-from zipf.envs.arguments import mapping, whole
+from zipf.envs.arguments import mapping, reset_options, whole
 
 Observation = dict[str, NDArray[Any]]
 Info = dict[str, Any]
@@ -31,9 +31,20 @@ RESERVED = (
 )
 """Entries of `info` and options of `reset` that every batch has."""
 
+COLUMNS = (
+    "episodes",
+    "level_kind",
+    "level_name",
+    "return_sum",
+    "successes",
+    "update",
+    "visits",
+)
+"""Columns of evaluations beside the ranks of a situation."""
+
 
 def own_name(what: str, name: Any) -> str:
-    """The name of a rank or of another entry of `info` that a family has of its own.
+    """The name of an entry of `info` that a family has of its own.
 
     Raises:
         ValueError: it is no string, is in `RESERVED`, or begins with an underscore as masks do.
@@ -44,6 +55,20 @@ def own_name(what: str, name: Any) -> str:
             f"underscore and is none of the reserved names {', '.join(RESERVED)}"
         )
     return name
+
+
+def rank_name(what: str, name: Any) -> str:
+    """The name of a rank.
+
+    Raises:
+        ValueError: as `own_name`, or it is in `COLUMNS`.
+    """
+    if name in COLUMNS:
+        raise ValueError(
+            f"{what} cannot be called {name!r}: evaluations have columns {', '.join(COLUMNS)} of "
+            "their own"
+        )
+    return own_name(what, name)
 
 
 class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
@@ -83,7 +108,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         single_observation_space: the observations of one world.
         single_action_space: the actions of one world, counted from 0.
         situation: name and size of each rank an episode is drawn at; may be empty. The names in
-            `RESERVED` and those that begin with an underscore are taken.
+            `RESERVED` and `COLUMNS` and those that begin with an underscore are taken.
         autoreset_mode: a `gymnasium.vector.AutoresetMode` or its value: "SameStep", "NextStep" or
             "Disabled".
         copy: whether observations returned without `out` are fresh arrays (True, as in
@@ -139,7 +164,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self.single_observation_space = single_observation_space
         self.single_action_space = single_action_space
         self.action_space = batch_space(single_action_space, num_envs)
-        self.situation = {own_name("a rank", name): size for name, size in situation.items()}
+        self.situation = {rank_name("a rank", name): size for name, size in situation.items()}
         self.autoreset_mode = autoreset_mode
         self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
         self.render_mode = render_mode
@@ -326,9 +351,10 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             the class describes.
 
         Raises:
-            ValueError: for actions or buffers of the wrong shape, dtype or range; nothing has
-                happened then.
-            ResetNeeded: if a world has to be reset first.
+            ValueError: for actions or buffers of the wrong shape, dtype or range, or buffers that
+                share memory; nothing has happened then.
+            ResetNeeded: if a world has to be reset first. After an exception of the worlds' engine
+                all worlds that it was stepping have to be.
         """
         if self.closed:
             raise ClosedEnvironmentError("step() of an environment that was closed")
@@ -346,12 +372,25 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         final: Observation | None = None
         if same_step and (final_out is not None or out is None):
             final = self._writable(final_out, "final_out")
+            if final_out is not None:
+                for key, array in final.items():
+                    if np.may_share_memory(array, observation[key]):
+                        raise ValueError(
+                            f"final_out[{key!r}] must not share memory with the array that the "
+                            "observations are written to"
+                        )
 
         begins = mask is not self._everywhere
         if begins:
             self._begin_episodes(~mask, self._unforced)
         self._lengths += mask
-        reward, terminated, truncated, success = self._advance(actions, mask)
+        try:
+            reward, terminated, truncated, success = self._advance(actions, mask)
+        except BaseException:
+            # Some worlds may have been stepped and others not.
+            self._running &= ~mask
+            self._all_running = False
+            raise
         now = self._running_info()
         if begins:
             reward = np.where(mask, reward, 0.0)
@@ -473,6 +512,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         return {**self._situations(), **self._describe()}
 
     def _begin_episodes(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
+        self._running[mask] = self._all_running = False  # as it stays if `_begin` raises
         self._begin(mask, forced)
         self._lengths[mask] = 0
         self._returns[mask] = 0.0
@@ -545,13 +585,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self, options: Mapping[str, Any] | None
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
         """The worlds to reset, bool [N], and the ranks to force, int64 [ranks, N]."""
-        options = mapping("options", options)
-        unknown = options.keys() - self.situation.keys() - {"reset_mask"}
-        if unknown:
-            raise ValueError(
-                f"unknown reset options {sorted(map(str, unknown))}: "
-                f"expected {['reset_mask', *self.situation]}"
-            )
+        options = reset_options(options, ["reset_mask", *self.situation])
         mask = np.asarray(options.get("reset_mask", self._everywhere))
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
             raise ValueError(

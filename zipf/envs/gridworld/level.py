@@ -45,6 +45,7 @@ class Level:
     def make(
         cls,
         name: str,
+        *,
         num_maps: int,
         num_rooms: Sequence[int],
         room_size: Sequence[int],

@@ -21,10 +21,10 @@ PAD = VIEW // 2
 MOVES = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
 """(row, column) steps of the actions N, NE, E, SE, S, SW, W, NW."""
 
-# Ours: more take more than ten seconds to build, whenever a program starts.
+# Ours: more take more than about ten seconds to build, whenever a program starts.
 MOST_MAPS = 10_000
 MOST_CELLS = 10_000_000  # of all maps
-MOST_PAIRS = 10_000_000  # of rooms, over all maps: each may be joined to any other
+MOST_CUBES = 500_000_000  # rooms ** 3 of all maps: the time that joining the rooms takes
 
 _LOOK_ATTEMPTS = 10_000
 
@@ -85,11 +85,12 @@ def check_sizes(
         )
     height, width = (n * (size + 1) + 1 for n, size in zip(num_rooms, room_size, strict=True))
     rooms = num_rooms[0] * num_rooms[1]
-    if num_maps * height * width > MOST_CELLS or num_maps * rooms**2 > MOST_PAIRS:
+    if num_maps * height * width > MOST_CELLS or num_maps * rooms**3 > MOST_CUBES:
         raise ValueError(
             f"num_maps = {num_maps}, num_rooms = {num_rooms} and room_size = {room_size} make "
-            f"{num_maps * height * width:,} cells and {num_maps * rooms**2:,} pairs of rooms; "
-            f"at most {MOST_CELLS:,} and {MOST_PAIRS:,} can be built"
+            f"{num_maps * height * width:,} cells and maps of {rooms:,} rooms; at most "
+            f"{MOST_CELLS:,} cells, and num_maps * rooms ** 3 of at most {MOST_CUBES:,}, can be "
+            "built in seconds"
         )
     return num_maps, num_rooms, room_size, num_objects
 

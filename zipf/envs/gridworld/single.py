@@ -1,6 +1,5 @@
 """Zipf's Gridworld, one world."""
 
-import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,7 +9,7 @@ from gymnasium import spaces
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from numpy.typing import NDArray
 
-from zipf.envs.arguments import mapping, whole
+from zipf.envs.arguments import reset_options, single_action, whole
 from zipf.envs.gridworld import looks
 from zipf.envs.gridworld.level import OBSERVATIONS, Level
 from zipf.envs.gridworld.maps import MOVES
@@ -129,7 +128,13 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
                 f"got {render_mode!r}"
             )
         self.level = Level.make(
-            level, num_maps, num_rooms, room_size, num_objects, max_steps, observation
+            level,
+            num_maps=num_maps,
+            num_rooms=num_rooms,
+            room_size=room_size,
+            num_objects=num_objects,
+            max_steps=max_steps,
+            observation=observation,
         )
         self.observation_space = self.level.observation_space
         self.action_space = self.level.action_space
@@ -160,21 +165,17 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
             raise ClosedEnvironmentError("reset() of an environment that was closed")
         if seed is not None:
             seed = whole("seed", seed, 0)  # Gymnasium takes no NumPy integers
-        options = dict(mapping("options", options))
-        if unknown := options.keys() - self.situation.keys():
-            raise ValueError(
-                f"unknown reset options {sorted(map(str, unknown))}: "
-                f"expected {list(self.situation)}"
-            )
-        for name, rank in options.items():
+        forced = reset_options(options, self.situation)
+        for name, rank in forced.items():
             size = self.situation[name]
-            if not isinstance(rank, int | np.integer) or not 0 <= rank < size:
+            whole_number = isinstance(rank, int | np.integer) and not isinstance(rank, bool)
+            if not whole_number or not 0 <= rank < size:
                 raise ValueError(
                     f"option {name!r} must be an integer in 0 .. {size - 1}, got {rank!r}"
                 )
         super().reset(seed=seed)
         drawn = {"map": self._draw(self.level.map_cdf), "target": self._draw(self.level.target_cdf)}
-        self._map, self._target = (int(options.get(name, drawn[name])) for name in drawn)
+        self._map, self._target = (int(forced.get(name, drawn[name])) for name in drawn)
         maps = self.level.maps
         self._board = maps.boards[self._map].tolist()
         goal_row, goal_column = maps.cells[self._map, self._target].tolist()
@@ -197,7 +198,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
             raise ClosedEnvironmentError("step() of an environment that was closed")
         if not self._running:
             raise ResetNeeded("step() needs a running episode: call reset() first")
-        action = operator.index(action)
+        action = single_action(action, len(MOVES))
         if not 0 <= action < len(MOVES):
             raise ValueError(f"the action must be in 0 .. {len(MOVES) - 1}, got {action}")
         down, right = MOVES[action]

@@ -40,7 +40,13 @@ class GridworldVectorEnv(ZipfVectorEnv):
         render_mode: str | None = None,
     ) -> None:
         self.level = Level.make(
-            level, num_maps, num_rooms, room_size, num_objects, max_steps, observation
+            level,
+            num_maps=num_maps,
+            num_rooms=num_rooms,
+            room_size=room_size,
+            num_objects=num_objects,
+            max_steps=max_steps,
+            observation=observation,
         )
         super().__init__(
             num_envs,

@@ -206,10 +206,8 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         if (
             not ((state["seeds"] >= 0) & (state["seeds"] < 1)).all()
             or (state["actions"] >= self.single_action_space.n).any()
-            or (state["lengths"] < 0).any()
             or (state["lengths"] > most).any()
             or (state["running"] & (state["lengths"] == most)).any()
-            or (state["running"] & ~state["seeded"]).any()
         ):
             raise ValueError(
                 "the state is of another level, or damaged: seeds, actions or lengths out of range"

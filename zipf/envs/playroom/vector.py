@@ -276,10 +276,8 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             (state["forced"] < -1).any()
             or (state["forced"] >= sizes).any()
             or (state["actions"] >= len(ACTIONS)).any()
-            or (state["lengths"] < 0).any()
             or (state["lengths"] > self.max_steps).any()
             or (state["running"] & (state["lengths"] == self.max_steps)).any()
-            or (state["running"] & ~state["seeded"]).any()
         ):
             raise ValueError(
                 "the state is of another level, or damaged: ranks, actions or lengths out of range"

@@ -164,6 +164,9 @@ def _levels(options: PlayOptions, trained: Trained | None) -> list[str]:
 
 def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
     try:
+        known = envs.find_level(level)[0].options_class.model_fields
+        if not level_options.keys() <= known.keys():
+            raise UserError(f"level={level}: belongs to another family than the run's levels")
         return envs.make_vec(
             level,
             1,
@@ -173,8 +176,6 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
         )
     except ValueError as error:
         raise UserError(str(error)) from None
-    except TypeError:
-        raise UserError(f"level={level}: belongs to another family than the run's levels") from None
 
 
 def _check_spaces(level: str, env: ZipfVectorEnv, trained: Trained) -> None:

@@ -98,13 +98,18 @@ def play(policy: Policy, env: ZipfVectorEnv, *, episodes: int, seed: int) -> pd.
 
 
 def _checked(actions: Any, env: ZipfVectorEnv) -> NDArray:
-    actions, count = np.asarray(actions), int(env.single_action_space.n)
-    if actions.shape == (env.num_envs,) and actions.dtype.kind in "iu":
-        if actions.min() >= 0 and actions.max() < count:
-            return actions
-        got = f"values from {actions.min()} to {actions.max()}"
+    count = int(env.single_action_space.n)
+    try:
+        array = np.asarray(actions)
+    except ValueError:  # a pair of actions and a state, for instance
+        got = f"a {type(actions).__name__} that is no array"
     else:
-        got = f"{actions.dtype} of shape {actions.shape}"
+        if array.shape != (env.num_envs,) or array.dtype.kind not in "iu":
+            got = f"{array.dtype} of shape {array.shape}"
+        elif array.min() >= 0 and array.max() < count:
+            return array
+        else:
+            got = f"values from {array.min()} to {array.max()}"
     raise ValueError(
         f"the policy returned {got} as actions; should be integers in 0 .. {count - 1} of shape "
         f"({env.num_envs},), one for each world (batched=False is for policies of one observation)"
@@ -138,6 +143,7 @@ def evaluate(
     """
     if episodes is not None:
         episodes = whole("episodes", episodes, 1)
+    num_envs = whole("num_envs", num_envs, 1)
     results = []
     played: dict[tuple[str, str, int], pd.DataFrame] = {}
     with _Worlds(split, level_options) as worlds:
@@ -222,15 +228,15 @@ def situations(results: Sequence[Result]) -> pd.DataFrame:
             for result in results
         ]
     )
-    episodes["unknown"] = episodes["successes"].isna()
+    episodes["_unknown"] = episodes["successes"].isna()
     episodes["successes"] = episodes["successes"].fillna(0).astype(int)
-    ranks = [n for n in episodes if n not in (*OUTCOMES, "level_kind", "successes", "unknown")]
+    ranks = [n for n in episodes if n not in (*OUTCOMES, "level_kind", "successes", "_unknown")]
     table = episodes.groupby(["level_kind", *ranks], as_index=False, observed=True).agg(
         episodes=("return", "size"),
         successes=("successes", "sum"),
         return_sum=("return", "sum"),
-        unknown=("unknown", "any"),
+        _unknown=("_unknown", "any"),
     )
-    if table["unknown"].any():
-        table["successes"] = table["successes"].astype(object).where(~table["unknown"], None)
-    return table.astype({"level_kind": str}).drop(columns="unknown")
+    if table["_unknown"].any():
+        table["successes"] = table["successes"].astype(object).where(~table["_unknown"], None)
+    return table.astype({"level_kind": str}).drop(columns="_unknown")

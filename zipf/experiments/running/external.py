@@ -10,6 +10,7 @@ import re
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +25,14 @@ from zipf.experiments.reporting import checksums
 from zipf.experiments.reporting.csv_files import read_fields, read_lines
 from zipf.experiments.reporting.descriptions import RunDescription, first_problem
 from zipf.experiments.reporting.replacing import replace_text
-from zipf.experiments.running.scoring import Evaluation, geometry, score
+from zipf.experiments.running.scoring import (
+    NOT_GEOMETRY,
+    Evaluation,
+    as_split,
+    check_options,
+    geometry,
+    score,
+)
 from zipf.experiments.running.seeds import derive_seed
 
 LIBRARIES = ("torch", "tensordict", "torchrl", "stable_baselines3", "sb3_contrib", "onnxruntime")
@@ -90,24 +98,25 @@ def record(
     """
     from zipf.experiments.running.run_folder import describe_levels  # imports PyTorch
 
-    if isinstance(split, str):
-        split = envs.split(split)
+    split = as_split(split)
+    check_options(level_options)
     folder = Path(folder)
     frames = _whole("frames", frames, 0, MOST_FRAMES)
     update = frames if update is None else _whole("update", update, 0, MOST_FRAMES)
     seed = _whole("seed", seed, -MOST_SEED, MOST_SEED)
     chance_episodes = _whole("chance_episodes", chance_episodes, 0)
-    if not 0 <= seconds < np.inf:
-        raise ValueError(f"seconds={seconds}: should be at least 0")
-    for option, text in (("name", name), ("experiment", experiment or split.name)):
-        if not text.strip() or len(text.splitlines()) > 1:
+    if not isinstance(seconds, Real) or not 0 <= seconds < np.inf:
+        raise ValueError(f"seconds={seconds!r}: should be a number, at least 0")
+    experiment = split.name if experiment is None else experiment
+    for option, text in (("name", name), ("experiment", experiment)):
+        if not isinstance(text, str) or not text.strip() or len(text.splitlines()) > 1:
             raise ValueError(f"{option}={text!r}: should be one line of text")
-    if colour is not None and not re.fullmatch("#[0-9a-fA-F]{6}", colour):
+    if colour is not None and not re.fullmatch("#[0-9a-fA-F]{6}", str(colour)):
         raise ValueError(f"colour={colour!r}: should be '#rrggbb', six hexadecimal digits")
     if line not in ("solid", "dashed"):
         raise ValueError(f"line={line!r}: should be 'solid' or 'dashed'")
     given = {
-        "experiment": experiment or split.name,
+        "experiment": experiment,
         "condition": name,
         "row": {"title": name, "order": order, "colour": colour, "line": line},
         "seed": seed,
@@ -191,7 +200,11 @@ def _environment(split: envs.Split, level_options: Mapping[str, Any]) -> dict[st
     options = {}
     if split.name in envs.all_splits():
         options = envs.family_of_split(split.name).options_class().model_dump()
-    plain = {k: list(v) if isinstance(v, tuple) else v for k, v in level_options.items()}
+    plain = {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in level_options.items()
+        if name not in NOT_GEOMETRY
+    }
     return options | plain
 
 

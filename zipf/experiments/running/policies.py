@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -173,7 +174,7 @@ class _Function:
         self, observation: Mapping[str, NDArray], reward: NDArray, is_first: NDArray
     ) -> NDArray:
         if self.batched:
-            return np.asarray(self.function(observation))
+            return self.function(observation)
         return np.asarray([self.function({name: part[0] for name, part in observation.items()})])
 
 
@@ -181,13 +182,24 @@ class _Predictor:
     """An object with `predict`, in the convention of Stable-Baselines3.
 
     Raises:
-        ValueError: it declares other spaces than the worlds'.
+        ValueError: it declares other spaces than the worlds', or `predict` returns something else.
+        TypeError: `predict` does not take these arguments.
     """
 
     def __init__(self, agent: Any, worlds: Worlds, batched: bool, deterministic: bool) -> None:
         self.predict = agent.predict
         self.batched = batched
         self.options = {"deterministic": True} if deterministic else {}
+        given = {"state": None, "episode_start": None, **self.options}
+        try:
+            inspect.signature(self.predict).bind(None, **given)
+        except TypeError as error:
+            taken = ", ".join(f"{name}=..." for name in given)
+            raise TypeError(
+                f"the policy's predict must take (observation, {taken}): {error}"
+            ) from None
+        except ValueError:
+            pass  # a compiled function that does not tell what it takes
         self.alone: str | None = None
         declared = getattr(agent, "observation_space", None)
         expected: spaces.Space = worlds.observation_space
@@ -218,9 +230,12 @@ class _Predictor:
             given = {name: part[0] for name, part in observation.items()}
         if self.alone:
             given = given[self.alone]
-        actions, self.state = self.predict(
-            given, state=self.state, episode_start=is_first, **self.options
-        )
+        answer = self.predict(given, state=self.state, episode_start=is_first, **self.options)
+        if not isinstance(answer, tuple | list) or len(answer) != 2:
+            raise ValueError(
+                f"the policy's predict must return (actions, state), got a {type(answer).__name__}"
+            )
+        actions, self.state = answer
         return np.atleast_1d(actions)
 
 

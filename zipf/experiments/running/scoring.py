@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from zipf import envs
+from zipf.envs.arguments import whole
 from zipf.experiments.reporting.statistics import wilson_interval
 from zipf.experiments.running.evaluator import (
     Result,
@@ -24,7 +25,7 @@ from zipf.experiments.running.seeds import derive_seed
 
 RESAMPLES = 2000  # of the bootstrap: percentiles that repeat to about a tenth of the width
 
-_NOT_GEOMETRY = {"autoreset_mode", "copy", "render_mode"}
+NOT_GEOMETRY = {"autoreset_mode", "copy", "render_mode"}
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def score(
             splits 100 of each task.
         num_envs: worlds played at a time; `batched=False` plays one.
         seed: of the worlds and of the policy's draws, as far as they come from PyTorch's global
-            generator or are drawn from a file's logits.
+            generator or are drawn from a file's logits; at least 0.
         batched: False for a function, or an object with `predict`, that takes one observation
             `{name: [...]}` and returns one action, as agents of a single Gymnasium environment do.
         deterministic: the policy's most probable actions in the place of draws; for all but
@@ -144,15 +145,16 @@ def score(
     then refused in other worlds.
 
     Raises:
-        ValueError: an unknown split, no episodes, no worlds, options that no level can have; a
-            policy whose spaces or geometry differ from the split's, or that returns something else
-            than an action for each world.
-        TypeError: the policy is none of these.
+        ValueError: an unknown split, no episodes, no worlds, a seed that is no whole number >= 0,
+            options that no level can have; a policy whose spaces or geometry differ from the
+            split's, or that returns something else than an action for each world.
+        TypeError: the policy is none of these, or its `predict` takes other arguments.
         ImportError: a file needs a library that is not installed.
         zipf.experiments.errors.UserError: a run's folder from which no agent can be loaded.
     """
-    if isinstance(split, str):
-        split = envs.split(split)
+    split = as_split(split)
+    check_options(level_options)
+    seed = whole("seed", seed, 0)
     worlds = _worlds(split, level_options)
     with own_torch_draws(derive_seed(seed, "actions")):
         results = evaluate(
@@ -172,8 +174,7 @@ def geometry(split: str | envs.Split, **level_options: Any) -> dict[str, dict[st
     Raises:
         ValueError: an unknown split or level.
     """
-    if isinstance(split, str):
-        split = envs.split(split)
+    split = as_split(split)
     found = {}
     for level in split.all_levels:
         options: dict[str, Any] = {}
@@ -188,9 +189,34 @@ def geometry(split: str | envs.Split, **level_options: Any) -> dict[str, dict[st
         found[level.name] = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in options.items()
-            if name not in _NOT_GEOMETRY
+            if name not in NOT_GEOMETRY
         }
     return found
+
+
+def as_split(split: Any) -> envs.Split:
+    """A split that may be given by its name.
+
+    Raises:
+        ValueError: it is neither, or unknown.
+    """
+    if isinstance(split, envs.Split):
+        return split
+    if not isinstance(split, str):
+        raise ValueError(
+            f"split must be a split's name or a zipf.envs.Split, got a {type(split).__name__}"
+        )
+    return envs.split(split)
+
+
+def check_options(level_options: Mapping[str, Any]) -> None:
+    """Raises ValueError for names that `score` needs itself."""
+    for name in ("level", "autoreset_mode"):
+        if name in level_options:
+            raise ValueError(
+                f"{name}={level_options[name]!r} is no option here: a split has its levels, and "
+                "worlds are reset in the step that ends an episode"
+            )
 
 
 def _worlds(split: envs.Split, level_options: Mapping[str, Any]) -> Worlds:
