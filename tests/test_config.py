@@ -317,7 +317,7 @@ def test_automatic_precision_is_what_the_device_computes_fast(has, monkeypatch):
         chosen = command_line.load([*overrides, f"precision={precision}"])
         assert chosen.precision == precision
         assert chosen.folder == loaded.folder  # so that the run goes on on another machine
-    fixed = ["experiment=gridworld_compact", "precision=bfloat16"]
+    fixed = ["experiment=demo", "precision=bfloat16"]
     assert command_line.load(fixed).condition == "impala_mlp,precision=bfloat16"
 
 

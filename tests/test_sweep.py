@@ -67,12 +67,12 @@ def test_the_tail_is_what_the_paper_has_not():
         name: composing.find_file("condition", name) for name in composing.choices("condition")
     }
     tail = {name for name, path in files.items() if "Not in the paper" in path.read_text()}
-    plain = {
-        "gridworld_compact": {"impala", "impala_mlp"},
-        "playroom_lift_compact": {"impala"},
-        "playroom_find_compact": {"impala", "supervised"},
+    wanted = {
+        "gridworld_conditions": set(files),
+        "playroom_lift_compact": {"impala", *tail},
+        "playroom_find_compact": {"impala", "supervised", *tail},
     }
-    assert found == {(one, row) for one, rows in plain.items() for row in rows | tail}
+    assert found == {(one, row) for one, rows in wanted.items() for row in rows}
 
 
 def test_conditions_of_a_set_that_do_not_fit_are_left_out():
@@ -89,7 +89,7 @@ def test_overrides_apply_to_all_jobs_of_a_sweep():
     jobs = expanded("sweep=tail", "condition=impala", "seed=7", "updates=9", "run_root=x")
     assert {(one["seed"], one["updates"], one["run_root"]) for one in jobs} == {("7", "9", "x")}
     assert len(jobs) == 3
-    assert len(expanded("sweep=tail", "experiment=gridworld_compact", "condition=impala")) == 3
+    assert len(expanded("sweep=tail", "experiment=gridworld_conditions", "condition=impala")) == 3
     both = pairs(expanded("sweep=paper_gridworld,paper_labyrinth", "condition=r2d2", "seed=0"))
     assert both == {
         (one, "r2d2") for one in ("gridworld", "labyrinth_forward", "labyrinth_reversed")
