@@ -1,11 +1,12 @@
-"""How fast the environments step, on one core, beside a copy in RAM and beside the original.
+"""How fast the environments step, on one core, beside a copy in RAM.
 
     python scripts/benchmark_envs.py
 
 Actions are uniformly random; writing every observation and resetting at the end of episodes are
 included. Times are CPU seconds of this process, so that other jobs on the machine disturb less.
 All rows are measured in turn, several times over, and each row's median is shown: ratios are of
-figures from the same run, and the only ones to compare between machines.
+figures from the same run, and the only ones to compare between machines. benchmark_peers.py
+measures the gridworld beside the released one.
 """
 
 import argparse
@@ -25,12 +26,6 @@ import zipf.envs
 from zipf.envs.labyrinth.levels import LEVELS
 
 LEVEL = "gridworld/zipf_2"
-ORIGINAL_FRAMES_PER_SECOND = 4195
-ORIGINAL_SOURCE = (
-    "not measured here but taken from an earlier run on one EPYC Zen 4 core: the released "
-    "environment (pycolab 1.2), random actions, resets included, with two lines of its library "
-    "patched to run on NumPy 2; as released, on NumPy 1.24, it made 3,400 to 3,600 frames/s"
-)
 PLAYROOM = {
     "playroom/lift/lift_shape_zipf3": 50000,
     "playroom/put/put_on_bed_tray_all": 6000,
@@ -39,7 +34,6 @@ PLAYROOM = {
 """Levels to measure, with the steps per second that are the goal."""
 LABYRINTH_MEAN, LABYRINTH_EACH, MIXTURE = 15000, 6000, 10000  # steps per second, the goals
 UNITY_STEPS_PER_SECOND = 900 / 4  # the paper: about 900 frames/s with a GPU, four an action
-GOALS = {"batch of 256, out=": 700, "batch of 1024, out=": 250, "gym.make": 20}
 
 
 @dataclass
@@ -106,25 +100,6 @@ def memcpy(frames: int, bytes_per_frame: int) -> Row:
             np.copyto(target, source)
 
     return Row("memcpy", frames, run)
-
-
-def original() -> Row | None:
-    """The released environment, if it is installed and works with this NumPy."""
-    try:
-        from zipfian_environments.gridworld import zipfs_gridworld
-
-        env = zipfs_gridworld.simple_builder("zipf_2")
-        env.reset()
-    except Exception:  # its library fails in several ways on newer NumPy
-        return None
-    actions = np.random.default_rng(0).integers(8, size=1 << 16)
-
-    def run(calls: int) -> None:
-        for call in range(calls):
-            if env.step(int(actions[call & 0xFFFF])).last():
-                env.reset()
-
-    return Row("original", 1, run)
 
 
 def bytes_per_world() -> float:
@@ -317,10 +292,7 @@ def main() -> None:
     print_labyrinth(console, arguments.repetitions, arguments.seconds)
     print_playroom(console, arguments.repetitions, arguments.seconds)
     measured = [(row, memcpy(row.frames, row.bytes_per_frame)) for row in rows()]
-    released = original()
     for _ in range(arguments.repetitions):
-        if released is not None:
-            released.measure(arguments.seconds)
         for pair in measured:
             for row in pair:
                 row.measure(arguments.seconds)
@@ -331,26 +303,19 @@ def main() -> None:
     parts.stagger(256)
     Row("", 256, parts.run).measure(arguments.repetitions * arguments.seconds)
 
-    base = released.median if released is not None else ORIGINAL_FRAMES_PER_SECOND
     table = Table(title=f"{LEVEL}, one core, random actions, resets included", title_justify="left")
     table.add_column("", no_wrap=True)
-    for column in ("frames/s", "lowest .. highest", "us/call", "of memcpy", "x original", "goal"):
+    for column in ("frames/s", "lowest .. highest", "us/call", "of memcpy"):
         table.add_column(column, justify="right", no_wrap=True)
     for row, copy in measured:
-        goal = GOALS.get(row.name)
         table.add_row(
             row.name,
             f"{row.median:,.0f}",
             f"{min(row.speeds):,.0f} .. {max(row.speeds):,.0f}",
             f"{1e6 * row.frames / row.median:.1f}",
             f"{row.median / copy.median:.2f}",
-            f"{row.median / base:.0f}",
-            f">= {goal}" if goal else "",
         )
-    table.add_row("original", f"{base:,.0f}", "", "", "", "1", "")
     console.print(table)
-    if released is None:
-        console.print(f"original: {ORIGINAL_SOURCE}.", highlight=False)
     spent = ", ".join(f"{part} {256 * us:.0f}" for part, us in parts.microseconds().items())
     console.print(
         f"Microseconds of a step of the batch of 256 with out=: {spent}.", highlight=False

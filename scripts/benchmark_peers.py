@@ -2,6 +2,7 @@
 
     python scripts/benchmark_peers.py
     python scripts/benchmark_peers.py --rounds 5 --seconds 4 --match ViZDoom
+    python scripts/benchmark_peers.py --release ../zipfian_environments
 
 Actions are uniformly random, episodes begin anew when they end, and every frame comes with an image
 of the size that the row names. Each row is a process on the same core; they are let go in turn,
@@ -14,6 +15,9 @@ take the interpreter that runs this script. A frame is what an agent sees after 
 playroom, the labyrinth and ViZDoom four steps of the simulation and one image. Worlds are made
 ready before anything is measured: those of a batch begin one after another over an episode's
 length, so that resets have the share that they have in long runs.
+
+The released gridworld is in no package index: `--release` is a clone of its repository, and its row
+is left out without one. Its library needs a NumPy that Python 3.11 is the last to have.
 
 MuJoCo draws with OpenGL: with EGL, unless the variable MUJOCO_GL names another way. Where EGL finds
 no GPU, Mesa draws on the CPU.
@@ -36,6 +40,7 @@ PACKAGES = {
     "minigrid": ("minigrid==3.2.0",),
     "mujoco": ("gymnasium[mujoco]==1.4.0", "mujoco==4.0.0"),
     "procgen": ("procgen-mirror==0.10.7",),  # the release, built for later versions of Python
+    "released": ("numpy==1.24.4", "pycolab==1.2", "dm-env==1.6", "absl-py==2.5.1"),
     "vizdoom": ("vizdoom==1.3.2",),
 }
 """What pip installs for a row's library, in a virtual environment of that name."""
@@ -94,6 +99,20 @@ def minigrid(pause: turns.Pause) -> None:
     env = RGBImgPartialObsWrapper(gym.make("MiniGrid-FourRooms-v0"), tile_size=9)
     assert env.observation_space["image"].shape == (63, 63, 3)
     gymnasium_world(pause, env)
+
+
+def released(pause: turns.Pause) -> None:
+    import numpy as np
+    from zipfian_environments.gridworld import zipfs_gridworld
+
+    env = zipfs_gridworld.simple_builder("zipf_2")
+    actions = cycle(np.random.default_rng(0).integers(8, size=10_000).tolist())
+    env.reset()
+    while True:
+        for _ in range(64):
+            if env.step(next(actions)).last():
+                env.reset()
+        pause(64)
 
 
 def procgen(pause: turns.Pause, game: str, worlds: int) -> None:
@@ -168,6 +187,7 @@ TABLES = {
     "grids, images of 63 x 63 (Procgen 64 x 64)": (
         batch("gridworld/zipf_2", 256, 100),
         alone("Gridworld-v0", level="zipf_2"),
+        Entry("the released gridworld", "released", released),
         Entry("MiniGrid FourRooms, gym.make", "minigrid", minigrid),
         Entry("Procgen coinrun, batch of 256", "procgen", lambda p: procgen(p, "coinrun", 256)),
         Entry("Procgen maze, batch of 256", "procgen", lambda p: procgen(p, "maze", 256)),
@@ -186,16 +206,32 @@ TABLES = {
 """The rows by title of their table; the others are compared with its first."""
 
 
+def release(folder: str) -> Path:
+    """The clone of the released environments, which import themselves by the folder's name."""
+    path = Path(folder).resolve()
+    if path.name != "zipfian_environments" or not (path / "gridworld").is_dir():
+        raise argparse.ArgumentTypeError(
+            f"{folder} is no clone of the released environments in a folder zipfian_environments"
+        )
+    return path
+
+
 def measure(title: str, arguments: argparse.Namespace) -> list[turns.Row]:
     """A table's rows, with their speeds by round."""
     entries = [
-        entry for entry in TABLES[title] if not entry.library or arguments.match in entry.name
+        entry
+        for entry in TABLES[title]
+        if not entry.library or arguments.match in entry.name
+        if entry.library != "released" or arguments.release
     ]
     pythons: dict[str | None, Path | str] = {None: sys.executable}
     for name in dict.fromkeys(entry.library for entry in entries if entry.library):
         pythons[name] = turns.python_of(name, PACKAGES[name], arguments.environments)
+    given = ["--release", str(arguments.release)] if arguments.release else []
     rows = [
-        turns.Row(entry.name, pythons[entry.library], [__file__, "--row", title, entry.name])
+        turns.Row(
+            entry.name, pythons[entry.library], [__file__, *given, "--row", title, entry.name]
+        )
         for entry in entries
     ]
     turns.measure(title, rows, arguments.rounds, arguments.seconds)
@@ -206,10 +242,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     turns.add_options(parser, rounds=5, seconds=4.0)
     parser.add_argument("--core", type=int, default=0, help="the core to run on, where possible")
+    parser.add_argument("--release", type=release, help="a clone of zipfian_environments")
     parser.add_argument("--row", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.row:
         title, name = arguments.row
+        if arguments.release:
+            sys.path.insert(0, str(arguments.release.parent))
         (work,) = (entry.work for entry in TABLES[title] if entry.name == name)
         turns.serve(work, turns.cpu_seconds)
         return
