@@ -24,7 +24,7 @@ from conftest import (
     run,
     untimed,
 )
-from worlds_of import chosen, needs
+from worlds_of import chosen, needs, speaks
 
 import zipf.envs.family
 from zipf import envs, evaluate
@@ -45,35 +45,30 @@ def possible(experiment: str, condition: str) -> bool:
 
 
 def trained() -> list[tuple[str, str]]:
-    """Pairs of experiment and condition: every condition with the shortest experiment of each
-    family that it is possible with, and every experiment with at least one condition.
+    """Pairs of experiment and condition: every condition with the cheapest experiment that it is
+    possible with, of those with and of those without instructions, and every experiment with at
+    least one condition.
 
     `test_config.py` composes all pairs.
     """
-    shortest: dict[tuple[str, str], str] = {}
-    experiments = sorted(command_line.choices("experiment"), key=updates_of)
+    cheapest: dict[tuple[bool, str], str] = {}
+    experiments = sorted(command_line.choices("experiment"), key=cost)
     conditions = command_line.choices("condition")
     for experiment in experiments:
-        family = family_of(experiment)
+        instructed = speaks(experiment)
         for condition in conditions:
-            if (family, condition) not in shortest and possible(experiment, condition):
-                shortest[family, condition] = experiment
-    pairs = [(experiment, condition) for (_, condition), experiment in shortest.items()]
+            if (instructed, condition) not in cheapest and possible(experiment, condition):
+                cheapest[instructed, condition] = experiment
+    pairs = [(experiment, condition) for (_, condition), experiment in cheapest.items()]
     left = [experiment for experiment in experiments if experiment not in dict(pairs)]
     return pairs + [(experiment, "impala") for experiment in left]
 
 
-def updates_of(experiment: str) -> int:
-    return composing.composed(f"experiment={experiment}").values["updates"]
-
-
-def family_of(experiment: str) -> str:
-    split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
-    return next(
-        family.name
-        for family in envs.families().values()
-        if split in [one.name for one in family.splits]
-    )
+def cost(experiment: str) -> tuple[int, int]:
+    """The levels that an evaluation scores, and the updates: few of both are for small machines."""
+    values = composing.composed(f"experiment={experiment}").values
+    split = envs.split(values["environment"]["split"])
+    return sum(len(split.levels(kind)) for kind in envs.KINDS), values["updates"]
 
 
 @pytest.mark.parametrize(("experiment", "condition"), trained())
