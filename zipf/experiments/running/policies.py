@@ -6,7 +6,6 @@ import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,22 +17,7 @@ from zipf import envs
 from zipf.experiments.running.evaluator import Policy
 from zipf.experiments.running.scripted import ScriptedPolicy
 from zipf.experiments.running.seeds import derive_seed
-
-
-@dataclass(frozen=True)
-class Worlds:
-    """What a policy must match.
-
-    Attributes:
-        split: its name.
-        observation_space, action_space: of one world, alike on all levels of the split.
-        geometry: each level's constructor options.
-    """
-
-    split: str
-    observation_space: spaces.Dict
-    action_space: spaces.Discrete
-    geometry: Mapping[str, Mapping[str, Any]]
+from zipf.experiments.running.worlds import Worlds, check_geometry
 
 
 def as_policy(
@@ -84,27 +68,6 @@ def as_policy(
         _refuse(batched=batched)
         return policy
     return _Function(policy, batched)
-
-
-def check_geometry(geometry: Mapping[str, Any] | None, worlds: Worlds) -> None:
-    """Raises `ValueError` where a policy was made for levels with other constructor options.
-
-    Args:
-        geometry: the options that matter to the policy; None where it names none.
-        worlds: what the policy is to play.
-    """
-    differing = []
-    for name, value in (geometry or {}).items():
-        for level, options in worlds.geometry.items():
-            if name not in options:
-                differing.append(f"{name}={value} of the policy, and {level} has no {name}")
-            elif _plain(value) != _plain(options[name]):
-                differing.append(f"{name}={value} of the policy, {options[name]} of {level}")
-    if differing:
-        raise ValueError(
-            f"the policy's geometry differs from that of split {worlds.split!r}: "
-            f"{'; '.join(differing)}"
-        )
 
 
 @contextmanager
@@ -253,7 +216,3 @@ def _same_space(declared: spaces.Space, expected: spaces.Space) -> bool:
         low, high = (np.moveaxis(bound, 0, -1) for bound in (declared.low, declared.high))
         return expected in (declared, spaces.Box(low, high, dtype=declared.dtype.type))
     return declared == expected
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value

@@ -20,8 +20,9 @@ from zipf.experiments.running.evaluator import (
     scores,
     situations,
 )
-from zipf.experiments.running.policies import Worlds, as_policy, own_torch_draws
+from zipf.experiments.running.policies import as_policy, own_torch_draws
 from zipf.experiments.running.seeds import derive_seed
+from zipf.experiments.running.worlds import Worlds
 
 RESAMPLES = 2000  # of the bootstrap: percentiles that repeat to about a tenth of the width
 

@@ -16,9 +16,9 @@ from zipf.experiments.running.agent_policy import AgentPolicy
 from zipf.experiments.running.evaluator import Result, evaluate
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.running.out_of_ram import enough_ram
-from zipf.experiments.running.policies import Worlds, check_geometry
 from zipf.experiments.running.scripted import ScriptedPolicy
 from zipf.experiments.running.seeds import derive_seed
+from zipf.experiments.running.worlds import Worlds, check_geometry
 
 
 @dataclass(frozen=True)
