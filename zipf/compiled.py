@@ -23,7 +23,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 Function = Callable[..., Any]
 
 
-def compiled(**options: Any) -> Callable[[Function], Any]:
+def compiled(*, references: bool = True, **options: Any) -> Callable[[Function], Any]:
     """Compiles a function by `numba.njit(nogil=True)` at its first call and saves the result.
 
     The first compilation of a process is announced by a warning of the logger `zipf`, which goes to
@@ -34,11 +34,16 @@ def compiled(**options: Any) -> Callable[[Function], Any]:
     process compiles again, and a RuntimeWarning says so once.
 
     Args:
+        references: whether arrays are counted as they are named and dropped, by an atomic
+            instruction each. A function that makes no array does without: those it works on are
+            its caller's.
         options: further options of `numba.njit`, such as `error_model="numpy"`.
     """
 
     def decorate(function: Function) -> Any:
-        dispatcher = numba.njit(nogil=True, **options)(function)
+        # `_nrt` is numba's runtime, which counts. Its annotations do not have the option.
+        chosen = {"nogil": True, "_nrt": references, **options}
+        dispatcher: Any = numba.njit(**chosen)(function)
         try:
             dispatcher._cache = _Cache(function)
         except RuntimeError:  # numba found no folder that can be written

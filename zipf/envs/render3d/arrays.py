@@ -117,6 +117,15 @@ class ImageBuffers(NamedTuple):
     """float32 [H, stride]: 1/t, 0 where nothing has been drawn."""
 
 
+class WorldBuffers(NamedTuple):
+    """Written by `draw`."""
+
+    frame: Any
+    """float64 [3, 3]: see `Projection`."""
+    palette: Any
+    """float32 [6, 3]: colours of the parts of a mesh in the light of the lamp."""
+
+
 class WallBuffers(NamedTuple):
     """Written by `draw_wall`."""
 
@@ -138,6 +147,12 @@ class MeshBuffers(NamedTuple):
     """int32 [T + LANES]: with a pattern, the axis that a triangle faces most: 0 x, 1 y, 2 z."""
     area: Any
     """float32 [T + LANES]: with a pattern, texels in a pixel divided by depth**3."""
+    matrix: Any
+    """float32 [3, 4]: takes vertices to the eye's frame."""
+    vectors: Any
+    """float32 [6, 3]."""
+    corners: Any
+    """float32 [3, 4]: see `draw_cut_triangle`."""
 
 
 class GridBuffers(NamedTuple):
@@ -164,12 +179,15 @@ class TerrainBuffers(NamedTuple):
     """float32 [2 R C]: light on each triangle."""
     area: Any
     """float32 [2 R C]: texels in a pixel, divided by depth**3, of each triangle."""
+    corners: Any
+    """float32 [3, 4]: see `draw_cut_triangle`."""
 
 
 class Buffers(NamedTuple):
     """Scratch arrays for drawing one world; every thread has its own."""
 
     image: ImageBuffers
+    world: WorldBuffers
     wall: WallBuffers
     mesh: MeshBuffers
     grid: GridBuffers
@@ -244,7 +262,7 @@ class Canvas(NamedTuple):
     """Addresses."""
 
 
-@compiled()
+@compiled(references=False)
 def named_scenes(fields):
     """`SceneArrays` of plain tuples."""
     (
@@ -257,18 +275,18 @@ def named_scenes(fields):
     )  # fmt: skip
 
 
-@compiled()
+@compiled(references=False)
 def named_assets(fields):
     """`Assets` of plain tuples."""
     texels, meshes, fixed_colours = fields
     return Assets(texels, Meshes(*meshes), fixed_colours)
 
 
-@compiled()
+@compiled(references=False)
 def named_buffers(fields):
     """`Buffers` of plain tuples."""
-    image, wall, mesh, grid, terrain = fields
+    image, world, wall, mesh, grid, terrain = fields
     return Buffers(
-        ImageBuffers(*image), WallBuffers(*wall), MeshBuffers(*mesh), GridBuffers(*grid),
-        TerrainBuffers(*terrain),
+        ImageBuffers(*image), WorldBuffers(*world), WallBuffers(*wall), MeshBuffers(*mesh),
+        GridBuffers(*grid), TerrainBuffers(*terrain),
     )  # fmt: skip

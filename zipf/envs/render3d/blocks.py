@@ -31,7 +31,7 @@ from zipf.envs.render3d.lanes import (
 intrinsic: Any = _intrinsic  # its annotations do not say that it returns a function
 
 
-@compiled()
+@compiled(references=False)
 def address(array):
     """The address of an array's first element."""
     # Signed, because numba adds unsigned and signed integers as floats.

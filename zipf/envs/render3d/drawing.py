@@ -33,6 +33,7 @@ from zipf.envs.render3d.blocks import address, pack_block
 from zipf.envs.render3d.flats import draw_flat
 from zipf.envs.render3d.instances import draw_instance
 from zipf.envs.render3d.lanes import LANES
+from zipf.envs.render3d.rounding import floor
 from zipf.envs.render3d.scene import SCREEN
 from zipf.envs.render3d.shadows import draw_shadow
 from zipf.envs.render3d.sight import look_around
@@ -40,7 +41,7 @@ from zipf.envs.render3d.terrain import draw_terrain
 from zipf.envs.render3d.walls import draw_wall
 
 
-@compiled(error_model="numpy")
+@compiled(references=False, error_model="numpy")
 def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fields, out):
     """Draws the worlds start .. stop - 1 that are in `mask` to `out`, uint8 [N, H, W, 3].
 
@@ -54,7 +55,7 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
     texels, focal, grid, shadows = assets.texels, lens.focal, scenes.grid, scenes.shadows
     height, width = out.shape[1], out.shape[2]
     middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
-    frame = np.empty((3, 3))
+    frame, palette = buffers.world.frame, buffers.world.palette
     to_edge = (width / 2 / focal, height / 2 / focal)
     projection = Projection(
         frame,
@@ -68,7 +69,6 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
     canvas = Canvas(
         width, height, image.colour.shape[1], address(image.colour), address(image.depth)
     )
-    palette = np.empty((len(assets.fixed_colours) + 2, 3), np.float32)
     for i in range(start, stop):
         if not mask[i]:
             continue
@@ -157,7 +157,7 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
     return -1
 
 
-@compiled(error_model="numpy")
+@compiled(references=False, error_model="numpy")
 def _draw_sky(sky, pitch, tilts, image):
     """Fills the image with the sky, uint8 [2, 3] at the horizon and overhead."""
     for y in range(len(tilts)):
@@ -171,7 +171,7 @@ def _draw_sky(sky, pitch, tilts, image):
     image.depth[:] = 0.0
 
 
-@compiled(error_model="numpy")
+@compiled(references=False, error_model="numpy")
 def _write_image(colour, out, i):
     """Writes the colour buffer to image `i` of `out`, uint8 [N, H, W, 3]."""
     height, width = out.shape[1], out.shape[2]
@@ -188,7 +188,7 @@ def _write_image(colour, out, i):
             out[i, y, x, 2] = (paint >> 16) & 255
 
 
-@compiled(error_model="numpy")
+@compiled(references=False, error_model="numpy")
 def _draw_overlay(overlay, paint, image):
     """Draws a rectangle given as shares of `image`, uint8 [H, W, 3], in an RGBA colour."""
     height, width = image.shape[0], image.shape[1]
@@ -202,7 +202,7 @@ def _draw_overlay(overlay, paint, image):
                 image[y, x, k] = (mixed + 127) // 255
 
 
-@compiled(error_model="numpy")
+@compiled(references=False, error_model="numpy")
 def _pixel(share, size):
     """The pixel at a share of an image's width or height, limited to the image."""
-    return min(max(math.floor(share * size + 0.5), 0), size)
+    return min(max(floor(share * size + 0.5), 0), size)

@@ -1,7 +1,5 @@
 """Draws flats: horizontal rectangles with a texture or a patchwork of textures."""
 
-import math
-
 import numpy as np
 
 from zipf.compiled import compiled
@@ -17,11 +15,12 @@ from zipf.envs.render3d.optics import (
     SURFACE_SUN,
     light_on,
 )
+from zipf.envs.render3d.rounding import ceil, floor
 from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
 from zipf.envs.render3d.sight import narrow
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(references=False, error_model="numpy", fastmath=True)
 def draw_flat(
     place, looks, tiling, repeat, tint, tiles, sun, lamp, view, texels, image, width
 ):  # fmt: skip
@@ -84,7 +83,7 @@ def draw_flat(
         level = _level(area * t * t * t)
         fade = light / (1.0 + t * t * FADE2) / 255.0
         red, green, blue = fade * lit_red, fade * lit_green, fade * lit_blue
-        first_x, last_x = math.ceil(low), math.floor(high)
+        first_x, last_x = ceil(low), floor(high)
         if first_x > last_x:
             continue
         px -= west
@@ -106,7 +105,7 @@ def draw_flat(
                 )  # fmt: skip
 
 
-@compiled(error_model="numpy")
+@compiled(references=False, error_model="numpy")
 def _level(area):
     """Which of a texture's smaller versions suits pixels that cover so many texels."""
     level = 0

@@ -21,7 +21,7 @@ _PER_METRE = SIZE / PATTERN  # texels of a pattern
 _SHIFT = (16.5 * SIZE, 16.5 * SIZE, 16.0 * SIZE)
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(references=False, error_model="numpy", fastmath=True)
 def draw_instance(
     mesh, position, rotation, scale, pattern, texels, meshes, palette, sun, eye, projection, canvas,
     buffers,
@@ -44,11 +44,10 @@ def draw_instance(
     vertices, planes, triangles = meshes.vertices, meshes.planes, meshes.triangles
     seen, lit, front = buffers.seen, buffers.lit, buffers.front
     ball = meshes.balls[mesh]
-    offset = np.empty(3, np.float32)
-    m = np.empty((3, 4), np.float32)
+    m = buffers.matrix
+    offset, middle = buffers.vectors[0], buffers.vectors[1]
     for i in range(3):
         offset[i] = position[i] - eye[i]
-    middle = np.empty(3, np.float32)
     for i in range(3):
         for j in range(3):
             m[i, j] = scale * (
@@ -114,13 +113,12 @@ def draw_instance(
                 _paint(palette, meshes.parts[first + k], lit[k], pattern, k), no_growth, canvas,
             )  # fmt: skip
     else:
-        corners = np.empty((3, 4), np.float32)
         for n in range(count):
             k = front[n]
             draw_cut_triangle(
                 seen, triangles[first + k, 0], triangles[first + k, 1], triangles[first + k, 2],
-                projection, corners, _paint(palette, meshes.parts[first + k], lit[k], pattern, k),
-                no_growth, canvas,
+                projection, buffers.corners,
+                _paint(palette, meshes.parts[first + k], lit[k], pattern, k), no_growth, canvas,
             )  # fmt: skip
     if pattern >= 0:
         bounds = (0, canvas.width - 1, 0, canvas.height - 1)
@@ -133,7 +131,7 @@ def draw_instance(
         )  # fmt: skip
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(references=False, error_model="numpy", fastmath=True)
 def _paint(palette, part, light, pattern, triangle):
     """The colour 0x00BBGGRR of a part of a mesh in a light of 0 .. 1.
 
@@ -145,7 +143,7 @@ def _paint(palette, part, light, pattern, triangle):
     return np.int32(red * light) | np.int32(green * light) << 8 | np.int32(blue * light) << 16
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(references=False, error_model="numpy", fastmath=True)
 def _measure(eye_x, eye_y, eye_z, scale, focal, planes, first, front, count, buffers):
     """Writes `axis` and `area` of the triangles that face the eye, in mesh coordinates."""
     for n in range(count):
@@ -161,7 +159,7 @@ def _measure(eye_x, eye_y, eye_z, scale, focal, planes, first, front, count, buf
         buffers.area[k] = most * (_PER_METRE / focal) ** 2 / max(away, np.float32(1e-6))
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(references=False, error_model="numpy", fastmath=True)
 def _bounds(seen, vertex_count, canvas):
     """First and last column and row of the pixels of a mesh that is ahead."""
     left, right, top, bottom = seen[3, 0], seen[3, 0], seen[4, 0], seen[4, 0]
@@ -176,7 +174,7 @@ def _bounds(seen, vertex_count, canvas):
     )
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(references=False, error_model="numpy", fastmath=True)
 def _draw_pattern(texels, bounds, rotation, offset, palette, projection, canvas, buffers):
     """Paints the pixels that hold numbers of triangles.
 
@@ -191,8 +189,8 @@ def _draw_pattern(texels, bounds, rotation, offset, palette, projection, canvas,
     left, right, top, bottom = bounds
     frame, focal = projection.frame, projection.focal
     # In texels along the mesh's axes: the eye, and the rays of the first pixel and per pixel.
-    eye, ray = np.empty(3, np.float32), np.empty(3, np.float32)
-    across, down = np.empty(3, np.float32), np.empty(3, np.float32)
+    eye, ray = buffers.vectors[2], buffers.vectors[3]
+    across, down = buffers.vectors[4], buffers.vectors[5]
     for j in range(3):
         back, aside, up, ahead = 0.0, 0.0, 0.0, 0.0
         for i in range(3):

@@ -34,7 +34,7 @@ UNIT_SUN = tuple(np.float32(s / math.sqrt(sum(s * s for s in SUN))) for s in SUN
 FADE2 = 1.0 / FADE**2
 
 
-@compiled(error_model="numpy")
+@compiled(references=False, error_model="numpy")
 def light_on(x, y, z, dark, bright, sun):
     """The light on a surface with the unit normal x, y, z, which falls smoothly to all sides.
 

@@ -127,6 +127,7 @@ class Renderer:
         (rows, columns), terrain = self._sizes
         return (
             (np.zeros((height, stride), np.uint32), np.zeros((height, stride), np.float32)),
+            (np.zeros((3, 3)), np.zeros((len(FIXED_COLOURS) + 2, 3), np.float32)),
             (np.zeros(height, np.float32), np.zeros(height, np.float32)),
             (
                 np.zeros((6, self._most_vertices + LANES), np.float32),
@@ -134,6 +135,9 @@ class Renderer:
                 np.zeros(self._most_triangles + 1, np.int32),
                 np.zeros(self._most_triangles + LANES, np.int32),
                 np.zeros(self._most_triangles + LANES, np.float32),
+                np.zeros((3, 4), np.float32),
+                np.zeros((6, 3), np.float32),
+                np.zeros((3, 4), np.float32),
             ),
             (np.zeros(rows * columns * 4, np.bool_), np.zeros((4, rows * columns + 2))),
             terrain_buffers(*terrain),

@@ -8,10 +8,11 @@ from zipf.compiled import compiled
 from zipf.envs.render3d.blocks import address, shadow_block
 from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.optics import FAR, NEAR, SHADOW_DEPTH
+from zipf.envs.render3d.rounding import ceil, floor
 from zipf.envs.render3d.sight import narrow
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(references=False, error_model="numpy", fastmath=True)
 def draw_shadow(shadow, view, projection, image, width):
     """Darkens the pixels that show a point in a shadow.
 
@@ -51,8 +52,8 @@ def draw_shadow(shadow, view, projection, image, width):
         most = 1.0 / max(ahead - radius * level, NEAR)
         least = 1.0 / max(ahead + radius * level, NEAR)
         one, two = (most * up - rise0) / drise, (least * up - rise0) / drise
-        top = max(math.ceil(min(max(min(one, two), -1.0), bottom + 1.0)), 0)
-        bottom = min(math.floor(max(min(max(one, two), bottom + 1.0), -1.0)), bottom)
+        top = max(ceil(min(max(min(one, two), -1.0), bottom + 1.0)), 0)
+        bottom = min(floor(max(min(max(one, two), bottom + 1.0), -1.0)), bottom)
     cos, sin = math.cos(shadow[3]), math.sin(shadow[3])
     hx, hy, a0, da = view.hx, view.hy, view.a0, view.da
     slack, per_soft = SHADOW_DEPTH / -up, 1.0 / max(soft, 1e-6)
@@ -74,7 +75,7 @@ def draw_shadow(shadow, view, projection, image, width):
         low, high = narrow(low, high, breadth - v, -dv)
         if low > high:
             continue
-        first, last = math.ceil(low), math.floor(high)
+        first, last = ceil(low), floor(high)
         for x in range(first, last + 1, LANES):
             at = y * line_bytes + 4 * x
             shadow_block(

@@ -1,11 +1,10 @@
 """Which faces of solid cells are visible from a point in a grid."""
 
-import math
-
 from zipf.compiled import compiled
+from zipf.envs.render3d.rounding import floor
 
 
-@compiled(error_model="numpy")
+@compiled(references=False, error_model="numpy")
 def narrow(low, high, a, b):
     """Narrows a span to where a + b * x >= 0."""
     if b > 0.0:
@@ -15,7 +14,7 @@ def narrow(low, high, a, b):
     return low, (high if a >= 0.0 else low - 1.0)
 
 
-@compiled(error_model="numpy")
+@compiled(references=False, error_model="numpy")
 def look_around(solid, x, y, left_x, left_y, right_x, right_y, seen, spans):
     """Marks the faces of solid cells that are visible from a point, between two directions.
 
@@ -34,7 +33,7 @@ def look_around(solid, x, y, left_x, left_y, right_x, right_y, seen, spans):
         False, with nothing marked, if the point is in a solid cell or outside the grid.
     """
     rows, columns = solid.shape
-    own_row, own_column = math.floor(y), math.floor(x)
+    own_row, own_column = floor(y), floor(x)
     if not (0 <= own_row < rows and 0 <= own_column < columns) or solid[own_row, own_column]:
         return False
     seen[:] = False
@@ -61,8 +60,8 @@ def look_around(solid, x, y, left_x, left_y, right_x, right_y, seen, spans):
             open_count = 0
             for k in range(count):
                 slope, end = spans[now, k], spans[now + 1, k]
-                enters = math.floor(aside + slope * near)
-                leaves = math.floor(aside + slope * far)
+                enters = floor(aside + slope * near)
+                leaves = floor(aside + slope * far)
                 while slope < end:
                     next_enters = (enters + 1 - aside) / near if near > 0.0 else 2.0
                     next_leaves = (leaves + 1 - aside) / far

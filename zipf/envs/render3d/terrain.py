@@ -31,10 +31,11 @@ def terrain_buffers(rows: int, columns: int) -> tuple[NDArray[Any], ...]:
         np.zeros(columns + 1, np.int32),
         np.zeros(2 * rows * columns, np.float32),
         np.zeros(2 * rows * columns, np.float32),
+        np.zeros((3, 4), np.float32),
     )
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(references=False, error_model="numpy", fastmath=True)
 def draw_terrain(
     heights, looks, place, tint, sun, lamp, view, projection, texels, canvas, image, buffers
 ):  # fmt: skip
@@ -52,13 +53,12 @@ def draw_terrain(
     frame, focal = projection.frame, projection.focal
     middle_x, middle_y = projection.middle_x, projection.middle_y
     colour, depth = image.colour, image.depth
-    line, seen, kinds, shown, light, area = buffers
+    line, seen, kinds, shown, light, area, corners = buffers
     rows, columns = looks.shape
     west, south = np.float64(place[0]), np.float64(place[1])
     size, repeat = np.float64(place[2]), np.float64(place[3])
     width, height = canvas.width, canvas.height
     stride = line.shape[1]
-    corners = np.empty((3, 4), np.float32)
     side = (middle_x + 1.0) / focal
     per_texel = 64.0 / (repeat if repeat > 0.0 else size)
     texels_each = per_texel * per_texel * da * da

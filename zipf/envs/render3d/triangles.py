@@ -1,26 +1,25 @@
 """Fills triangles, for meshes and terrains."""
 
-import math
-
 import numpy as np
 
 from zipf.compiled import compiled
 from zipf.envs.render3d.blocks import TRIANGLE_LANES, triangle_block
 from zipf.envs.render3d.optics import NEAR
+from zipf.envs.render3d.rounding import ceil, floor
 
 _EDGE = np.float32(1e-4)  # pixels, so that rounding leaves no gap between neighbours
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(references=False, error_model="numpy", fastmath=True)
 def draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, grow, canvas):
     """Fills a triangle given in pixels and 1/t (float32), unless it is seen from its back.
 
     It is made larger by `grow` pixels (float32) on every side, and by _EDGE in any case.
     """
-    left = max(math.ceil(min(ax, bx, cx)), 0)
-    right = min(math.floor(max(ax, bx, cx)), canvas.width - 1)
-    top = max(math.ceil(min(ay, by, cy)), 0)
-    bottom = min(math.floor(max(ay, by, cy)), canvas.height - 1)
+    left = max(ceil(min(ax, bx, cx)), 0)
+    right = min(floor(max(ax, bx, cx)), canvas.width - 1)
+    top = max(ceil(min(ay, by, cy)), 0)
+    bottom = min(floor(max(ay, by, cy)), canvas.height - 1)
     if left > right or top > bottom:
         return
     # The distance inside of each edge, times its length; and 1/t.
@@ -52,7 +51,7 @@ def draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, grow, canvas):
         start += canvas.stride
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(references=False, error_model="numpy", fastmath=True)
 def draw_cut_triangle(seen, v0, v1, v2, projection, corners, paint, grow, canvas):
     """Fills the part of a triangle that is beyond the near plane.
 

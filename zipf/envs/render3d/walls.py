@@ -17,10 +17,11 @@ from zipf.envs.render3d.optics import (
     SURFACE_SUN,
     light_on,
 )
+from zipf.envs.render3d.rounding import ceil, floor
 from zipf.envs.render3d.scene import SCREEN, SEE_THROUGH, TWO_SIDED
 
 
-@compiled(error_model="numpy", fastmath=True)
+@compiled(references=False, error_model="numpy", fastmath=True)
 def draw_wall(
     place, looks, repeat, tint, screen, sun, lamp, view, sector, texels, image, buffers, width
 ):  # fmt: skip
@@ -128,7 +129,7 @@ def draw_wall(
     for y in range(len(low)):
         if low[y] > high[y]:
             continue
-        first, last = math.ceil(low[y]), math.floor(high[y])
+        first, last = ceil(low[y]), floor(high[y])
         if first > last:
             continue
         z_row = np.float32(z + dz_row * y)
@@ -141,7 +142,7 @@ def draw_wall(
             )  # fmt: skip
 
 
-@compiled(error_model="numpy")
+@compiled(references=False, error_model="numpy")
 def _bound(low, high, a, step, b):
     """Narrows each row's span to where a + step * y + b * x >= 0."""
     if abs(b) < 1e-30:
@@ -156,7 +157,7 @@ def _bound(low, high, a, step, b):
             high[y] = min(high[y], start + step * np.float32(y))
 
 
-@compiled(error_model="numpy")
+@compiled(references=False, error_model="numpy")
 def _draw_screen(
     screen, z, dz_row, dz, u, du_row, du, v, dv_row, dv, per_u, per_v, low, high, colour, depth
 ):  # fmt: skip
@@ -170,7 +171,7 @@ def _draw_screen(
     for y in range(len(low)):
         if low[y] > high[y]:
             continue
-        first, last = math.ceil(low[y]), math.floor(high[y])
+        first, last = ceil(low[y]), floor(high[y])
         z_first = np.float32(z + dz_row * y)
         u_first = np.float32(per_u * (u + du_row * y))
         v_first = np.float32(per_v * (v + dv_row * y))
