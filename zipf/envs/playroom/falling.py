@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 from zipf.compiled import compiled
 from zipf.envs.playroom.constants import FRAME, FRAMES, FURNITURE_SIZE, LANDING
 from zipf.envs.playroom.geometry import rectangle_gap, set_upright
@@ -19,7 +17,7 @@ STILL_MOTION = 0.01
 """An object that moves less than this counts as motionless, metres per action."""
 
 
-@compiled()
+@compiled(references=False)
 def fall(worlds, i, before):
     """Updates heights, orientations and the status of the objects of world `i`.
 
@@ -42,7 +40,7 @@ def fall(worlds, i, before):
         _stand_up(worlds.orientation[i, j], item[ANGLE])
 
 
-@compiled()
+@compiled(references=False)
 def _fall(item, before, furnished, furniture):
     """Lets an object that is not held fall for one step; returns its status."""
     where = FLOOR
@@ -70,22 +68,22 @@ def _fall(item, before, furnished, furniture):
     return where
 
 
-@compiled()
+@compiled(references=False)
 def _stand_up(frame, angle):
     """Turns an object that is not held towards the upright rotation by `angle`, for one step."""
-    upright = np.empty((3, 3))
-    set_upright(upright, angle)
+    cos, sin = math.cos(angle), math.sin(angle)
+    upright = ((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0))
     # The weights below do not cancel out even for an object that is upside down.
     off = 0.0
     for r in range(3):
         for c in range(3):
-            off = max(off, abs(frame[r, c] - upright[r, c]))
+            off = max(off, abs(frame[r, c] - upright[r][c]))
     if off < 0.01:
-        frame[:] = upright
+        set_upright(frame, angle)
         return
     for c in (2, 0):
         for r in range(3):
-            frame[r, c] = 0.4 * frame[r, c] + 0.6 * upright[r, c]
+            frame[r, c] = 0.4 * frame[r, c] + 0.6 * upright[r][c]
     _normalise(frame, 2)
     dot = frame[0, 0] * frame[0, 2] + frame[1, 0] * frame[1, 2] + frame[2, 0] * frame[2, 2]
     for r in range(3):
@@ -96,7 +94,7 @@ def _stand_up(frame, angle):
     frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[1, 2] * frame[0, 0]
 
 
-@compiled()
+@compiled(references=False)
 def _normalise(frame, c):
     """Scales a column to length 1."""
     norm = math.sqrt(frame[0, c] ** 2 + frame[1, c] ** 2 + frame[2, c] ** 2)

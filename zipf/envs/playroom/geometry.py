@@ -5,7 +5,7 @@ import math
 from zipf.compiled import compiled
 
 
-@compiled()
+@compiled(references=False)
 def rectangle_gap(pose, size, x, y):
     """The distance of the point (x, y) from a rectangle, 0 inside.
 
@@ -20,19 +20,19 @@ def rectangle_gap(pose, size, x, y):
     return math.sqrt(out_x * out_x + out_y * out_y)
 
 
-@compiled()
+@compiled(references=False)
 def footprint(extent):
     """The radius of a disc that contains an object of this size on the floor at any angle."""
     return 0.5 * math.sqrt(extent[0] * extent[0] + extent[1] * extent[1])
 
 
-@compiled()
+@compiled(references=False)
 def rectangles_gap(one, one_size, two, two_size):
     """The distance of two rectangles that do not cross; poses and sizes as in `rectangle_gap`."""
     return min(_corner_gap(one, one_size, two, two_size), _corner_gap(two, two_size, one, one_size))
 
 
-@compiled()
+@compiled(references=False)
 def _corner_gap(one, one_size, two, two_size):
     """The least distance of a corner of the first rectangle from the second."""
     cos, sin = math.cos(one[2]), math.sin(one[2])
@@ -45,7 +45,7 @@ def _corner_gap(one, one_size, two, two_size):
     return gap
 
 
-@compiled()
+@compiled(references=False)
 def half_width(frame, extent, x, y, z):
     """Half the width of a rotated box along the unit vector (x, y, z).
 
@@ -60,7 +60,7 @@ def half_width(frame, extent, x, y, z):
     return 0.5 * total
 
 
-@compiled()
+@compiled(references=False)
 def set_upright(frame, angle):
     """Writes the rotation about the vertical by `angle` to `frame`, float64 [3, 3]."""
     cos, sin = math.cos(angle), math.sin(angle)

@@ -14,7 +14,7 @@ APPROACH_DISTANCE = 0.7
 """Between the centres of agent and object, in `supervised/` levels, metres. Ours."""
 
 
-@compiled()
+@compiled(references=False)
 def settle(mask, start, before, worlds, reward, terminated, success):
     """After the physics, objects are held or fall, and episodes are judged.
 
@@ -37,7 +37,7 @@ def settle(mask, start, before, worlds, reward, terminated, success):
         reward[i] = 1.0 if outcome == 1 else 0.0
 
 
-@compiled()
+@compiled(references=False)
 def _judge(worlds, i):
     """1 if the task was done, 0 if it was done with the wrong object or place, -1 if neither.
 
@@ -54,7 +54,7 @@ def _judge(worlds, i):
     return -1
 
 
-@compiled()
+@compiled(references=False)
 def _judge_approach(ranks, agent, objects):
     """1 if the agent has come near the target, 0 if near another object, -1 if near none."""
     outcome = -1
@@ -65,7 +65,7 @@ def _judge_approach(ranks, agent, objects):
     return outcome
 
 
-@compiled()
+@compiled(references=False)
 def _judge_put(worlds, i):
     """1 if the target was put on or near the right support, 0 for any other, -1 if nothing was put.
 

@@ -143,14 +143,13 @@ def _build_room(scenes: Scenes, world: int) -> None:
     scenes.add_flat(world, square, CEILING, textures.index("ceiling"), flags=FACES_DOWN, repeat=2.0)
 
 
-@compiled()
+@compiled(references=False)
 def _pose(
     mask, agents, objects, orientation, ranks, extents, furnished, furniture, scale, camera,
     position, rotation, shadows,
 ):  # fmt: skip
     """Writes `camera`, `position`, `rotation` and `shadows`, arrays of `Scenes`, from arrays of
     `Worlds`. `scale` is an array of `Scenes`, too."""
-    size = np.empty(3)
     for i in range(mask.size):
         if not mask[i]:
             continue
@@ -159,8 +158,8 @@ def _pose(
         camera[i, 3], camera[i, 4] = agents[i, YAW], agents[i, PITCH]
         for j in range(ranks.shape[1]):
             frame = orientation[i, j]
-            for c in range(3):
-                size[c] = extents[ranks[i, j], c] * scale[i, j]
+            extent = extents[ranks[i, j]]
+            size = (extent[0] * scale[i, j], extent[1] * scale[i, j], extent[2] * scale[i, j])
             half = size[2] / 2
             middle = objects[i, j, Z] + half_width(frame, size, 0.0, 0.0, 1.0)
             # Objects turn about their centres.
@@ -173,7 +172,7 @@ def _pose(
             _shade(shadows[i, j], objects[i, j], middle, frame, size, furnished, furniture[i])
 
 
-@compiled()
+@compiled(references=False)
 def _shade(shadow, item, middle, frame, size, furnished, furniture):
     """Writes a row of `Scenes.shadows`: the shadow of an object on what is below.
 
