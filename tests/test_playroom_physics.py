@@ -1,5 +1,7 @@
 """The compiled calls of Chipmunk beside pymunk's own methods."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,56 @@ def test_compiled_physics_is_pymunks(seed: int) -> None:
             pushed = max(pushed, abs(objects[:, :, X] - before[1][:, :, X])[mask].max(initial=0))
     assert pushed > 0.05
     assert not agents[:, YAW].any()
+
+
+def carry(room: Room, held: int, agent: Any, item: Any, drive: Any) -> None:
+    """What `chipmunk.move_held` does, by pymunk's own methods."""
+    body = room.agent
+    (x, y), (vx, vy) = body.position, body.velocity
+    dx, dy = agent[0] - x, agent[1] - y
+    if dx != 0 or dy != 0:
+        body.position = agent[0], agent[1]
+        back = (vx * dx + vy * dy) / (dx * dx + dy * dy)
+        if back < 0:
+            body.velocity = vx - back * dx, vy - back * dy
+    if held >= 0:
+        vx, vy = body.velocity
+        room.objects[held].position = item[0], item[1]
+        room.objects[held].velocity = vx + drive[0], vy + drive[1]
+        room.objects[held].angular_velocity = 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_held_moves_as_by_pymunk(seed: int) -> None:
+    """To the bit: held, just released and neither, in the worlds of the mask."""
+    ours, theirs = rooms(seed), rooms(seed)
+    bodies = np.array([room.addresses()[1] for room in ours])
+    rng = np.random.default_rng(seed)
+    slowed = 0
+    for _ in range(40):
+        mask = rng.random(WORLDS) < 0.8
+        hands = rng.integers(-1, OBJECTS, WORLDS)
+        turned = np.where(hands < 0, rng.integers(-1, OBJECTS, WORLDS), -1)
+        agents, objects = rng.normal(size=(WORLDS, 6)), rng.normal(size=(WORLDS, OBJECTS, 5))
+        drives, velocities = rng.normal(size=(WORLDS, 2)), rng.normal(size=(WORLDS, 2))
+        for i in range(WORLDS):
+            for room in (ours[i], theirs[i]):
+                room.agent.velocity = tuple(velocities[i])
+            if rng.random() < 0.3:
+                agents[i, [AX, AY]] = ours[i].agent.position
+        chipmunk.move_held(
+            mask, chipmunk.functions(), bodies, hands, turned, drives, agents, objects
+        )
+        for i in range(WORLDS):
+            if mask[i] and max(hands[i], turned[i]) >= 0:
+                item = objects[i, hands[i], [X, Y]]
+                carry(theirs[i], hands[i], agents[i, [AX, AY]], item, drives[i])
+            for one, two in zip(ours[i].bodies, theirs[i].bodies, strict=True):
+                assert one.position == two.position
+                assert one.velocity == two.velocity
+                assert one.angular_velocity == two.angular_velocity
+            slowed += tuple(ours[i].agent.velocity) != tuple(velocities[i])
+    assert slowed
 
 
 def test_a_world_without_a_room_is_not_simulated() -> None:

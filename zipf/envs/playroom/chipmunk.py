@@ -21,8 +21,17 @@ from zipf.envs.playroom.constants import FRAME, FRAMES
 from zipf.envs.playroom.state import ANGLE, AX, AY, X, Y
 from zipf.envs.render3d.lanes import written
 
-_STEP, _SET_FORCE, _POSITION, _ANGLE = range(4)
-_NAMES = ("cpSpaceStep", "cpBodySetForce", "cpBodyGetPosition", "cpBodyGetAngle")
+_STEP, _SET_FORCE, _POSITION, _ANGLE, _VELOCITY, _MOVE, _SET_VELOCITY, _SET_SPIN = range(8)
+_NAMES = (
+    "cpSpaceStep",
+    "cpBodySetForce",
+    "cpBodyGetPosition",
+    "cpBodyGetAngle",
+    "cpBodyGetVelocity",
+    "cpBodySetPosition",
+    "cpBodySetVelocity",
+    "cpBodySetAngularVelocity",
+)
 
 
 def address(pointer: Any) -> int:
@@ -34,7 +43,7 @@ def address(pointer: Any) -> int:
 
 @cache
 def functions() -> NDArray[np.int64]:
-    """The addresses of what `simulate` calls, int64 [4]. They differ between processes."""
+    """The addresses of the functions of `_NAMES`, int64 [8]. They differ between processes."""
     return np.array([address(ffi.addressof(lib, name)) for name in _NAMES])
 
 
@@ -57,12 +66,20 @@ def _step(typingctx: Any, function: Any, space: Any, seconds: Any) -> Any:
 
 
 @_intrinsic
-def _set_force(typingctx: Any, function: Any, body: Any, x: Any, y: Any) -> Any:
+def _set(typingctx: Any, function: Any, body: Any, x: Any, y: Any) -> Any:
+    """Sets a vector of a body: its force, position or velocity."""
     return written([types.int64, types.int64, types.float64, types.float64], _call)
 
 
 @_intrinsic
-def _position(typingctx: Any, function: Any, body: Any) -> Any:
+def _set_spin(typingctx: Any, function: Any, body: Any, speed: Any) -> Any:
+    return written([types.int64, types.int64, types.float64], _call)
+
+
+@_intrinsic
+def _get(typingctx: Any, function: Any, body: Any) -> Any:
+    """A vector of a body: its position or velocity."""
+
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         vector = _call(builder, *args, returns=_VECTOR)
         both = [builder.extract_value(vector, k) for k in range(2)]
@@ -79,7 +96,7 @@ def _angle(typingctx: Any, function: Any, body: Any) -> Any:
     return types.float64(types.int64, types.int64), codegen
 
 
-@compiled()
+@compiled(references=False)
 def simulate(mask, called, spaces, bodies, forces, agents, objects):
     """Simulates the frames of one action in the worlds of `mask`.
 
@@ -97,10 +114,50 @@ def simulate(mask, called, spaces, bodies, forces, agents, objects):
         x, y = forces[i, 0], forces[i, 1]
         for _ in range(FRAMES):
             if x != 0 or y != 0:
-                _set_force(called[_SET_FORCE], bodies[i, 0], x, y)  # cleared by the step
+                _set(called[_SET_FORCE], bodies[i, 0], x, y)  # cleared by the step
             _step(called[_STEP], spaces[i], FRAME)
-        agents[i, AX], agents[i, AY] = _position(called[_POSITION], bodies[i, 0])
+        agents[i, AX], agents[i, AY] = _get(called[_POSITION], bodies[i, 0])
         for j in range(objects.shape[1]):
             body = bodies[i, j + 1]
-            objects[i, j, X], objects[i, j, Y] = _position(called[_POSITION], body)
+            objects[i, j, X], objects[i, j, Y] = _get(called[_POSITION], body)
             objects[i, j, ANGLE] = _angle(called[_ANGLE], body)
+
+
+@compiled(references=False)
+def move_held(mask, called, bodies, hands, turned, drives, agents, objects):
+    """Puts held objects, and the agents that hold or have just released one, where they are.
+
+    A held object moves with the agent and by a velocity of its own.
+
+    Args:
+        mask, called, bodies: as in `simulate`.
+        hands: of `Worlds`.
+        turned, drives: of `Commands`.
+        agents, objects: of `Worlds`, read.
+    """
+    for i in range(mask.size):
+        held = hands[i]
+        if not mask[i] or (held < 0 and turned[i] < 0):
+            continue
+        agent = bodies[i, 0]
+        _move_agent(called, agent, agents[i, AX], agents[i, AY])
+        if held >= 0:
+            body = bodies[i, held + 1]
+            vx, vy = _get(called[_VELOCITY], agent)
+            _set(called[_MOVE], body, objects[i, held, X], objects[i, held, Y])
+            _set(called[_SET_VELOCITY], body, vx + drives[i, 0], vy + drives[i, 1])
+            _set_spin(called[_SET_SPIN], body, 0.0)
+
+
+@compiled(references=False)
+def _move_agent(called, agent, x, y):
+    """Puts an agent where a held object has pushed it, with no velocity back from there."""
+    before_x, before_y = _get(called[_POSITION], agent)
+    dx, dy = x - before_x, y - before_y
+    if dx == 0 and dy == 0:
+        return
+    _set(called[_MOVE], agent, x, y)
+    vx, vy = _get(called[_VELOCITY], agent)
+    back = (vx * dx + vy * dy) / (dx * dx + dy * dy)
+    if back < 0:
+        _set(called[_SET_VELOCITY], agent, vx - back * dx, vy - back * dy)

@@ -153,27 +153,6 @@ class Room:
         body.angle = angle
         self.space.reindex_shapes_for_body(body)
 
-    def carry(self, item: int, place: Sequence[float], drive: Sequence[float]) -> None:
-        """Puts a held object somewhere, to move with the agent and by a velocity of its own."""
-        body = self.objects[item]
-        vx, vy = self.agent.velocity
-        body.position = place[0], place[1]
-        body.velocity = vx + drive[0], vy + drive[1]
-        body.angular_velocity = 0.0
-
-    def move_agent(self, x: float, y: float) -> None:
-        """Puts the agent where a held object has pushed it, with no velocity back from there."""
-        agent = self.agent
-        before_x, before_y = agent.position
-        dx, dy = x - before_x, y - before_y
-        if dx == 0 and dy == 0:
-            return
-        agent.position = x, y
-        vx, vy = agent.velocity
-        back = (vx * dx + vy * dy) / (dx * dx + dy * dy)
-        if back < 0:
-            agent.velocity = vx - back * dx, vy - back * dy
-
 
 def _up_to_the_walls(x: float, y: float, angle: float) -> list[tuple[float, float]]:
     """The bed's corners in its own frame, without narrow gaps between its sides and the walls."""

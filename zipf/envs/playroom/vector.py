@@ -191,20 +191,25 @@ class PlayroomVectorEnv(ZipfVectorEnv):
 
     def _simulate(self, mask: NDArray[np.bool_]) -> None:
         """Runs the physics of a step: moves the agents and objects of the worlds of `mask`."""
-        worlds, commands, hands = self.worlds, self._commands, self.worlds.hands
+        worlds, commands = self.worlds, self._commands
         for i, j in np.argwhere(mask[:, None] & (commands.layers != self._layers)).tolist():
             self._room(i).set_layer(j, int(commands.layers[i, j]))
         np.copyto(self._layers, commands.layers, where=mask[:, None])
         for i in np.flatnonzero(mask & (commands.turned >= 0)).tolist():
-            room, item = self._room(i), int(commands.turned[i])
-            room.place(item, *worlds.objects[i, item, :3].tolist())
-            room.move_agent(*worlds.agents[i, :2].tolist())
-        for i in np.flatnonzero(mask & (hands >= 0)).tolist():
-            room, item = self._room(i), int(hands[i])
-            room.move_agent(*worlds.agents[i, :2].tolist())
-            room.carry(item, worlds.objects[i, item, :2].tolist(), commands.drives[i].tolist())
+            item = int(commands.turned[i])
+            self._room(i).place(item, *worlds.objects[i, item, :3].tolist())
         # The compiled code works on whatever is at these addresses.
         assert self._spaces.all(where=mask), "there is no physics of a world that is to be stepped"
+        chipmunk.move_held(
+            mask,
+            chipmunk.functions(),
+            self._bodies,
+            worlds.hands,
+            commands.turned,
+            commands.drives,
+            worlds.agents,
+            worlds.objects,
+        )
         chipmunk.simulate(
             mask,
             chipmunk.functions(),
