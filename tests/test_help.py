@@ -101,6 +101,25 @@ def test_options_of_the_report_tell_their_defaults(monkeypatch, capsys):
     assert all("default:" in text for name, text in told.items() if name not in plain)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["-m", "sweep=tail", "--help"],
+        ["--help", "sweep=tail,demo"],
+        ["experiment=demo", "-h", "condition=impala,vmpo", "-m", "seed=range(3)"],
+    ],
+    ids=str,
+)
+def test_train_tells_its_options_in_the_words_of_a_sweep(words, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["zipf.train", *words])
+    with contextlib.suppress(SystemExit):
+        zipf.train.main()
+    told, error = capsys.readouterr()
+    assert error == ""
+    assert re.search(r"^  impala_mlp +\S", told, re.MULTILINE)
+    assert ("updates: 500" in told) == ("experiment=demo" in words)
+
+
 def test_examples_of_train_are_accepted():
     """Those at the head of its help, which is in the file of all options."""
     text = (ROOT / "configs" / "train.yaml").read_text(encoding="utf-8").split("template:")[1]

@@ -457,6 +457,7 @@ def test_evaluate_scores_a_script(name, monkeypatch, capsys):
         ("zipf.train", ["--resolve"], "--resolve: goes with --cfg job"),
         ("zipf.train", ["--run", "--cfg", "job", "experiment=demo"], "--run and --cfg: choose one"),
         ("zipf.train", ["--help", "experiment=nope"], "nope"),
+        ("zipf.train", ["--cfg", "job", "experiment=demo", "seed=0,1"], "options of one run"),
         ("zipf.train", ["experiment=demo", "--config-dir", "x" * 5000], "no such folder"),
         ("zipf.evaluate", [f"run={'x' * 5000}"], "File name too long"),
         ("zipf.report", ["x" * 5000], "File name too long"),

@@ -64,6 +64,8 @@ def _main() -> int:
         return 0
     arguments = _parse(sys.argv[1:])
     flags = [word for word in sys.argv[1:] if word not in arguments.overrides]
+    if arguments.help:  # shows the options of one run
+        arguments.overrides = sweeps.of_all_jobs(arguments.overrides)
     sys.argv[1:] = [*flags, *arguments.overrides]  # Hydra wants all overrides together
     asks = ("help", "hydra_help", "info", "shell_completion")
     _check_flags(arguments)
@@ -75,6 +77,10 @@ def _main() -> int:
             return sweep.run(arguments.overrides, arguments.config_dir)
         jobs = sweeps.check(arguments.overrides).jobs
         if len(jobs) > 1 or sweeps.named(arguments.overrides):
+            if arguments.cfg:
+                raise UserError(
+                    f"--cfg: shows the options of one run, and this is a sweep of {len(jobs)} jobs"
+                )
             raise UserError(f"this is a sweep of {len(jobs)} jobs: add -m")
         if launcher := [word for word in arguments.overrides if sweeps.for_launcher(word)]:
             raise UserError(f"{launcher[0]}: is for the jobs of a sweep: add -m, or leave it out")

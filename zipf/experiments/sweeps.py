@@ -118,6 +118,13 @@ def for_launcher(word: str) -> bool:
     return word.lstrip("+~").startswith(("hydra.launcher", "hydra/launcher"))
 
 
+def of_all_jobs(overrides: list[str]) -> list[str]:
+    """The overrides that all jobs of a command line have, without those that make a sweep of it."""
+    parsed = command_line.parse(overrides)
+    kept = (one for one in parsed if one.key_or_group != "sweep" and not one.is_sweep_override())
+    return [str(one.input_line) for one in kept]
+
+
 def expand(
     overrides: list[str],
 ) -> Iterator[tuple[tuple[str, ...], tuple[str, str] | None]]:
