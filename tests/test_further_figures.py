@@ -78,6 +78,18 @@ def test_averages_are_the_scores_of_the_table(tmp_path: Path) -> None:
     assert averages(only_table(tmp_path, "1:2")) is None
 
 
+@pytest.mark.parametrize("seeds", [1, 2])
+def test_averages_explain_ranges_of_seeds_only_where_there_are_some(
+    tmp_path: Path, seeds: int
+) -> None:
+    for seed in range(seeds):
+        write_run(tmp_path, constant(0.1 * seed), seed=seed)
+    figure = averages(only_table(tmp_path))
+    assert figure is not None
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert ("Lowest to highest seed" in texts) == (seeds > 1)
+
+
 def test_long_titles_of_averages_have_room(tmp_path: Path) -> None:
     options = ", network=comparing, precision=bfloat16, collector.num_envs=64"
     for number, title in enumerate(["A", "B" + 3 * options, "C" + 2 * options, "D", "E" + options]):
@@ -135,16 +147,20 @@ def test_levels_that_differ_in_weight_are_as_frequent_as_their_weights(tmp_path:
 def test_success_against_visits(tmp_path: Path) -> None:
     rows = (
         f"{SITUATIONS},visits,visits_map,visits_target",
-        "300,uniform,0,0,10,9,9.0,5000,8000,7000",
-        "300,uniform,0,1,4,1,1.0,2,8000,50",
-        "300,uniform,1,0,5,2,2.0,0,60,7000",
+        "300,uniform,0,0,10,9,9.0,50000,80000,70000",
+        "300,uniform,0,1,4,1,1.0,2,80000,50",
+        "300,uniform,1,0,5,2,2.0,0,60,70000",
     )
     write_run(tmp_path, constant(0.5), situations=rows)
     table = only_table(tmp_path)
     figure = by_visits(table, line_styles(table.rows))
-    assert drawn(figure) == [[[0.0, 0.4], [2.0, 0.25], [5000.0, 0.9]]]
+    assert drawn(figure) == [[[0.0, 0.4], [2.0, 0.25], [50_000.0, 0.9]]]
     assert figure is not None
     assert [axis.get_title() for axis in figure.axes] == ["Situation", "Map", "Target"]
+    figure.draw_without_rendering()
+    for axis in figure.axes:
+        boxes = [label.get_window_extent() for label in axis.get_xticklabels()]
+        assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
     write_run(tmp_path / "b", constant(0.5), situations=(SITUATIONS, "300,uniform,0,0,9,9,9.0"))
     uncounted = only_table(tmp_path / "b")
     assert by_visits(uncounted, line_styles(uncounted.rows)) is None

@@ -715,6 +715,25 @@ def test_titles_name_what_only_some_runs_tell_only_where_nothing_else_does() -> 
     assert titles == ["lift (reach 2.0)", "lift (reach not recorded)"]
 
 
+def test_titles_name_the_split_where_it_tells_levels_apart(tmp_path: Path) -> None:
+    for exponent in (1, 3):
+        levels = [level("train", f"gridworld/zipf_{exponent}"), *gridworld({})[1:]]
+        split = f"gridworld_zipf_{exponent}"
+        write_run(tmp_path / split, constant(0.1), levels=levels, split=split)
+    found = tables.score_tables(results.load_runs([tmp_path]))
+    assert [table.title for table in found] == [
+        "gridworld (split gridworld_zipf_1)",
+        "gridworld (split gridworld_zipf_3)",
+    ]
+
+
+def test_windows_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    for first in (100, 20, 3):
+        write_run(tmp_path / str(first), constant(0.1), window=[first, 300])
+    titles = [table.title for table in tables.score_tables(results.load_runs([tmp_path]))]
+    assert titles == [f"gridworld (window {first}:300)" for first in (3, 20, 100)]
+
+
 @pytest.mark.parametrize(
     ("value", "error", "text"),
     [

@@ -48,6 +48,7 @@ def averages(table: ScoreTable) -> Figure | None:
     places = np.cumsum(heights) - heights / 2 - 0.5  # titles of one line are at 0, 1, 2, ...
     figure = Figure(figsize=(7.4, 1.5 + ROW * heights.sum()), layout="constrained")
     axis = figure.subplots()
+    ranges = False
     for number, (place, of_kinds) in enumerate(zip(places, points, strict=True)):
         learns = number < len(rows)
         known = of_kinds.dropna()
@@ -58,6 +59,7 @@ def averages(table: ScoreTable) -> Figure | None:
                 levels = next(one for one in table.kinds if one.level_kind == kind)
                 seeds = seed_means(rows[number], levels, table)
                 if len(seeds) > 1:
+                    ranges = True
                     ends = [np.min(seeds), np.max(seeds)]
                     axis.plot(ends, [place, place], color=style["color"], linewidth=5, alpha=0.35)
             if kind in known:
@@ -73,9 +75,9 @@ def averages(table: ScoreTable) -> Figure | None:
         Line2D([], [], linestyle="none", markersize=6.5, label=KIND_NAMES[kind], **style)
         for kind, style in KIND_STYLES.items()
     ]
-    handles.append(
-        Line2D([], [], color="0.55", linewidth=5, alpha=0.35, label="Lowest to highest seed")
-    )
+    if ranges:  # otherwise the line between a row's scores would be taken for it
+        span = {"color": "0.55", "linewidth": 5, "alpha": 0.35}
+        handles.append(Line2D([], [], label="Lowest to highest seed", **span))
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     set_title(figure, f"{table.title}: what the training score hides")
     return figure

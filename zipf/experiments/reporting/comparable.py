@@ -69,7 +69,7 @@ def group_runs(runs: Sequence[Run], window: Asked | None) -> list[RunGroup]:
                 group.append(run)
 
     groups: list[RunGroup] = []
-    for key in sorted(by_key):
+    for key in sorted(by_key, key=_with_numbers):
         group = by_key[key]
         _refuse_duplicates(group)
         experiment = group[0].description.experiment
@@ -131,6 +131,12 @@ def _key(run: Run, window: Asked | None) -> str:
     return _text([run.description.experiment, _identity(run, window)])
 
 
+def _with_numbers(text: str) -> list[str | float]:
+    """By which texts are in the order of the numbers in them: a window 300:500 before 1000:1500."""
+    parts = re.split(r"(\d+(?:\.\d+)?)", text)  # every second one is a number
+    return [float(part) if place % 2 else part for place, part in enumerate(parts)]
+
+
 def _text(value: Any) -> str:
     return json.dumps(value, sort_keys=True)
 
@@ -140,8 +146,12 @@ def _title(experiment: str, identity: dict[str, Any], siblings: list[dict[str, A
     by_all = [name for name in told if all(name in sibling for sibling in siblings)]
     names = _differing(by_all, siblings)
     # Options that only some runs tell are named only where the others do not tell groups apart.
-    if len({_text([sibling[name] for name in names]) for sibling in siblings}) < len(siblings):
+    if not _tell_apart(names, siblings):
         names = _differing(told, siblings)
+    # The names of all levels are long; a split's name tells as much where each has its own levels.
+    others = [name for name in names if name != "levels"]
+    if _tell_apart(others, siblings):
+        names = others
     differing = [
         f"{name.removeprefix('environment.')} "
         + textwrap.shorten(str(identity.get(name, "not recorded")), 60, placeholder=" ...")
@@ -156,6 +166,12 @@ def _differing(names: Sequence[str], siblings: Sequence[dict[str, Any]]) -> list
     return [
         name for name in names if any(sibling.get(name) != first.get(name) for sibling in siblings)
     ]
+
+
+def _tell_apart(names: Sequence[str], siblings: Sequence[dict[str, Any]]) -> bool:
+    """Whether no two have the same values of all these names."""
+    values = {_text([sibling.get(name) for name in names]) for sibling in siblings}
+    return len(values) == len(siblings)
 
 
 def _unused_name(experiment: str, used: list[str]) -> str:

@@ -9,7 +9,7 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator
+from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator
 
 from zipf.experiments.reporting.average_figures import KIND_STYLES
 from zipf.experiments.reporting.situation_figures import (
@@ -30,7 +30,7 @@ from zipf.experiments.reporting.situations import (
 )
 from zipf.experiments.reporting.styles import SHADE, LineStyle, panels, row_handles
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.experiments.reporting.wording import KIND_NAMES, count_text
+from zipf.experiments.reporting.wording import KIND_NAMES
 
 
 def frequencies(table: ScoreTable) -> Figure | None:
@@ -91,7 +91,7 @@ def by_visits(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | No
         most = int(np.ceil(np.log10(max(10.0, float(groups["met"].max())))))
         step = 1 if most < 6 else 2
         axis.set_xticks([0, *(10.0**power for power in range(0, most + 1, step))])
-        axis.xaxis.set_major_formatter(FuncFormatter(lambda place, _: count_text(int(place))))
+        axis.xaxis.set_major_formatter(EngFormatter(sep=""))
         axis.minorticks_off()
         rank = name.removeprefix("visits").removeprefix("_").replace("_", " ")
         axis.set_title(rank.capitalize() or "Situation")

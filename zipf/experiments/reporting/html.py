@@ -230,9 +230,8 @@ def cells_of(grid: Grid, title: str = "", folded: bool = False) -> Cells:
         if grid.has_paper:
             paper.add(len(head))
             head.append("paper")
-    name = title or grid.title
     return Cells(
-        title=name[0].upper() + name[1:],
+        title=title or grid.title[0].upper() + grid.title[1:],
         head=head,
         lines=[grid.cells(line) for line in grid.lines],
         references=[grid.cells(line) for line in grid.references],
