@@ -255,6 +255,11 @@ MISTAKES = [
     (["experiment=demo", "run_root=/tmp/a=b"], ["quotes"]),
     (["experiment=demo", "+agent.momentum=1"], ["agent.momentum", "no such option"]),
     (["experiment=demo", "hydrax=1"], ["hydrax: no such option"]),
+    (
+        ["experiment=demo", "replay.capacity=10"],
+        ["replay.capacity: no such option; should be one of agent.*, augmentation.*, "],
+    ),
+    (["experiment=demo", "run_root="], ["run_root=: should not be empty"]),
     (["gridworld"], ["environment=gridworld or experiment=gridworld?"]),
     (["experiment=demo", 'updates="1'], ["check its quotes"]),
     (["experiment=demo", "experiment=gridworld"], ["choose one", "experiment=demo,gridworld"]),

@@ -161,6 +161,8 @@ def nearest(name: str, accepted: list[str]) -> str:
     else:
         close = [other for other in accepted if other.rpartition(".")[2] == name]
         close = close or difflib.get_close_matches(name, accepted, n=3)
+        # The options of all groups would be a hundred names.
+        accepted = list({other.partition(".")[0] + ".*" * ("." in other) for other in accepted})
     if close:
         return f"did you mean {' or '.join(close)}?"
     return f"should be one of {', '.join(sorted(accepted))}"
@@ -286,6 +288,7 @@ _IN_WORDS = {
     "string_type": "should be text (quote it if it looks like a number)",
     "list_type": "should be a list in square brackets, such as [1,2]",
     "tuple_type": "should be a list in square brackets, such as [1,2]",
+    "string_too_short": "should not be empty",
     "string_too_long": "is too long for a folder's name; use name=<name>",
 }
 
