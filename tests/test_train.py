@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -309,6 +310,21 @@ def trained(tmp_path):
     arguments = [*TINY, "updates=2", f"run_root={tmp_path}"]
     assert runner.train(command_line.load(arguments)) == 0
     return arguments
+
+
+def test_the_end_of_a_run_is_told(tmp_path, capsys):
+    arguments = [*TINY, f"run_root='{tmp_path / 'my runs'}'"]
+    assert runner.train(command_line.load([*arguments, "updates=2"])) == 0
+    told = capsys.readouterr().out.splitlines()[-1]
+    folder = folder_of([*arguments, "updates=2"])
+    command = ["python", "-m", "zipf.report", str(folder.parent.parent), "--window", "last"]
+    assert shlex.split(told) == ["finished;", *command]
+    assert (folder / "train.log").read_text().endswith(" finished at update 2\n")
+    with runner.Run(command_line.load([*arguments, "updates=3"])):
+        pass
+    stopped = "stopped at update 2; the same command resumes"
+    assert capsys.readouterr().out.splitlines()[-1] == stopped
+    assert (folder / "train.log").read_text().endswith(f" {stopped}\n")
 
 
 def test_resume_modes(trained, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -224,12 +225,12 @@ class Run:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.display.stop()
         if kind is None:
-            finished = f"finished; python -m zipf.report {self.folder.parent.parent}"
+            report = ["python", "-m", "zipf.report", str(self.folder.parent.parent)]
             if self.update < self.config.schedule.window[0]:
-                finished += " --window last"
+                report += ["--window", "last"]
             stopped = f"stopped at update {self.update}; the same command resumes"
-            self.display.say(finished if self.is_finished else stopped)
-            self._write(f"stops at update {self.update}")
+            self.display.say(f"finished; {shlex.join(report)}" if self.is_finished else stopped)
+            self._write(f"finished at update {self.update}" if self.is_finished else stopped)
         if self.learner.is_first:
             self.logger.close()
         self.close()
