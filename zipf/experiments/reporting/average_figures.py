@@ -76,8 +76,8 @@ def averages(table: ScoreTable) -> Figure | None:
         for kind, style in KIND_STYLES.items()
     ]
     if ranges:  # otherwise the line between a row's scores would be taken for it
-        span = {"color": "0.55", "linewidth": 5, "alpha": 0.35}
-        handles.append(Line2D([], [], label="Lowest to highest seed", **span))
+        explained = "Lowest to highest seed"
+        handles.append(Line2D([], [], color="0.55", linewidth=5, alpha=0.35, label=explained))
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     set_title(figure, f"{table.title}: what the training score hides")
     return figure
