@@ -236,7 +236,7 @@ def test_twenty_updates_equal_ten_a_kill_and_ten_more(lag, tmp_path):
     arguments = [*TINY, "updates=20", f"collector.lag={lag}"]
     whole = [*arguments, f"run_root={tmp_path / 'whole'}"]
     cut = [*arguments, f"run_root={tmp_path / 'cut'}"]
-    assert run(*whole).returncode == 0
+    assert runner.train(command_line.load(whole)) == 0
 
     process = subprocess.Popen(command(*cut), stdout=subprocess.DEVNULL)
     metrics = folder_of(cut) / "metrics.csv"
@@ -249,7 +249,7 @@ def test_twenty_updates_equal_ten_a_kill_and_ten_more(lag, tmp_path):
     interrupted = checkpoint.load(folder_of(cut) / "checkpoint.pt")["update"]
     assert 10 <= interrupted < 20
 
-    assert run(*cut, "resume=must").returncode == 0
+    assert runner.train(command_line.load([*cut, "resume=must"])) == 0
     assert_equal(learned(folder_of(whole)), learned(folder_of(cut)))
     for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
         pd.testing.assert_frame_equal(
