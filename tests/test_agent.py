@@ -1,5 +1,6 @@
 """The base class of agents and their registry: what holds for every agent."""
 
+from copy import deepcopy
 from typing import Literal
 
 import gymnasium as gym
@@ -7,6 +8,7 @@ import noise
 import numpy as np
 import pytest
 import torch
+from conftest import assert_equal
 from networks import compact
 from omegaconf import OmegaConf
 
@@ -89,10 +91,60 @@ def equal(one, other):
 NAMES = sorted(agents())
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_the_weights_follow_the_seed(name):
+    one, same, other = (weights(build(name, seed=seed).network) for seed in (1, 1, 2))
+    assert equal(one, same)
+    assert not equal(one, other)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_optimiser_has_the_values_of_the_options(name):
+    values = {"learning_rate": 0.02, "adam_beta1": 0.7, "adam_beta2": 0.9, "adam_epsilon": 0.1}
+    if name == "r2d2":
+        values["weight_decay"] = 0.3
+    options = options_of(name).model_copy(update=values)
+    batch = {"num_envs": WORLDS, "unroll_length": STEPS}
+    made = agents()[name](options, Setting(SPACE, ACTION_SPACE, NETWORK, LSTM, **batch))
+    (group,) = made.optimiser.param_groups
+    assert group["lr"] == 0.02
+    assert group["betas"] == (0.7, 0.9)
+    assert group["eps"] == 0.1
+    assert group["weight_decay"] == values.get("weight_decay", 0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_loaded_agent_continues_bit_for_bit(name):
+    one, other = build(name), build(name, seed=1)
+    collected = list(unrolls(one, 6))
+    for unroll in collected[:3]:
+        one.update(unroll)
+    other.load_state_dict(deepcopy(one.state_dict()))
+    for unroll in collected[3:]:
+        one.update(unroll)
+        other.update(unroll)
+    assert_equal(one.state_dict(), other.state_dict())
+
+
 def test_the_registry_has_the_agents_by_the_names_of_their_options():
     assert {"imitation", "impala", "r2d2", "supervised", "vmpo"} <= set(agents())
     for name, agent in agents().items():
         assert agent.Options.model_fields["name"].annotation == Literal[name]
+
+
+@pytest.mark.parametrize("value", [float("inf"), float("nan")])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_gradient_that_is_not_finite_changes_no_weights(name, value):
+    made = build(name)
+    first, second, third = unrolls(made, 3)
+    for unroll in (first, second):
+        made.update(unroll)
+    before = weights(made.network)
+    parameter = next(p for p in made.network.parameters() if p.requires_grad)
+    parameter.register_hook(lambda gradient: torch.full_like(gradient, value))
+    with pytest.raises(FloatingPointError):
+        made.update(third)
+    assert equal(weights(made.network), before)
 
 
 @pytest.mark.parametrize("name", NAMES)

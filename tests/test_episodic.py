@@ -309,6 +309,20 @@ def test_it_is_saved_and_goes_on_bit_for_bit(name, options):
 
 
 @pytest.mark.parametrize("name", ["impala", "imitation"])
+def test_an_agent_adds_the_loss_to_its_own(name):
+    made = agent(MEM, name)
+    for seed in range(6):
+        made.update(unroll(seed))
+    before = copy.deepcopy(made.state_dict())
+    loss, _ = made.recorder(made.network.encoder)
+    assert loss > 0
+    both = made.update(unroll(6))["loss"]
+    made.load_state_dict(before)
+    made.recorder.options = MEM.model_copy(update={"weight": 0.0})
+    assert both == pytest.approx(made.update(unroll(6))["loss"] + loss.item(), rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["impala", "imitation"])
 @pytest.mark.parametrize("options", BOTH, ids=lambda o: o.name)
 def test_rows_that_act_are_those_published_and_acting_writes_none(name, options):
     made = agent(options, name)

@@ -517,6 +517,8 @@ def test_the_costs_fade():
 @pytest.mark.parametrize("name", ["impala", "vmpo"])
 def test_actor_critics_add_the_loss(name):
     made, plain = build(name, hindsight=OPTIONS), build(name)
+    for one in (made, plain):
+        one.options = one.options.model_copy(update={"discount": 0.5})
     for unroll in unrolls(made, 2):
         episodes = episodes_of([2, 4], actions=2)
         without = plain.update(unroll)
@@ -532,6 +534,20 @@ def test_actor_critics_add_the_loss(name):
         assert metrics["loss"] == pytest.approx(without["loss"] + expected.item(), rel=1e-4)
         assert metrics["hindsight_episodes"] == 2
         break
+
+
+@pytest.mark.parametrize("name", ["impala", "vmpo"])
+def test_the_costs_fade_with_the_updates_of_an_actor_critic(name):
+    fading = OPTIONS.model_copy(update={"fade": 2})
+    made, resumed = (build(name, hindsight=fading) for _ in range(2))
+    counts = []
+    for updates, unroll in enumerate(unrolls(made, 3)):
+        unroll.episodes = episodes_of([2, 4], actions=2)
+        if updates == 2:
+            resumed.load_state_dict(deepcopy(made.state_dict()))
+        learner = made if updates < 2 else resumed
+        counts.append(learner.update(unroll)["hindsight_episodes"])
+    assert counts == [2, 2, 0]
 
 
 LEARNS = [name for name in NAMES if agents()[name].learns_from_hindsight]

@@ -1,5 +1,7 @@
 """IMPALA's update against its definition, computed step by step, and what it learns."""
 
+from copy import deepcopy
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -66,13 +68,13 @@ def by_hand(impala, data):
                 next_value = next_target = torch.tensor(0.0)
             if steps["truncated"][t, b]:
                 next_value = next_target = steps["truncation_value"][t, b]
-            clipped = min(ratio, torch.tensor(1.0))
+            rho, pg_rho, c = (ratio.clamp(max=m) for m in (o.clip_rho, o.clip_pg_rho, o.clip_c))
             target = (
                 value[t]
-                + clipped * (reward + o.discount * next_value - value[t])
-                + o.discount * clipped * (next_target - next_value)
+                + rho * (reward + o.discount * next_value - value[t])
+                + o.discount * o.trace_lambda * c * (next_target - next_value)
             )
-            advantage = clipped * (reward + o.discount * next_target - value[t])
+            advantage = pg_rho * (reward + o.discount * next_target - value[t])
             policy_loss -= log_pi[t, a] * advantage
             baseline_loss += 0.5 * (target - value[t]) ** 2
             entropy -= (log_pi[t].exp() * log_pi[t]).sum()
@@ -82,9 +84,13 @@ def by_hand(impala, data):
     return parts, parts[0] + o.baseline_cost * parts[1] - o.entropy_cost * parts[2]
 
 
+BOUNDS = {"clip_rho": 0.9, "clip_pg_rho": 1.5, "clip_c": 0.6, "trace_lambda": 0.8}
+
+
+@pytest.mark.parametrize("changes", [{}, BOUNDS], ids=["papers", "different"])
 @pytest.mark.parametrize("seed", range(3))
-def test_losses_equal_the_definition(seed):
-    impala, data = agent(), unroll(seed)
+def test_losses_equal_the_definition(seed, changes):
+    impala, data = agent(**changes), unroll(seed)
     assert data.steps["terminated"].any()
     assert data.steps["truncated"].any()
     (policy_loss, baseline_loss, entropy), loss = by_hand(impala, data)
@@ -198,8 +204,9 @@ def test_state_dict_continues_bit_for_bit(precision):
     one, other = agent(), agent()
     one.precision = other.precision = precision
     one.update(unroll(0))
-    other.load_state_dict(one.state_dict())
-    assert one.update(unroll(1)) == other.update(unroll(1))
+    other.load_state_dict(deepcopy(one.state_dict()))
+    for seed in range(1, 4):
+        assert one.update(unroll(seed)) == other.update(unroll(seed))
 
 
 def test_heads_compute_in_float32_under_bfloat16():

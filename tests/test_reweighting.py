@@ -284,6 +284,24 @@ def test_vmpo_learns_as_if_frames_were_drawn_more_often():
         torch.testing.assert_close(getattr(given, name), getattr(expected, name))
 
 
+def test_vmpo_gives_its_losses_the_weights_of_the_frames():
+    made = build("vmpo", reweighting=inverse(1.0))
+    data = next(data_of(made, 0))
+    state = deepcopy(made.state_dict())
+
+    def metrics(frame_weights):
+        made.load_state_dict(deepcopy(state))
+        data.steps["weight"] = frame_weights
+        return made.update(data)
+
+    given, other = data.steps["weight"].clone(), data.steps["weight"].flip(0)
+    found, alike = metrics(given), metrics(torch.ones_like(given))
+    for name in ("policy_loss", "eta_loss", "baseline_loss"):
+        assert found[name] != pytest.approx(alike[name], rel=1e-3)
+    parts = found["baseline_loss"] + metrics(other)["baseline_loss"]
+    assert metrics(given + other)["baseline_loss"] == pytest.approx(parts, rel=1e-5)
+
+
 def rare_success(options, seed, updates=60):
     """In the tiny gridworld: how often the rarest of three objects is reached, after imitation."""
     level = "gridworld/zipf_4"

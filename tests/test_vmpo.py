@@ -402,6 +402,7 @@ def test_the_papers_values():
     assert options.top_fraction == 0.5
     assert options.epsilon_eta == 0.1
     assert options.epsilon_alpha == 0.1
+    assert SMALLEST_DUAL == 1e-8  # Song et al. 2020
 
 
 def _number(value):
