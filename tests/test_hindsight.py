@@ -1,6 +1,7 @@
 """Hindsight: relabelled episodes against replayed ones, the loss, replay, resume, and learning."""
 
 from copy import deepcopy
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -604,6 +605,19 @@ def test_replay_has_relabelled_episodes_as_sequences():
             build("r2d2", hindsight=OPTIONS.model_copy(update=changes))
     with pytest.raises(ValueError, match=r"matching_cost=0.5: agent=r2d2 .*; choose 0"):
         build("r2d2", hindsight=options.model_copy(update={"matching_cost": 0.5}))
+
+
+def test_replay_on_disk_has_room_for_what_is_relabelled_between_checkpoints(tmp_path):
+    options = OPTIONS.model_copy(update={"length": 13, "episodes": 3})
+    small = build("r2d2", hindsight=options)
+    on_disk = small.options.model_copy(update={"storage": "memmap"})
+    setting = replace(small.setting, folder=tmp_path, updates_between_checkpoints=2)
+    made = agents()["r2d2"](on_disk, setting)
+    made.begin_learning()
+    first, second = unrolls(made, 2)
+    second.episodes = episodes_of([13, 13, 13], actions=2)
+    made.update(first)
+    assert made.update(second)["replay_inserted"] == made.replay.spare / 2
 
 
 def test_such_options_in_worlds_that_cannot_be_relabelled_are_one_clear_line(monkeypatch):

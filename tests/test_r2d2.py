@@ -69,7 +69,7 @@ MEMORIES = {
 }
 
 
-def agent(memory=LSTM, worlds=WORLDS, **changes):
+def agent(memory=LSTM, worlds=WORLDS, seed=0, **changes):
     setting = Setting(
         gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
         gym.spaces.Discrete(ACTIONS),
@@ -77,6 +77,7 @@ def agent(memory=LSTM, worlds=WORLDS, **changes):
         memory,
         num_envs=worlds,
         unroll_length=STEPS,
+        seed=seed,
     )
     made = R2D2(OPTIONS.model_copy(update=changes), setting)
     made.begin_learning()
@@ -455,6 +456,31 @@ def test_no_step_is_taken_before_replay_min_sequences():
     assert sizes == [0, 4, 8, 12, 16, 16]
     assert inserted == [0, 4, 4, 4, 4, 4]
     assert learned == [False, False, True, True, True, True]
+
+
+@pytest.mark.parametrize(("samples", "worlds", "size"), [(0.5, 4, 2), (0.29, 100, 29)])
+def test_a_batch_has_so_many_samples_for_each_insert(samples, worlds, size):
+    made = agent(worlds=worlds, samples_per_insert=samples, replay_min=100, replay_capacity=100)
+    assert made.batch_size == size  # 0.29 * 100 is a little less than 29
+
+
+def test_the_seed_draws_from_replay():
+    draws = []
+    for seed in (1, 1, 2):
+        replay = agent(seed=seed).replay
+        replay.insert(sequences(8))  # priorities are alike: the draws depend on the seed alone
+        draws.append([replay.sample(3)[1].tolist() for _ in range(10)])
+    assert draws[0] == draws[1]
+    assert draws[0] != draws[2]
+
+
+def test_replay_has_the_exponents_of_the_options():
+    replay = agent(priority_exponent=0.5, importance_exponent=2.0).replay
+    slots = replay.insert(sequences(4))
+    replay.update_priorities(slots, torch.tensor([1.0, 4.0, 9.0, 16.0]))
+    _, drawn, importance = replay.sample(40)
+    assert drawn.bincount().tolist() == [4, 8, 12, 16]
+    torch.testing.assert_close(importance, (drawn + 1.0) ** -2)
 
 
 def test_priorities_are_those_of_the_learned_sequences():
