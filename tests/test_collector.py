@@ -204,6 +204,41 @@ def test_the_bonus_is_kept_apart_from_the_reward():
     assert plain.episode_metrics() == bonused.episode_metrics()
 
 
+class Brightness:
+    """A bonus that says of which observation it is: the mean of its pixels."""
+
+    def __init__(self):
+        self.paid = self.ended = 0
+
+    def __call__(self, observation, mask):
+        self.paid += int(mask.sum())
+        return np.where(mask, observation["image"].mean((1, 2, 3)), 0.0).astype(np.float32)
+
+    def end(self, mask):
+        self.ended += int(mask.sum())
+
+
+def test_the_bonus_is_of_the_observation_that_an_action_led_to():
+    """Also where an episode ends: it is not of the first observation of the next."""
+    bonus = Brightness()
+    _, collector = build(exploration=bonus)
+    singles = [envs.make("gridworld/zipf_2", **SMALL) for _ in range(WORLDS)]
+    for i, env in enumerate(singles):
+        env.reset(seed=3 + i)
+    ended = 0
+    for _ in range(2):
+        steps = collector.collect().steps
+        for t in range(STEPS):
+            for i, env in enumerate(singles):
+                observation, _, terminated, truncated, _ = env.step(int(steps["action"][t, i]))
+                assert steps["bonus"][t, i].item() == pytest.approx(observation["image"].mean())
+                if terminated or truncated:
+                    ended += 1
+                    env.reset()
+    assert bonus.paid == 2 * STEPS * WORLDS
+    assert bonus.ended == ended > 0
+
+
 def test_a_first_visit_bonus_begins_anew_with_every_episode():
     options = FirstVisitOptions(name="first_visit", scale=0.5)
     _, collector = build(exploration=FirstVisitBonus(options))
