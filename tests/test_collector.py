@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from conftest import assert_equal
 from noise import Noise
 
 from zipf import envs
@@ -177,6 +178,37 @@ def test_clipping_changes_what_is_learned_from_alone():
         rewarded |= bool(one["reward"].any())
     assert rewarded
     assert apart.episode_metrics() == alike.episode_metrics()
+
+
+RANDOM_R2D2 = ["condition=r2d2", "agent.epsilon=1", "agent.epsilon_ladder=false"]
+
+
+@pytest.mark.parametrize("overrides", [["condition=impala"], RANDOM_R2D2], ids=lambda o: o[0])
+def test_clipping_does_not_change_what_the_agent_is_told_at_a_truncation(overrides):
+    sizes = f"collector.num_envs={WORLDS}", f"collector.unroll_length={STEPS}"
+    options = command_line.load(["experiment=demo", *sizes, *overrides])
+    env = Noise(WORLDS, gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)))
+    agent = build_agent(options, env)
+    apart, alike = (
+        Collector(deepcopy(env), agent, unroll_length=STEPS, seed=3, reward_clipping=clipping)
+        for clipping in ("none", "soft_asymmetric")
+    )
+    one, other = apart.collect(), alike.collect()
+    rewarded = one.steps["truncated"] & (one.steps["reward"] > 0)
+    assert rewarded[:-1].any()
+    assert (other.steps["reward"] < one.steps["reward"])[rewarded].all()
+    assert torch.equal(other.steps["truncation_value"], one.steps["truncation_value"])
+    if one.final is not None:
+        assert_equal(other.final.to_dict(), one.final.to_dict())
+
+
+def test_the_late_memory_is_that_before_the_burn_in_of_the_next_unroll():
+    agent, collector = build("condition=r2d2", "memory=lstm", "agent.burn_in=4")
+    for _ in range(2):
+        unroll = collector.collect()
+        _, expected = agent.network(Inputs.of(unroll.steps[: STEPS - 4]), unroll.memory)
+        for name, part in expected.items():
+            torch.testing.assert_close(unroll.late_memory[name], part)
 
 
 def test_the_learner_recomputes_what_the_actor_did():
