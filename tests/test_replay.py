@@ -125,11 +125,12 @@ def test_items_without_error_can_still_be_drawn():
     assert set(drawn.tolist()) == {0, 1, 2, 3}
 
 
-def test_new_items_have_the_largest_priority_so_far():
-    sampler = sampler_with([3.0, 0.5, 0.5], 1.0)
+@pytest.mark.parametrize("exponent", [1.0, 0.5])
+def test_new_items_have_the_largest_priority_so_far(exponent):
+    sampler = sampler_with([3.0, 0.5, 0.5], exponent)
     sampler.update_priority(torch.tensor([0, 1]), torch.tensor([0.25, 0.75]))
     sampler.extend(torch.tensor([0]))  # the ring begins again
-    np.testing.assert_allclose(sampler.tree.leaves, [3.0, 0.75, 0.5])
+    np.testing.assert_allclose(sampler.tree.leaves, np.array([3.0, 0.75, 0.5]) ** exponent)
 
 
 def test_priorities_of_another_version_are_refused():
