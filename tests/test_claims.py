@@ -131,11 +131,14 @@ def test_scores_between_bounds(
     assert (missing.outcome, missing.at_hand) == ("not enough data", False)
 
 
-def test_a_fraction_of_nothing_is_not_enough() -> None:
+@pytest.mark.parametrize("of_a", [0.0, -0.2])
+@pytest.mark.parametrize("measure", ["change", "share"])
+def test_a_fraction_of_nothing_or_of_less_is_not_enough(measure: str, of_a: float) -> None:
+    base = {"base": ["c", "rare"]} if measure == "share" else {}
     one = check(
-        form="score", measure="change", score=["b", "rare"], against=["a", "rare"], at_least=0
+        form="score", measure=measure, score=["b", "rare"], against=["a", "rare"], at_most=9, **base
     )
-    verdict = judge(one, scores(a={"rare": 0.0}, b={"rare": 0.6}))
+    verdict = judge(one, scores(a={"rare": of_a}, b={"rare": 0.6}, c={"rare": 0.0}))
     assert (verdict.outcome, verdict.at_hand) == ("not enough data", True)
 
 
