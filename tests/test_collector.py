@@ -249,6 +249,12 @@ class Brightness:
     def end(self, mask):
         self.ended += int(mask.sum())
 
+    def state_dict(self):
+        return {}
+
+    def load_state_dict(self, state):
+        pass
+
 
 def test_the_bonus_is_of_the_observation_that_an_action_led_to():
     """Also where an episode ends: it is not of the first observation of the next."""
@@ -365,10 +371,12 @@ def test_levels_drawn_at_resets_are_told_apart_by_the_name_of_their_episode():
 def test_an_episode_that_is_not_restored_begins():
     agent, _ = build()
     collector, other = (
-        Collector(silent(WORLDS), agent, unroll_length=STEPS - 1, seed=3) for _ in range(2)
+        Collector(silent(WORLDS), agent, unroll_length=STEPS - 1, seed=3, exploration=Brightness())
+        for _ in range(2)
     )
     collector.collect()
     other.load_state_dict(deepcopy(collector.state_dict()))
+    assert other.exploration.ended == 1
     row, expected = (one.collect().steps[0] for one in (other, collector))
     assert not expected["is_first"].any()
     assert row["is_first"].tolist() == [True] + [False] * (WORLDS - 1)

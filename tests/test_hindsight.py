@@ -551,6 +551,20 @@ def test_the_costs_fade_with_the_updates_of_an_actor_critic(name):
     assert counts == [2, 2, 0]
 
 
+def test_the_cost_fades_with_the_updates_of_imitation():
+    fading = OPTIONS.model_copy(update={"advantage": "none", "value_cost": 0.0, "fade": 2})
+    made, resumed = (build("imitation", hindsight=fading) for _ in range(2))
+    costs = []
+    for updates, unroll in enumerate(unrolls(made, 3)):
+        unroll.episodes = episodes_of([2, 4], actions=2)
+        if updates == 2:
+            resumed.load_state_dict(deepcopy(made.state_dict()))
+        metrics = (made if updates < 2 else resumed).update(unroll)
+        costs.append(metrics["loss"] - metrics["imitation_loss"])
+    assert min(costs[:2]) > 0
+    assert costs[2] == pytest.approx(0, abs=1e-6)
+
+
 LEARNS = [name for name in NAMES if agents()[name].learns_from_hindsight]
 
 

@@ -6,6 +6,7 @@ import torch
 from conftest import TINY, assert_equal, learned
 from test_agent import NAMES, build, unrolls
 
+from zipf.agents.agent import Agent
 from zipf.experiments import command_line
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import runner
@@ -55,6 +56,19 @@ def test_the_factor_falls_linearly_and_is_never_zero_in_an_update():
 def train(root, *options):
     config = command_line.load([*TINY, "name=one", f"run_root={root}", *options])
     return config.folder, runner.train(config)
+
+
+def test_each_update_has_its_own_factor(tmp_path, monkeypatch):
+    given, scale = [], Agent.scale_learning_rates
+
+    def watched(agent, factor):
+        given.append(factor)
+        scale(agent, factor)
+
+    monkeypatch.setattr(Agent, "scale_learning_rates", watched)
+    _, rc = train(tmp_path, "updates=4", "learning_rate_decay=[1,4]")
+    assert rc == 0
+    assert given == pytest.approx([1, 1, 2 / 3, 1 / 3])
 
 
 def test_a_stopped_run_goes_on_with_the_rates_of_one_left_alone(tmp_path):

@@ -248,6 +248,7 @@ def test_with_hindsight_it_learns_relabelled_questions_too(kept):
         expected = share * F.cross_entropy(logits, questions["action"][0]).item()
         unroll.episodes = questions
         loss = made.update(unroll)["loss"]
+        assert made.updates == updates + 1
         unroll.episodes = None
         assert loss == pytest.approx(plain.update(unroll)["loss"] + expected, rel=1e-5)
         plain.load_state_dict(made.state_dict())
