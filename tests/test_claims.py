@@ -186,6 +186,9 @@ def test_curves_windows_and_effort() -> None:
     )
     far = Results({}, [], curves={("a", "rare"): (a + 0.5, 3), ("b", "rare"): (b, 3)})
     assert judge(curves, far).outcome == "fails"
+    crossing = {("a", "rare"): (pd.Series({10: 0.1, 20: 0.7}), 3)}
+    crossing["b", "rare"] = pd.Series({10: 0.5, 20: 0.3}), 3  # above, then below
+    assert judge(curves, Results({}, [], curves=crossing)).outcome == "fails"
     few = Results({}, [], curves={("a", "rare"): (a, 2), ("b", "rare"): (b, 3)})
     assert judge(curves, few).outcome == "not enough data"
     assert judge(curves, Results({}, [])).at_hand is False

@@ -282,6 +282,9 @@ def test_vmpo_learns_as_if_frames_were_drawn_more_often():
     expected = losses(np.repeat(once, copies), None)
     for name in ("policy", "eta", "alpha", "kl"):
         torch.testing.assert_close(getattr(given, name), getattr(expected, name))
+    larger = losses(once, torch.tensor(3 * copies)[:, None])
+    for name in ("policy", "eta"):  # only the ratios of weights count
+        torch.testing.assert_close(getattr(larger, name), getattr(expected, name))
 
 
 def test_vmpo_gives_its_losses_the_weights_of_the_frames():
