@@ -1,6 +1,7 @@
 """How fast the environments step, on one core, beside a copy in RAM.
 
     python scripts/benchmark_envs.py
+    python scripts/benchmark_envs.py --families gridworld
 
 Actions are uniformly random; writing every observation and resetting at the end of episodes are
 included. Times are CPU seconds of this process, so that other jobs on the machine disturb less.
@@ -67,6 +68,7 @@ def batch(name: str, num_envs: int, *, into_out: bool, observation: str = "image
     out = env.allocate() if into_out else None
     actions = np.random.default_rng(0).integers(8, size=(256, num_envs))
     env.reset(seed=0, out=out)
+    env.step(actions[0], out=out)  # until everything is compiled
 
     def run(calls: int) -> None:
         for call in range(calls):
@@ -279,29 +281,18 @@ def print_labyrinth(console: Console, repetitions: int, seconds: float) -> None:
     console.print(table)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repetitions", type=int, default=7)
-    parser.add_argument("--seconds", type=float, default=0.3, help="CPU seconds per measurement")
-    parser.add_argument("--core", type=int, default=0, help="the core to run on, where possible")
-    arguments = parser.parse_args()
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {arguments.core})
-
-    console = Console(width=120)
-    print_labyrinth(console, arguments.repetitions, arguments.seconds)
-    print_playroom(console, arguments.repetitions, arguments.seconds)
+def print_gridworld(console: Console, repetitions: int, seconds: float) -> None:
     measured = [(row, memcpy(row.frames, row.bytes_per_frame)) for row in rows()]
-    for _ in range(arguments.repetitions):
+    for _ in range(repetitions):
         for pair in measured:
             for row in pair:
-                row.measure(arguments.seconds)
+                row.measure(seconds)
 
     parts = Parts(
         LEVEL, 256, {"_advance": "rules", "_begin": "beginning", "_observe": "drawing"}, "rest"
     )
     parts.stagger(256)
-    Row("", 256, parts.run).measure(arguments.repetitions * arguments.seconds)
+    Row("", 256, parts.run).measure(repetitions * seconds)
 
     table = Table(title=f"{LEVEL}, one core, random actions, resets included", title_justify="left")
     table.add_column("", no_wrap=True)
@@ -325,6 +316,24 @@ def main() -> None:
         "(goal < 1024)",
         highlight=False,
     )
+
+
+PRINTED = {"gridworld": print_gridworld, "playroom": print_playroom, "labyrinth": print_labyrinth}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--families", nargs="+", choices=PRINTED, default=list(PRINTED))
+    parser.add_argument("--repetitions", type=int, default=7)
+    parser.add_argument("--seconds", type=float, default=0.3, help="CPU seconds per measurement")
+    parser.add_argument("--core", type=int, default=0, help="the core to run on, where possible")
+    arguments = parser.parse_args()
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {arguments.core})
+
+    console = Console(width=120)
+    for family in arguments.families:
+        PRINTED[family](console, arguments.repetitions, arguments.seconds)
 
 
 if __name__ == "__main__":
