@@ -221,8 +221,8 @@ def measure(title: str, arguments: argparse.Namespace) -> list[turns.Row]:
     entries = [
         entry
         for entry in TABLES[title]
-        if not entry.library or arguments.match in entry.name
-        if entry.library != "released" or arguments.release
+        if (not entry.library or arguments.match in entry.name)
+        and (entry.library != "released" or arguments.release)
     ]
     pythons: dict[str | None, Path | str] = {None: sys.executable}
     for name in dict.fromkeys(entry.library for entry in entries if entry.library):

@@ -36,7 +36,8 @@ def compiled(*, references: bool = True, **options: Any) -> Callable[[Function],
     Args:
         references: whether arrays are counted as they are named and dropped, by an atomic
             instruction each. A function that makes no array does without: those it works on are
-            its caller's.
+            its caller's. If it returns any of them, its caller has to do without, too, or would
+            give up a reference that was never counted.
         options: further options of `numba.njit`, such as `error_model="numpy"`.
     """
 

@@ -4,7 +4,7 @@ import math
 
 from zipf.compiled import compiled
 from zipf.envs.playroom.constants import FRAME, FRAMES, FURNITURE_SIZE, LANDING
-from zipf.envs.playroom.geometry import rectangle_gap, set_upright
+from zipf.envs.playroom.geometry import rectangle_gap, set_rows, upright
 from zipf.envs.playroom.state import AIR, ANGLE, BASE, FLOOR, HELD, ON_BED, VZ, X, Y, Z
 
 # Ours, except for gravity.
@@ -71,19 +71,18 @@ def _fall(item, before, furnished, furniture):
 @compiled(references=False)
 def _stand_up(frame, angle):
     """Turns an object that is not held towards the upright rotation by `angle`, for one step."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    upright = ((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0))
+    rows = upright(angle)
     # The weights below do not cancel out even for an object that is upside down.
     off = 0.0
     for r in range(3):
         for c in range(3):
-            off = max(off, abs(frame[r, c] - upright[r][c]))
+            off = max(off, abs(frame[r, c] - rows[r][c]))
     if off < 0.01:
-        set_upright(frame, angle)
+        set_rows(frame, rows)
         return
     for c in (2, 0):
         for r in range(3):
-            frame[r, c] = 0.4 * frame[r, c] + 0.6 * upright[r][c]
+            frame[r, c] = 0.4 * frame[r, c] + 0.6 * rows[r][c]
     _normalise(frame, 2)
     dot = frame[0, 0] * frame[0, 2] + frame[1, 0] * frame[1, 2] + frame[2, 0] * frame[2, 2]
     for r in range(3):

@@ -61,9 +61,21 @@ def half_width(frame, extent, x, y, z):
 
 
 @compiled(references=False)
+def upright(angle):
+    """The rows of the rotation about the vertical by `angle`."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return ((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0))
+
+
+@compiled(references=False)
+def set_rows(frame, rows):
+    """Writes the rows of a rotation to `frame`, float64 [3, 3]."""
+    for r in range(3):
+        for c in range(3):
+            frame[r, c] = rows[r][c]
+
+
+@compiled(references=False)
 def set_upright(frame, angle):
     """Writes the rotation about the vertical by `angle` to `frame`, float64 [3, 3]."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    frame[0, 0], frame[0, 1], frame[0, 2] = cos, -sin, 0.0
-    frame[1, 0], frame[1, 1], frame[1, 2] = sin, cos, 0.0
-    frame[2, 0], frame[2, 1], frame[2, 2] = 0.0, 0.0, 1.0
+    set_rows(frame, upright(angle))

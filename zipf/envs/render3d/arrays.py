@@ -150,7 +150,7 @@ class MeshBuffers(NamedTuple):
     matrix: Any
     """float32 [3, 4]: takes vertices to the eye's frame."""
     vectors: Any
-    """float32 [6, 3]."""
+    """float32 [6, 3]: points and directions in the eye's and the mesh's frames."""
     corners: Any
     """float32 [3, 4]: see `draw_cut_triangle`."""
 
