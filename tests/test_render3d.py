@@ -380,6 +380,27 @@ def test_pixels_do_not_depend_on_other_worlds_mask_or_threads():
         assert (one[0] == out[world]).all()
 
 
+@pytest.mark.parametrize("threads", [1, 3])
+def test_images_are_the_same_at_every_address(threads):
+    """Where lines begin at multiples of 16 bytes they are written past the caches."""
+    scenes = random_scenes(1, worlds=7, overlays=1)
+    scenes.overlays[2], scenes.overlay_colours[2] = (0.1, 0.2, 0.6, 0.9), (10, 20, 30, 200)
+    scenes.overlay_count[2] = 1
+    renderer = Renderer(ATLAS, STACK, width=48, height=20, threads=threads)
+    images = []
+    for shift in (0, 1, 16):
+        room = np.full(7 * 20 * 48 * 3 + 32, 7, np.uint8)
+        start = -room.ctypes.data % 16 + shift
+        out = room[start : start + 7 * 20 * 48 * 3].reshape(7, 20, 48, 3)
+        renderer.render(scenes, out)
+        assert (room[:start] == 7).all()
+        assert (room[start + out.size :] == 7).all()
+        images.append(out)
+    assert images[0].std() > 10
+    assert (images[0] == images[1]).all()
+    assert (images[0] == images[2]).all()
+
+
 def test_no_background_between_surfaces():
     """The sky is not visible from inside a closed room."""
     rng = np.random.default_rng(3)

@@ -126,12 +126,12 @@ class WorldBuffers(NamedTuple):
     """float32 [6, 3]: colours of the parts of a mesh in the light of the lamp."""
 
 
-class WallBuffers(NamedTuple):
-    """Written by `draw_wall`."""
+class SpanBuffers(NamedTuple):
+    """Written by `draw_wall` and `draw_flat`."""
 
     low: Any
     high: Any
-    """float32 [H]: the first and last column of the wall in each row."""
+    """float32 [H]: the first and last column of the surface in each row."""
 
 
 class MeshBuffers(NamedTuple):
@@ -188,7 +188,7 @@ class Buffers(NamedTuple):
 
     image: ImageBuffers
     world: WorldBuffers
-    wall: WallBuffers
+    span: SpanBuffers
     mesh: MeshBuffers
     grid: GridBuffers
     terrain: TerrainBuffers
@@ -285,8 +285,8 @@ def named_assets(fields):
 @compiled(references=False)
 def named_buffers(fields):
     """`Buffers` of plain tuples."""
-    image, world, wall, mesh, grid, terrain = fields
+    image, world, span, mesh, grid, terrain = fields
     return Buffers(
-        ImageBuffers(*image), WorldBuffers(*world), WallBuffers(*wall), MeshBuffers(*mesh),
+        ImageBuffers(*image), WorldBuffers(*world), SpanBuffers(*span), MeshBuffers(*mesh),
         GridBuffers(*grid), TerrainBuffers(*terrain),
     )  # fmt: skip

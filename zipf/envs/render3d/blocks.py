@@ -116,7 +116,7 @@ def screen_block(
 
 
 def _flat(patchwork: bool) -> Callable[..., Any]:
-    def write(builder, colour, depth, texels, x, last, z, u, du, v, dv, level, red, green,
+    def write(builder, colour, depth, texels, x, last, z, u, du, v, dv, each, red, green,
               blue, solid, tiles, c, dc, columns, r, dr, rows):  # fmt: skip
         code = Code(builder)
         splat = code.splat
@@ -124,10 +124,8 @@ def _flat(patchwork: bool) -> Callable[..., Any]:
         place = column.floats_()
         mask = (column <= splat(last)) & (splat(z) > code.load(depth, FLOAT))
         with builder.if_then(mask.any()):
-            iu = (splat(u) + splat(du) * place).truncated() & 63
-            iv = (splat(v) + splat(dv) * place).truncated() & 63
-            shift = splat(level)
-            index = ((iv >> shift) << 7) + (iu >> shift) + 128 - (shift.like(128) >> shift)
+            iu, iv = (splat(a) + splat(da) * place for a, da in ((u, du), (v, dv)))
+            index = code.texel(splat(each), iu, iv)
             if patchwork:
                 ic = (splat(c) + splat(dc) * place).truncated().most(0).least(splat(columns) - 1)
                 ir_ = (splat(r) + splat(dr) * place).truncated().most(0).least(splat(rows) - 1)
@@ -142,17 +140,18 @@ def _flat(patchwork: bool) -> Callable[..., Any]:
     return write
 
 
-_FLAT = [ADDRESS] * 3 + [I32] * 2 + [F32] * 5 + [I32] + [F32] * 3 + [I32]
+_FLAT = [ADDRESS] * 3 + [I32] * 2 + [F32] * 9 + [I32]
 
 
 @intrinsic
 def flat_block(
-    typingctx, colour, depth, texels, x, last, z, u, du, v, dv, level, red, green, blue,
+    typingctx, colour, depth, texels, x, last, z, u, du, v, dv, each, red, green, blue,
     solid,
 ):  # fmt: skip
     """Draws the pixels x .. min(x + 15, last) of a flat.
 
-    1/t, the light and the size of texels are the same along a line; texel coordinates are affine.
+    1/t, the light and the number of texels `each` that a pixel covers are the same along a line;
+    texel coordinates are affine.
     """
     write = _flat(patchwork=False)
     return written(_FLAT, lambda builder, *args: write(builder, *args, *[None] * 7))
@@ -160,7 +159,7 @@ def flat_block(
 
 @intrinsic
 def patchwork_block(
-    typingctx, colour, depth, texels, x, last, z, u, du, v, dv, level, red, green, blue,
+    typingctx, colour, depth, texels, x, last, z, u, du, v, dv, each, red, green, blue,
     solid, tiles, c, dc, columns, r, dr, rows,
 ):  # fmt: skip
     """Like `flat_block`, with the texture from `tiles` [rows, columns] at affine coordinates."""
@@ -413,16 +412,45 @@ def pattern_block(
     return written([ADDRESS] * 3 + [I32] + [ADDRESS] * 3 + [F32] * 15, write)
 
 
-@intrinsic
-def pack_block(typingctx, colour, out):
-    """Writes 16 colours 0x00BBGGRR as 48 bytes."""
-
+def _pack(streamed: bool) -> Callable[..., None]:
     def write(builder, colour, out):
         pointer = builder.inttoptr(colour, ir.VectorType(BYTE, 4 * LANES).as_pointer())
         colours = builder.load(pointer, align=4)
         order = [4 * pixel + channel for pixel in range(LANES) for channel in range(3)]
-        chosen = ir.Constant(ir.VectorType(INT, len(order)), order)
-        packed = builder.shuffle_vector(colours, colours, chosen)
-        builder.store(packed, builder.inttoptr(out, packed.type.as_pointer()), align=1)
+        for start in range(0, len(order), STREAMED):
+            chosen = ir.Constant(ir.VectorType(INT, STREAMED), order[start : start + STREAMED])
+            packed = builder.shuffle_vector(colours, colours, chosen)
+            place = builder.add(out, ir.Constant(out.type, start))
+            pointer = builder.inttoptr(place, packed.type.as_pointer())
+            store = builder.store(packed, pointer, align=STREAMED if streamed else 1)
+            if streamed:
+                once = builder.module.add_metadata([ir.Constant(INT, 1)])
+                store.set_metadata("nontemporal", once)
 
-    return written([ADDRESS, ADDRESS], write)
+    return write
+
+
+STREAMED = 16
+"""Bytes of a store that goes past the caches; its address has to be a multiple of them."""
+
+
+@intrinsic
+def pack_block(typingctx, colour, out):
+    """Writes 16 colours 0x00BBGGRR as 48 bytes."""
+    return written([ADDRESS, ADDRESS], _pack(streamed=False))
+
+
+@intrinsic
+def stream_block(typingctx, colour, out):
+    """Like `pack_block`, past the caches, to an address that is a multiple of STREAMED.
+
+    What is written is not kept in the caches, where it would take the place of what is needed
+    sooner. Other threads may read it after `end_stream`.
+    """
+    return written([ADDRESS, ADDRESS], _pack(streamed=True))
+
+
+@intrinsic
+def end_stream(typingctx):
+    """Waits until all that `stream_block` has written is in memory."""
+    return written([], lambda builder: builder.fence("seq_cst"))

@@ -29,7 +29,13 @@ from zipf.envs.render3d.arrays import (
     named_buffers,
     named_scenes,
 )
-from zipf.envs.render3d.blocks import address, pack_block
+from zipf.envs.render3d.blocks import (
+    STREAMED,
+    address,
+    end_stream,
+    pack_block,
+    stream_block,
+)
 from zipf.envs.render3d.flats import draw_flat
 from zipf.envs.render3d.instances import draw_instance
 from zipf.envs.render3d.lanes import LANES
@@ -124,7 +130,7 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
             if texture >= 0 or texture == SCREEN:
                 draw_wall(
                     walls.places[i, k], walls.looks[i, k], walls.repeat[i, k], walls.tint[i, k],
-                    scenes.screen[i], sun, lamp, view, sector, texels, image, buffers.wall, width,
+                    scenes.screen[i], sun, lamp, view, sector, texels, image, buffers.span, width,
                 )  # fmt: skip
         for k in range(instances.mesh.shape[1]):
             if instances.mesh[i, k] >= len(assets.meshes.balls):
@@ -147,13 +153,16 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
             if texture >= 0 or rows > 0:
                 draw_flat(
                     flats.places[i, k], flats.looks[i, k], flats.tiling[i, k], flats.repeat[i, k],
-                    flats.tint[i, k], flats.tiles[i], sun, lamp, view, texels, image, width,
+                    flats.tint[i, k], flats.tiles[i], sun, lamp, view, texels, image, buffers.span,
+                    width,
                 )  # fmt: skip
         for k in range(shadows.shape[1]):
             draw_shadow(shadows[i, k], view, projection, image, width)
-        _write_image(image.colour, out, i)
+        # What overlays are mixed with is read again at once.
+        _write_image(image.colour, out, i, overlays.count[i] == 0)
         for k in range(overlays.count[i]):
             _draw_overlay(overlays.places[i, k], overlays.colours[i, k], out[i])
+    end_stream()
     return -1
 
 
@@ -172,15 +181,23 @@ def _draw_sky(sky, pitch, tilts, image):
 
 
 @compiled(references=False, error_model="numpy")
-def _write_image(colour, out, i):
-    """Writes the colour buffer to image `i` of `out`, uint8 [N, H, W, 3]."""
+def _write_image(colour, out, i, streamed):
+    """Writes the colour buffer to image `i` of `out`, uint8 [N, H, W, 3].
+
+    If `streamed` is set, past the caches, where the lines of the image allow it.
+    """
     height, width = out.shape[1], out.shape[2]
+    streamed &= address(out) % STREAMED == 0 and 3 * width % STREAMED == 0
     for y in range(height):
         line = address(colour) + y * 4 * colour.shape[1]
         pixels = address(out) + 3 * width * (i * height + y)
         whole = width & -LANES
-        for x in range(0, whole, LANES):
-            pack_block(line + 4 * x, pixels + 3 * x)
+        if streamed:
+            for x in range(0, whole, LANES):
+                stream_block(line + 4 * x, pixels + 3 * x)
+        else:
+            for x in range(0, whole, LANES):
+                pack_block(line + 4 * x, pixels + 3 * x)
         for x in range(whole, width):
             paint = colour[y, x]
             out[i, y, x, 0] = paint & 255

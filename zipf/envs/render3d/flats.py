@@ -17,12 +17,12 @@ from zipf.envs.render3d.optics import (
 )
 from zipf.envs.render3d.rounding import ceil, floor
 from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
-from zipf.envs.render3d.sight import narrow
+from zipf.envs.render3d.spans import narrow_rows
 
 
 @compiled(references=False, error_model="numpy", fastmath=True)
 def draw_flat(
-    place, looks, tiling, repeat, tint, tiles, sun, lamp, view, texels, image, width
+    place, looks, tiling, repeat, tint, tiles, sun, lamp, view, texels, image, span, width
 ):  # fmt: skip
     """Draws one flat.
 
@@ -31,10 +31,10 @@ def draw_flat(
         tiles, sun, lamp: of the flat's world.
         view: `View`.
         texels: of `Assets`.
-        image: `ImageBuffers`, written.
+        image, span: `ImageBuffers` and `SpanBuffers`, written.
         width: of the image, pixels.
     """
-    colour, depth = image.colour, image.depth
+    colour, depth, low, high = image.colour, image.depth, span.low, span.high
     texture, flags = looks[0], looks[1]
     first, rows, columns = tiling[0], tiling[1], tiling[2]
     up = place[4] - view.z
@@ -66,50 +66,44 @@ def draw_flat(
     texture_at = texels_at + 4 * texels.shape[1] * texture
     line, depths = address(colour), address(depth)
     line_bytes = 4 * colour.shape[1]
-    for y in range(len(depth)):
-        inverse = (view.rise0 + view.drise * y) / up
-        if not 1.0 / FAR < inverse < 1.0 / NEAR:
+    low[:] = 0.0
+    high[:] = width - 1
+    # On the flat's plane 1/t is affine in y, and so are its coordinates divided by t in x and y.
+    near, step = view.rise0 / up, view.drise / up
+    sides = ((1.0, 0.0, west), (-1.0, 0.0, -east), (0.0, 1.0, south), (0.0, -1.0, -north))
+    for nx, ny, edge in sides:
+        ahead, aside = nx * hx + ny * hy, nx * hy - ny * hx
+        inside = nx * view.x + ny * view.y - edge + GROW
+        narrow_rows(
+            low, high, inside * near + ahead * view.c0 + aside * a0,
+            inside * step + ahead * view.dc, aside * da,
+        )  # fmt: skip
+    for y in range(len(low)):
+        inverse = near + step * y
+        if not (low[y] <= high[y] and 1.0 / FAR < inverse < 1.0 / NEAR):
+            continue
+        first_x, last_x = ceil(low[y]), floor(high[y])
+        if first_x > last_x:
             continue
         t = 1.0 / inverse
         c = (view.c0 + view.dc * y) * t
-        px, dx = view.x + hx * c + hy * a0 * t, hy * da * t
-        py, dy = view.y + hy * c - hx * a0 * t, -hx * da * t
-        low, high = narrow(0.0, width - 1.0, px - (west - GROW), dx)
-        low, high = narrow(low, high, (east + GROW) - px, -dx)
-        low, high = narrow(low, high, py - (south - GROW), dy)
-        low, high = narrow(low, high, (north + GROW) - py, -dy)
-        if low > high:
-            continue
-        level = _level(area * t * t * t)
-        fade = light / (1.0 + t * t * FADE2) / 255.0
+        px, dx = view.x - west + hx * c + hy * a0 * t, hy * da * t
+        py, dy = view.y - south + hy * c - hx * a0 * t, -hx * da * t
+        each = area * t * t * t
+        fade = light / (255.0 + t * t * (255.0 * FADE2))
         red, green, blue = fade * lit_red, fade * lit_green, fade * lit_blue
-        first_x, last_x = ceil(low), floor(high)
-        if first_x > last_x:
-            continue
-        px -= west
-        py -= south
         for x in range(first_x, last_x + 1, LANES):
             at = y * line_bytes + 4 * x
             if rows > 0:
                 patchwork_block(
                     line + at, depths + at, texels_at, x, last_x, inverse,
-                    px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green, blue, solid,
+                    px * per_u, dx * per_u, py * per_v, dy * per_v, each, red, green, blue, solid,
                     tiles_at, px * per_column, dx * per_column, columns,
                     py * per_row, dy * per_row, rows,
                 )  # fmt: skip
             else:
                 flat_block(
                     line + at, depths + at, texture_at, x, last_x,
-                    inverse, px * per_u, dx * per_u, py * per_v, dy * per_v, level, red, green,
+                    inverse, px * per_u, dx * per_u, py * per_v, dy * per_v, each, red, green,
                     blue, solid,
                 )  # fmt: skip
-
-
-@compiled(references=False, error_model="numpy")
-def _level(area):
-    """Which of a texture's smaller versions suits pixels that cover so many texels."""
-    level = 0
-    while area >= 4.0 and level < 6:
-        area *= 0.25
-        level += 1
-    return level

@@ -9,7 +9,7 @@ from zipf.envs.render3d.blocks import address, shadow_block
 from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.optics import FAR, NEAR, SHADOW_DEPTH
 from zipf.envs.render3d.rounding import ceil, floor
-from zipf.envs.render3d.sight import narrow
+from zipf.envs.render3d.spans import narrow
 
 
 @compiled(references=False, error_model="numpy", fastmath=True)

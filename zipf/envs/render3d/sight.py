@@ -2,16 +2,7 @@
 
 from zipf.compiled import compiled
 from zipf.envs.render3d.rounding import floor
-
-
-@compiled(references=False, error_model="numpy")
-def narrow(low, high, a, b):
-    """Narrows a span to where a + b * x >= 0."""
-    if b > 0.0:
-        return max(low, -a / b), high
-    if b < 0.0:
-        return low, min(high, -a / b)
-    return low, (high if a >= 0.0 else low - 1.0)
+from zipf.envs.render3d.spans import narrow
 
 
 @compiled(references=False, error_model="numpy")

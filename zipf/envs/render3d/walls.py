@@ -19,11 +19,12 @@ from zipf.envs.render3d.optics import (
 )
 from zipf.envs.render3d.rounding import ceil, floor
 from zipf.envs.render3d.scene import SCREEN, SEE_THROUGH, TWO_SIDED
+from zipf.envs.render3d.spans import narrow_rows
 
 
 @compiled(references=False, error_model="numpy", fastmath=True)
 def draw_wall(
-    place, looks, repeat, tint, screen, sun, lamp, view, sector, texels, image, buffers, width
+    place, looks, repeat, tint, screen, sun, lamp, view, sector, texels, image, span, width
 ):  # fmt: skip
     """Draws one wall.
 
@@ -32,10 +33,10 @@ def draw_wall(
         screen, sun, lamp: of the wall's world.
         view, sector: `View`, `Sector`.
         texels: of `Assets`.
-        image, buffers: `ImageBuffers` and `WallBuffers`, written.
+        image, span: `ImageBuffers` and `SpanBuffers`, written.
         width: of the image, pixels.
     """
-    colour, depth, low, high = image.colour, image.depth, buffers.low, buffers.high
+    colour, depth, low, high = image.colour, image.depth, span.low, span.high
     texture, flags = looks[0], looks[1]
     x0, y0, x1, y1 = place[0], place[1], place[2], place[3]
     bottom, top = np.float64(place[4]), np.float64(place[5])
@@ -82,14 +83,14 @@ def draw_wall(
 
     low[:] = 0.0
     high[:] = width - 1
-    _bound(low, high, z - 1.0 / FAR, dz_row, dz)
-    _bound(low, high, 1.0 / NEAR - z, -dz_row, -dz)
-    _bound(low, high, u + GROW * z, du_row + GROW * dz_row, du + GROW * dz)
+    narrow_rows(low, high, z - 1.0 / FAR, dz_row, dz)
+    narrow_rows(low, high, 1.0 / NEAR - z, -dz_row, -dz)
+    narrow_rows(low, high, u + GROW * z, du_row + GROW * dz_row, du + GROW * dz)
     far = length + GROW
-    _bound(low, high, far * z - u, far * dz_row - du_row, far * dz - du)
-    _bound(low, high, v + GROW * z, dv_row + GROW * dz_row, dv + GROW * dz)
+    narrow_rows(low, high, far * z - u, far * dz_row - du_row, far * dz - du)
+    narrow_rows(low, high, v + GROW * z, dv_row + GROW * dz_row, dv + GROW * dz)
     far = tall + GROW
-    _bound(low, high, far * z - v, far * dz_row - dv_row, far * dz - dv)
+    narrow_rows(low, high, far * z - v, far * dz_row - dv_row, far * dz - dv)
 
     if texture == SCREEN:
         _draw_screen(
@@ -140,21 +141,6 @@ def draw_wall(
                 line + at, depths + at, texture_at, x, last, z_row, dz32, u_row, du32,
                 v_row, dv32, area, FADE2, red, green, blue, solid,
             )  # fmt: skip
-
-
-@compiled(references=False, error_model="numpy")
-def _bound(low, high, a, step, b):
-    """Narrows each row's span to where a + step * y + b * x >= 0."""
-    if abs(b) < 1e-30:
-        b = 1e-30
-    start = np.float32(-a / b)
-    step = np.float32(-step / b)
-    if b > 0.0:
-        for y in range(len(low)):
-            low[y] = max(low[y], start + step * np.float32(y))
-    else:
-        for y in range(len(high)):
-            high[y] = min(high[y], start + step * np.float32(y))
 
 
 @compiled(references=False, error_model="numpy")
