@@ -622,13 +622,26 @@ def test_unknown_arguments(arguments: list[str], capsys: pytest.CaptureFixture[s
 def test_it_prints_the_table_and_says_where_the_files_are(
     runs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert report.main([str(runs)]) == 0
+    assert report.main([str(runs / "gridworld")]) == 0
     printed = capsys.readouterr().out
     assert "0.84 ± 0.04" in printed
     assert "Chance" in printed
     for name in ("report.md", "report.csv", "gridworld_learning.png", "gridworld_ranks.png"):
-        assert f"Wrote runs/report/{name}" in printed
-        assert (runs / "report" / name).stat().st_size > 0
+        assert f"Wrote runs/gridworld/report/{name}" in printed
+        assert (runs / "gridworld" / "report" / name).stat().st_size > 0
+
+
+def test_figures_of_several_tables_are_counted(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A hundred names of files would push the tables off the screen."""
+    assert report.main([str(runs)]) == 0
+    printed = capsys.readouterr().out
+    assert "Wrote runs/report/report.md\n" in printed
+    assert "gridworld_learning.png" not in printed
+    for name in ("gridworld", "demo_50_"):
+        count = len(list((runs / "report").glob(f"{name}_*.png")))
+        assert f"Wrote runs/report/{name}_*.png: {count} figures\n" in printed
 
 
 def test_it_needs_neither_torch_nor_a_display(runs: Path) -> None:

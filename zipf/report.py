@@ -129,8 +129,15 @@ def report(
         where = error.filename or target
         raise UserError(f"{where}: cannot be written: {error.strerror}") from error
     files = (*texts, *(path for paths in drawn.values() for path in paths))
-    for path in files:
-        console.print(f"Wrote {path.as_posix()}", highlight=False, markup=False, soft_wrap=True)
+    written = [path.as_posix() for path in files]
+    if len(drawn) > 1:  # more files than one wants to read the names of
+        written = [path.as_posix() for path in texts]
+        written += [
+            f"{(target / name).as_posix()}_*.{format}: {len(paths)} figures"
+            for name, paths in drawn.items()
+        ]
+    for line in written:
+        console.print(f"Wrote {line}", highlight=False, markup=False, soft_wrap=True)
     return Report(tuple(found), files, tuple(claims), tuple(statistics))
 
 

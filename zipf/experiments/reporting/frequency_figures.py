@@ -63,7 +63,7 @@ def frequencies(table: ScoreTable) -> Figure | None:
         axis.xaxis.set_minor_formatter(FuncFormatter(lambda *_: ""))
         spoken = name.replace("_", " ").capitalize()
         axis.set_title(spoken)
-        axis.set_xlabel(f"{spoken} rank")
+        axis.set_xlabel(f"{spoken} rank (0 = most frequent)")
         axis.yaxis.set_major_formatter(FuncFormatter(lambda share, _: f"{100 * share:g} %"))
         axis.yaxis.set_minor_formatter(FuncFormatter(lambda *_: ""))
     axes[0].set_ylabel("Share of episodes")

@@ -104,11 +104,16 @@ def frequencies(table: ScoreTable) -> list[Panel]:
             name="",
             hovertemplate="rank %{customdata}: %{y:.3%}",
         )
+        places = log_ticks(curve.x)  # of rank + 1, since a logarithmic axis has no 0
         figure = go.Figure(
             [curve],
             layout(
                 spoken(name),
-                x={"title": f"{spoken(name)} rank + 1", **log_ticks(curve.x)},
+                x={
+                    "title": f"{spoken(name)} rank (0 = most frequent)",
+                    **places,
+                    "ticktext": [f"{place - 1:.0f}" for place in places["tickvals"]],
+                },
                 y={
                     "title": "Share of episodes",
                     **log_ticks(curve.y),
