@@ -254,6 +254,11 @@ MISTAKES = [
     (["experiment=demo", "agent.lr=1"], ["agent.lr", "agent.learning_rate"]),
     (["experiment=demo", "run_root=/tmp/a=b"], ["quotes"]),
     (["experiment=demo", "+agent.momentum=1"], ["agent.momentum", "no such option"]),
+    (["experiment=demo", "agent.burn_in=3"], ["agent.burn_in: no such option; agent=r2d2 has it"]),
+    (
+        ["experiment=demo", "exploration.scale=3"],
+        ["exploration.scale: no such option; exploration=count|first_visit|rnd has it"],
+    ),
     (["experiment=demo", "hydrax=1"], ["hydrax: no such option"]),
     (
         ["experiment=demo", "replay.capacity=10"],
@@ -286,9 +291,9 @@ MISTAKES = [
     (["experiment=demo", "environment.max_steps=99999999999999999999"], ["max_steps must be at"]),
     (["experiment=demo", "schedule.window=3"], ["schedule.window=3: should be a list in square"]),
     (
-        ["experiment=demo", "exploration.scale=1"],
+        ["experiment=demo", "exploration.weight=1"],
         [
-            "exploration.scale",
+            "exploration.weight",
             "exploration=none has none; choose exploration=count|first_visit|rnd",
         ],
     ),

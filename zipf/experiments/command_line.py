@@ -278,8 +278,27 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
                 chosen = part["name"]
                 others = "|".join(one for one in choices(group) if one != chosen)
                 told = f"{group}={chosen} has none; choose {group}={others}"
+            if owners := _owners(key, known):
+                told = f"{group}={'|'.join(owners)} has it"
             problems.append(f"{key}: no such option; {told}")
     return known, problems
+
+
+def _owners(option: str, known: list[str]) -> list[str]:
+    """The choices of the option's group that have it, beside these overrides."""
+    group = option.partition(".")[0]
+    if group not in groups():
+        return []
+    others = [override for override in known if not override.startswith(f"{group}=")]
+    found = []
+    for choice in choices(group):
+        try:
+            values = composed(*others, f"{group}={choice}").values
+        except UserError:  # of options that this choice does not have
+            continue
+        if option in flatten(values):
+            found.append(choice)
+    return found
 
 
 _IN_WORDS = {
