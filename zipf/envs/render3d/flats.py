@@ -68,7 +68,8 @@ def draw_flat(
     line_bytes = 4 * colour.shape[1]
     low[:] = 0.0
     high[:] = width - 1
-    # On the flat's plane 1/t is affine in y, and so are its coordinates divided by t in x and y.
+    # On the flat's plane 1/t is affine in y, and coordinates divided by t are affine in x and y; so
+    # is the distance from a side, along its normal (nx, ny) to the inside.
     near, step = view.rise0 / up, view.drise / up
     sides = ((1.0, 0.0, west), (-1.0, 0.0, -east), (0.0, 1.0, south), (0.0, -1.0, -north))
     for nx, ny, edge in sides:
