@@ -118,10 +118,11 @@ def test_the_loss_of_a_histogram_is_as_steep_as_that_of_a_number():
     torch.testing.assert_close(returns.grad, returns.detach() - targets, rtol=0.02, atol=5e-3)
 
 
-def test_an_empty_range_is_one_clear_line():
+@pytest.mark.parametrize("low", [10, 11])
+def test_an_empty_range_is_one_clear_line(low):
     with pytest.raises(UserError) as error:
-        command_line.load(["experiment=demo", "critic=hl_gauss", "critic.low=11"])
-    assert str(error.value) == "critic.low=11.0: should be less than critic.high=10.0"
+        command_line.load(["experiment=demo", "critic=hl_gauss", f"critic.low={low}"])
+    assert str(error.value) == f"critic.low={low}.0: should be less than critic.high=10.0"
 
 
 # Quantiles
