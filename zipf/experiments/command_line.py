@@ -271,15 +271,16 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
         elif key in of_row:
             known.append(f"++{override.input_line}")  # without a condition there is no row yet
         else:
-            told = nearest(key, [*accepted, *of_row, "sweep"])
             group = key.partition(".")[0]
             part = values.get(group)
-            if isinstance(part, dict) and list(part) == ["name"]:  # a choice such as none
+            if owners := _owners(key, known):
+                told = f"{group}={'|'.join(owners)} has it"
+            elif isinstance(part, dict) and list(part) == ["name"]:  # a choice such as none
                 chosen = part["name"]
                 others = "|".join(one for one in choices(group) if one != chosen)
                 told = f"{group}={chosen} has none; choose {group}={others}"
-            if owners := _owners(key, known):
-                told = f"{group}={'|'.join(owners)} has it"
+            else:
+                told = nearest(key, [*accepted, *of_row, "sweep"])
             problems.append(f"{key}: no such option; {told}")
     return known, problems
 
