@@ -3,7 +3,8 @@
     python scripts/keep_results.py runs/gridworld_compact/impala_mlp/seed0 ...
     make results
 
-Checkpoints, TensorBoard's files and situations outside the window are not copied. `run_root` is
+Checkpoints, TensorBoard's files and situations outside the window are not copied, and weights only
+with `--weights`: some megabytes, which let others play the agent and begin with it. `run_root` is
 left out of the options: it changes nothing and tells where somebody keeps their runs. Files that
 are not as the run left them are refused.
 """
@@ -26,14 +27,16 @@ from zipf.experiments.reporting.results import load_run
 RESULTS = Path(__file__).parent.parent / "results"
 
 
-def keep(run: Path) -> Path:
-    """Copies one run; returns the folder of the copy.
+def keep(run: Path, *, weights: bool = False) -> Path:
+    """Copies one run, with its weights if asked to; returns the folder of the copy.
 
     Raises:
-        UserError: it is no run, or is damaged.
+        UserError: it is no run, is damaged, or has no weights.
     """
     if notes := load_run(run).notes:
         raise UserError(f"{run}: {notes[0]}")
+    if weights and not (run / "weights.pt").is_file():
+        raise UserError(f"{run}: has no weights.pt")
     description = json.loads((run / "run.json").read_text())
     target = RESULTS / description["experiment"] / description["condition"]
     target /= f"seed{description['seed']}"
@@ -53,6 +56,8 @@ def keep(run: Path) -> Path:
     (target / "run.json").write_text(json.dumps(description, indent=2) + "\n")
     inside = situations[situations["update"].between(start, end)]
     inside.to_csv(target / "situations.csv", index=False)
+    if weights:
+        shutil.copy(run / "weights.pt", target / "weights.pt")
     checksums.write(target, int(pd.read_csv(target / "evaluations.csv")["update"].max()))
     return target
 
@@ -61,9 +66,11 @@ def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", nargs="+", type=Path, help="run folders")
-    for run in parser.parse_args().runs:
+    parser.add_argument("--weights", action="store_true", help="copy the agents' weights, too")
+    arguments = parser.parse_args()
+    for run in arguments.runs:
         try:
-            print(f"{run} -> {keep(run)}")
+            print(f"{run} -> {keep(run, weights=arguments.weights)}")
         except TOLD as error:
             tell(error)
             sys.exit(2)

@@ -191,6 +191,36 @@ def test_separate_acting_does_not_change_what_is_saved(name):
     assert equal(answer(made), answer(other))
 
 
+ROWS = DictionaryOptions.model_validate(
+    {
+        **OmegaConf.to_container(OmegaConf.load(CONFIG_DIR / "episodic" / "dictionary.yaml")),
+        "capacity": 16,
+        "key_size": 4,
+    }
+)
+
+
+@pytest.mark.parametrize("separate", [False, True])
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [(name, {}) for name in NAMES]
+    + [(name, {"episodic": ROWS}) for name in NAMES if agents()[name].episodic_memory],
+    ids=lambda value: value if isinstance(value, str) else "+".join(value),
+)
+def test_weights_are_all_that_acting_needs(name, parts, separate):
+    """Also those that were learned after the last `publish`, and the rows of a dictionary."""
+    made, other = build(name, **parts), build(name, seed=1, **parts)
+    if separate:
+        made.separate_acting()
+    for unroll in unrolls(made, 3):
+        made.update(unroll)
+    kept = deepcopy(made.weights())
+    made.publish()
+    assert not equal(answer(made), answer(other))
+    other.load_weights(kept)
+    assert equal(answer(made), answer(other))
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_copies_are_compiled_where_the_original_is(name):
     for first, second in (("compile", "separate_acting"), ("separate_acting", "compile")):

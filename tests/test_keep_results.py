@@ -28,6 +28,16 @@ def test_a_run_is_kept_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert len(kept.situations) == 1
 
 
+def test_weights_are_kept_if_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keep_results, "RESULTS", tmp_path / "results")
+    folder = run(tmp_path)
+    with pytest.raises(UserError, match=r"has no weights\.pt"):
+        keep_results.keep(folder, weights=True)
+    (folder / "weights.pt").write_bytes(b"weights")
+    assert not (keep_results.keep(folder) / "weights.pt").exists()
+    assert (keep_results.keep(folder, weights=True) / "weights.pt").read_bytes() == b"weights"
+
+
 def test_a_run_that_is_damaged_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(keep_results, "RESULTS", tmp_path / "results")
     folder = run(tmp_path)

@@ -164,10 +164,11 @@ def test_a_mistake_is_told_before_anything_is_written(first, options, message):
     assert not (first[0] / "demo" / "wrong" / "seed5" / "run.json").exists()
 
 
-def test_a_run_without_checkpoint_has_no_weights(first, tmp_path):
+def test_a_run_without_checkpoint_and_weights_is_refused(first, tmp_path):
     shutil.copytree(first[1], tmp_path / "copy")
     (tmp_path / "copy" / "checkpoint.pt").unlink()
-    with pytest.raises(UserError, match=r"has no checkpoint\.pt"):
+    (tmp_path / "copy" / "weights.pt").unlink()
+    with pytest.raises(UserError, match=r"has no agent \(neither checkpoint\.pt nor weights\.pt\)"):
         command_line.load(asked(first, "name=without", f"pretrained.run={tmp_path / 'copy'}"))
 
 

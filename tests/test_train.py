@@ -34,7 +34,7 @@ from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder, runner
 from zipf.experiments.running.factory import build_agent
-from zipf.experiments.running.trained import evaluate_run
+from zipf.experiments.running.trained import evaluate_run, load_agent
 
 
 def folder_of(arguments: list[str]) -> Path:
@@ -129,6 +129,11 @@ def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path)
     update, results = evaluate_run(EvaluateOptions(run=str(cut.folder), episodes=2))
     assert update == 2
     assert [(result.kind, result.level) for result in results] == scored
+
+    (whole.folder / "checkpoint.pt").unlink()  # then it is loaded from its weights
+    one, other = (load_agent(run.folder, "cpu") for run in (whole, cut))
+    assert one.update == other.update
+    assert_equal(one.agent.weights(), other.agent.weights())
 
 
 def train_until_gone(config, update):
@@ -367,6 +372,26 @@ def test_a_checkpoint_of_another_version_is_refused(trained):
         runner.train(command_line.load(trained))
     checkpoint.save(path, {"update": 2})
     with pytest.raises(UserError, match="does not fit this version"):
+        runner.train(command_line.load(trained))
+
+
+def test_weights_that_are_damaged_or_of_another_network_are_refused(trained):
+    folder = folder_of(trained)
+    (folder / "checkpoint.pt").unlink()
+    path = folder / "weights.pt"
+    whole = path.read_bytes()
+    assert load_agent(folder, "cpu").update == checkpoint.load(path)["update"] > 0
+    path.write_bytes(whole[:-1] + b"x")
+    with pytest.raises(UserError, match=r"weights\.pt: is damaged"):
+        load_agent(folder, "cpu")
+    checkpoint.save(path, {"update": 2, "weights": {"policy.bias": torch.zeros(3)}})
+    with pytest.raises(UserError, match=r"weights\.pt: does not fit this version"):
+        load_agent(folder, "cpu")
+
+
+def test_training_does_not_go_on_from_weights_alone(trained):
+    (folder_of(trained) / "checkpoint.pt").unlink()
+    with pytest.raises(UserError, match="their checkpoint is missing"):
         runner.train(command_line.load(trained))
 
 

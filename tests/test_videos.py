@@ -121,16 +121,17 @@ def pictures(path: Path) -> int:
 
 
 def test_a_run_without_a_checkpoint(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (run / "checkpoint.pt").unlink()
+    for name in ("checkpoint.pt", "weights.pt"):
+        (run / name).unlink()
     told = refusal(capsys, str(run), "--videos")
-    assert f"--videos: {run.as_posix()} has no checkpoint.pt" in told
+    assert f"--videos: {run.as_posix()}: has no agent" in told
     assert not (run / "videos").exists()
 
 
 def test_an_external_agent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_run(tmp_path, constant(0.5))
     write_external(tmp_path, constant(0.5))
-    assert "has no checkpoint.pt" in refusal(capsys, str(tmp_path), "--videos")
+    assert "has no agent" in refusal(capsys, str(tmp_path), "--videos")
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ Examples:
 
 Options:
 
-    run=FOLDER      a run's folder with a checkpoint
+    run=FOLDER      a run's folder with a checkpoint or, without one, weights
     policy=NAME     in the place of a run, a scripted player of the split's family: expert, which
                     reads the state of the worlds, or generalist, which knows what has been in view
     split=NAME      with policy=, whose levels to play, for instance gridworld or playroom_lift

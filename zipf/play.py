@@ -29,7 +29,8 @@ Options:
 
     level=NAME      a level; with run=: also train, uniform or rare, the run's levels of that kind;
                     default with run=: train
-    run=FOLDER      a run's folder with a checkpoint: its agent plays, in the worlds of the run
+    run=FOLDER      a run's folder with a checkpoint or, without one, weights: its agent plays, in
+                    the worlds of the run
     policy=NAME     keyboard, random, agent (of the run), or a script: expert, which reads the state
                     of the world, or generalist, which knows what has been in view;
                     default: agent with run=, otherwise keyboard

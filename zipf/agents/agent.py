@@ -280,6 +280,21 @@ class Agent(ABC):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
 
+    def weights(self) -> dict[str, Tensor]:
+        """The weights that `actor` has, or is to have at the next `publish`, by name: all that an
+        agent needs to act as it has learned. Empty for an agent without an `actor`. An agent whose
+        actions depend on more overrides this method and `load_weights`."""
+        learned = getattr(self, "actor", None) if self._published is None else self._published
+        return {} if learned is None else learned.state_dict()
+
+    def load_weights(self, weights: Mapping[str, Tensor]) -> None:
+        """From now on the agent acts as the one that `weights` are from.
+
+        Raises:
+            RuntimeError: they do not fit its network.
+        """
+        self.actor.load_state_dict(weights)
+
     def carried(self) -> dict[str, Any]:
         """State that the last update keeps for the next unroll of the same worlds, such as R2D2's
         burn-in rows; later updates do not change its tensors. Empty for most agents."""

@@ -83,8 +83,7 @@ def _no_pretrained(config: Config) -> Iterator[str]:
     try:
         folder = Path(run).expanduser()
         run_folder.read_config(folder, config.plugins)
-        if not (folder / "checkpoint.pt").is_file():
-            raise UserError(f"{folder}: has no checkpoint.pt")
+        run_folder.agent_file(folder)
     except (UserError, RuntimeError, ValueError) as error:  # or no such home, or a zero byte
         yield f"pretrained.run={run:.200}: {error}"
 

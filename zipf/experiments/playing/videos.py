@@ -29,6 +29,7 @@ from zipf.experiments.reporting.results import load_runs
 from zipf.experiments.reporting.videos import OUTCOMES, Video, VideosOfSituation
 from zipf.experiments.reporting.wording import VIDEO_FORMATS, VideoFormat
 from zipf.experiments.running.agent_policy import AgentPolicy
+from zipf.experiments.running.run_folder import agent_file
 from zipf.experiments.running.seeds import derive_seed
 from zipf.experiments.running.trained import Trained, load_agent
 
@@ -87,11 +88,12 @@ def record_videos(
     """
     found = [run.folder for run in load_runs(folders)]
     for folder in found:
-        if not (folder / "checkpoint.pt").is_file():
+        try:
+            agent_file(folder)
+        except UserError as error:
             raise UserError(
-                f"--videos: {folder.as_posix()} has no checkpoint.pt, and so no agent to play; "
-                "give folders of runs with a checkpoint (kept results have none)"
-            )
+                f"--videos: {error}; give folders of runs with one (most kept results have none)"
+            ) from None
     for folder in found:
         _playable(folder, load_agent(folder, "cpu", plugins))
     for folder in found:

@@ -88,6 +88,19 @@ def is_finished(config: Config) -> bool:
         return False
 
 
+def agent_file(folder: Path) -> Path:
+    """The file that a run's agent is loaded from: its checkpoint or, where there is none, its
+    weights.
+
+    Raises:
+        UserError: it has neither.
+    """
+    for name in ("checkpoint.pt", "weights.pt"):
+        if (folder / name).is_file():
+            return folder / name
+    raise UserError(f"{folder.as_posix()}: has no agent (neither checkpoint.pt nor weights.pt)")
+
+
 def check_options(path: Path, saved: dict[str, Any], config: Config) -> None:
     """Raises `UserError` where a checkpoint was made with other options than these."""
     with fits(path):

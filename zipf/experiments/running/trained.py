@@ -23,7 +23,7 @@ from zipf.experiments.running.worlds import Worlds, check_geometry
 
 @dataclass(frozen=True)
 class Trained:
-    """The agent of a run's checkpoint."""
+    """The agent of a run, as it was at an update."""
 
     config: Config
     agent: Agent
@@ -31,7 +31,7 @@ class Trained:
 
 
 def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Trained:
-    """Loads the agent of a run's checkpoint.
+    """Loads the agent of a run's checkpoint or, where there is none, of its weights.
 
     Args:
         folder: the run's.
@@ -39,20 +39,26 @@ def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Traine
         plugins: modules to import first, see `zipf.plugins`.
 
     Raises:
-        UserError: the folder holds no run or no checkpoint, or the checkpoint is damaged or was
-            made with other options.
+        UserError: the folder holds no run or neither file, or the file is damaged or was made with
+            other options.
     """
     composing.load_plugins(plugins)
     config = run_folder.read_config(folder, plugins).model_copy(update={"device": device})
-    saved = checkpoint.load(folder / "checkpoint.pt")
-    run_folder.check_options(folder / "checkpoint.pt", saved, config)
+    path = run_folder.agent_file(folder)
+    saved = checkpoint.load(path)
+    of_checkpoint = path.name == "checkpoint.pt"
+    if of_checkpoint:
+        run_folder.check_options(path, saved, config)
     # All levels of a split have the same spaces.
     env = envs.make_vec(config.split.uniform[0], 1, **config.level_options)
     agent = build_agent(config, env)
     env.close()
-    with run_folder.fits(folder / "checkpoint.pt"):
-        agent.load_state_dict(saved["agent"])
-    return Trained(config, agent, saved["update"])
+    with run_folder.fits(path):
+        if of_checkpoint:
+            agent.load_state_dict(saved["agent"])
+        else:
+            agent.load_weights(saved["weights"])
+        return Trained(config, agent, saved["update"])
 
 
 def evaluate_agent(
@@ -70,7 +76,7 @@ def evaluate_agent(
 
 
 def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
-    """Scores the agent of a run's checkpoint; returns the checkpoint's update and the scores.
+    """Scores the agent of a run; returns the update that it is of, and the scores.
 
     Raises:
         UserError: as `load_agent`, or so many worlds do not fit into RAM.
@@ -114,7 +120,7 @@ def evaluate_scripted(options: EvaluateOptions, split: envs.Split) -> list[Resul
 
 
 def agent_of_run(folder: Path, worlds: Worlds, seed: int) -> AgentPolicy:
-    """The agent of a run's checkpoint, for worlds like those that it was trained in.
+    """The agent of a run, for worlds like those that it was trained in.
 
     Raises:
         UserError: no agent can be loaded from the folder.
