@@ -1,17 +1,18 @@
-"""The table of agents that are to do well on what is rare, from the runs in results/."""
+"""The tables of agents that are to do well on what is rare, from the runs in results/."""
 
 from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
-from tables import markdown
+from tables import code, markdown
 
 from zipf.envs import split
 from zipf.envs.splits import KINDS
 from zipf.experiments.reporting.paper import paper_table
 from zipf.experiments.reporting.results import load_runs
 from zipf.experiments.reporting.tables import score_tables
-from zipf.experiments.reporting.wording import KIND_NAMES
+from zipf.experiments.reporting.wording import KIND_NAMES, score_text
+from zipf.references import REFERENCES
 
 RESULTS = Path(__file__).parent.parent / "results"
 
@@ -96,3 +97,19 @@ def tail() -> list[str]:
             rows.append(("", title, str(seeds), f"{frames / 1e6:,.1f} M", *shown))
     numbers = ("Seeds", "Frames", *(KIND_NAMES[kind] for kind in KINDS))
     return markdown(("Task", "Agent", *numbers), rows, right=numbers)
+
+
+def comparison(experiment: str) -> list[str]:
+    """The lines of a table of an experiment's conditions, in the order of its table in RESULTS.md."""
+    (table,) = score_tables(load_runs([RESULTS / experiment]), "own")
+    scores = table.scores.set_index(["condition", "level_kind"])
+    rows: list[tuple[str, ...]] = []
+    for name in table.scores["condition"].unique():
+        of_kinds = [scores.loc[name, kind] for kind in KINDS]
+        shown = (score_text(one["score"], one["error"]) for one in of_kinds)
+        rows.append((code(name), str(min(int(one["seeds"]) for one in of_kinds)), *shown))
+    for reference in REFERENCES:
+        known = table.reference(reference.name)
+        rows.append((reference.title, "", *(f"{known[kind]:.2f}" for kind in KINDS)))
+    numbers = ("Seeds", *(KIND_NAMES[kind] for kind in KINDS))
+    return markdown(("Condition", *numbers), rows, right=numbers)
