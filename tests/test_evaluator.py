@@ -72,6 +72,34 @@ def test_the_first_episodes_to_start_are_the_ones_scored(num_envs):
     assert (result["success"] == (result["return"] == 1)).all()
 
 
+def test_an_evaluation_tells_how_far_it_is():
+    """Levels that stand in several kinds are counted once, and what it is told may end it."""
+    split = envs.Split(
+        "told", ("gridworld/zipf_2", "gridworld/uniform"), "gridworld/uniform", "gridworld/rare"
+    )
+    told = []
+
+    def watch(ended, episodes):
+        told.append(ended)
+        assert episodes == 3 * 11
+
+    options = {"episodes": 11, "num_envs": 4, **SMALL}
+    evaluator.evaluate(Plays(scripted), split, watch=watch, **options)
+    assert told == sorted(told)
+    assert told[-1] == 33
+    assert {11, 22} < set(told)
+    assert told[0] < 11
+
+    class Enough(Exception): ...
+
+    def stop(ended, episodes):
+        if ended > 15:
+            raise Enough
+
+    with pytest.raises(Enough):
+        evaluator.evaluate(Plays(scripted), split, watch=stop, **options)
+
+
 def test_short_episodes_are_not_over_counted():
     """Random play on the small world scores what is known exactly, whatever the batch."""
     chance = envs.reference("chance", "gridworld/uniform", **SMALL).score

@@ -358,18 +358,27 @@ def test_a_local_run_joins_nobody(monkeypatch, tmp_path):
 # Runs of two processes
 
 SPY = '''
-"""What each process had at its end; and signals, at an update that the environment names."""
+"""What each process had at its end; and signals, at a step or an evaluation that the environment
+names."""
 import os, signal, time, torch
 from zipf.experiments.running import runner
 
 RANK, STARTED = os.environ.get("RANK"), os.environ.get("TORCHELASTIC_RESTART_COUNT", "0")
 step, close = runner.Run.step, runner.Run.close
+watch = runner.Run._watch_evaluation
+
+def kill(run, during):
+    number, rank, update, when = [*os.environ.get("SPY", "0 0 0").split(), "step"][:4]
+    if (RANK, run.update, STARTED, during) == (rank, int(update), "0", when) and number != "0":
+        os.kill(os.getpid(), int(number))
 
 def watched_step(run):
-    number, rank, update = os.environ.get("SPY", "0 0 0").split()
-    if (RANK, run.update, STARTED) == (rank, int(update), "0") and number != "0":
-        os.kill(os.getpid(), int(number))
+    kill(run, "step")
     return step(run)
+
+def watched_evaluation(run, *told):
+    kill(run, "evaluation")
+    watch(run, *told)
 
 def watched_close(run):
     if run.is_finished or run.update:
@@ -380,6 +389,7 @@ def watched_close(run):
     close(run)
 
 runner.Run.step, runner.Run.close = watched_step, watched_close
+runner.Run._watch_evaluation = watched_evaluation
 '''
 
 
@@ -484,6 +494,15 @@ def test_a_checkpoint_holds_what_each_learner_has_of_its_own(whole, runs):
     table = pd.read_csv(config.folder / "situations.csv")
     last = table[(table["update"] == 7) & (table["level_kind"] == "train")]
     assert 0 < last["visits"].sum() <= sum(int(part.sum()) for part in visits)
+
+
+def test_learners_agree_that_the_last_evaluation_is_given_up(runs):
+    config = runs.config("given_up")
+    ended = runs.processes("given_up", "updates=1", spy=f"{signal.SIGTERM:d} 0 1 evaluation")
+    assert [code for code, _, _ in ended] == [128 + signal.SIGTERM] * 2, ended
+    assert "stopped at update 1; the same command resumes" in ended[0][1]
+    assert set(pd.read_csv(config.folder / "evaluations.csv")["update"]) == {0}
+    assert checkpoint.load(config.folder / "checkpoint.pt")["evaluated"] == 0
 
 
 def test_a_run_that_was_stopped_and_then_lost_a_learner_ends_as_one_that_was_not(whole, runs):

@@ -132,7 +132,35 @@ def test_the_lines_of_every_half_minute_have_no_older_scores(
     assert not file.getvalue()
     monkeypatch.setattr(display, "_printed", -100.0)
     display.show_metrics({**METRICS, "episode_return": 0.25})
-    assert file.getvalue() == "update 5/8  20 frames  5 frames/s  return 0.250 in training\n"
+    assert file.getvalue() == "update 5/8  20 frames  5 frames/s  2 s left  return 0.250 in training\n"
+
+
+def test_an_evaluation_shows_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    display, _ = shown(5, terminal=True)
+    display.show_metrics(METRICS)
+    display.show_evaluation(1200, 3000)
+    assert "evaluating: 1,200 of 3,000 episodes" in panel(display)
+    display.show_scores([])
+    assert "evaluating" not in panel(display)
+
+    display, file = shown(0)
+    display.show_evaluation(7, 3000)
+    assert not file.getvalue()
+    monkeypatch.setattr(display, "_printed", -100.0)
+    display.show_evaluation(8, 3000)
+    display.show_evaluation(9, 3000)
+    assert file.getvalue() == "update 0/8  evaluating: 8 of 3,000 episodes\n"
+
+
+@pytest.mark.parametrize(
+    ("frames_per_second", "left"),
+    [(0.5, "16 s"), (0.01, "13 min"), (0.001, "2 h"), (0.00001, "9 days"), (1e-9, "254 years")],
+)
+def test_lines_say_how_long_training_will_take(frames_per_second: float, left: str) -> None:
+    display, file = shown(6)
+    display.show_metrics({**METRICS, "frames_per_second": frames_per_second})
+    display.show_scores([])
+    assert file.getvalue().strip().endswith(f" frames/s  {left} left")
 
 
 def test_a_resumed_run_does_not_claim_to_be_at_its_beginning() -> None:

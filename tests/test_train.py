@@ -455,6 +455,37 @@ def test_a_run_that_is_asked_to_stop_in_its_last_evaluation_has_finished(tmp_pat
     assert run_folder.is_finished(config)
 
 
+@pytest.mark.parametrize("lag", [0, 1])
+@pytest.mark.parametrize("update", [0, 2, 3])
+def test_a_run_that_is_asked_to_stop_gives_its_evaluation_up(update, lag, tmp_path, monkeypatch):
+    """Before the first update, between updates and after the last. The resumed run makes it, and
+    ends as one that was not stopped."""
+    options = [*TINY, "updates=3", "evaluation.every=2", f"collector.lag={lag}"]
+    cut, whole = (
+        command_line.load([*options, f"run_root={tmp_path / name}"]) for name in ("cut", "whole")
+    )
+    watch = runner.Run._watch_evaluation
+
+    def stopped(run, ended, episodes):
+        if run.update == update and ended:
+            signal.raise_signal(signal.SIGTERM)
+        watch(run, ended, episodes)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runner.Run, "_watch_evaluation", stopped)
+        assert runner.train(cut) == signal.SIGTERM
+    assert checkpoint.load(cut.folder / "checkpoint.pt")["update"] == update
+    evaluations = cut.folder / "evaluations.csv"
+    scored = set(pd.read_csv(evaluations)["update"]) if evaluations.exists() else set()
+    assert scored == {0, 2, 3} & set(range(update))
+    for config in (cut, whole):
+        assert runner.train(config) == 0
+    assert_equal(learned(whole.folder), learned(cut.folder))
+    for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
+        one, other = (untimed(run.folder / name) for run in (whole, cut))
+        pd.testing.assert_frame_equal(one, other)
+
+
 @pytest.mark.parametrize("name", envs.SCRIPTED)
 def test_evaluate_scores_a_script(name, monkeypatch, capsys):
     arguments = [f"policy={name}", "split=gridworld", "episodes=50"]

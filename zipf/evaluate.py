@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +16,7 @@ from zipf.experiments.running.scoring import Evaluation, geometry, score
 
 if TYPE_CHECKING:
     from zipf.experiments.config import EvaluateOptions
-    from zipf.experiments.running.evaluator import Result
+    from zipf.experiments.running.evaluator import Result, Watch
 
 __all__ = ["Evaluation", "geometry", "main", "record", "score"]
 
@@ -82,7 +84,8 @@ def _evaluate(arguments: list[str]) -> None:
         return
     folder = Path(options.run)
     description = run_folder.read_description(folder)
-    update, results = evaluate_run(options)
+    with _progress() as watch:
+        update, results = evaluate_run(options, watch)
     chosen = f"-episodes{options.episodes}" if options.episodes else ""
     name = f"evaluation-{update}{chosen}-seed{options.seed}"
     _show(f"{folder} at update {update}", results, description["levels"])
@@ -109,8 +112,20 @@ def _evaluate_script(options: EvaluateOptions) -> None:
         split = envs.split(options.split)
     except ValueError as error:
         raise UserError(f"split={options.split}: {error}") from None
-    results = evaluate_scripted(options, split)
+    with _progress() as watch:
+        results = evaluate_scripted(options, split, watch)
     _show(f"policy={options.policy}", results, run_folder.describe_levels(split, {}))
+
+
+@contextmanager
+def _progress() -> Iterator[Watch]:
+    """Shows on a terminal how many episodes have ended."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    columns = BarColumn(), MofNCompleteColumn(), TextColumn("episodes")
+    with Progress(*columns, transient=True, disable=not sys.stdout.isatty()) as progress:
+        task = progress.add_task("", total=None)
+        yield lambda ended, episodes: progress.update(task, completed=ended, total=episodes)
 
 
 def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> None:

@@ -76,6 +76,7 @@ def play_episodes(
     episodes: int,
     *,
     seed: int,
+    watch: Callable[[int], object] = lambda ended: None,
 ) -> dict[str, NDArray]:
     """Plays episodes of a batch.
 
@@ -90,6 +91,8 @@ def play_episodes(
             [N]. The observation is overwritten by the next.
         episodes: how many, at least 1.
         seed: of the worlds.
+        watch: called after every step with the number of counted episodes that have ended; what it
+            raises ends the playing.
 
     Returns:
         By name, an array [episodes] in the order in which the episodes started: the situation's
@@ -115,6 +118,7 @@ def play_episodes(
         reward = rewards.astype(np.float32)
         is_first = terminated | truncated
         if not is_first.any():
+            watch(episodes - unfinished)
             continue
         counted = is_first & (playing < episodes)
         for name in names:
@@ -125,4 +129,5 @@ def play_episodes(
         new = int(is_first.sum())
         playing[is_first] = np.arange(started, started + new)
         started += new
+        watch(episodes - unfinished)
     return {name: records[name] for name in names}

@@ -45,6 +45,7 @@ class Display:
         self.live = self.console.is_terminal
         self.scores: dict[str, float] = {}
         self.metrics: dict[str, float] = {}
+        self.evaluation: tuple[int, int] | None = None  # episodes that have ended, of how many
         self.progress = Progress(
             BarColumn(),
             MofNCompleteColumn(),
@@ -80,15 +81,23 @@ class Display:
         if not self.live and time.monotonic() - self._printed > 30:
             self._print([f"return {metrics['episode_return']:.3f} in training"])
 
+    def show_evaluation(self, ended: int, episodes: int) -> None:
+        """How far the evaluation under way is."""
+        self.evaluation = ended, episodes
+        if not self.live and time.monotonic() - self._printed > 30:
+            self._print([f"evaluating: {ended:,} of {episodes:,} episodes"])
+
     def show_scores(self, results: list[Result]) -> None:
         """The latest scores."""
         self.scores = scores(results)
+        self.evaluation = None
         if not self.live:
             self._print([f"{kind} {score:.3f}" for kind, score in self.scores.items()])
 
     def _print(self, shown: list[str]) -> None:
         self._printed = time.monotonic()
-        self.say("  ".join([f"update {self.update}/{self.updates}", *self._speed(), *shown]))
+        update = f"update {self.update}/{self.updates}"
+        self.say("  ".join([update, *self._speed(), *self._left(), *shown]))
 
     def _speed(self) -> list[str]:
         if not self.metrics:
@@ -98,16 +107,32 @@ class Display:
             f"{self.metrics['frames_per_second']:,.0f} frames/s",
         ]
 
+    def _left(self) -> list[str]:
+        if not self.metrics or self.update >= self.updates:
+            return []
+        frames = (self.updates - self.update) * self.frames_per_update
+        return [f"{_duration(frames / self.metrics['frames_per_second'])} left"]
+
     def _panel(self) -> Group:
         scores = Table.grid(padding=(0, 3))
         m = self.metrics
         cells = [f"{k} [bold]{self.scores[k]:.3f}[/]" for k in KINDS if k in self.scores]
         cells += self._speed()
-        if not cells and self.update == 0:
+        if not cells and self.update == 0 and not self.evaluation:
             cells = ["[dim]evaluating before the first update[/]"]
+        if self.evaluation:
+            cells.append("[dim]evaluating: {:,} of {:,} episodes[/]".format(*self.evaluation))
         scores.add_row(*cells)
         name = Text(self.name, style="bold", no_wrap=True, overflow="ellipsis")
         if not m:
             return Group(name, self.progress, scores)
         split = "  ".join(f"{part} {m[f'time_{part}'] / m['seconds']:.0%}" for part in PARTS)
         return Group(name, self.progress, scores, f"[dim]time: {split}[/]")
+
+
+def _duration(seconds: float) -> str:
+    """At least two of the largest unit that fits, such as `90 min` and `3 h`."""
+    for size, unit in ((365 * 86_400, "years"), (86_400, "days"), (3_600, "h"), (60, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:,.0f} {unit}"
+    return f"{seconds:.0f} s"

@@ -7,7 +7,7 @@ fails fast would get a different score than the same agent with slow failures.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -25,6 +25,15 @@ from zipf.experiments.running.seeds import derive_seed
 
 OUTCOMES = ("success", "return", "length")
 """The columns of an episode that are not ranks of its situation."""
+
+
+Watch = Callable[[int, int], object]
+"""Called after every step of an evaluation with how many episodes have ended, of how many; what it
+raises ends the evaluation."""
+
+
+def unwatched(ended: int, episodes: int) -> None:
+    """A `Watch` that does nothing."""
 
 
 class Policy(Protocol):
@@ -86,15 +95,28 @@ class Result:
         }
 
 
-def play(policy: Policy, env: ZipfVectorEnv, *, episodes: int, seed: int) -> pd.DataFrame:
+def play(
+    policy: Policy,
+    env: ZipfVectorEnv,
+    *,
+    episodes: int,
+    seed: int,
+    watch: Callable[[int], object] = lambda ended: None,
+) -> pd.DataFrame:
     """Plays the first `episodes` episodes to start; one row each, in that order.
+
+    Args:
+        watch: called after every step with the number of episodes that have ended.
 
     Raises:
         ValueError: the policy returns something else than an action for each world.
     """
     policy.start(env.num_envs)
-    played = play_episodes(env, lambda *seen: _checked(policy(*seen), env), episodes, seed=seed)
-    return pd.DataFrame(played)
+
+    def act(*seen: Any) -> NDArray:
+        return _checked(policy(*seen), env)
+
+    return pd.DataFrame(play_episodes(env, act, episodes, seed=seed, watch=watch))
 
 
 def _checked(actions: Any, env: ZipfVectorEnv) -> NDArray:
@@ -123,6 +145,7 @@ def evaluate(
     episodes: int | None = None,
     num_envs: int = 250,
     seed: int = 0,
+    watch: Watch = unwatched,
     **level_options: Any,
 ) -> list[Result]:
     """Plays a policy on every level of a split: those to train on, the uniform and the rare ones.
@@ -135,6 +158,7 @@ def evaluate(
     Args:
         episodes: on each level; None: as many as the split says.
         num_envs: worlds played at a time.
+        watch: told how far the evaluation is.
         level_options: constructor options of the levels.
 
     Raises:
@@ -145,13 +169,17 @@ def evaluate(
         episodes = whole("episodes", episodes, 1)
     num_envs = whole("num_envs", num_envs, 1)
     results = []
+    counts = {kind: episodes or split.episodes[kind] for kind in envs.KINDS}
     played: dict[tuple[str, str, int], pd.DataFrame] = {}
+    to_play = {_key(one, counts[kind]) for kind in envs.KINDS for one in split.levels(kind)}
+    total = sum(count for *_, count in to_play)
     with _Worlds(split, level_options) as worlds:
         for index, kind in enumerate(envs.KINDS):
-            count = episodes or split.episodes[kind]
+            count = counts[kind]
             for place, level in enumerate(split.levels(kind)):
-                key = level.name, repr(dict(level.options)), count
+                key = _key(level, count)
                 if key not in played:
+                    before = sum(map(len, played.values()))
                     env = worlds.of(level, min(num_envs, count))
                     if isinstance(policy, ScriptedPolicy):
                         policy.enter(level.level, env)
@@ -160,9 +188,20 @@ def evaluate(
                         env,
                         episodes=count,
                         seed=derive_seed(seed, "evaluation", index + place * len(envs.KINDS)),
+                        watch=_of_all(watch, before, total),
                     )
                 results.append(Result(kind, level, played[key]))
     return results
+
+
+def _of_all(watch: Watch, before: int, total: int) -> Callable[[int], object]:
+    """Counts the episodes of one level after those before it."""
+    return lambda ended: watch(before + ended, total)
+
+
+def _key(level: envs.SplitLevel, episodes: int) -> tuple[str, str, int]:
+    """Equal for levels whose episodes can be shared."""
+    return level.name, repr(dict(level.options)), episodes
 
 
 class _Worlds:

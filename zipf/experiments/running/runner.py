@@ -29,7 +29,7 @@ from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.overlap import Overlap
 from zipf.experiments.running.ray_actors import RayActors
 from zipf.experiments.running.seeds import derive_seed
-from zipf.experiments.running.signals import StopSignals, sweep_has_ended
+from zipf.experiments.running.signals import Stopped, StopSignals, sweep_has_ended
 from zipf.experiments.running.sources import InTurn, Source
 from zipf.experiments.running.trained import evaluate_agent
 from zipf.experiments.running.visits import Visits
@@ -60,23 +60,22 @@ def train(config: Config) -> int:
             run.close()
             run.display.say(f"{run.name}: is finished at update {run.update}, in {run.folder}")
             return 0
-        stop = StopSignals(run.display.say)
+        stop = run.stop
         try:
             with run, stop:
-                if run.is_new:
+                if run.evaluation_is_due:
                     run.evaluate()
+                if run.is_new:
                     run.save()
                 while run.update < config.updates and not learner.agree(stop.requested):
                     unroll, metrics = run.step()
                     run.display.advance(run.update)
                     if run.update % schedule.log_every == 0:
                         run.log(unroll, metrics)
-                    if run.update % config.evaluation.every == 0:
+                    if run.evaluation_is_due:
                         run.evaluate()
                     if run.update % schedule.checkpoint_every == 0:
                         run.save()
-                if run.evaluated < run.update and not learner.agree(stop.requested):
-                    run.evaluate()
                 run.save()
             return 0 if run.is_finished else learner.agree(stop.requested)
         except LearnerLost:
@@ -121,6 +120,7 @@ class Run:
     Attributes:
         update: updates made.
         evaluated: the update of the last evaluation; -1 for none.
+        stop: says whether the run is to stop.
         is_new: whether it was started rather than resumed from a checkpoint.
 
     Raises (here and in the methods):
@@ -169,6 +169,7 @@ class Run:
             frames_per_update=self.frames_per_update,
             console=None if self.learner.is_first else Console(quiet=True, force_terminal=False),
         )
+        self.stop = StopSignals(self.display.say)
 
     def __enter__(self) -> Run:
         try:
@@ -303,12 +304,31 @@ class Run:
             return {}
         return {"learning_rate_factor": self.config.learning_rate_factor(self.update - 1)}
 
+    @property
+    def evaluation_is_due(self) -> bool:
+        """Whether the agent is to be scored after this update and has not been."""
+        every, last = self.config.evaluation.every, self.config.updates
+        return self.evaluated < self.update and (self.update % every == 0 or self.update == last)
+
     def evaluate(self) -> None:
-        """Scores the agent and writes the rows; training's random draws stay the same."""
+        """Scores the agent and writes the rows; training's random draws stay the same.
+
+        Where the run is to stop the evaluation is given up. It is due again when the run resumes.
+        """
         visits = self.learner.total(self.source.visits)
+        given_up = False
         if self.learner.is_first:
-            self._evaluate(visits)
-        self.evaluated = self.update
+            try:
+                self._evaluate(visits)
+            except Stopped:
+                given_up = True
+        if not self.learner.agree(given_up):
+            self.evaluated = self.update
+
+    def _watch_evaluation(self, ended: int, episodes: int) -> None:
+        self.display.show_evaluation(ended, episodes)
+        if self.stop.requested:
+            raise Stopped
 
     def _evaluate(self, visits: Visits) -> None:
         with self.clock.part("evaluation"):
@@ -318,6 +338,7 @@ class Run:
                 episodes=self.config.evaluation.episodes,
                 num_envs=self.config.evaluation.num_envs,
                 seed=derive_seed(self.config.seed, "evaluation", self.update),
+                watch=self._watch_evaluation,
             )
         when = {
             "update": self.update,

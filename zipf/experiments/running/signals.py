@@ -13,6 +13,10 @@ SWEEP_PIPE = "ZIPF_SWEEP_PIPE"
 has to stop when the other end is closed, on purpose or because the sweep is gone."""
 
 
+class Stopped(Exception):
+    """Work that does not have to be done before a run stops was given up."""
+
+
 class StopSignals:
     """While this context is entered, SIGINT (Ctrl-C) and SIGTERM set `requested` to their number;
     the second one raises KeyboardInterrupt at once. SIGHUP, of a terminal that is closed, does
@@ -47,7 +51,7 @@ class StopSignals:
         if self._received:
             raise KeyboardInterrupt
         self._received = number
-        self.say("stopping after this update, with a checkpoint; a second signal stops at once")
+        self.say("stopping with a checkpoint; a second signal stops at once")
 
 
 def sweep_has_ended() -> bool:

@@ -13,7 +13,7 @@ from zipf.experiments.config import Config, EvaluateOptions, module_names
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder
 from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.evaluator import Result, evaluate
+from zipf.experiments.running.evaluator import Result, Watch, evaluate, unwatched
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.running.out_of_ram import enough_ram
 from zipf.experiments.running.scripted import ScriptedPolicy
@@ -62,7 +62,13 @@ def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Traine
 
 
 def evaluate_agent(
-    config: Config, agent: Agent, *, episodes: int | None, num_envs: int, seed: int
+    config: Config,
+    agent: Agent,
+    *,
+    episodes: int | None,
+    num_envs: int,
+    seed: int,
+    watch: Watch = unwatched,
 ) -> list[Result]:
     """Scores an agent on its split's levels; all random draws derive from `seed`."""
     return evaluate(
@@ -71,11 +77,12 @@ def evaluate_agent(
         episodes=episodes,
         num_envs=num_envs,
         seed=seed,
+        watch=watch,
         **config.level_options,
     )
 
 
-def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
+def evaluate_run(options: EvaluateOptions, watch: Watch = unwatched) -> tuple[int, list[Result]]:
     """Scores the agent of a run; returns the update that it is of, and the scores.
 
     Raises:
@@ -95,11 +102,16 @@ def evaluate_run(options: EvaluateOptions) -> tuple[int, list[Result]]:
             episodes=options.episodes,
             num_envs=options.num_envs,
             seed=options.seed,
+            watch=watch,
         )
     return trained.update, results
 
 
-def evaluate_scripted(options: EvaluateOptions, split: envs.Split) -> list[Result]:
+def evaluate_scripted(
+    options: EvaluateOptions,
+    split: envs.Split,
+    watch: Watch = unwatched,
+) -> list[Result]:
     """Scores a scripted player on the levels of a split.
 
     Raises:
@@ -114,6 +126,7 @@ def evaluate_scripted(options: EvaluateOptions, split: envs.Split) -> list[Resul
                 episodes=options.episodes,
                 num_envs=options.num_envs,
                 seed=options.seed,
+                watch=watch,
             )
         except ValueError as error:
             raise UserError(str(error)) from None
