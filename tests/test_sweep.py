@@ -196,7 +196,7 @@ def test_help_lists_sweeps_and_launchers():
 # What becomes of jobs: their command is a script that does as its seed says
 
 SCRIPT = """
-import os, signal, sys
+import os, signal, sys, time
 seed = next(word for word in sys.argv if word.startswith("seed="))
 if seed == "seed=2":
     print("error: first\\nerror: second", file=sys.stderr)
@@ -205,6 +205,11 @@ if seed == "seed=3":
     os.kill(os.getpid(), signal.SIGKILL)
 if seed == "seed=4":
     raise RuntimeError("some bug")
+if seed == "seed=9":
+    for update in (1, 2):
+        print(f"update {update}/6  5 frames/s", flush=True)
+        print("another line", flush=True)
+        time.sleep(2)
 if seed in ("seed=5", "seed=6"):  # stops when it is told to, or later
     os.kill(os.getppid(), signal.SIGTERM)
     os.read(int(os.environ["ZIPF_SWEEP_PIPE"]), 1)
@@ -250,6 +255,16 @@ def test_jobs_that_fail_stop_no_others(scripted, tmp_path):
         f"python -m zipf.report {tmp_path}/demo",
     ]
     assert "Traceback" in log.read_text()
+
+
+def test_how_far_a_job_is_is_told_from_time_to_time(scripted, monkeypatch):
+    monkeypatch.setattr(job, "REPORT_EVERY", 0.3)
+    code, lines = scripted("9")
+    assert code == 0
+    begins, *progress, finished = lines[:-2]
+    assert "begins, in " in begins
+    assert progress == [f"1/1 demo x seed 9: update {n}/6  5 frames/s" for n in (1, 2)]
+    assert "finished, " in finished
 
 
 def test_a_signal_stops_the_running_job_and_begins_no_other(scripted):

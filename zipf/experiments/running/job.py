@@ -25,6 +25,7 @@ from zipf.experiments.running.signals import SWEEP_PIPE
 
 State = Literal["begun", "finished", "skipped", "failed", "stopped", "not begun"]
 POLL = 0.2  # seconds; ours
+REPORT_EVERY = 600  # seconds; ours: a job of an hour has few lines
 TRAIN = (sys.executable, "-m", "zipf.train")
 
 
@@ -145,10 +146,15 @@ class Jobs:
                 stderr=errors,
             )
             os.close(reading)
+            reported = began
             try:
                 while not _has_ended(process):
                     if self.board.stops:
                         pipe.close()
+                    elif time.monotonic() - reported > REPORT_EVERY:
+                        reported = time.monotonic()
+                        if progress := [one for one in _lines(shown) if one.startswith("update ")]:
+                            self.board.tell(job, Outcome("begun", progress[-1]))
             finally:
                 process.kill()  # where waiting for it was interrupted
                 process.wait()
@@ -187,8 +193,9 @@ def _outcome(job: Job, code: int, shown: list[str], errors: list[str], seconds: 
 
 
 def _lines(file: IO[bytes]) -> list[str]:
-    file.seek(0)
-    return file.read().decode(errors="replace").splitlines()
+    """What a process has written so far; does not move the place where it writes on."""
+    written = os.pread(file.fileno(), os.fstat(file.fileno()).st_size, 0)
+    return written.decode(errors="replace").splitlines()
 
 
 def failed(why: str) -> Outcome:
