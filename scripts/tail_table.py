@@ -100,7 +100,7 @@ def tail() -> list[str]:
 
 
 def comparison(experiment: str) -> list[str]:
-    """The lines of a table of an experiment's conditions, in the order of its table in RESULTS.md."""
+    """The lines of a table of an experiment's conditions, in the order that RESULTS.md has."""
     (table,) = score_tables(load_runs([RESULTS / experiment]), "own")
     scores = table.scores.set_index(["condition", "level_kind"])
     rows: list[tuple[str, ...]] = []

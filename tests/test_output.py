@@ -132,7 +132,8 @@ def test_the_lines_of_every_half_minute_have_no_older_scores(
     assert not file.getvalue()
     monkeypatch.setattr(display, "_printed", -100.0)
     display.show_metrics({**METRICS, "episode_return": 0.25})
-    assert file.getvalue() == "update 5/8  20 frames  5 frames/s  2 s left  return 0.250 in training\n"
+    line = "update 5/8  20 frames  5 frames/s  2 s left  return 0.250 in training\n"
+    assert file.getvalue() == line
 
 
 def test_an_evaluation_shows_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,8 +37,8 @@ _COUNTED: tuple[State, ...] = ("finished", "skipped", "stopped", "not begun", "f
 
 
 def run(overrides: Sequence[str], config_dir: str | None = None) -> int:
-    """All jobs of a command line that are not finished; prints a line when one begins, how far it is
-    every ten minutes and what becomes of it, and a summary.
+    """All jobs of a command line that are not finished; prints a line when one begins, every ten
+    minutes and when it ends, and a summary.
 
     Args:
         config_dir: a folder of the user's configurations, which was added to `composing`.
