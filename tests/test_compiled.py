@@ -1,5 +1,6 @@
 """The cache of compiled code: it notices every change that matters, and does without a folder."""
 
+import ast
 import os
 import shutil
 import subprocess
@@ -90,6 +91,33 @@ def test_the_laboratory_can_change_without_compiling_again(small: Path) -> None:
     assert finish(start(small, program))[0] == "11\n1"
 
 
+def test_worlds_and_agents_can_change_apart(small: Path) -> None:
+    """A function in one of the folders is compiled again when that changes, or what is beside
+    both; one of the laboratory's when either does."""
+    program = "from small.{0}.kernels import {0} as kernel; print(kernel(5), *hits(kernel))"
+    program = f"hits = lambda one: one.stats.cache_hits.values(); {program}"
+    everywhere = ("agents", "envs", "experiments")
+    for part in everywhere:
+        (small / part).mkdir()
+        kernel = HELPERS.replace("scaled", part).replace("small.constants", f"small.{part}.other")
+        (small / part / "kernels.py").write_text(kernel)
+        (small / part / "other.py").write_text("FACTOR = 2\n")
+
+    def outputs(*parts: str) -> list[str]:
+        running = [start(small, program.format(one)) for one in parts or everywhere]
+        return [finish(one)[0] for one in running]
+
+    assert outputs() == ["10", "10", "10"]
+    (small / "agents" / "other.py").write_text("FACTOR = 3\n")
+    assert outputs() == ["15", "10 1", "10"]
+    (small / "envs" / "other.py").write_text("FACTOR = 4\n")
+    assert outputs() == ["15 1", "20", "10"]
+    (small / "constants.py").write_text("FACTOR = 5\n")
+    assert outputs() == ["15", "20", "10"]
+    (small / "experiments" / "tables.py").write_text("WIDTH = 80\n")
+    assert outputs("experiments") == ["10 1"]
+
+
 def test_code_outside_the_package_is_compiled_again_when_its_file_changes(small: Path) -> None:
     own = small.parent / "own.py"
     program = "from own import doubled; print(doubled(5), sum(doubled.stats.cache_hits.values()))"
@@ -109,6 +137,20 @@ def test_compiled_code_depends_on_no_file_of_the_laboratory_but_its_own() -> Non
         if not in_laboratory or "zipf.compiled" in source:
             commands = path.parent == package  # they start the laboratory, and compile nothing
             assert commands or "zipf.experiments" not in source, path
+
+
+def test_worlds_and_agents_do_not_import_each_other() -> None:
+    package = Path(compiled.__file__).parent
+    for folder in compiled.APART:
+        for path in package.glob(f"{folder}/**/*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
+                if isinstance(node, ast.ImportFrom):
+                    assert node.level == 0, f"{path}: a relative import"
+                    names = [f"{node.module}.{one.name}" for one in node.names]
+                for name in names:
+                    for other in {*compiled.APART, "experiments", "adapters"} - {folder}:
+                        assert not f"{name}.".startswith(f"zipf.{other}."), f"{path}: {name}"
 
 
 def test_where_no_folder_can_be_written_there_is_one_warning_and_no_cache(small: Path) -> None:

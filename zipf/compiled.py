@@ -2,8 +2,9 @@
 
 Compiled code contains the constants and functions that the function's module imports, but numba's
 own cache only notices changes to the file of the function itself. Here compiled code is valid for
-one state of all source files of the package. Those of `zipf/experiments`, which the rest of the
-package does not import, count for their own functions alone.
+one state of all source files of the package that it can depend on. Worlds and agents do not import
+each other, so that a change of one leaves the code of the other valid; and the files of
+`zipf/experiments`, which neither imports, count for their own functions alone.
 """
 
 import contextlib
@@ -54,13 +55,23 @@ def compiled(*, references: bool = True, **options: Any) -> Callable[[Function],
     return decorate
 
 
+APART = ("agents", "envs")
+"""The folders of the package whose modules do not import each other's."""
+
+
 @cache
-def fingerprint() -> str:
-    """A hash of the source files that compiled code can depend on and of numba's version,
-    hexadecimal."""
+def fingerprint(part: str = "") -> str:
+    """A hash of numba's version and of the source files that compiled code can depend on,
+    hexadecimal; without those of `zipf/experiments`.
+
+    Args:
+        part: the folder of the package that the code is in.
+    """
     package = Path(__file__).parent
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(set(package.rglob("*.py")) - set(package.glob("experiments/**/*.py"))):
+    others = {"experiments"} | ({*APART} - {part} if part in APART else set())
+    left_out = {path for folder in others for path in package.glob(f"{folder}/**/*.py")}
+    for path in sorted(set(package.rglob("*.py")) - left_out):
         source = path.read_bytes()
         digest.update(f"\n{path.relative_to(package).as_posix()} {len(source)}\n".encode())
         digest.update(source)
@@ -87,11 +98,13 @@ class _Cache(FunctionCache):
 
     def __init__(self, function: Function) -> None:
         super().__init__(function)
-        own = Path(function.__code__.co_filename)
+        package, own = Path(__file__).parent, Path(function.__code__.co_filename)
         stamp = self._impl.locator.get_source_stamp()
-        if Path(__file__).parent in own.parents:  # the same in every clone, as times are not
-            stamp = hashlib.sha256(own.read_bytes()).hexdigest()
-        sources = fingerprint(), stamp
+        part = ""
+        if package in own.parents:
+            part = own.relative_to(package).parts[0]
+            stamp = hashlib.sha256(own.read_bytes()).hexdigest()  # in every clone the same
+        sources = fingerprint(part), stamp
         name = f"{function.__module__}.{function.__qualname__}".replace("<locals>", "locals")
         self._cache_file = _Files(
             self._cache_path, f"{name}.{sys.implementation.cache_tag}", sources
