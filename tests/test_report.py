@@ -217,6 +217,17 @@ def test_the_record_has_the_command_that_finished_a_run(tmp_path: Path) -> None:
     assert f"```\n{later}\n```" in text
 
 
+def test_the_record_begins_with_links_to_its_parts(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5))
+    pages = ["## Zipf's Gridworld: references\n\n### A part\n"]
+    text = markdown.record(tables.score_tables(results.load_runs([tmp_path])), "", pages)
+    contents, _ = text.split("\n\n## gridworld\n", 1)
+    assert "# Results\n\n- [gridworld](#gridworld)\n- [" in contents
+    assert contents.endswith("\n- [Zipf's Gridworld: references](#zipfs-gridworld-references)")
+    linked = re.findall(r"^- \[(.+)\]\(#.+\)$", contents, re.MULTILINE)
+    assert linked == re.findall(r"^## (.+)$", text, re.MULTILINE)
+
+
 def test_the_frames_of_a_row_are_those_behind_its_score(tmp_path: Path) -> None:
     write_run(tmp_path, {100: (0.1,) * 3, 300: (0.1,) * 3, 400: (0.1,) * 3})
     write_run(tmp_path, {100: (0.1,) * 3, 200: (0.1,) * 3}, seed=1)
