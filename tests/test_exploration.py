@@ -46,6 +46,23 @@ def test_the_bonus_equals_counting_visits():
     assert max(visits.values()) > 3
 
 
+def test_parts_that_swap_their_values_are_another_observation():
+    one, other = np.array([[3, 1]], np.uint8), np.array([[2, 5]], np.uint8)
+    bonus, mask = CountBonus(OPTIONS), np.ones(1, np.bool_)
+    first = bonus({"left": one, "right": other}, mask)
+    np.testing.assert_array_equal(bonus({"left": other, "right": one}, mask), first)
+    assert bonus({"right": other, "left": one}, mask) < first  # the order of the names does not matter
+
+
+def test_a_small_table_is_used_whole():
+    """Also where bytes differ in their highest bit alone, which low bits of a hash do not show."""
+    bits = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1)
+    bonus = CountBonus(OPTIONS.model_copy(update={"table_size": 128}))
+    bonus({"image": 128 * bits}, np.ones(256, np.bool_))
+    used = np.count_nonzero(bonus.visits)
+    assert 90 < used <= 128  # 111 of a random function, by the mean
+
+
 def test_state_dict_continues_bit_for_bit():
     image = {"image": np.arange(12, dtype=np.uint8).reshape(4, 3)}
     mask = np.ones(4, np.bool_)
@@ -88,7 +105,7 @@ def test_the_first_visit_bonus_continues_bit_for_bit():
     results = [[b({"image": image}, everywhere) for image in again["image"]] for b in (one, other)]
     np.testing.assert_array_equal(*results)
     assert np.unique(np.stack(results[0])).size == 2
-    nothing = FirstVisitBonus(FIRST_VISIT)
+    nothing = other  # of what it has seen nothing is left
     nothing.load_state_dict(FirstVisitBonus(FIRST_VISIT).state_dict())
     assert nothing({"image": again["image"][0]}, everywhere).all()
 
