@@ -33,6 +33,7 @@ from zipf.experiments import command_line, composing
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder, runner
+from zipf.experiments.running import trained as run_trained
 from zipf.experiments.running.factory import build_agent
 from zipf.experiments.running.trained import evaluate_run, load_agent
 
@@ -387,6 +388,18 @@ def test_weights_that_are_damaged_or_of_another_network_are_refused(trained):
     checkpoint.save(path, {"update": 2, "weights": {"policy.bias": torch.zeros(3)}})
     with pytest.raises(UserError, match=r"weights\.pt: does not fit this version"):
         load_agent(folder, "cpu")
+
+
+@pytest.mark.parametrize("has", [True, False])
+def test_agents_act_in_a_precision_that_the_device_has(has, tmp_path, monkeypatch):
+    options = [*TINY, "updates=1", "precision=bfloat16", f"run_root={tmp_path}"]
+    config = command_line.load(options)
+    assert runner.train(config) == 0
+    monkeypatch.setattr(run_trained, "has_bfloat16", lambda device: has)
+    for _ in ("checkpoint.pt", "weights.pt"):
+        agent = load_agent(config.folder, "cpu").agent
+        assert agent.precision == ("bfloat16" if has else "float32")
+        (config.folder / "checkpoint.pt").unlink(missing_ok=True)
 
 
 def test_training_does_not_go_on_from_weights_alone(trained):

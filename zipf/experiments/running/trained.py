@@ -9,7 +9,7 @@ from pathlib import Path
 from zipf import envs
 from zipf.agents.agent import Agent
 from zipf.experiments import composing, feasibility
-from zipf.experiments.config import Config, EvaluateOptions, module_names
+from zipf.experiments.config import Config, EvaluateOptions, has_bfloat16, module_names
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder
 from zipf.experiments.running.agent_policy import AgentPolicy
@@ -33,6 +33,9 @@ class Trained:
 def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Trained:
     """Loads the agent of a run's checkpoint or, where there is none, of its weights.
 
+    One that was trained in bfloat16 acts in float32 on a device without instructions for that: the
+    weights are float32 in any case.
+
     Args:
         folder: the run's.
         device: to compute on.
@@ -49,6 +52,8 @@ def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Traine
     of_checkpoint = path.name == "checkpoint.pt"
     if of_checkpoint:
         run_folder.check_options(path, saved, config)
+    if config.precision == "bfloat16" and not has_bfloat16(config.torch_device):
+        config = config.model_copy(update={"precision": "float32"})
     # All levels of a split have the same spaces.
     env = envs.make_vec(config.split.uniform[0], 1, **config.level_options)
     agent = build_agent(config, env)
