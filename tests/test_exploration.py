@@ -51,9 +51,7 @@ def test_parts_that_swap_their_values_are_another_observation():
     bonus, mask = CountBonus(OPTIONS), np.ones(1, np.bool_)
     first = bonus({"left": one, "right": other}, mask)
     np.testing.assert_array_equal(bonus({"left": other, "right": one}, mask), first)
-    assert (
-        bonus({"right": other, "left": one}, mask) < first
-    )  # the order of the names does not matter
+    assert bonus({"right": other, "left": one}, mask) < first  # in any order of the names
 
 
 def test_a_small_table_is_used_whole():

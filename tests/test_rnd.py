@@ -159,6 +159,26 @@ def test_one_share_is_learned_from_in_batches():
     assert abs(learned - 0.5 * 100 * N) < 4 * np.sqrt(100 * N) / 2
 
 
+def test_what_a_batch_leaves_over_is_learned_from_later():
+    options = OPTIONS.model_copy(update={"learned_share": 1.0, "batch_size": 2 * N - 3})
+    bonus = RNDBonus(options, EVERYTHING, seed=0)
+    for seed in range(2):
+        bonus(samples(EVERYTHING, N, seed), EVERY)
+    last = bonus._read(samples(EVERYTHING, N, 1), np.arange(N))
+    mean, deviation = (torch.from_numpy(x).float() for x in bonus.inputs.now())
+    normal = ((last - mean) / deviation).clamp(-5, 5)
+    assert torch.equal(bonus.waiting, normal[-3:])
+    assert all(weight.grad is None for weight in bonus.target.parameters())
+
+
+@pytest.mark.parametrize(("height", "places"), [(11, 11), (12, 12), (13, 7), (24, 12), (25, 9)])
+def test_images_are_read_at_most_as_large_as_the_options_say(height, places):
+    space = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (height, 5, 1), np.uint8))
+    bonus = RNDBonus(OPTIONS.model_copy(update={"image_side": 12}), space, seed=0)
+    square = -(-height // 12)
+    assert bonus.waiting.shape[1] == places * -(-5 // square)
+
+
 def test_state_dict_continues_bit_for_bit(tmp_path):
     """Also through a file, from which a collector gets arrays."""
     one = RNDBonus(OPTIONS, EVERYTHING, seed=0)
