@@ -312,3 +312,15 @@ def test_a_gate_is_near_the_identity_at_first():
 def test_heads_that_do_not_divide_the_size_are_refused():
     with pytest.raises(ValueError, match=r"memory.heads=4 do not divide memory.size=6"):
         build_memory(FEATURES, GTRXL.model_copy(update={"heads": 4}))
+
+
+def test_an_lstm_begins_with_open_forget_gates():
+    torch.manual_seed(0)
+    memory = build_memory(7, LSTMOptions(name="lstm", size=64, layers=2))
+    for layer in (memory, memory.above):
+        enter, forget, candidate, leave = layer.input_gates.bias.chunk(4)
+        for bias, middle in ((enter, 0), (forget, 1), (candidate, 0), (leave, 0)):
+            assert (bias - middle).abs().max() <= 1 / 8  # uniform within 1 / sqrt(size)
+            assert (bias - middle).abs().max() > 0.1
+        for weight in (layer.input_gates.weight, layer.recurrent_gates.weight):
+            assert 0.12 < weight.abs().max() <= 1 / 8
