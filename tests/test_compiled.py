@@ -1,6 +1,5 @@
 """The cache of compiled code: it notices every change that matters, and does without a folder."""
 
-import ast
 import os
 import shutil
 import subprocess
@@ -137,20 +136,6 @@ def test_compiled_code_depends_on_no_file_of_the_laboratory_but_its_own() -> Non
         if not in_laboratory or "zipf.compiled" in source:
             commands = path.parent == package  # they start the laboratory, and compile nothing
             assert commands or "zipf.experiments" not in source, path
-
-
-def test_worlds_and_agents_do_not_import_each_other() -> None:
-    package = Path(compiled.__file__).parent
-    for folder in compiled.APART:
-        for path in package.glob(f"{folder}/**/*.py"):
-            for node in ast.walk(ast.parse(path.read_text())):
-                names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
-                if isinstance(node, ast.ImportFrom):
-                    assert node.level == 0, f"{path}: a relative import"
-                    names = [f"{node.module}.{one.name}" for one in node.names]
-                for name in names:
-                    for other in {*compiled.APART, "experiments", "adapters"} - {folder}:
-                        assert not f"{name}.".startswith(f"zipf.{other}."), f"{path}: {name}"
 
 
 def test_where_no_folder_can_be_written_there_is_one_warning_and_no_cache(small: Path) -> None:

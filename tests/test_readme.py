@@ -13,7 +13,7 @@ import write_tables
 from pages import DOCS, PAGES, ROOT, TEXT, blocks, commands, files
 
 import zipf.report
-from zipf import envs, plugins
+from zipf import compiled, envs, plugins
 from zipf.agents import agent
 from zipf.agents.auxiliary import base
 from zipf.envs import family
@@ -233,7 +233,8 @@ def test_imports_run_one_way(part):
     for path in (ROOT / part).rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = []
-            if isinstance(node, ast.ImportFrom) and node.module:
+            if isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f"{path}: a relative import"
                 names = [node.module]
                 if node.module in ("zipf", "zipf.experiments"):
                     names = [f"{node.module}.{alias.name}" for alias in node.names]
@@ -244,6 +245,11 @@ def test_imports_run_one_way(part):
                 assert part != "zipf/envs" or not name.startswith("torch"), (path, name)
                 playing = name.startswith("zipf.experiments.playing")
                 assert part != "zipf/experiments/running" or not playing, (path, name)
+
+
+def test_parts_whose_compiled_code_is_kept_apart_do_not_import_each_other():
+    for part in compiled.APART:
+        assert MAY_IMPORT[f"zipf/{part}"] == {f"zipf.{part}"}
 
 
 def test_the_options_of_the_table_exist():

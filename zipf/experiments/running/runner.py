@@ -371,8 +371,7 @@ class Run:
             "clock": self.clock.state_dict(),
             **learned,
         }
-        weights = self.agent.weights()
-        if self.is_finished and weights:
+        if self.is_finished and (weights := self.agent.weights()):
             learned_last = {"update": self.update, "weights": weights}
             checkpoint.save(self.folder / "weights.pt", learned_last)
         checkpoint.save(self.folder / "checkpoint.pt", state)
