@@ -1,10 +1,11 @@
-"""On CUDA: agents train, with and without lag, and runs go on on another device."""
+"""On CUDA: conditions and agents train, with and without lag, and runs go on on another device."""
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
 from conftest import TINY, assert_equal
+from worlds_of import cheapest_pairs
 
 from zipf.agents import agents
 from zipf.experiments import command_line
@@ -51,6 +52,36 @@ def test_agents_train(agent, lag, precision, tmp_path):
     started = state(run(tmp_path / "again", agent, "updates=1", *options))["agent"]["network"]
     assert all(part.isfinite().all() for part in weights.values())
     assert any(not torch.equal(part, started[name]) for name, part in weights.items())
+
+
+@pytest.mark.parametrize(("experiment", "condition"), cheapest_pairs())
+def test_conditions_train_and_are_scored(experiment, condition, tmp_path):
+    """Three updates in the precision that `auto` chooses, and a score of the last; what is logged
+    is finite."""
+    arguments = [
+        f"experiment={experiment}",
+        f"condition={condition}",
+        f"name={condition}",
+        "updates=3",
+        f"device={CUDA}",
+        "precision=auto",
+        "collector.num_envs=6",
+        "collector.unroll_length=5",
+        "evaluation.episodes=2",
+        "schedule.log_every=1",
+        "environment.max_steps=6",
+        f"run_root={tmp_path}",
+    ]
+    if condition.startswith("r2d2"):
+        arguments += SMALL["r2d2"]
+    loaded = command_line.load(arguments)
+    assert runner.train(loaded) == 0
+    metrics = pd.read_csv(loaded.folder / "metrics.csv")
+    assert list(metrics["update"]) == [1, 2, 3]
+    assert np.isfinite(metrics["loss"].iloc[-1])
+    evaluations = pd.read_csv(loaded.folder / "evaluations.csv")
+    assert set(evaluations["update"]) == {0, 3}
+    assert evaluations["score"].notna().all()
 
 
 @pytest.mark.parametrize(("agent", "lag"), AGENTS)

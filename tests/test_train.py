@@ -25,11 +25,11 @@ from conftest import (
     run,
     untimed,
 )
-from worlds_of import chosen, needs, speaks
+from worlds_of import cheapest_pairs
 
 import zipf.envs.family
 from zipf import envs, evaluate
-from zipf.experiments import command_line, composing
+from zipf.experiments import command_line
 from zipf.experiments.config import EvaluateOptions
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import checkpoint, run_folder, runner
@@ -42,38 +42,7 @@ def folder_of(arguments: list[str]) -> Path:
     return command_line.load(arguments).folder
 
 
-def possible(experiment: str, condition: str) -> bool:
-    return needs(experiment, **chosen(experiment, condition)) is None
-
-
-def trained() -> list[tuple[str, str]]:
-    """Pairs of experiment and condition: every condition with the cheapest experiment that it is
-    possible with, of those with and of those without instructions, and every experiment with at
-    least one condition.
-
-    `test_config.py` composes all pairs.
-    """
-    cheapest: dict[tuple[bool, str], str] = {}
-    experiments = sorted(command_line.choices("experiment"), key=cost)
-    conditions = command_line.choices("condition")
-    for experiment in experiments:
-        instructed = speaks(experiment)
-        for condition in conditions:
-            if (instructed, condition) not in cheapest and possible(experiment, condition):
-                cheapest[instructed, condition] = experiment
-    pairs = [(experiment, condition) for (_, condition), experiment in cheapest.items()]
-    left = [experiment for experiment in experiments if experiment not in dict(pairs)]
-    return pairs + [(experiment, "impala") for experiment in left]
-
-
-def cost(experiment: str) -> tuple[int, int]:
-    """The levels that an evaluation scores, and the updates: few of both are for small machines."""
-    values = composing.composed(f"experiment={experiment}").values
-    split = envs.split(values["environment"]["split"])
-    return sum(len(split.levels(kind)) for kind in envs.KINDS), values["updates"]
-
-
-@pytest.mark.parametrize(("experiment", "condition"), trained())
+@pytest.mark.parametrize(("experiment", "condition"), cheapest_pairs())
 def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path):
     """Two updates; the same from a checkpoint after the first, bit for bit; a score of the last."""
     arguments = [

@@ -80,3 +80,34 @@ def chosen(experiment, condition):
     if not speaks(experiment):
         parts |= file.get("without_instruction", {})
     return parts
+
+
+def possible(experiment, condition):
+    return needs(experiment, **chosen(experiment, condition)) is None
+
+
+def cheapest_pairs():
+    """Pairs of experiment and condition: every condition with the cheapest experiment that it is
+    possible with, of those with and of those without instructions, and every experiment with at
+    least one condition.
+
+    `test_config.py` composes all pairs.
+    """
+    cheapest = {}
+    experiments = sorted(composing.choices("experiment"), key=cost)
+    conditions = composing.choices("condition")
+    for experiment in experiments:
+        instructed = speaks(experiment)
+        for condition in conditions:
+            if (instructed, condition) not in cheapest and possible(experiment, condition):
+                cheapest[instructed, condition] = experiment
+    pairs = [(experiment, condition) for (_, condition), experiment in cheapest.items()]
+    left = [experiment for experiment in experiments if experiment not in dict(pairs)]
+    return pairs + [(experiment, "impala") for experiment in left]
+
+
+def cost(experiment):
+    """The levels that an evaluation scores, and the updates: few of both are for small machines."""
+    values = composing.composed(f"experiment={experiment}").values
+    split = envs.split(values["environment"]["split"])
+    return sum(len(split.levels(kind)) for kind in envs.KINDS), values["updates"]
