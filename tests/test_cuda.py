@@ -12,7 +12,8 @@ from zipf.experiments import command_line
 from zipf.experiments.running import checkpoint, runner
 
 CUDA = "cuda"
-SMALL = {  # what is not small enough in an agent's file
+SMALL = {  # what is not small enough in an agent's file, and what it cannot do
+    "imitation": ["exploration=none"],
     "r2d2": [
         *("agent.burn_in=2", "agent.replay_min=6", "agent.replay_capacity=24", "agent.storage=ram"),
     ],
