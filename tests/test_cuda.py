@@ -25,13 +25,18 @@ AGENTS = [  # with each lag that they allow
     for lag in range(agent.largest_lag + 1)
 ]
 
-pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+pytestmark = pytest.mark.filterwarnings("error:RNN module weights")  # see `frozen_copy`
+needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+
+
+def options(agent, *overrides):
+    arguments = [*TINY, f"agent={agent}", f"name={agent}", *SMALL.get(agent, []), *overrides]
+    return command_line.load(arguments)
 
 
 def run(root, agent, *overrides):
     """Trains, and returns the folder."""
-    arguments = [*TINY, f"agent={agent}", f"name={agent}", *SMALL.get(agent, []), *overrides]
-    loaded = command_line.load([*arguments, f"run_root={root}"])
+    loaded = options(agent, *overrides, f"run_root={root}")
     assert runner.train(loaded) == 0
     return loaded.folder
 
@@ -40,21 +45,29 @@ def state(folder):
     return checkpoint.load(folder / "checkpoint.pt")
 
 
+@pytest.mark.parametrize(("agent", "lag"), AGENTS)
+def test_options_go_together(agent, lag):
+    """Also where there is no CUDA, and no other test of this file is run."""
+    assert options(agent, f"collector.lag={lag}").collector.lag == lag
+
+
+@needs_cuda
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 @pytest.mark.parametrize(("agent", "lag"), AGENTS)
 def test_agents_train(agent, lag, precision, tmp_path):
     """Their weights change and stay finite, and what is logged is finite."""
-    options = [f"device={CUDA}", f"collector.lag={lag}", f"precision={precision}"]
-    folder = run(tmp_path, agent, "updates=3", *options)
+    chosen = [f"device={CUDA}", f"collector.lag={lag}", f"precision={precision}"]
+    folder = run(tmp_path, agent, "updates=3", *chosen)
     metrics = pd.read_csv(folder / "metrics.csv")
     assert list(metrics["update"]) == [1, 2, 3]
     assert np.isfinite(metrics["loss"].iloc[-1])
     weights = state(folder)["agent"]["network"]
-    started = state(run(tmp_path / "again", agent, "updates=1", *options))["agent"]["network"]
+    started = state(run(tmp_path / "again", agent, "updates=1", *chosen))["agent"]["network"]
     assert all(part.isfinite().all() for part in weights.values())
     assert any(not torch.equal(part, started[name]) for name, part in weights.items())
 
 
+@needs_cuda
 @pytest.mark.parametrize(("experiment", "condition"), cheapest_pairs())
 def test_conditions_train_and_are_scored(experiment, condition, tmp_path):
     """Three updates in the precision that `auto` chooses, and a score of the last; what is logged
@@ -85,20 +98,21 @@ def test_conditions_train_and_are_scored(experiment, condition, tmp_path):
     assert evaluations["score"].notna().all()
 
 
+@needs_cuda
 @pytest.mark.parametrize(("agent", "lag"), AGENTS)
 @pytest.mark.parametrize(("first", "then"), [(CUDA, "cpu"), ("cpu", CUDA)])
 def test_a_run_goes_on_on_another_device(first, then, agent, lag, tmp_path):
     """With the weights, worlds and random numbers that it had; as it would have gone on, up to how
     each device rounds."""
-    options = [f"collector.lag={lag}", "agent.learning_rate=1e-5"]
-    folder = run(tmp_path, agent, "updates=2", f"device={first}", *options)
+    chosen = [f"collector.lag={lag}", "agent.learning_rate=1e-5"]
+    folder = run(tmp_path, agent, "updates=2", f"device={first}", *chosen)
     before = state(folder)
-    run(tmp_path, agent, "updates=2", f"device={then}", "resume=must", *options)
+    run(tmp_path, agent, "updates=2", f"device={then}", "resume=must", *chosen)
     moved = state(folder)
     for part in ("agent", "source"):
         assert_equal(on_cpu(before[part]), on_cpu(moved[part]), part)
-    run(tmp_path, agent, "updates=4", f"device={then}", "resume=must", *options)
-    stayed = run(tmp_path / "stayed", agent, "updates=4", f"device={first}", *options)
+    run(tmp_path, agent, "updates=4", f"device={then}", "resume=must", *chosen)
+    stayed = run(tmp_path / "stayed", agent, "updates=4", f"device={first}", *chosen)
     one, other = (on_cpu(state(at)["agent"]["network"]) for at in (folder, stayed))
     for name, part in one.items():
         torch.testing.assert_close(part, other[name], rtol=1e-2, atol=1e-3)

@@ -25,7 +25,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -41,7 +40,7 @@ from zipf.agents.critics import SCALAR, CriticOptions
 from zipf.agents.episodic import NO_EPISODIC, Dictionary, EpisodicOptions
 from zipf.agents.hindsight import NO_HINDSIGHT, HindsightOptions
 from zipf.agents.memory import MemoryOptions, State
-from zipf.agents.network import Inputs, Torso
+from zipf.agents.network import Inputs, Torso, frozen_copy
 from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import NO_REWEIGHTING, ReweightingOptions
 from zipf.agents.unroll import Unroll
@@ -310,7 +309,7 @@ class Agent(ABC):
         refreshes: they may then run in one thread while `update` runs in another. `state_dict()` is
         without the copy; `actor.state_dict()` has it."""
         self._published = self.actor
-        self.actor = deepcopy(self.actor).requires_grad_(False)
+        self.actor = frozen_copy(self.actor)
         if self._is_compiled:  # a copy is not
             self.compile()
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import ClassVar, NamedTuple
+from copy import deepcopy
+from typing import ClassVar, NamedTuple, TypeVar
 
 import gymnasium as gym
 import torch
@@ -16,6 +17,8 @@ from zipf.agents.encoders import Encoder
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary
 from zipf.agents.memory import MemoryOptions, State, build_memory
 from zipf.agents.network_options import NetworkOptions
+
+Module = TypeVar("Module", bound=nn.Module)
 
 
 class Inputs(NamedTuple):
@@ -55,6 +58,19 @@ def head(inputs: int, hidden: int, outputs: int) -> nn.Module:
     if hidden == 0:
         return nn.Linear(inputs, outputs)
     return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, outputs))
+
+
+def frozen_copy(module: Module) -> Module:
+    """A copy of a network that gradients do not reach.
+
+    On CUDA the weights of an LSTM lie in one block of memory, or else are gathered at every call;
+    in a copy they lie apart until `flatten_parameters`.
+    """
+    copy = deepcopy(module).requires_grad_(False)
+    for part in copy.modules():
+        if isinstance(part, nn.RNNBase):
+            part.flatten_parameters()
+    return copy
 
 
 def action_log_probability(log_policy: Tensor, action: Tensor) -> Tensor:

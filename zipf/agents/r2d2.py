@@ -31,7 +31,6 @@ frame on. The memory before a sequence is that of the network as it is when they
 from __future__ import annotations
 
 from collections.abc import Iterator
-from copy import deepcopy
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import gymnasium as gym
@@ -44,7 +43,7 @@ from zipf.agents.agent import Agent, Setting, register
 from zipf.agents.critics import SCALAR, CriticOptions, build_critic
 from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.memory import MemoryOptions, State
-from zipf.agents.network import Inputs, Torso, autocast, head, in_full
+from zipf.agents.network import Inputs, Torso, autocast, frozen_copy, head, in_full
 from zipf.agents.network_options import NetworkOptions
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.reweighting import NO_REWEIGHTING, weighted
@@ -226,7 +225,7 @@ class R2D2(Agent):
             )
         self.network.to(self.device)
         self.actor = self.network
-        self.target = deepcopy(self.network).requires_grad_(False)
+        self.target = frozen_copy(self.network)
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(),
             lr=options.learning_rate,

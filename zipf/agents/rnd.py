@@ -237,17 +237,23 @@ def _means_of_squares(images, square, means):
     """Of images uint8 [M, H, W, C] the means of squares of pixels, smaller ones at the right and at
     the bottom, 0 to 1."""
     rows, height, width, channels = images.shape
+    lines = images.reshape(rows, height, width * channels)
+    sums = np.empty(width * channels, np.int64)  # of the pixels of a row of squares, by column
     for i in range(rows):
         for y in range(means.shape[1]):
             top, bottom = y * square, min((y + 1) * square, height)
+            sums[:] = 0
+            for v in range(top, bottom):
+                line = lines[i, v]
+                for u in range(len(sums)):
+                    sums[u] += line[u]
             for x in range(means.shape[2]):
                 left, right = x * square, min((x + 1) * square, width)
                 scale = 1 / (255 * (bottom - top) * (right - left))
                 for c in range(channels):
                     total = 0
-                    for v in range(top, bottom):
-                        for u in range(left, right):
-                            total += images[i, v, u, c]
+                    for u in range(left, right):
+                        total += sums[u * channels + c]
                     means[i, y, x, c] = total * scale
 
 

@@ -23,7 +23,6 @@ the paper.
 from __future__ import annotations
 
 import math
-from copy import deepcopy
 from typing import Annotated, Any, Literal, NamedTuple
 
 import torch
@@ -35,7 +34,13 @@ from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.averaging import average_gradients
 from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.memory import State
-from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast
+from zipf.agents.network import (
+    ActorCritic,
+    Inputs,
+    action_log_probability,
+    autocast,
+    frozen_copy,
+)
 from zipf.agents.returns import bootstrapped_returns
 from zipf.agents.reweighting import NO_REWEIGHTING, weighted
 from zipf.agents.unroll import Unroll
@@ -105,7 +110,7 @@ class VMPO(Agent):
         self.network.to(self.device)
         self.auxiliary.to(self.device)
         self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
-        self.target = deepcopy(self.network).requires_grad_(False)
+        self.target = frozen_copy(self.network)
         self.actor = self.target
         initial = {"eta": options.initial_eta, "alpha": options.initial_alpha}
         self.duals = nn.ParameterDict(

@@ -9,7 +9,6 @@ are shifted (Schwarzer et al. 2021).
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
@@ -21,7 +20,7 @@ from torch import Tensor, nn
 
 from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
 from zipf.agents.encoders import Encoder, is_image
-from zipf.agents.network import Inputs, Torso, head
+from zipf.agents.network import Inputs, Torso, frozen_copy, head
 from zipf.agents.network_options import NetworkOptions
 
 Size = Annotated[int, Field(ge=1)]
@@ -109,8 +108,8 @@ class BYOL(Auxiliary):
                 self.forward_map = OneStepMap(*sizes)
         self.projector = NormalisedMLP(encoder.size, o.projection_hidden, o.projection_size)
         self.predictor = NormalisedMLP(o.projection_size, o.prediction_hidden, o.projection_size)
-        self.target_encoder = copy.deepcopy(encoder).requires_grad_(False)
-        self.target_projector = copy.deepcopy(self.projector).requires_grad_(False)
+        self.target_encoder = frozen_copy(encoder)
+        self.target_projector = frozen_copy(self.projector)
 
     def forward(self, inputs: Inputs, core: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """The weighted `auxiliary_byol`, in [0, 4].

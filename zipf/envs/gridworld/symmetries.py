@@ -35,17 +35,17 @@ class Symmetries:
         turned = [[moves.index(tuple(turn @ move)) for move in moves] for turn in SQUARE]
         self.actions: NDArray[np.int64] = np.array(turned)[board]
         cells = _sources(VIEW)
-        self._pixels = np.where(np.arange(VIEW**2) == 0, 0, cells)  # the first cell is hidden
+        places = np.where(np.arange(VIEW**2) == 0, 0, cells)  # the first cell is hidden
         if pictures > 1:
-            self._pixels = _pixels_of_cells(cells, _sources(CELL)[:pictures])
+            places = _bytes_of_pixels(_pixels_of_cells(cells, _sources(CELL)[:pictures]))
+        self._places = places.astype(np.uint16)
 
     def __call__(
         self, observation: dict[str, NDArray], which: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> None:
         """Changes the observations `{name: [N, ...]}`, in place, where `mask` [N]."""
         shown = observation["image"] if "image" in observation else observation["tiles"]
-        pixels = shown.reshape(len(shown), self._pixels.shape[1], -1)
-        _turn(pixels, which, mask, self._pixels)
+        _turn(shown.reshape(len(shown), -1), which, mask, self._places)
 
 
 def _sources(side: int) -> NDArray[np.int64]:
@@ -74,14 +74,23 @@ def _pixels_of_cells(cells: NDArray[np.int64], pictures: NDArray[np.int64]) -> N
     return np.array(found)
 
 
+def _bytes_of_pixels(pixels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """As `_pixels_of_cells`, for the bytes of RGB images; one past the last where there is
+    floor."""
+    colours = np.arange(3)
+    sources = np.where(pixels[..., None] < 0, 3 * pixels.shape[1], 3 * pixels[..., None] + colours)
+    return sources.reshape(len(pixels), -1)
+
+
 @compiled()
-def _turn(pixels, which, mask, sources):
-    """Moves pixels uint8 [N, pixels, colours] in place; black where the source is -1."""
-    before = np.empty(pixels.shape[1:], np.uint8)
-    for i in range(len(pixels)):
+def _turn(shown, which, mask, sources):
+    """Moves the bytes of observations uint8 [N, bytes] in place; black where the source is one past
+    the last."""
+    size = shown.shape[1]
+    before = np.zeros(size + 1, np.uint8)
+    for i in range(len(shown)):
         if mask[i] and which[i]:
-            before[:] = pixels[i]
-            for j in range(pixels.shape[1]):
-                source = sources[which[i], j]
-                for k in range(pixels.shape[2]):
-                    pixels[i, j, k] = before[source, k] if source >= 0 else 0
+            before[:size] = shown[i]
+            target, places = shown[i], sources[which[i]]
+            for j in range(size):
+                target[j] = before[places[j]]
