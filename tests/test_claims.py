@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +176,57 @@ def test_every_row_has_to_hold() -> None:
     assert judge(one, scores(seeds=1, **known)).outcome == "not enough data"
 
 
+@pytest.mark.parametrize(
+    ("measure", "of_a", "of_b", "chance", "decided"),
+    [
+        ("difference", 0.1, 0.14, 0.1, False),
+        ("difference", 0.1, 0.15, 0.1, True),
+        ("difference", 0.15, 0.1, 0.1, True),
+        ("change", 0.1, 0.14, 0.1, False),
+        ("difference", 0.1, 0.14, math.nan, True),  # chance is not known
+        ("value", 0.1, 0.14, 0.1, True),  # nothing is compared
+    ],
+)
+def test_scores_at_chance_are_not_compared(
+    measure: str, of_a: float, of_b: float, chance: float, decided: bool
+) -> None:
+    against = {} if measure == "value" else {"against": ["a", "rare"]}
+    one = check(form="score", measure=measure, score=["b", "rare"], at_most=9, **against)
+    known = {
+        (condition, "rare"): Measured(value, 3, 1000, chance)
+        for condition, value in (("a", of_a), ("b", of_b))
+    }
+    verdict = judge(one, Results(known, every=["a", "b"]))
+    assert verdict.outcome == ("holds" if decided else "not enough data")
+    assert ("none is 0.05 above chance" in verdict.numbers[0]) != decided
+
+
+def test_what_is_compared_is_also_shown_by_seed() -> None:
+    """Of two conditions any two seeds are compared, of one its own scores of one seed."""
+    known = {
+        ("a", "rare"): Measured(0.2, 3, 1000, by_seed={0: 0.1, 1: 0.2, 2: 0.3}),
+        ("a", "uniform"): Measured(0.5, 3, 1000, by_seed={0: 0.4, 1: 0.5, 2: 0.6}),
+        ("b", "rare"): Measured(0.7, 3, 1000, by_seed={3: 0.6, 4: 0.7, 5: 0.9}),
+    }
+    found = Results(known, every=["a", "b"])
+    both = check(
+        form="score", measure="difference", score=["b", "rare"], against=["a", "rare"], at_least=0
+    )
+    assert judge(both, found).numbers == (
+        "b rare 0.70, a rare 0.20: +0.50 (by seed +0.30 to +0.80)",
+    )
+    one = check(
+        form="score",
+        measure="difference",
+        score=["a", "rare"],
+        against=["a", "uniform"],
+        at_most=0,
+    )
+    assert judge(one, found).numbers == (
+        "a rare 0.20, a uniform 0.50: -0.30 (by seed -0.30 to -0.30)",
+    )
+
+
 def test_curves_windows_and_effort() -> None:
     curves = check(form="curves", conditions=["a", "b"], column="rare", at_most=0.1)
     a, b = pd.Series({0: 0.9, 10: 0.2, 20: 0.3}), pd.Series({0: 0.0, 10: 0.3, 30: 0.9})
@@ -253,7 +305,7 @@ def test_claims_in_the_report(tmp_path: Path) -> None:
     assert (
         "| Visual reconstruction improves the rarest maps and objects of the gridworld by 20 %. "
         "| gridworld | relative change at least +10 % | IMPALA + vis recon rare 0.23, "
-        "IMPALA rare 0.20: +15 % | holds | holds |"
+        "IMPALA rare 0.20: +15 % (by seed +15 % to +15 %) | holds | holds |"
     ) in text
     assert "IMPALA + transformer rare 0.40 (1/3 seeds), IMPALA rare 0.20: +0.20" in text
     written = csv_claims(lines)

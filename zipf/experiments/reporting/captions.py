@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from zipf.experiments.reporting.claim_results import ClaimLine
-from zipf.experiments.reporting.claims import published_window
+from zipf.experiments.reporting.claims import LEARNED, published_window
 from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
@@ -76,9 +76,10 @@ def side_by_side_caption(beside: SideBySide) -> str:
 def claims_caption(lines: Sequence[ClaimLine]) -> str:
     """How to read the claims, and which have no scores."""
     sentences = [
-        f"A claim holds if its measure lies within bounds, which are ours; a score of fewer than "
-        f"{PROTOCOL_SEEDS} seeds decides nothing. Last column: the same check of the numbers that "
-        f"the paper prints."
+        f"A claim holds if its measure lies within bounds, which are ours. A score of fewer than "
+        f"{PROTOCOL_SEEDS} seeds decides nothing, nor do compared scores of which none is {LEARNED} above "
+        f"chance. By seed: least and largest measure over all choices of a seed of each "
+        f"condition. Last column: the same check of the numbers that the paper prints."
     ]
     known = {line.claim.id for line in lines if line.at_hand}
     without = dict.fromkeys(line.claim.id for line in lines if line.claim.id not in known)

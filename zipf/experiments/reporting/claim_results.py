@@ -21,6 +21,7 @@ from zipf.experiments.reporting.claims import (
 )
 from zipf.experiments.reporting.paper import paper_table
 from zipf.experiments.reporting.rows import Row
+from zipf.experiments.reporting.scores import means_inside
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import UpdateWindow
 from zipf.experiments.reporting.wording import PROTOCOL_SEEDS
@@ -99,16 +100,27 @@ def results_of(table: ScoreTable) -> Results:
     rows = [row for row in table.rows if not row.external]
     scores = pd.concat([table.scores, table.group_scores])
     scores = scores[~scores["external"].astype(bool)]
-    curves = {}
+    curves, by_seed = {}, {}
     for row in rows:
         for levels in table.kinds:
             means = [run.mean_scores(levels) for run in row.runs]
             curves[row.condition, levels.level_kind] = _curve(means)
+        for levels in (*table.kinds, *table.groups):
+            inside = {
+                run.description.seed: means_inside(run, levels, table.window) for run in row.runs
+            }
+            by_seed[row.condition, levels.name or levels.level_kind] = {
+                seed: float(means["score"].median()) for seed, means in inside.items() if len(means)
+            }
     experiment = table.description.paper
     return Results(
         scores={
             (line["condition"], line["level"] or line["level_kind"]): Measured(
-                float(line["score"]), int(line["seeds"]), int(line["episodes"])
+                float(line["score"]),
+                int(line["seeds"]),
+                int(line["episodes"]),
+                float(line["chance"]),
+                by_seed.get((line["condition"], line["level"] or line["level_kind"]), {}),
             )
             for line in scores.to_dict("records")
         },

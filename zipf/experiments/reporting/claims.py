@@ -14,6 +14,7 @@ were chosen.
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -125,13 +126,28 @@ class Claim(BaseModel):
     checks: tuple[Check, ...]
 
 
+LEARNED = 0.05
+"""How far above chance a score is, at least, that tells something about an agent; ours: what the
+checks take for "the same"."""
+
+ROUNDING = 1e-9  # sums and quotients of published decimals are off by their rounding
+
+
 @dataclass(frozen=True)
 class Measured:
-    """A score, and over how many seeds and episodes (the fewest of an evaluation) it is known."""
+    """A score.
+
+    Attributes:
+        seeds, episodes: over how many it is known; episodes are the fewest of an evaluation.
+        chance: what random actions score there; NaN where that is not known.
+        by_seed: the score of each seed; empty where they are not known.
+    """
 
     score: float
     seeds: int
     episodes: int
+    chance: float = math.nan
+    by_seed: Mapping[int, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -190,8 +206,10 @@ def published_window(experiment: str) -> tuple[int, int]:
 def judge(check: Check, results: Results) -> Verdict:
     """Whether a check holds.
 
-    A score of fewer seeds than the protocol's three is shown and decides nothing. A check that is
-    made for every row fails where one row fails it, and holds where every row is known and holds.
+    A score of fewer seeds than the protocol's three is shown and decides nothing. Nor do scores
+    that are compared and none of which is `LEARNED` above chance: they are of agents that have not
+    learned what the level asks for. A check that is made for every row fails where one row fails
+    it, and holds where every row is known and holds.
     """
     match check:
         case ScoreCheck():
@@ -271,9 +289,29 @@ def _judge_row(check: ScoreCheck, condition: str, results: Results) -> tuple[Out
         text += f": {_text(value, check.measure)}"
     if math.isnan(value) or any(score.seeds < PROTOCOL_SEEDS for score in known.values()):
         return "not enough data", text
-    # Sums and quotients of published decimals are off by their rounding.
-    inside = check.at_least - 1e-9 <= value <= check.at_most + 1e-9
+    if check.measure != "value":
+        text += _over_seeds(check.measure, places, known)
+        if all(score.score < score.chance + LEARNED - ROUNDING for score in known.values()):
+            return "not enough data", f"{text}; none is {LEARNED} above chance"
+    inside = check.at_least - ROUNDING <= value <= check.at_most + ROUNDING
     return "holds" if inside else "fails", text
+
+
+def _over_seeds(measure: Measure, places: Sequence[Place], known: Mapping[Place, Measured]) -> str:
+    """The least and largest value over all choices of a seed of each condition, in brackets;
+    nothing where scores of seeds are not known."""
+    conditions = dict.fromkeys(condition for condition, _ in places)
+    of_condition = {
+        condition: set.intersection(*(set(known[p].by_seed) for p in places if p[0] == condition))
+        for condition in conditions
+    }
+    values = []
+    for seeds in itertools.product(*of_condition.values()):
+        chosen = dict(zip(conditions, seeds, strict=True))
+        values.append(_measure(measure, [known[p].by_seed[chosen[p[0]]] for p in places]))
+    if not values or any(map(math.isnan, values)):
+        return ""
+    return f" (by seed {_text(min(values), measure)} to {_text(max(values), measure)})"
 
 
 def _measure(measure: Measure, scores: Sequence[float]) -> float:
