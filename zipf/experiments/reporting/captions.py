@@ -77,9 +77,9 @@ def claims_caption(lines: Sequence[ClaimLine]) -> str:
     """How to read the claims, and which have no scores."""
     sentences = [
         f"A claim holds if its measure lies within bounds, which are ours. A score of fewer than "
-        f"{PROTOCOL_SEEDS} seeds decides nothing, nor do compared scores of which none is {LEARNED} above "
-        f"chance. By seed: least and largest measure over all choices of a seed of each "
-        f"condition. Last column: the same check of the numbers that the paper prints."
+        f"{PROTOCOL_SEEDS} seeds decides nothing, nor do compared scores of which none is "
+        f"{LEARNED} above chance. By seed: least and largest measure over all choices of a seed "
+        f"of each condition. Last column: the same check of the numbers that the paper prints."
     ]
     known = {line.claim.id for line in lines if line.at_hand}
     without = dict.fromkeys(line.claim.id for line in lines if line.claim.id not in known)
