@@ -197,6 +197,36 @@ def test_state_dict_continues_bit_for_bit(tmp_path):
         assert_equal(other.state_dict(), one.state_dict())
 
 
+def test_a_state_stays_as_it_was_taken():
+    bonus = RNDBonus(OPTIONS, EVERYTHING, seed=0)
+    bonus(samples(EVERYTHING, N, 0), EVERY)
+    taken = bonus.state_dict()
+    before = deepcopy({name: taken[name] for name in ("sum", "waiting")})
+    bonus(samples(EVERYTHING, N, 1), EVERY)
+    assert_equal({name: taken[name] for name in before}, before)
+
+
+def test_weights_begin_orthogonal_and_biases_at_zero():
+    """As in the code of Burda et al. 2019: W W^T or W^T W is twice the identity."""
+    bonus = RNDBonus(OPTIONS, EVERYTHING, seed=0)
+    for network in (bonus.target, bonus.predictor):
+        layers = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
+        for layer in layers:
+            weight = layer.weight.detach()
+            short = weight if weight.shape[0] <= weight.shape[1] else weight.T
+            torch.testing.assert_close(short @ short.T, 2 * torch.eye(len(short)))
+            assert not layer.bias.any()
+
+
+def test_the_seed_chooses_what_is_learned_from():
+    learned = []
+    for seed in (0, 1):
+        bonus = RNDBonus(OPTIONS.model_copy(update={"batch_size": 1000}), EVERYTHING, seed=seed)
+        bonus(samples(EVERYTHING, N, 0), EVERY)
+        learned.append(bonus.waiting)
+    assert not torch.equal(*learned)
+
+
 def test_the_seed_decides_and_other_draws_do_not():
     torch.manual_seed(0)
     one, again, other = (RNDBonus(OPTIONS, EVERYTHING, seed=seed) for seed in (0, 0, 1))
