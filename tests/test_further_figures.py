@@ -49,6 +49,21 @@ def test_scores_against_time_and_frames(tmp_path: Path) -> None:
     assert above.get_xlim() == pytest.approx([4096 * end for end in updates.axes[0].get_xlim()])
 
 
+def test_times_on_different_devices_are_not_compared(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5))
+    write_run(tmp_path, constant(0.5), seed=1, device="a GPU")
+    table = only_table(tmp_path)
+    assert curves(table, in_hours=True) is None
+    assert curves(table, in_hours=False) is not None
+    (note,) = (note for note in table.notes if "times are not compared" in note)
+    assert note.startswith("Runs were on cpu; a GPU: ")
+
+
+def test_a_run_that_went_on_elsewhere_was_on_both_devices(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5), resumed=[{"update": 100, "device": "a GPU"}])
+    assert curves(only_table(tmp_path), in_hours=True) is None
+
+
 def test_long_runs_are_drawn_in_hours_without_external_agents(tmp_path: Path) -> None:
     write_run(tmp_path, {0: (0.1,) * 3, 14400: (0.5,) * 3})
     write_external(tmp_path, {7: (0.3, 0.2, 0.1)})

@@ -145,6 +145,12 @@ class RunDescription(_Described):
         return next((one for one in reversed(commands) if isinstance(one, str)), None)
 
     @property
+    def devices(self) -> tuple[str, ...]:
+        """What it was trained on, in turn, each named once."""
+        named = [self.device, *(again.get("device") for again in self.resumed)]
+        return tuple(dict.fromkeys(one for one in named if isinstance(one, str)))
+
+    @property
     def row_key(self) -> str:
         """The row of a table that the run belongs to: its condition, marked if it is external."""
         return self.condition + (f" {EXTERNAL_MARK}" if self.external else "")

@@ -16,7 +16,7 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 from zipf.experiments.reporting.average_figures import averages
 from zipf.experiments.reporting.frequency_figures import by_visits, frequencies
 from zipf.experiments.reporting.markdown import PLOT_KINDS
-from zipf.experiments.reporting.results import aligned
+from zipf.experiments.reporting.results import aligned, devices_of
 from zipf.experiments.reporting.situation_figures import by_rank, by_situation
 from zipf.experiments.reporting.styles import (
     BAND,
@@ -83,9 +83,11 @@ def learning_curves(
     scores are drawn against frames: at one place of the axis all have had the same experience.
 
     In hours, or minutes below two hours, a point of the line is at the median time of the seeds at
-    an update, training and evaluation together, each on its own machine; without external agents,
-    whose time is not known.
+    an update, training and evaluation together; without external agents, whose time is not known.
+    Where runs were on different devices there is none.
     """
+    if in_hours and len(devices_of(table.runs)) > 1:
+        return None
     rows = [row for row in table.rows if not (in_hours and row.external)]
     scores = {
         (row.key, levels.level_kind): pd.concat(

@@ -18,7 +18,7 @@ from zipf.experiments.reporting.html_panels import (
     panel,
     shade,
 )
-from zipf.experiments.reporting.results import LevelGroup, Run, aligned
+from zipf.experiments.reporting.results import LevelGroup, Run, aligned, devices_of
 from zipf.experiments.reporting.styles import LineStyle
 from zipf.experiments.reporting.tables import Row, ScoreTable
 from zipf.experiments.reporting.wording import KIND_NAMES
@@ -50,6 +50,7 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[
     ends = {time: 1.02 * max(float(every[time].max()), 1e-9) for time in AXES}
     windows = {time: None if time == "hours" else window_ends(table, time) for time in AXES}
     used = default_axis(table)
+    several = ", on several devices" if len(devices_of(table.runs)) > 1 else ""
     panels = []
     for levels in table.kinds:
         kind = levels.level_kind
@@ -65,7 +66,7 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[
         for time, title in AXES.items():
             window = windows[time]
             axes[time] = {
-                "title": title,
+                "title": title + (several if time == "hours" else ""),
                 "x": [numbers(places[time]) for _, places in traces],
                 "range": [0, ends[time]],
                 "shapes": [shade(*window)] if window else [],

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from zipf.envs.splits import KINDS
-from zipf.experiments.reporting.results import Run
+from zipf.experiments.reporting.results import Run, devices_of
 from zipf.experiments.reporting.windows import (
     LastEvaluations,
     ScaledWindow,
@@ -26,6 +26,12 @@ def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
     for run in runs:
         found += run.notes
         found += _window_notes(run, window_of(run, window))
+    devices = devices_of(runs)
+    if len(devices) > 1:
+        found.append(
+            f"Runs were on {'; '.join(devices)}: their times are not compared, so that there is no "
+            "figure of scores against time."
+        )
     found += [note for name in REFERENCE_NAMES for note in _reference_notes(runs, name)]
     for key in dict.fromkeys(run.description.row_key for run in runs):
         of_row = [run for run in runs if run.description.row_key == key]

@@ -155,6 +155,11 @@ def _run_folders(root: Path) -> Iterator[Path]:
             yield Path(folder)
 
 
+def devices_of(runs: Sequence[Run]) -> tuple[str, ...]:
+    """What any of these runs was trained on, each device named once."""
+    return tuple(dict.fromkeys(device for run in runs for device in run.description.devices))
+
+
 def aligned(seeds: Sequence[pd.DataFrame]) -> list[pd.DataFrame]:
     """The seeds' `mean_scores` with places in common, so that a median over seeds can be taken.
 
