@@ -15,7 +15,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from zipf.experiments.reporting.seed_statistics import seed_means
+from zipf.experiments.reporting.scores import seed_means
 from zipf.experiments.reporting.styles import RARE_COLOUR, set_title
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.wording import KIND_NAMES
@@ -57,10 +57,10 @@ def averages(table: ScoreTable) -> Figure | None:
         for kind, style in KIND_STYLES.items():
             if learns:
                 levels = next(one for one in table.kinds if one.level_kind == kind)
-                seeds = seed_means(rows[number], levels, table)
+                seeds = seed_means(rows[number], levels, table.window)
                 if len(seeds) > 1:
                     ranges = True
-                    ends = [np.min(seeds), np.max(seeds)]
+                    ends = [min(seeds.values()), max(seeds.values())]
                     axis.plot(ends, [place, place], color=style["color"], linewidth=5, alpha=0.35)
             if kind in known:
                 colours = style if learns else {**style, "color": "0.55"}

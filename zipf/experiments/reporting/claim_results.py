@@ -21,7 +21,7 @@ from zipf.experiments.reporting.claims import (
 )
 from zipf.experiments.reporting.paper import paper_table
 from zipf.experiments.reporting.rows import Row
-from zipf.experiments.reporting.scores import means_inside
+from zipf.experiments.reporting.scores import seed_means
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import UpdateWindow
 from zipf.experiments.reporting.wording import PROTOCOL_SEEDS
@@ -106,24 +106,21 @@ def results_of(table: ScoreTable) -> Results:
             means = [run.mean_scores(levels) for run in row.runs]
             curves[row.condition, levels.level_kind] = _curve(means)
         for levels in (*table.kinds, *table.groups):
-            inside = {
-                run.description.seed: means_inside(run, levels, table.window) for run in row.runs
-            }
-            by_seed[row.condition, levels.name or levels.level_kind] = {
-                seed: float(means["score"].median()) for seed, means in inside.items() if len(means)
-            }
+            column = levels.name or levels.level_kind
+            by_seed[row.condition, column] = seed_means(row, levels, table.window)
+    measured = {}
+    for line in scores.to_dict("records"):
+        place = line["condition"], line["level"] or line["level_kind"]
+        measured[place] = Measured(
+            float(line["score"]),
+            int(line["seeds"]),
+            int(line["episodes"]),
+            float(line["chance"]),
+            by_seed[place],
+        )
     experiment = table.description.paper
     return Results(
-        scores={
-            (line["condition"], line["level"] or line["level_kind"]): Measured(
-                float(line["score"]),
-                int(line["seeds"]),
-                int(line["episodes"]),
-                float(line["chance"]),
-                by_seed.get((line["condition"], line["level"] or line["level_kind"]), {}),
-            )
-            for line in scores.to_dict("records")
-        },
+        scores=measured,
         every=list(paper_table(experiment).rows) if experiment else [],
         titles={row.condition: row.title for row in rows},
         window=_window(table, rows),

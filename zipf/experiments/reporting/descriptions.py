@@ -146,9 +146,9 @@ class RunDescription(_Described):
 
     @property
     def devices(self) -> tuple[str, ...]:
-        """What it was trained on, in turn, each named once."""
+        """What it was trained on, at its start and each time that it was resumed."""
         named = [self.device, *(again.get("device") for again in self.resumed)]
-        return tuple(dict.fromkeys(one for one in named if isinstance(one, str)))
+        return tuple(one for one in named if isinstance(one, str))
 
     @property
     def row_key(self) -> str:

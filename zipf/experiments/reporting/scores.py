@@ -148,6 +148,13 @@ def means_inside(run: Run, levels: LevelGroup, window: Window) -> pd.DataFrame:
     return means[means["update"].isin(evaluations_inside(run, window)["update"])]
 
 
+def seed_means(row: Row, levels: LevelGroup, window: Window) -> dict[int, float]:
+    """A row's scores by seed as the table takes their median: of each seed the median over the
+    window of the levels' weighted mean. Without the seeds that have no score in the window."""
+    inside = {run.description.seed: means_inside(run, levels, window)["score"] for run in row.runs}
+    return {seed: float(scores.median()) for seed, scores in inside.items() if len(scores)}
+
+
 def _across_seeds(scored: Sequence[pd.DataFrame]) -> dict[str, float]:
     score = pd.Series([evaluations["score"].median() for evaluations in scored])
     plain = pd.Series([evaluations["plain_score"].median() for evaluations in scored])

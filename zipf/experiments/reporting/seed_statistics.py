@@ -22,7 +22,6 @@ from zipf.experiments.reporting.intervals import (
     interquartile_mean,
 )
 from zipf.experiments.reporting.rows import Row
-from zipf.experiments.reporting.scores import means_inside
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside, situations_inside
 from zipf.experiments.reporting.wording import (
@@ -79,13 +78,6 @@ def seed_scores(row: Row, levels: LevelGroup, table: ScoreTable) -> NDArray[np.f
         if len(scored):
             found.append(scored.groupby("level")["score"].median()[list(levels.weights)])
     return np.array(found, float).reshape(len(found), len(levels.weights))
-
-
-def seed_means(row: Row, levels: LevelGroup, table: ScoreTable) -> NDArray[np.float64]:
-    """A row's scores [seeds] as the table takes their median: of each seed the median over the
-    window of the levels' weighted mean."""
-    inside = [means_inside(run, levels, table.window)["score"] for run in row.runs]
-    return np.array([scores.median() for scores in inside if len(scores)], float)
 
 
 def statistics_frame(table: ScoreTable) -> pd.DataFrame:
