@@ -37,7 +37,8 @@ class Symmetries:
         cells = _sources(VIEW)
         places = np.where(np.arange(VIEW**2) == 0, 0, cells)  # the first cell is hidden
         if pictures > 1:
-            places = _bytes_of_pixels(_pixels_of_cells(cells, _sources(CELL)[:pictures]))
+            pixels = _pixels_of_cells(cells, _sources(CELL)[:pictures])
+            places = (3 * pixels[..., None] + np.arange(3)).reshape(len(pixels), -1)
         self._places = places.astype(np.uint16)
 
     def __call__(
@@ -59,7 +60,7 @@ def _sources(side: int) -> NDArray[np.int64]:
 
 def _pixels_of_cells(cells: NDArray[np.int64], pictures: NDArray[np.int64]) -> NDArray[np.int64]:
     """As `_sources`, for the pixels of the image and each symmetry of cells and pictures, int64
-    [8 * len(pictures), 63 * 63]; -1 where there is floor in the place of the cue."""
+    [8 * len(pictures), 63 * 63]; 63 * 63 where there is floor in the place of the cue."""
     side = VIEW * CELL
     rows, columns = np.indices((side, side)).reshape(2, -1)
     cell, inside = rows // CELL * VIEW + columns // CELL, rows % CELL * CELL + columns % CELL
@@ -70,24 +71,16 @@ def _pixels_of_cells(cells: NDArray[np.int64], pictures: NDArray[np.int64]) -> N
             row = source // VIEW * CELL + picture[inside] // CELL
             column = source % VIEW * CELL + picture[inside] % CELL
             hidden = (cell != 0) & (source == 0)
-            found.append(np.where(hidden, -1, row * side + column))
+            found.append(np.where(hidden, side * side, row * side + column))
     return np.array(found)
-
-
-def _bytes_of_pixels(pixels: NDArray[np.int64]) -> NDArray[np.int64]:
-    """As `_pixels_of_cells`, for the bytes of RGB images; one past the last where there is
-    floor."""
-    colours = np.arange(3)
-    sources = np.where(pixels[..., None] < 0, 3 * pixels.shape[1], 3 * pixels[..., None] + colours)
-    return sources.reshape(len(pixels), -1)
 
 
 @compiled()
 def _turn(shown, which, mask, sources):
-    """Moves the bytes of observations uint8 [N, bytes] in place; black where the source is one past
-    the last."""
+    """Moves the bytes of observations uint8 [N, bytes] in place; black where the source is in a
+    pixel past the last."""
     size = shown.shape[1]
-    before = np.zeros(size + 1, np.uint8)
+    before = np.zeros(size + 3, np.uint8)
     for i in range(len(shown)):
         if mask[i] and which[i]:
             before[:size] = shown[i]
