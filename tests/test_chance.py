@@ -62,7 +62,7 @@ def test_an_unknown_reference_is_refused() -> None:
     with pytest.raises(ValueError, match=r"unknown reference 'expart' \(did you mean 'expert'\?\)"):
         reference("expart", "gridworld/uniform")
     family = envs.Family(
-        name="oracles", summary="", levels=("a",), make_vec="", references={"oracle": "a:b"}
+        name="oracles", summary="", levels=("a",), make_vec="a:b", references={"oracle": "a:b"}
     )
     with pytest.raises(ValueError, match="unknown reference 'oracle': expected one of chance, "):
         envs.register(family)

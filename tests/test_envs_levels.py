@@ -171,6 +171,11 @@ def test_weights_that_are_none_are_refused(weight: Any) -> None:
         SplitLevel("gridworld/rare", weight=weight)
 
 
+def test_options_of_a_level_are_a_mapping() -> None:
+    with pytest.raises(ValueError, match="options of gridworld/rare must be a mapping, got 3"):
+        SplitLevel("gridworld/rare", options=3)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     "options", [{"episodes": "10"}, {"episodes": 2.5}, {"num_envs": "a"}, {"max_steps": "a"}]
 )
@@ -184,7 +189,11 @@ def test_chance_is_measured_of_worlds_that_start_over() -> None:
         measure_chance("gridworld/rare", autoreset_mode="Disabled")
 
 
-@pytest.mark.parametrize("max_steps", ["a", 0])
-def test_chance_is_not_known_of_worlds_that_are_none(max_steps: Any) -> None:
-    with pytest.raises(ValueError, match="max_steps must be"):
-        reference("chance", "gridworld/rare", max_steps=max_steps)
+@pytest.mark.parametrize("player", ["chance", "expert"])
+@pytest.mark.parametrize("options", [{"max_steps": "a"}, {"max_steps": 0}, {"num_rooms": 3}])
+def test_references_are_not_known_of_worlds_that_are_none(
+    player: str, options: dict[str, Any]
+) -> None:
+    (name,) = options
+    with pytest.raises(ValueError, match=f"{name} must be"):
+        reference(player, "gridworld/rare", **options)

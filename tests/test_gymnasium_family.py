@@ -224,6 +224,13 @@ def test_what_is_no_family_is_refused(arguments: Any, message: str) -> None:
         ({"id": 3}, "Gymnasium does not take the id 3"),
         ({"id": "zipf/Gridworld-v0"}, "has an environment 'zipf/Gridworld-v0' already"),
         ({"splits": over().splits * 2}, "there is a split 'goal' already"),
+        ({"splits": over().splits[0]}, "splits of a family must be a tuple of Split, got Split"),
+        ({"levels": "zipf_2"}, "levels of a family must be a tuple of str, got 'zipf_2'"),
+        (
+            {"make_vec": "goals.make"},
+            "make_vec of a family must be .* 'module:attribute', got 'goa",
+        ),
+        ({"references": {"chance": "a"}}, "chance of a family must be an object or 'module:attrib"),
     ],
 )
 def test_a_family_is_registered_as_a_whole(wrong: Any, message: str) -> None:

@@ -32,6 +32,9 @@ def test_laws() -> None:
         assert found[0] == order
         assert found[1].nonzero()[0].tolist() == list(range(n - n // 5, n))
     assert benchmark.law("rooms_watermaze") is None
+    for released, ours in (("uniform_rare", "forward_rare"), ("zipf1", "forward_zipf")):
+        np.testing.assert_equal(benchmark.law(released), benchmark.law(ours))
+    np.testing.assert_equal(benchmark.law("zipf_2"), benchmark.law("zipf2"))  # as elsewhere
 
 
 def test_tasks_are_drawn_by_the_law_and_told_in_info_alone() -> None:

@@ -140,6 +140,12 @@ def test_a_mixture_of_all_levels_steps_as_one() -> None:
         assert env.batches[0].episodes[i].__class__ is LEVELS[list(LEVELS)[level]].load()
 
 
+@pytest.mark.parametrize(("repeat", "fps"), [(4, 15), (1, 60)])
+def test_pictures_are_as_fast_as_the_world(repeat: int, fps: int) -> None:
+    env = mixture(2, action_repeat=repeat)
+    assert env.metadata["render_fps"] == env.batches[0].metadata["render_fps"] == fps
+
+
 def test_a_mixture_is_saved_and_pickled() -> None:
     env, other = mixture(6), mixture(6)
     env.reset(seed=0)

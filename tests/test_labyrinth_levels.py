@@ -428,6 +428,9 @@ def test_kinds_of_objects_with_rewards(level: str, kinds: int) -> None:
     assert len(episode.objects) == kinds
     assert len(episode.good) == kinds // 2
     assert len(episode.places) == 2 * kinds
+    patterns = env._scenery.scenes.pattern[0, episode.objects]
+    assert (patterns >= 0).all()  # none is a mesh with parts of either colour
+    assert len(np.unique(patterns)) > 1
     cells = dict(episode.cells)
     touch(env, 0, episode.objects[-1])
     assert wait(env)[0] == -1

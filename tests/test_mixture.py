@@ -445,6 +445,7 @@ def test_mixtures_are_levels_of_mixtures() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"level_options": {"rare": 3}}, r"level_options\['rare'\] must be a mapping, got 3"),
         ({"draw": "steps"}, "draw must be 'worlds' or 'resets', got 'steps'"),
         ({"exponent": None}, "draw='resets' needs either exponent or probabilities"),
         ({"probabilities": [1, 1, 1, 1]}, "needs either exponent or probabilities"),
@@ -484,6 +485,18 @@ def test_a_rank_that_the_levels_describe_is_refused() -> None:
     for rank in ("task_name", "task"):
         with pytest.raises(ValueError, match=f"the levels have an entry '{rank}' or '{rank}_name'"):
             Mixture({"a": told, "b": told}, 2, draw="resets", exponent=1.0, rank=rank)
+
+
+def test_what_actions_point_at_is_kept_where_the_levels_agree() -> None:
+    def pointing(num_envs: int, **options: Any) -> ZipfVectorEnv:
+        env = EASY["rare"](num_envs, **options)
+        env.action_regions = np.eye(4, dtype=np.float32)
+        return env
+
+    alike = Mixture({"a": pointing, "b": pointing}, 2, draw="resets", exponent=1.0)
+    np.testing.assert_array_equal(alike.action_regions, np.eye(4))
+    other = Mixture({"a": pointing, "b": EASY["rare"]}, 2, draw="resets", exponent=1.0)
+    assert other.action_regions is None
 
 
 def test_levels_with_other_observations_or_actions_are_named() -> None:

@@ -357,14 +357,11 @@ def test_grid_skips_hidden_faces():
     assert not view(scenes).any()
 
 
-def test_pixels_do_not_depend_on_other_worlds_mask_or_threads():
+def test_pixels_do_not_depend_on_other_worlds_or_mask():
     scenes = random_scenes(1, worlds=7)
     renderer = Renderer(ATLAS, STACK, width=50, height=20)
     out = np.zeros((7, 20, 50, 3), np.uint8)
     renderer.render(scenes, out)
-    threaded = np.zeros_like(out)
-    Renderer(ATLAS, STACK, width=50, height=20, threads=3).render(scenes, threaded)
-    assert (out == threaded).all()
     some = np.full_like(out, 7)
     mask = np.array([True, False, False, True, False, True, False])
     renderer.render(scenes, some, mask)
@@ -380,13 +377,12 @@ def test_pixels_do_not_depend_on_other_worlds_mask_or_threads():
         assert (one[0] == out[world]).all()
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-def test_images_are_the_same_at_every_address(threads):
+def test_images_are_the_same_at_every_address():
     """Where lines begin at multiples of 16 bytes they are written past the caches."""
     scenes = random_scenes(1, worlds=7, overlays=1)
     scenes.overlays[2], scenes.overlay_colours[2] = (0.1, 0.2, 0.6, 0.9), (10, 20, 30, 200)
     scenes.overlay_count[2] = 1
-    renderer = Renderer(ATLAS, STACK, width=48, height=20, threads=threads)
+    renderer = Renderer(ATLAS, STACK, width=48, height=20)
     images = []
     for shift in (0, 1, 16):
         room = np.full(7 * 20 * 48 * 3 + 32, 7, np.uint8)

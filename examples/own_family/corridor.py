@@ -61,9 +61,11 @@ class Corridor(ZipfVectorEnv):
         return {"places": self.places, "targets": self.targets}
 
     def _set_worlds(self, state):
-        for name, values in self._get_worlds().items():
+        worlds = self._get_worlds()
+        for name in worlds:
             if not np.isin(state[name], range(len(self.one_hot))).all():
                 raise ValueError(f"the state has {name} outside of the corridor")
+        for name, values in worlds.items():
             values[:] = state[name]
 
 

@@ -1,7 +1,8 @@
 """Checks of arguments that the worlds have in common."""
 
+import difflib
 import operator
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,14 @@ def mapping(name: str, value: Any) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a mapping, got {value!r}")
     return value
+
+
+def unknown(kind: str, name: str, known: Iterable[str]) -> ValueError:
+    """The error for a name that there is not: says the nearest of the known ones, and all."""
+    known = list(known)
+    nearest = difflib.get_close_matches(name, known, n=2, cutoff=0.4)
+    hint = f" (did you mean {' or '.join(map(repr, nearest))}?)" if nearest else ""
+    return ValueError(f"unknown {kind} {name!r}{hint}: expected one of {', '.join(known)}")
 
 
 def reset_options(value: Any, known: Collection[str]) -> Mapping[str, Any]:

@@ -13,7 +13,6 @@ A family of your own needs a batch of worlds (`ZipfVectorEnv`) and one call:
 
 from __future__ import annotations
 
-import difflib
 import importlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +24,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.arguments import unknown
 from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Level, Split, SplitLevel, level_name
 from zipf.options import Options
@@ -152,7 +152,7 @@ class Family:
         if self.check is not None:
             _loaded(self.check)(name)
         elif name not in self.levels:
-            raise ValueError(_unknown(f"{self.name} level", name, self.levels))
+            raise unknown(f"{self.name} level", name, self.levels)
 
     def check_options(self, given: Iterable[str], *more: str) -> None:
         """Raises ValueError for a name that is neither a constructor option nor one of `more`, if
@@ -162,7 +162,7 @@ class Family:
         known = (*self.options_class.model_fields, *more)
         for name in given:
             if name not in known:
-                raise ValueError(_unknown(f"{self.name} option", name, known))
+                raise unknown(f"{self.name} option", name, known)
 
     def make_batch(self, level: str, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
         """`num_envs` worlds of a level, named without the family's name."""
@@ -198,10 +198,11 @@ def register(family: Family) -> Family:
 
     Raises:
         ValueError: a family or a split of that name is there already or twice, a name cannot be
-            part of a level's name, it has an unknown reference, or Gymnasium does not take the id.
+            part of a level's name, a field is of another kind, it has an unknown reference, or
+            Gymnasium does not take the id.
             Nothing is registered then.
     """
-    check_name(family.name)
+    _check_fields(family)
     if family.name in _FAMILIES:
         raise ValueError(f"there is a family {family.name!r} already")
     splits = [*all_splits(), *(split.name for split in family.splits)]
@@ -218,6 +219,24 @@ def register(family: Family) -> Family:
         raise ValueError(f"Gymnasium does not take the id {family.id!r}: {error}") from None
     _FAMILIES[family.name] = family
     return family
+
+
+def _check_fields(family: Family) -> None:
+    """Raises ValueError for fields that are not of the kind that `Family` says."""
+    check_name(family.name)
+    for field_name, kind in (("levels", str), ("splits", Split)):
+        value = getattr(family, field_name)
+        if not isinstance(value, tuple) or not all(isinstance(one, kind) for one in value):
+            raise ValueError(
+                f"{field_name} of a family must be a tuple of {kind.__name__}, got {value!r}"
+            )
+    loaded = {**vars(family), **family.references}
+    for field_name in loaded.keys() - {"name", "summary", "id"}:
+        value = loaded[field_name]
+        if isinstance(value, str) and not all(value.partition(":")):
+            raise ValueError(
+                f"{field_name} of a family must be an object or 'module:attribute', got {value!r}"
+            )
 
 
 def check_name(name: Any) -> None:
@@ -263,7 +282,7 @@ def find_level(level: str) -> tuple[Family, str]:
     prefix, _, name = level.partition("/")
     if prefix not in _FAMILIES or not name:
         known = [f"{one.name}/{name}" for one in _FAMILIES.values() for name in one.levels]
-        raise ValueError(_unknown("level", level, known))
+        raise unknown("level", level, known)
     found = _FAMILIES[prefix]
     found.check_level(name)
     return found, name
@@ -403,7 +422,7 @@ def reference(name: str, level: Level | SplitLevel, /, **kwargs: Any) -> Referen
 
 def _check_reference(name: str) -> None:
     if name not in REFERENCE_NAMES:
-        raise ValueError(_unknown("reference", name, REFERENCE_NAMES))
+        raise unknown("reference", name, REFERENCE_NAMES)
 
 
 def keys(level: str) -> Keys | None:
@@ -502,11 +521,5 @@ def _named(kind: str, name: str, known: Mapping[str, Any]) -> Any:
     if not isinstance(name, str):
         raise ValueError(f"a {kind} must be a name, got {name!r}")
     if name not in known:
-        raise ValueError(_unknown(kind, name, tuple(known)))
+        raise unknown(kind, name, known)
     return known[name]
-
-
-def _unknown(kind: str, name: str, known: Sequence[str]) -> str:
-    nearest = difflib.get_close_matches(name, known, n=2, cutoff=0.4)
-    hint = f" (did you mean {' or '.join(map(repr, nearest))}?)" if nearest else ""
-    return f"unknown {kind} {name!r}{hint}: expected one of {', '.join(known)}"

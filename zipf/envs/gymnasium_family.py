@@ -15,6 +15,7 @@ from zipf.envs.mixture import Mixture, ordered
 from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Split
 from zipf.envs.vector import ZipfVectorEnv, rank_name
+from zipf.options import Options
 
 _WORLDS = ("wrap", "codes", "success", "text_length", "vocabulary")
 
@@ -120,6 +121,7 @@ def zipfian(
             raise ValueError(f"chance of {level!r} must be a ReferenceScore, got {score!r}")
     return Family(
         name=name,
+        options=_Options,
         summary=f"{len(makers)} environments of Gymnasium, one drawn at every reset",
         levels=(trained, "uniform", "rare", *makers),
         check=levels.check,
@@ -127,6 +129,10 @@ def zipfian(
         splits=(Split(name, f"{name}/{trained}", f"{name}/uniform", f"{name}/rare"),),
         references={"chance": partial(_known, chance)},
     )
+
+
+class _Options(Options):
+    """The families have no constructor options: an unknown one is an error."""
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ class Mixture(ZipfVectorEnv):
                 num_envs,
                 autoreset_mode=autoreset_mode,
                 render_mode=render_mode,
-                **{**options, **level_options.get(name, {})},
+                **{**options, **mapping(f"level_options[{name!r}]", level_options.get(name))},
             )
             for name in self.level_names
         ]
@@ -147,6 +147,9 @@ class Mixture(ZipfVectorEnv):
         self.metadata = first.metadata
         self.reports_success = all(batch.reports_success for batch in self.batches)
         self.achieves = all(batch.achieves for batch in self.batches)
+        regions = first.action_regions
+        if all(np.array_equal(batch.action_regions, regions) for batch in self.batches):
+            self.action_regions = regions
         super().__init__(
             num_envs,
             single_observation_space=first.single_observation_space,

@@ -57,7 +57,8 @@ class SplitLevel:
         normalisation: how its mean return becomes its score; None: the score is the mean return.
 
     Raises:
-        ValueError: the level is neither, or the weight not positive and finite.
+        ValueError: the level is neither, the weight not positive and finite, or the options no
+            mapping.
     """
 
     level: Level
@@ -73,6 +74,7 @@ class SplitLevel:
         number = isinstance(self.weight, Real) and not isinstance(self.weight, bool)
         if not (number and np.isfinite(self.weight) and self.weight > 0):
             raise ValueError(f"the weight of {self.name} must be positive, got {self.weight!r}")
+        mapping(f"options of {self.name}", self.options)
 
     @property
     def name(self) -> str:

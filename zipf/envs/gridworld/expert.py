@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.arguments import whole
 from zipf.envs.gridworld import kernels
 from zipf.envs.gridworld.chance import destinations, mean_success
 from zipf.envs.gridworld.maps import Maps, build_maps, check_sizes
@@ -52,6 +53,7 @@ def score(
 ) -> ReferenceScore:
     """The expert's score on a level, exact, also by map and by target."""
     maps = build_maps(*check_sizes(num_maps, num_rooms, room_size, num_objects))
+    max_steps = whole("max_steps", max_steps, 1)
     return mean_success(level, reached(maps, max_steps).astype(np.float64))
 
 

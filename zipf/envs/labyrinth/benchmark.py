@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Callable
 from functools import partial
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs import distributions
+from zipf.envs.arguments import unknown
 from zipf.envs.labyrinth.levels import LEVELS, by_name
 from zipf.envs.references import ReferenceScore, measured
 from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
@@ -28,9 +28,11 @@ MIXTURES: dict[str, tuple[str, str]] = {
 }
 """Levels that draw a task at every reset: the order of the tasks, most frequent first, and the
 distribution over it. `zipf<exponent>` is a further one for every exponent, in forward order."""
+_RELEASED = {"uniform_rare": "forward_rare"}
+"""What the released wrapper calls a level; its `zipf1` is one of `zipf<exponent>`."""
 
 
-_ZIPF = re.compile(r"zipf([0-9]+(?:\.[0-9]+)?)")  # float() would take "1_5" and "1e400", too
+_ZIPF = re.compile(r"zipf_?([0-9]+(?:\.[0-9]+)?)")  # float() would take "1_5" and "1e400", too
 _KNOWN = (*MIXTURES, "zipf<exponent>", *LEVELS)
 
 
@@ -46,6 +48,7 @@ def law(name: str) -> tuple[str, NDArray[np.float64]] | None:
     if not isinstance(name, str):
         raise ValueError(f"level must be a name, got {name!r}: expected one of {', '.join(_KNOWN)}")
     name = name.removeprefix("labyrinth/")
+    name = _RELEASED.get(name, name)
     if name in MIXTURES:
         order, distribution = MIXTURES[name]
     elif zipf := _ZIPF.fullmatch(name):
@@ -54,23 +57,17 @@ def law(name: str) -> tuple[str, NDArray[np.float64]] | None:
         try:
             by_name(name)
         except ValueError:
-            raise _unknown(name) from None
+            raise unknown("level", name, _KNOWN) from None
         return None
     try:
         return order, distributions.by_name(distribution)(len(LEVELS))
     except ValueError:
-        raise _unknown(name) from None
+        raise unknown("level", name, _KNOWN) from None
 
 
 def check(name: str) -> None:
     """Raises ValueError if this is not a level, a task or one that draws them."""
     law(name)
-
-
-def _unknown(name: str) -> ValueError:
-    nearest = difflib.get_close_matches(name, _KNOWN, n=1)
-    hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-    return ValueError(f"unknown level {name!r}{hint}: expected one of {', '.join(_KNOWN)}")
 
 
 def make_vec(

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from zipf.envs.arguments import pair, whole
 from zipf.envs.family import EngineError
-from zipf.envs.labyrinth.actions import TABLES, Action
-from zipf.envs.labyrinth.levels import by_name
+from zipf.envs.labyrinth.actions import Action, action_table
+from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND, by_name
 from zipf.envs.labyrinth.vector import MOST_PIXELS, MOST_REPEAT
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.replayed import Outcome, ReplayedVectorEnv
@@ -119,10 +119,9 @@ class DmlabVectorEnv(ReplayedVectorEnv):
     ) -> None:
         self.level = by_name(level)
         self._height, self._width = pair("image_size", image_size, MOST_PIXELS)
-        if not isinstance(num_actions, int) or num_actions not in TABLES:
-            known = " or ".join(map(str, TABLES))
-            raise ValueError(f"num_actions must be {known}, got {num_actions!r}")
+        table = action_table(num_actions)
         self.action_repeat = whole("action_repeat", action_repeat, 1, MOST_REPEAT)
+        self.metadata = {**self.metadata, "render_fps": FRAMES_PER_SECOND / self.action_repeat}
         self.max_steps = None if max_steps is None else whole("max_steps", max_steps, 1)
         self.replayed_name = f"DeepMind Lab's {self.level.name}"
         _deepmind_lab()
@@ -134,12 +133,12 @@ class DmlabVectorEnv(ReplayedVectorEnv):
                     "instruction": VOCABULARY.space(),
                 }
             ),
-            single_action_space=spaces.Discrete(num_actions),
+            single_action_space=spaces.Discrete(len(table)),
             autoreset_mode=autoreset_mode,
             copy=copy,
             render_mode=render_mode,
         )
-        self._actions_taken = TABLES[num_actions]
+        self._actions_taken = table
         self._labs = Labs(num_envs)
         self._vectors: NDArray[np.intc] | None = None  # of the actions, once an engine has told
 

@@ -75,16 +75,13 @@ def height_at(heights, size, x, y):
 
 
 @lru_cache(maxsize=256)
-def make_terrain(
-    seed: int, side: float, mushrooms: tuple[int, int], density: float = 1.0
-) -> Terrain:
+def make_terrain(seed: int, side: float, mushrooms: tuple[int, int]) -> Terrain:
     """Draws a terrain; the same arguments give the same one.
 
     Args:
         seed: of the draws.
         side: of the terrain, units.
         mushrooms: least and most of them.
-        density: of plants and rocks, against that of a terrain of 2048 units.
     """
     rng = np.random.default_rng([seed, round(side), *mushrooms])
     size = side / QUADS
@@ -97,7 +94,7 @@ def make_terrain(
         (("rock_0", "rock_1", "rock_2"), 37, 36.0, (0.45, 1.3)),
         (("bush_0", "bush_1"), 18, 0.0, (0.6, 1.3)),
     ):
-        for _ in range(int(density * rng.integers(1, most + 1))):
+        for _ in range(int(rng.integers(1, most + 1))):
             x, y = rng.uniform(BORDER, side - BORDER, 2).tolist()
             if all(np.hypot(x - a, y - b) > 60 for a, b in taken):
                 taken.append((x, y))

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from zipf.envs import pcg64
 from zipf.envs.arguments import pair, whole
 from zipf.envs.labyrinth import engine
-from zipf.envs.labyrinth.actions import TABLES, commands
+from zipf.envs.labyrinth.actions import action_table, commands
 from zipf.envs.labyrinth.episode import Episode
-from zipf.envs.labyrinth.levels import LEVELS, Level, by_name
+from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND, LEVELS, Level, by_name
 from zipf.envs.labyrinth.scenery import Scenery
 from zipf.envs.labyrinth.state import clear, make_worlds
 from zipf.envs.labyrinth.topdown import draw_map, empty_map
@@ -52,10 +52,9 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self.level = by_name(level)
         self._rules = self.level.load()
         height, width = pair("image_size", image_size, MOST_PIXELS)
-        if not isinstance(num_actions, int) or num_actions not in TABLES:
-            known = " or ".join(map(str, TABLES))
-            raise ValueError(f"num_actions must be {known}, got {num_actions!r}")
+        table = action_table(num_actions)
         self.action_repeat = whole("action_repeat", action_repeat, 1, MOST_REPEAT)
+        self.metadata = {**self.metadata, "render_fps": FRAMES_PER_SECOND / self.action_repeat}
         self.max_steps = None if max_steps is None else whole("max_steps", max_steps, 1)
         super().__init__(
             num_envs,
@@ -65,7 +64,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
                     "instruction": VOCABULARY.space(),
                 }
             ),
-            single_action_space=spaces.Discrete(num_actions),
+            single_action_space=spaces.Discrete(len(table)),
             situation={},
             autoreset_mode=autoreset_mode,
             copy=copy,

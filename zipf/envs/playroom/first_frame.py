@@ -48,7 +48,9 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
             )
         super().__init__(num_envs, level, **options)
         if not self.level.finding:
-            raise ValueError(f"level 'playroom/{level}' has no object on the left and on the right")
+            raise ValueError(
+                f"playroom/{self.level.name} has no object on the left and on the right"
+            )
         self.single_action_space = spaces.Discrete(2)
         self.action_regions = _HALVES
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -1,12 +1,12 @@
 """The playroom's eighteen levels, its objects and its instructions."""
 
-import difflib
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs import distributions
+from zipf.envs.arguments import unknown
 from zipf.envs.language import Vocabulary
 
 OBJECTS = (
@@ -132,9 +132,7 @@ def by_name(name: str, frequent_exponent: float = 0.0) -> Level:
         raise ValueError(f"level must be a name, got {name!r}: expected one of {', '.join(LEVELS)}")
     name = name.removeprefix("playroom/")
     if name not in LEVELS:
-        nearest = difflib.get_close_matches(name, LEVELS, n=2, cutoff=0.4)
-        hint = f" (did you mean {' or '.join(map(repr, nearest))}?)" if nearest else ""
-        raise ValueError(f"unknown level {name!r}{hint}: expected one of {', '.join(LEVELS)}")
+        raise unknown("level", name, LEVELS)
     level = LEVELS[name]
     if name.endswith("_frequent"):
         level = replace(level, probabilities=_frequent(frequent_exponent))

@@ -48,8 +48,8 @@ from zipf.envs.render3d.walls import draw_wall
 
 
 @compiled(references=False, error_model="numpy")
-def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fields, out):
-    """Draws the worlds start .. stop - 1 that are in `mask` to `out`, uint8 [N, H, W, 3].
+def draw(mask, scene_fields, asset_fields, lens_fields, buffer_fields, out):
+    """Draws the worlds that are in `mask` [N] to `out`, uint8 [N, H, W, 3].
 
     The fields are those of `SceneArrays`, `Assets`, `Lens` and `Buffers` as plain tuples. Returns
     the first world that names a texture, screen or mesh that does not exist, or -1.
@@ -75,7 +75,7 @@ def draw(start, stop, mask, scene_fields, asset_fields, lens_fields, buffer_fiel
     canvas = Canvas(
         width, height, image.colour.shape[1], address(image.colour), address(image.depth)
     )
-    for i in range(start, stop):
+    for i in range(len(mask)):
         if not mask[i]:
             continue
         sun, lamp = scenes.sun[i], scenes.lamp[i]

@@ -1,7 +1,6 @@
 """Draws batches of first-person views."""
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from zipf.envs.render3d.textures import SIZE
 class Renderer:
     """Draws the views of the cameras of `Scenes`.
 
-    The pixels of a scene do not depend on the other worlds, the mask or the number of threads.
+    The pixels of a scene do not depend on the other worlds or the mask.
 
     Args:
         meshes: the atlas that the scenes' instances index.
@@ -27,10 +26,9 @@ class Renderer:
             several renderers may share.
         width, height: of the images, in pixels.
         fov: the horizontal field of view, in degrees.
-        threads: how many worlds are drawn at the same time.
 
     Raises:
-        ValueError: for sizes or threads below 1, a field of view outside 1 .. 170 and textures of
+        ValueError: for sizes below 1, a field of view outside 1 .. 170 and textures of
             another shape or dtype.
     """
 
@@ -42,9 +40,8 @@ class Renderer:
         width: int = 96,
         height: int = 72,
         fov: float = 90.0,
-        threads: int = 1,
     ) -> None:
-        for name, value in (("width", width), ("height", height), ("threads", threads)):
+        for name, value in (("width", width), ("height", height)):
             if value < 1:
                 raise ValueError(f"{name} must be 1 or more, not {value}")
         if not 1 <= fov <= 170:
@@ -57,10 +54,9 @@ class Renderer:
         elif textures.dtype != np.uint8:
             raise ValueError(f"textures must be uint8, not {textures.dtype}")
         else:
-            texels = pack_textures(textures.astype(np.uint8, copy=False))
+            texels = pack_textures(textures)
         self.width = width
         self.height = height
-        self.threads = threads
         focal = width / 2 / math.tan(math.radians(fov) / 2)
         tilts = np.arctan(((height - 1) / 2 - np.arange(height)) / focal)
         # Plain tuples with the fields of `arrays.Assets`, `Lens` and `Buffers`.
@@ -69,8 +65,7 @@ class Renderer:
         self._most_vertices = int(np.diff(meshes.first_vertex).max(initial=0))
         self._most_triangles = int(np.diff(meshes.first_triangle).max(initial=0))
         self._sizes = ((0, 0), (0, 0))
-        self._buffers = [self._allocate() for _ in range(threads)]
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._buffers = self._allocate()
 
     def render(
         self, scenes: Scenes, out: NDArray[np.uint8], mask: NDArray[np.bool_] | None = None
@@ -101,19 +96,8 @@ class Renderer:
         sizes = (scenes.solid.shape[1:], scenes.terrain_looks.shape[1:])
         if sizes != self._sizes:
             self._sizes = sizes
-            self._buffers = [self._allocate() for _ in range(self.threads)]
-        fields = scenes.fields()
-        if self._pool is None:
-            wrong = draw(0, n, mask, fields, self._assets, self._lens, self._buffers[0], out)
-        else:
-            cuts = [n * k // self.threads for k in range(self.threads + 1)]
-            jobs = [
-                self._pool.submit(
-                    draw, start, stop, mask, fields, self._assets, self._lens, buffers, out
-                )
-                for start, stop, buffers in zip(cuts, cuts[1:], self._buffers, strict=False)
-            ]
-            wrong = max(job.result() for job in jobs)
+            self._buffers = self._allocate()
+        wrong = draw(mask, scenes.fields(), self._assets, self._lens, self._buffers, out)
         if wrong >= 0:
             texels, meshes, _ = self._assets
             raise ValueError(

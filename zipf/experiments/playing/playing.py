@@ -19,7 +19,7 @@ from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments import composing
 from zipf.experiments.config import PositiveInt, Seed, module_names
 from zipf.experiments.errors import UserError
-from zipf.experiments.playing.recording import Recording
+from zipf.experiments.playing.recording import Recording, usual_fps
 from zipf.experiments.playing.screens import open_screen
 from zipf.experiments.playing.sessions import Session, Shows, World, has_image
 from zipf.experiments.running.agent_policy import AgentPolicy
@@ -64,7 +64,7 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
         # The first reset may compile for a minute: do so before a screen is open.
         world.env.reset(seed=seed)
         world.env.render()
-    fps = options.fps or worlds[0].env.metadata["render_fps"]
+    fps = options.fps or usual_fps(worlds[0].env)
     with ExitStack() as stack:
         for world in worlds:
             stack.callback(world.env.close)

@@ -11,12 +11,18 @@ import imageio.v3 as iio
 import numpy as np
 from numpy.typing import NDArray
 
+from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.errors import UserError
 
 ENDINGS = (".gif", ".mp4")
 GIF_MAX_FPS = 50  # browsers play frames shorter than 1/50 s five times slower than meant
 
 _GIF_TICKS = 100  # a GIF counts time in hundredths of a second
+
+
+def usual_fps(env: ZipfVectorEnv) -> float:
+    """Frames per second of a recording of worlds: as fast as they are, where a GIF can be so."""
+    return min(env.metadata["render_fps"], GIF_MAX_FPS)
 
 
 class Recording:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from zipf import envs
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.errors import UserError
-from zipf.experiments.playing.recording import Recording
+from zipf.experiments.playing.recording import Recording, usual_fps
 from zipf.experiments.playing.screens import enlarge
 from zipf.experiments.reporting import videos
 from zipf.experiments.reporting.replacing import replace_text
@@ -221,7 +221,7 @@ def _record(trained: Trained, situation: Situation, episode: Episode, path: Path
     with closing(_worlds(trained, situation.level, 1, **drawn)) as env:
         env.reset(seed=episode.seed, options=situation.ranks)
         info: dict[str, Any] = {}
-        with Recording(path, env.metadata["render_fps"]) as recording:
+        with Recording(path, usual_fps(env)) as recording:
             recording.add(_picture(env))
             for step, action in enumerate(episode.actions, 1):
                 _, _, terminated, truncated, info = env.step(np.array([action]))

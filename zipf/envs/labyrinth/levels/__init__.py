@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from zipf.envs.arguments import unknown
 
 if TYPE_CHECKING:
     from zipf.envs.labyrinth.episode import Episode
@@ -177,7 +178,5 @@ def by_name(name: str) -> Level:
     if plain.startswith("skymaze_"):
         plain = plain.removesuffix(_LONGER)
     if plain not in LEVELS:
-        nearest = difflib.get_close_matches(plain, LEVELS, n=1)
-        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-        raise ValueError(f"unknown level {name!r}{hint}: expected one of {', '.join(LEVELS)}")
+        raise unknown("level", plain, LEVELS)
     return LEVELS[plain]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, product
 from typing import ClassVar
 
 import numpy as np
@@ -11,6 +11,7 @@ from zipf.envs.labyrinth import themes
 from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.mazes import MazeOptions, random_maze
+from zipf.envs.labyrinth.patterns import PATTERNS, SOLID
 from zipf.envs.labyrinth.state import CELL
 from zipf.envs.labyrinth.steering import Ways
 from zipf.envs.labyrinth.words import SHAPES
@@ -24,19 +25,20 @@ _CONSOLE = tuple(
     for b in (low, high)
 )
 """The sixteen colours of text consoles."""
-_PAIRS = tuple(combinations(_CONSOLE, 2))
+_PATTERNS = tuple(pattern for pattern in PATTERNS if pattern != SOLID)
+_KINDS = tuple(product(SHAPES, _PATTERNS, combinations(_CONSOLE, 2)))
 
 
 class ObjectRewards(Episode):
     """Goal: take the good objects and leave the bad ones.
 
     Layout: one room of 11 x 11 cells with pictures on its walls.
-    Rules: an episode has four (many: eight) kinds of objects, each a shape in two colours; half of
-    the kinds are good. A map has one object of each kind in random ones of eight (many: sixteen)
-    cells. When all good ones are taken, a new map begins: the player stands in a random spawn cell,
-    looking anywhere.
+    Rules: an episode has four (many: eight) kinds of objects, each a shape with a pattern of two
+    colours; half of the kinds are good. A map has one object of each kind in random ones of eight
+    (many: sixteen) cells. When all good ones are taken, a new map begins: the player stands in a
+    random spawn cell, looking anywhere.
     Rewards: +2 for a good object, -1 for a bad one.
-    Approximated: the original's objects also have one of eight patterns.
+    Approximated: the bitmaps of the patterns are ours.
     """
 
     kinds: ClassVar[int]
@@ -47,13 +49,11 @@ class ObjectRewards(Episode):
         self.maze = random_maze(rng, options)
         themes.build_maze(world, self.maze, rng)
         (self.spawns,), (self.places,) = self.maze.spawns, self.maze.objects
-        drawn = rng.choice(len(SHAPES) * len(_PAIRS) * 2, self.kinds, replace=False).tolist()
         self.objects = []
-        for number in drawn:
-            shape, number = number % len(SHAPES), number // len(SHAPES)
-            pair = _PAIRS[number // 2]
-            colours = pair if number % 2 else pair[::-1]
-            self.objects.append(world.add_item(SHAPES[shape], colours=colours))
+        for kind in rng.choice(len(_KINDS), self.kinds, replace=False).tolist():
+            shape, pattern, pair = _KINDS[kind]
+            colours = pair if rng.integers(2) else pair[::-1]
+            self.objects.append(world.add_item(shape, colours=colours, pattern=pattern))
         self.good = self.objects[: self.kinds // 2]
         self.tried: set[int] = set()
 

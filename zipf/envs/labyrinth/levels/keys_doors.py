@@ -147,11 +147,12 @@ class _Planner:
                 else:
                     beside = self.room_with_space(self.traps)
             room = self.add_room(beside, colour)
-            if beside == last and last in entered:
-                competitors.append(last)
+            if beside == last and entered:
+                competitor = max(entered)  # the newest core room; `last` may be the empty one
+                competitors.append(competitor)
                 if not trap and rng.random() < 0.5:
-                    at = entered[last]
-                    trap = self.add_trap(last, core[at], core[at + 1 :])
+                    at = entered[competitor]
+                    trap = self.add_trap(competitor, core[at], core[at + 1 :])
             entered[room] = step
             last = room
             if now and not before:

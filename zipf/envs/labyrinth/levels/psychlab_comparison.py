@@ -10,7 +10,7 @@ from zipf.envs.labyrinth.looks import WHITE, Colour
 from zipf.envs.labyrinth.screen import Place
 from zipf.envs.labyrinth.world import World
 
-UNITS, STEP = 64, 8
+STEP = 8
 """Units a side of the array in the middle of the screen, and those of a cell."""
 POSITIONS = range(4, 60, STEP)
 """Positions of cells, in units from the array's left or top."""
