@@ -9,6 +9,7 @@ import renewal
 import torch
 from conftest import assert_equal, random_unroll
 from networks import compact
+from noise import SPACES, Noise
 from test_recall import IMPALA
 
 from zipf import envs
@@ -516,6 +517,22 @@ def test_mem_needs_an_image():
     space = gym.spaces.Dict(position=gym.spaces.Box(-1, 1, (3,), np.float32))
     with pytest.raises(ValueError, match=r"episodic=mem needs an image.*only position; episodic="):
         build_recorder(MEM, space, BATCH, SIZE, ACTIONS, 0)
+
+
+@pytest.mark.parametrize("options", BOTH, ids=lambda o: o.name)
+def test_names_of_parts_may_have_dots(options):
+    """Those of nested observations of Gymnasium do."""
+    env = Noise(BATCH, SPACES["two images"])
+    spaces = env.single_observation_space, env.single_action_space
+    assert any("." in name for name in spaces[0])
+    memory = MLPOptions(name="mlp", size=SIZE, layers=1)
+    setting = Setting(*spaces, compact(patch=6), memory, episodic=options, num_envs=BATCH)
+    made = agents()["impala"](IMPALA, setting)
+    collector = Collector(env, made, unroll_length=STEPS, seed=0)
+    for _ in range(3):
+        metrics = made.update(collector.collect())
+    assert all(np.isfinite(value) for value in metrics.values())
+    assert int(made.network.dictionary.filled) > 0 or options is MEM
 
 
 @pytest.mark.parametrize("options", BOTH, ids=lambda o: o.name)

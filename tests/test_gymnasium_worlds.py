@@ -137,6 +137,25 @@ def test_other_spaces_become_a_dict_of_one_part(space: Any, names: list[str]) ->
     assert env.reset(seed=0)[0] in env.observation_space
 
 
+@pytest.mark.parametrize(
+    ("space", "dtype"),
+    [
+        (spaces.Box(0, 65535, (4,), np.uint16), np.int32),
+        (spaces.Box(0, 2**32 - 1, (4,), np.uint32), np.int64),
+        (spaces.MultiDiscrete([300, 65535], dtype=np.uint16), np.int32),
+    ],
+)
+def test_integers_that_pytorch_does_not_calculate_with_are_kept_as_others(
+    space: Any, dtype: Any
+) -> None:
+    env = everything(options={"space": space}, codes={})
+    (kept,) = env.single_observation_space.values()
+    assert kept.dtype == dtype
+    observation, _ = env.reset(seed=0)
+    assert observation in env.observation_space
+    assert observation["observation"].max() > 0
+
+
 def test_values_are_those_of_the_environment() -> None:
     env = everything(1)
     observation, _ = env.reset(seed=3)

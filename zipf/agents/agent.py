@@ -315,7 +315,8 @@ class Agent(ABC):
 
     def publish(self) -> None:
         """Copies the learned weights to those that act; without `separate_acting` they are the
-        same and nothing is copied."""
+        same and nothing is copied. What actions depend on beside `actor` is not copied: an agent
+        with such state overrides `separate_acting` and this method, or has `largest_lag = 0`."""
         if self._published is not None:
             self.actor.load_state_dict(self._published.state_dict())
 

@@ -206,9 +206,9 @@ class Quantile(Distribution):
     """Quantiles of returns, learned by quantile regression (Dabney et al. 2018): output i of n is
     the quantile of (i + 1/2) / n.
 
-    Each target is a sample of the returns. With `kappa` greater than 0 errors smaller than that
-    have a squared loss, as in QR-DQN: what is found is a quantile for returns that vary much more
-    than `kappa`, and an expectile for returns that vary less.
+    Each target is a sample of the returns. Errors smaller than `kappa` have a squared loss, as in
+    QR-DQN: what is found is a quantile for returns that vary much more than `kappa`, and an
+    expectile for returns that vary less.
     """
 
     shares: Tensor

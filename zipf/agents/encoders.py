@@ -244,6 +244,7 @@ class Encoder(nn.Module):
     Attributes:
         encoders: for each of `names`, the parts it reads, an encoder of [N, ...] -> [N, its size].
         texts: the names of the parts that are texts.
+        remembers_texts: whether the result has them; images are read by them all the same.
         size: of the result.
 
     Raises:
@@ -255,6 +256,11 @@ class Encoder(nn.Module):
         super().__init__()
         images, codes, vectors, texts = [], [], [], []
         for name, part in space.items():
+            if part.dtype in (np.uint16, np.uint32, np.uint64):
+                raise ValueError(
+                    f"{name!r} of the observations is {part.dtype}, with which PyTorch does not "
+                    "calculate: expected uint8, a signed integer or a float"
+                )
             if is_image(part):
                 images.append(name)
             elif is_text(name, part):
@@ -293,9 +299,10 @@ class Encoder(nn.Module):
                 self.reader(name).requires_grad_(False)
         if not self.names:
             raise ValueError(f"the observations are {space}: there is nothing to read")
-        self._left_out: list[tuple[str, ...]] = []
-        if isinstance(options, MatchingOptions) and not options.remember_instruction:
-            self._left_out = [(name,) for name in texts]
+        self.remembers_texts = (
+            not isinstance(options, MatchingOptions) or options.remember_instruction
+        )
+        if not self.remembers_texts:
             self.size -= told
 
     def _add(self, names: list[str], encoder: PartEncoder) -> None:
@@ -343,19 +350,18 @@ class Encoder(nn.Module):
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """`{name: [N, ...]}` -> `[N, size]`."""
-        parts = list(zip(self.names, self.encoders, strict=True))
-        encoded = {
-            names: encode(*(observation[n] for n in names))
-            for names, encode in parts
-            if not isinstance(encode, InstructedNet)
-        }
-        for names, encode in parts:
-            if isinstance(encode, InstructedNet):
-                told = [encoded[n] for n, e in parts if isinstance(e, InstructionEncoder)]
-                encoded[names] = encode(observation[names[0]], torch.cat(told, -1))
-        return torch.cat(
-            [encoded[names] for names in self.names if names not in self._left_out], -1
-        )
+        told = {name: self.reader(name)(observation[name]) for name in self.texts}
+        encoded = []
+        for names, encode in zip(self.names, self.encoders, strict=True):
+            if isinstance(encode, InstructionEncoder):
+                if self.remembers_texts:
+                    encoded.append(told[names[0]])
+            elif isinstance(encode, InstructedNet):
+                texts = torch.cat(list(told.values()), -1)
+                encoded.append(encode(observation[names[0]], texts))
+            else:
+                encoded.append(encode(*(observation[name] for name in names)))
+        return torch.cat(encoded, -1)
 
 
 def vocabulary(space: gym.Space) -> int:

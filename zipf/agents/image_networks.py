@@ -66,7 +66,7 @@ class ShallowNet(nn.Module):
             channels = outputs
             if min(height, width) < 1:
                 raise ValueError(
-                    f"network=shallow leaves nothing of an image of {shape[0]} x {shape[1]} "
+                    f"network={options.name} leaves nothing of an image of {shape[0]} x {shape[1]} "
                     "pixels; choose smaller network.kernels or network.strides, or network=compact"
                 )
         self.size = options.size

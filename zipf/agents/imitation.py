@@ -32,7 +32,7 @@ from zipf.agents.averaging import average_gradients
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary, build_recorder
 from zipf.agents.hindsight import NoHindsightOptions, matching_loss
 from zipf.agents.memory import MemoryOptions, State
-from zipf.agents.network import Inputs, Torso, autocast, head, in_full
+from zipf.agents.network import Inputs, Torso, autocast, head, in_full, sampled
 from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
@@ -152,11 +152,8 @@ class Imitation(Agent):
         with autocast(self.device, self.precision):
             outputs, _, memory = self.actor(inputs.unsqueeze(), memory)
         logits = outputs[0]
-        if not training:
-            return logits.argmax(-1), memory, {}
-        # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
-        noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
-        return (logits + noise.to(logits.device)).argmax(-1), memory, {}
+        action = sampled(logits, generator) if training else logits.argmax(-1)
+        return action, memory, {}
 
     def update(self, unroll: Unroll) -> dict[str, float]:
         """One optimiser step on the unroll's first T rows.

@@ -29,7 +29,7 @@ from zipf.agents.averaging import average_gradients
 from zipf.agents.episodic import build_recorder
 from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.memory import State
-from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast
+from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast, sampled
 from zipf.agents.returns import vtrace
 from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
@@ -124,18 +124,13 @@ class Impala(Agent):
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
         """Samples an action in each of B worlds, in training and evaluation alike.
 
-        The generator is the CPU's whatever the device, so that a run can move between devices.
-
         Returns actions int64 [B], the memory after this frame, and the behaviour policy's `logits`
         float32 [B, actions], which `update` needs.
         """
         with autocast(self.device, self.precision):
             outputs = self.actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
-        # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
-        noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
-        action = (logits + noise.to(logits.device)).argmax(-1)
-        return action, outputs.state, {"logits": logits}
+        return sampled(logits, generator), outputs.state, {"logits": logits}
 
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:

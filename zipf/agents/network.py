@@ -73,6 +73,13 @@ def frozen_copy(module: Module) -> Module:
     return copy
 
 
+def sampled(logits: Tensor, generator: torch.Generator) -> Tensor:
+    """Actions drawn from a policy, [B, actions] -> int64 [B]: the largest of the logits plus Gumbel
+    noise, which is drawn on the CPU whatever the device, so that a run can move between devices."""
+    noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
+    return (logits + noise.to(logits.device)).argmax(-1)
+
+
 def action_log_probability(log_policy: Tensor, action: Tensor) -> Tensor:
     """log pi(a|x) of the actions taken: [T, B, actions], [T, B] -> [T, B]."""
     return log_policy.gather(-1, action.unsqueeze(-1)).squeeze(-1)

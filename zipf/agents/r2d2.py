@@ -482,7 +482,7 @@ class R2D2(Agent):
         return self.sequences.carried()
 
     def carry(self, carried: dict[str, Any]) -> None:
-        """Without a burn-in the next unroll is not inserted, as a run's first."""
+        """With {} the next unroll is not inserted where there is a burn-in, as a run's first."""
         self.sequences.carry(carried, self.device)
 
 

@@ -60,7 +60,7 @@ class Unroll:
     episodes: TensorDict | None = None
 
     def state_dict(self) -> dict[str, Any]:
-        """The same as nested dictionaries of tensors, {} in the place of None."""
+        """The same as nested dictionaries of tensors; `final` and `episodes` are {} for None."""
         return {
             "steps": self.steps.to_dict(),
             "memory": dict(self.memory),

@@ -40,6 +40,7 @@ from zipf.agents.network import (
     action_log_probability,
     autocast,
     frozen_copy,
+    sampled,
 )
 from zipf.agents.returns import bootstrapped_returns
 from zipf.agents.reweighting import NO_REWEIGHTING, weighted
@@ -138,18 +139,13 @@ class VMPO(Agent):
         """Samples an action of the target policy in each of B worlds, in training and evaluation
         alike.
 
-        The generator is the CPU's whatever the device, so that a run can move between devices.
-
         Returns actions int64 [B], the memory after this frame, and the target policy's `logits`
         float32 [B, actions], which `update` needs.
         """
         with autocast(self.device, self.precision):
             outputs = self.actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
-        # The largest of the log-probabilities plus Gumbel noise is a sample of the policy.
-        noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
-        action = (logits + noise.to(logits.device)).argmax(-1)
-        return action, outputs.state, {"logits": logits}
+        return sampled(logits, generator), outputs.state, {"logits": logits}
 
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:

@@ -366,6 +366,10 @@ def _parts(
     return parts
 
 
+_SIGNED = {np.dtype(np.uint16): np.dtype(np.int32), np.dtype(np.uint32): np.dtype(np.int64)}
+"""PyTorch does not calculate with the former."""
+
+
 def _flattened(
     id: str,
     space: spaces.Space,
@@ -396,9 +400,12 @@ def _flattened(
     elif isinstance(space, spaces.Discrete):
         yield Part(id, name, path, spaces.Discrete(int(space.n)), space, start=space.start or None)
     elif isinstance(space, spaces.MultiDiscrete):
-        counted = spaces.MultiDiscrete(space.nvec, dtype=space.dtype)
+        counted = spaces.MultiDiscrete(space.nvec, dtype=_SIGNED.get(space.dtype, space.dtype))
         start = space.start if space.start.any() else None
         yield Part(id, name, path, counted, space, start=start)
+    elif isinstance(space, spaces.Box) and space.dtype in _SIGNED:
+        kept = spaces.Box(space.low, space.high, dtype=_SIGNED[space.dtype])
+        yield Part(id, name, path, kept, space)
     elif isinstance(space, spaces.Box | spaces.MultiBinary):
         yield Part(id, name, path, space, space)
     elif space.dtype is not None and space.dtype.kind == "U":  # Text, and MiniGrid's MissionSpace

@@ -315,8 +315,8 @@ def build(
     has_image = "image" in space.spaces and is_image(space["image"])
     if not isinstance(options, BYOLOptions) and not has_image:
         raise ValueError(
-            f"auxiliary={options.name} needs an image, and the observations here have only "
-            f"{', '.join(sorted(space))}; auxiliary=byol reads whatever the network does"
+            f"auxiliary={options.name} needs an image named 'image', and the observations here "
+            f"have only {', '.join(sorted(space))}; auxiliary=byol reads whatever the network does"
         )
     return BYOL(torso.encoder, torso.memory.size, torso.actions, options, seed)
 

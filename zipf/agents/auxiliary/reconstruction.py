@@ -247,8 +247,8 @@ def build(
         missing.add("instruction")
     if missing:
         raise ValueError(
-            f"auxiliary={options.name} needs an {' and an '.join(sorted(missing))}, and the "
-            f"observations here have only {', '.join(sorted(space))}; "
+            f"auxiliary={options.name} needs an {' and an '.join(sorted(missing))} of that name, "
+            f"and the observations here have only {', '.join(sorted(space))}; "
             + (
                 "auxiliary=vision reconstructs the image alone"
                 if missing == {"instruction"}

@@ -76,8 +76,9 @@ class MemRecorder(DictionaryRecorder):
     ):
         if "image" not in space.spaces or not is_image(space["image"]):
             raise ValueError(
-                f"episodic={options.name} needs an image, and the observations here have only "
-                f"{', '.join(sorted(space))}; episodic=dictionary reads whatever the network does"
+                f"episodic={options.name} needs an image named 'image', and the observations here "
+                f"have only {', '.join(sorted(space))}; episodic=dictionary reads whatever the "
+                "network does"
             )
         super().__init__(worlds, core_size, actions, options, seed, _zeros(space, worlds))
         size = options.familiarity_capacity
@@ -88,8 +89,9 @@ class MemRecorder(DictionaryRecorder):
         self.register_buffer("learned_from", torch.zeros(size, dtype=torch.bool))
         for name in ("place", "filled", "next"):  # of the next row; of rows; of the next batch
             self.register_buffer(name, torch.zeros((), dtype=torch.int64))
-        for name, zeros in _zeros(space, size).items():
-            self.register_buffer(f"buffer_{name}", zeros)
+        zeros = _zeros(space, size)
+        for k, name in enumerate(self.observations):
+            self.register_buffer(f"buffer_{k}", zeros[name])
         self._latest: tuple[Tensor, Tensor] | None = None  # rows that were learned from, and losses
 
     def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
@@ -101,7 +103,7 @@ class MemRecorder(DictionaryRecorder):
         if filled >= 2:
             rows = int(self.next) + torch.arange(min(o.batch, filled), device=self.core.device)
             rows %= filled
-            seen = {name: getattr(self, f"buffer_{name}")[rows] for name in self.observations}
+            seen = {name: part[rows] for name, part in self._buffers_of_parts().items()}
             changed = augment(seen["image"], o.noise, o.cutout, self.generator())
             both = {name: torch.cat([part, part]) for name, part in seen.items()}
             both["image"] = torch.cat([seen["image"], changed])
@@ -135,11 +137,15 @@ class MemRecorder(DictionaryRecorder):
         dictionary.write(self.cores[leaves], self.values[leaves], priorities)
         self.cores[places] = rows.cores
         self.values[places] = rows.values
-        for name, part in rows.observations.items():
-            getattr(self, f"buffer_{name}")[places] = part
+        for name, buffer in self._buffers_of_parts().items():
+            buffer[places] = rows.observations[name]
         self.learned_from[places] = False
         self.place.copy_((self.place + count) % size)
         self.filled.copy_((self.filled + count).clamp(max=size))
+
+    def _buffers_of_parts(self) -> dict[str, Tensor]:
+        """The frames in the buffer, by the parts of their observations."""
+        return {name: getattr(self, f"buffer_{k}") for k, name in enumerate(self.observations)}
 
     def unfamiliarity(self, rows: Tensor) -> Tensor:
         """The share of the rows that were learned from whose momentum loss is lower: float64 [N] in

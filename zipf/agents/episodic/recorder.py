@@ -106,8 +106,8 @@ class DictionaryRecorder(Recorder):
         self.register_buffer("return_", torch.zeros(worlds))  # from that row on
         self.register_buffer("factor", torch.ones(worlds))  # the discount of the next reward
         self.observations = sorted(observations or {})
-        for name, zeros in (observations or {}).items():
-            self.register_buffer(f"observation_{name}", zeros)
+        for k, name in enumerate(self.observations):  # a name may have a dot, a buffer's may not
+            self.register_buffer(f"observation_{k}", (observations or {})[name])
 
     def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
         """No loss."""
@@ -142,8 +142,7 @@ class DictionaryRecorder(Recorder):
         everywhere = torch.arange(worlds, device=device)
         self.core.copy_(pick(self.core, core.float(), source, everywhere))
         self.action.copy_(pick(self.action, action, source, everywhere))
-        for name in self.observations:
-            pending = getattr(self, f"observation_{name}")
+        for name, pending in self._pending().items():
             pending.copy_(pick(pending, steps["observation", name], source, everywhere))
         self.age.copy_(age.masked_fill(ends[-1], 0))
         self.return_.copy_(return_)
@@ -161,8 +160,12 @@ class DictionaryRecorder(Recorder):
         for name, value in carried.items():
             getattr(self, name).copy_(value)
 
+    def _pending(self) -> dict[str, Tensor]:
+        """The observations of the rows drawn, by part, [B, ...] each."""
+        return {name: getattr(self, f"observation_{k}") for k, name in enumerate(self.observations)}
+
     def _of_episodes(self) -> list[str]:
-        pending = [f"observation_{name}" for name in self.observations]
+        pending = [f"observation_{k}" for k in range(len(self.observations))]
         return ["age", "core", "action", "return_", "factor", *pending]
 
     def write(self, dictionary: Dictionary, rows: Rows) -> None:
@@ -190,10 +193,8 @@ class DictionaryRecorder(Recorder):
             squashed = return_.sign() * return_.abs().log1p()
             values = torch.cat([cores, taken, taken * squashed.unsqueeze(-1)], -1)
         observations = {
-            name: pick(
-                getattr(self, f"observation_{name}"), steps["observation", name], source, world
-            )
-            for name in self.observations
+            name: pick(pending, steps["observation", name], source, world)
+            for name, pending in self._pending().items()
         }
         return Rows(cores, values, observations)
 

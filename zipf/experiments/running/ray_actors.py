@@ -81,7 +81,7 @@ class Player:
 
     def play(self, weights: dict[str, Any]) -> dict[str, Any]:
         """Plays an unroll with these weights; arrays, and what else there is to tell of it."""
-        self.agent.actor.load_state_dict(tensors(weights))
+        self.agent.load_weights(tensors(weights))
         unroll = self.collector.collect()
         self.played += 1
         seconds = dict(self.collector.seconds)
@@ -299,7 +299,7 @@ class RayActors:
         import ray
 
         if self._published[0] != self.version:
-            weights = self.agent.actor.state_dict()
+            weights = self.agent.weights()
             cpu = {name: weight.detach().cpu() for name, weight in weights.items()}
             self._published = self.version, ray.put(arrays(cpu))
         return self._published[1]
