@@ -519,6 +519,13 @@ def test_mem_needs_an_image():
         build_recorder(MEM, space, BATCH, SIZE, ACTIONS, 0)
 
 
+def test_mem_refuses_what_it_cannot_keep():
+    image = gym.spaces.Box(0, 255, (6, 6, 3), np.uint8)
+    depth = gym.spaces.Box(0, 65535, (6, 6), np.uint16)
+    with pytest.raises(ValueError, match=r"'depth' .* is uint16, which cannot be kept: expected"):
+        build_recorder(MEM, gym.spaces.Dict(image=image, depth=depth), BATCH, SIZE, ACTIONS, 0)
+
+
 @pytest.mark.parametrize("options", BOTH, ids=lambda o: o.name)
 def test_names_of_parts_may_have_dots(options):
     """Those of nested observations of Gymnasium do."""

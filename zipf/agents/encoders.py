@@ -256,11 +256,6 @@ class Encoder(nn.Module):
         super().__init__()
         images, codes, vectors, texts = [], [], [], []
         for name, part in space.items():
-            if part.dtype in (np.uint16, np.uint32, np.uint64):
-                raise ValueError(
-                    f"{name!r} of the observations is {part.dtype}, with which PyTorch does not "
-                    "calculate: expected uint8, a signed integer or a float"
-                )
             if is_image(part):
                 images.append(name)
             elif is_text(name, part):

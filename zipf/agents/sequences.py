@@ -11,12 +11,11 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import torch
 from tensordict import TensorDict
 
 from zipf.agents.memory import State
-from zipf.agents.unroll import Unroll
+from zipf.agents.unroll import Unroll, no_observations
 
 STEP = {  # the fields of a step in replay, beside the observation
     "previous_action": torch.int64,
@@ -145,13 +144,7 @@ class Sequences:
     def _empty(self, rows: int, fields: Mapping[str, torch.dtype]) -> TensorDict:
         """Zeros [rows] in the place of these fields and an observation."""
         zeros = TensorDict({name: torch.zeros(rows, dtype=t) for name, t in fields.items()}, rows)
-        zeros["observation"] = TensorDict(
-            {
-                name: torch.from_numpy(np.zeros((rows, *(space.shape or ())), space.dtype))
-                for name, space in self.observation_space.spaces.items()
-            },
-            rows,
-        )
+        zeros["observation"] = TensorDict(no_observations(self.observation_space, rows), rows)
         return zeros
 
     def carried(self) -> dict[str, Any]:

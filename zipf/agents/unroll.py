@@ -5,10 +5,30 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import gymnasium as gym
+import numpy as np
+import torch
 from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.memory import State
+
+
+def no_observations(space: gym.spaces.Dict, rows: int) -> dict[str, Tensor]:
+    """Zeros in the place of observations of a space, {name: [rows, ...]}.
+
+    Raises:
+        ValueError: a part has a dtype of which PyTorch cannot pick and replace rows.
+    """
+    zeros = {}
+    for name, part in space.items():
+        if part.dtype in (np.uint16, np.uint32, np.uint64):
+            raise ValueError(
+                f"{name!r} of the observations is {part.dtype}, which cannot be kept: expected "
+                "uint8, a signed integer or a float"
+            )
+        zeros[name] = torch.from_numpy(np.zeros((rows, *(part.shape or ())), part.dtype))
+    return zeros
 
 
 @dataclass

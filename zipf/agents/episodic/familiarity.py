@@ -35,7 +35,6 @@ Left out: a memory of trajectories, of which the abstract of 2025 speaks.
 from __future__ import annotations
 
 import gymnasium as gym
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -44,6 +43,7 @@ from zipf.agents.encoders import Encoder, is_image
 from zipf.agents.episodic.dictionary import Dictionary
 from zipf.agents.episodic.options import DictionarySizes, EpisodicOptions, MemOptions
 from zipf.agents.episodic.recorder import DictionaryRecorder, Recorder, Rows
+from zipf.agents.unroll import no_observations
 
 BLOCK = 8
 """Pixels, the sides of the blocks that images are compared in. Ours: objects are that small."""
@@ -80,7 +80,7 @@ class MemRecorder(DictionaryRecorder):
                 f"have only {', '.join(sorted(space))}; episodic=dictionary reads whatever the "
                 "network does"
             )
-        super().__init__(worlds, core_size, actions, options, seed, _zeros(space, worlds))
+        super().__init__(worlds, core_size, actions, options, seed, no_observations(space, worlds))
         size = options.familiarity_capacity
         value_size = core_size + 2 * actions * options.outcome
         self.register_buffer("cores", torch.zeros(size, core_size))
@@ -89,7 +89,7 @@ class MemRecorder(DictionaryRecorder):
         self.register_buffer("learned_from", torch.zeros(size, dtype=torch.bool))
         for name in ("place", "filled", "next"):  # of the next row; of rows; of the next batch
             self.register_buffer(name, torch.zeros((), dtype=torch.int64))
-        zeros = _zeros(space, size)
+        zeros = no_observations(space, size)
         for k, name in enumerate(self.observations):
             self.register_buffer(f"buffer_{k}", zeros[name])
         self._latest: tuple[Tensor, Tensor] | None = None  # rows that were learned from, and losses
@@ -243,11 +243,3 @@ def build_recorder(
     if isinstance(options, DictionarySizes):
         return DictionaryRecorder(worlds, core_size, actions, options, seed)
     return Recorder()
-
-
-def _zeros(space: gym.spaces.Dict, rows: int) -> dict[str, Tensor]:
-    """Zeros in the place of observations, {name: [rows, ...]}."""
-    return {
-        name: torch.from_numpy(np.zeros((rows, *(part.shape or ())), part.dtype))
-        for name, part in space.spaces.items()
-    }
