@@ -430,6 +430,26 @@ def test_the_command_line_changes_parts_of_a_row():
             command_line.load([*plain, "row.titel=Ours"])
 
 
+def test_the_last_seed_counts():
+    assert command_line.load(["experiment=demo", "seed=1", "++seed=2"]).seed == 2
+    assert command_line.load(["experiment=demo", "++seed=2"]).seed == 2
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("row=Mine", "row=Mine: should be row.title="),
+        ("pretrained.parts=[memory]", "pretrained.parts: are of another run; give pretrained.run="),
+        ('row.title="a\\nb"', "row.title="),
+        ("row.order=inf", "row.order=inf"),
+        ("schedule.window=[0,1000000000000000]", "schedule.window"),
+    ],
+)
+def test_what_a_run_could_not_describe_or_would_ignore_is_refused(given, told):
+    with pytest.raises(UserError, match=re.escape(told)):
+        command_line.load(["experiment=demo", given.replace("\\n", "\n")])
+
+
 def test_an_option_without_its_group_is_found_in_all_groups():
     with pytest.raises(UserError, match=r"lag: no such option; did you mean collector.lag\?"):
         command_line.load(["experiment=gridworld", "lag=0"])

@@ -13,6 +13,7 @@ from run_folders import SITUATIONS, constant, level, only_table, write_external,
 from zipf.experiments.reporting.average_figures import KIND_STYLES, averages
 from zipf.experiments.reporting.figures import learning_curves
 from zipf.experiments.reporting.frequency_figures import by_visits, frequencies
+from zipf.experiments.reporting.html_learning import axes_of
 from zipf.experiments.reporting.situations import shares
 from zipf.experiments.reporting.styles import line_styles
 from zipf.experiments.reporting.tables import ScoreTable
@@ -37,6 +38,7 @@ def test_scores_against_time_and_frames(tmp_path: Path) -> None:
     """An update takes 2.5 seconds in these runs and has 4096 frames."""
     write_run(tmp_path, {0: (0.1,) * 3, 240: (0.5,) * 3})
     table = only_table(tmp_path)
+    assert list(axes_of(table)) == ["update", "frames", "hours"]
     minutes = curves(table, in_hours=True)
     assert drawn(minutes)[0] == [[0.0, 0.1], [10.0, 0.5]]
     assert minutes is not None
@@ -55,6 +57,7 @@ def test_times_on_different_devices_are_not_compared(tmp_path: Path) -> None:
     table = only_table(tmp_path)
     assert curves(table, in_hours=True) is None
     assert curves(table, in_hours=False) is not None
+    assert "hours" not in axes_of(table)
     (note,) = (note for note in table.notes if "times are not compared" in note)
     assert note.startswith("Runs were on cpu; a GPU: ")
 

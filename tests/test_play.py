@@ -370,6 +370,7 @@ def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
         ("levl=gridworld/rare", "levl: no such option; did you mean level?"),
         ("level=gridworld/rare record=x.gif", "policy is not set"),
         ("level=gridworld/rare policy=random record=x.avi", "should end in .gif or .mp4"),
+        ("level=labyrinth/uniform policy=random record=x.avi", "should end in .gif or .mp4"),
         ("level=gridworld/rare policy=random record=no/x.gif", "No such file or directory"),
         ("level=gridworld/rare policy=random record=x.gif fps=51", "at most 50 frames"),
         ("level=gridworld/rare policy=random record=x.gif episodes=0", "greater than or equal"),

@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 from conftest import run
 
-from zipf.experiments import command_line, composing
+from zipf.experiments import catalogue, command_line, composing
+from zipf.experiments.errors import UserError
 
 WORLD = """
     from functools import partial
@@ -185,6 +186,46 @@ def test_mistakes_are_one_clear_line(folder, arguments, message):
     assert refused.returncode == 2, refused.stdout
     assert message in refused.stderr
     assert "Traceback" not in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "message"),
+    [
+        ("experiment", "a: [", r"while parsing .*mine.yaml"),
+        ("experiment", "a:\n\tb: 1", r"cannot start any token.*mine.yaml"),
+        ("experiment", "# @package _global_\ndefaults: impala\n", "list"),
+        ("experiment", "updates: 5\n", r"mine.yaml: should begin with '# @package _global_'"),
+        (
+            "condition",
+            "# @package _global_\ncondition: mine\nrow: Mine\n",
+            "row=Mine: should be a m",
+        ),
+        (
+            "condition",
+            "# @package _global_\ncondition: mine\nrow: {line: dotted}\n",
+            "row.line=dotted",
+        ),
+    ],
+)
+def test_mistakes_in_a_users_file_are_one_clear_line(file, text, message, tmp_path, monkeypatch):
+    monkeypatch.setattr(composing, "_user_folders", [])
+    (tmp_path / file).mkdir()
+    (tmp_path / file / "mine.yaml").write_text(text)
+    composing.add_folder(tmp_path)
+    chosen = {"experiment": "demo", "condition": "impala", file: "mine"}
+    with pytest.raises(UserError, match=message) as error:
+        command_line.load([f"{group}={name}" for group, name in chosen.items()])
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_condition_needs_no_title(tmp_path, monkeypatch):
+    monkeypatch.setattr(composing, "_user_folders", [])
+    (tmp_path / "condition").mkdir()
+    text = "# @package _global_\ncondition: mine\nrow: {order: 1}\n"
+    (tmp_path / "condition" / "mine.yaml").write_text(text)
+    composing.add_folder(tmp_path)
+    assert command_line.load(["experiment=demo", "condition=mine"]).row.title == "mine"
+    assert catalogue.conditions()["mine"].order == 1
 
 
 @pytest.mark.parametrize("name", ["it's conf", "a\\b, c]", "ends in \\", "both\\'"])

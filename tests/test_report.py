@@ -270,6 +270,16 @@ def test_the_last_evaluations_on_request(runs: Path) -> None:
     assert line(last_two, "impala_byol", "train")["score"] == pytest.approx(0.45)
 
 
+def test_situations_are_those_of_the_evaluations_inside_a_window(tmp_path: Path) -> None:
+    """Also where a run was killed between writing the one and the other."""
+    rows = (SITUATIONS, *(f"{update},train,0,0,9,5,5.0" for update in (100, 200, 300)))
+    write_run(tmp_path, {100: (0.1,) * 3, 200: (0.2,) * 3}, situations=rows)
+    (run,) = results.load_runs([tmp_path])
+    for window in (windows.LastEvaluations(1), windows.UpdateWindow(200, 300)):
+        assert windows.evaluations_inside(run, window)["update"].unique().tolist() == [200]
+        assert windows.situations_inside(run, window)["update"].tolist() == [200]
+
+
 def test_fewer_last_evaluations_than_asked_for_are_noted(tmp_path: Path) -> None:
     folder = write_run(tmp_path, {0: (0.0,) * 3, 200: (0.4,) * 3, 300: (0.6,) * 3})
     untrained = write_run(tmp_path, {0: (0.1,) * 3}, condition="r2d2")

@@ -128,6 +128,7 @@ def test_a_sweep_of_ones_own(own):
         ("demo", "impala", 5),
     ]
     assert len(expanded("sweep=mine", "memory=lstm", "seed=1")) == 3
+    assert len(expanded("sweep=mine", "memory=lstm", "++seed=1")) == 3
     assert "mine             Mine." in help_text()
 
 
@@ -138,7 +139,7 @@ def test_a_sweep_of_ones_own(own):
         (["sweep=demo", "experiment=gridworld"], "experiment=gridworld: is not in sweep=demo"),
         (["sweep=paper_gridworld", "condition=vmpo"], "condition=vmpo: is not in sweep=paper_grid"),
         (["experiment=demo", "sweeep=demo"], "did you mean sweep"),
-        (["experiment=demo", "seed=0,0"], "two jobs would use this folder"),
+        (["experiment=demo", "seed=0,0"], "experiment=demo seed=0: is given twice"),
         (["experiment=demo", "updates=3,4"], "two jobs would use this folder"),
         (["sweep=mine"], "mine.yaml: is no sweep: should be a list of blocks"),
     ],
@@ -158,6 +159,7 @@ def test_a_mistake_is_one_clear_line(words, told, own):
         ("experiments: demo_conditions, seeds: [0], conditions: papr", "did you mean paper"),
         ("experiments: demo", "seeds: Field required; a block has experiments, conditions"),
         ("experiments: demo, seeds: [-1]", "greater than or equal to 0"),
+        ("experiments: [], seeds: [0]", "sweep=mine: has no experiments"),
         ("experiments: demo, seeds: [0], seed: 1", "seed: Extra inputs"),
         ("experiments: demo, seeds: [0], overrides: ['seeed=1']", "seeed: no such option"),
     ],

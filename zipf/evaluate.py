@@ -82,7 +82,7 @@ def _evaluate(arguments: list[str]) -> None:
     if options.run is None or options.policy or options.split:
         _evaluate_script(options)
         return
-    folder = Path(options.run)
+    folder = Path(options.run).expanduser()
     description = run_folder.read_description(folder)
     with _progress() as watch:
         update, results = evaluate_run(options, watch)
@@ -154,7 +154,7 @@ def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> No
         of_any = {name for level in levels for name in level["references"]}
         names = [one.name for one in envs.REFERENCES if one.name in of_any]
         each = Table(Column("level", overflow="fold"), "score", *names)
-        for result in results:
+        for result in {result.level: result for result in results}.values():
             known = described[result.level]["references"]
             scores_of = (known[name]["score"] if name in known else None for name in names)
             each.add_row(result.level, f"{result.score:.3f}", *map(_figure, scores_of))

@@ -124,6 +124,7 @@ def report(
             place = Path(html) if html != "" else target / "report.html"
             texts[place] = page(report_sections(found, claims, statistics))
         for path, text in texts.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
     except OSError as error:
         where = error.filename or target

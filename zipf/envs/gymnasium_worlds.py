@@ -366,7 +366,10 @@ def _parts(
     return parts
 
 
-_SIGNED = {np.dtype(np.uint16): np.dtype(np.int32), np.dtype(np.uint32): np.dtype(np.int64)}
+_SIGNED: Mapping[Any, np.dtype[Any]] = {
+    np.dtype(np.uint16): np.dtype(np.int32),
+    np.dtype(np.uint32): np.dtype(np.int64),
+}
 """PyTorch does not calculate with the former."""
 
 

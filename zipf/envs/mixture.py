@@ -147,9 +147,10 @@ class Mixture(ZipfVectorEnv):
         self.metadata = first.metadata
         self.reports_success = all(batch.reports_success for batch in self.batches)
         self.achieves = all(batch.achieves for batch in self.batches)
-        regions = first.action_regions
-        if all(np.array_equal(batch.action_regions, regions) for batch in self.batches):
-            self.action_regions = regions
+        regions = [batch.action_regions for batch in self.batches]
+        known = [one for one in regions if one is not None]
+        if len(known) == count and all(np.array_equal(known[0], one) for one in known):
+            self.action_regions = known[0]
         super().__init__(
             num_envs,
             single_observation_space=first.single_observation_space,

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from pydantic import ValidationError
+
 from zipf import envs
 from zipf.experiments import composing
 from zipf.experiments.config import RowOptions
+from zipf.experiments.errors import UserError
 
 EXPLAINED = ("experiment", "condition", "environment")
 """Groups that are listed with a line about each choice."""
@@ -23,16 +26,31 @@ LAUNCHERS = {
 
 def conditions() -> dict[str, RowOptions]:
     """How tables show each condition, in their order."""
-    rows = {
-        name: RowOptions(**(composing.condition_file(name).get("row") or {"title": name}))
-        for name in composing.choices("condition")
-    }
+    rows = {name: condition_row(name) for name in composing.choices("condition")}
 
     def place(item: tuple[str, RowOptions]) -> tuple[float, str]:
         name, row = item
         return float("inf") if row.order is None else row.order, name
 
     return dict(sorted(rows.items(), key=place))
+
+
+def condition_row(name: str) -> RowOptions:
+    """How tables show a condition; with its name as title where its file has none.
+
+    Raises:
+        UserError: the file says what a row cannot be.
+    """
+    row = composing.condition_file(name).get("row") or {}
+    path = composing.find_file("condition", name)
+    if not isinstance(row, dict):
+        raise UserError(f"{path}: row={row}: should be a mapping, such as row: {{title: {name}}}")
+    try:
+        return RowOptions(**{"title": name, **row})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(("row", *map(str, first["loc"])))
+        raise UserError(f"{path}: {where}={first['input']}: {first['msg']}") from None
 
 
 def summary(group: str, name: str) -> str:

@@ -17,6 +17,7 @@ from hydra.errors import HydraException
 from pydantic import ValidationError
 
 from zipf.experiments import composing, feasibility
+from zipf.experiments.catalogue import condition_row
 from zipf.experiments.composing import Composed, choices, composed, groups
 from zipf.experiments.config import (
     DEVICE_PATTERN,
@@ -196,9 +197,9 @@ def _plugins(overrides: list[Override]) -> list[str]:
 def _row(condition: str) -> dict[str, Any]:
     """How tables show a condition: as its file says, with changed options after the title."""
     base, *changes = condition.split(",")
-    row = composing.condition_file(base).get("row") if base in choices("condition") else None
-    row = row or {"title": base}
-    return {**row, "title": ", ".join([row.get("title", base), *changes])}
+    known = base in choices("condition")
+    row = condition_row(base).model_dump(exclude_unset=True) if known else {"title": base}
+    return {**row, "title": ", ".join([row["title"], *changes])}
 
 
 def _asked_of_row(overrides: list[Override], composed: Composed) -> dict[str, Any]:
@@ -266,7 +267,9 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
     parents = {name.rsplit(".", 1)[0] for name in accepted if "." in name}
     for override in options:
         key = override.key_or_group
-        if key in accepted or key in parents or key.startswith(("hydra.", "hydra/")):
+        if key == "row" and not isinstance(override.value(), dict):
+            problems.append(f"{override.input_line}: should be row.title=<what tables show>")
+        elif key in accepted or key in parents or key.startswith(("hydra.", "hydra/")):
             known.append(str(override.input_line))
         elif key in of_row:
             known.append(f"++{override.input_line}")  # without a condition there is no row yet

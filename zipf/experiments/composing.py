@@ -125,6 +125,8 @@ def composed(*overrides: str) -> Composed:
 @cache
 def _resolved(search_path: str, *overrides: str) -> Composed:
     seeds = [override for override in overrides if _SEED.fullmatch(override)]
+    if any(re.match(r"[+~]+seed\b", override) for override in overrides):
+        seeds = []
     others = [override for override in overrides if override not in seeds]
     try:
         # Composing takes Hydra a third of a second; a sweep's jobs often differ in the seed alone.
@@ -133,9 +135,14 @@ def _resolved(search_path: str, *overrides: str) -> Composed:
         if seeds:
             config["seed"] = int(seeds[-1].partition("=")[2])
         values = OmegaConf.to_container(config, resolve=True)
-    except (HydraException, OmegaConfBaseException) as error:
-        raise UserError(told(error)) from None
+    except (HydraException, OmegaConfBaseException, YAMLError, ValueError, TypeError) as error:
+        raise UserError(told(error)) from None  # the last three: of files of the user's
     assert isinstance(values, dict)
+    for group in ("experiment", "condition"):
+        if isinstance(values[group], dict):
+            raise UserError(
+                f"{find_file(group, choices[group])}: should begin with '# @package _global_'"
+            )
     return Composed({str(k): v for k, v in values.items()}, choices)
 
 

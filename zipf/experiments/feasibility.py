@@ -17,7 +17,7 @@ from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.network import ActorCritic
 from zipf.agents.network_options import MatchingOptions
 from zipf.experiments.augmentation import build_augmentation
-from zipf.experiments.config import Config, find_device
+from zipf.experiments.config import Config, PretrainedOptions, find_device
 from zipf.experiments.errors import UserError
 from zipf.experiments.running import run_folder
 from zipf.experiments.running.factory import build_agent
@@ -78,6 +78,8 @@ def problems(config: Config) -> Iterator[str]:
 def _no_pretrained(config: Config) -> Iterator[str]:
     """Why a new run cannot begin with another's weights."""
     run = config.pretrained.run
+    if run is None and config.pretrained.parts != PretrainedOptions().parts:
+        yield "pretrained.parts: are of another run; give pretrained.run=<its folder>"
     if run is None or (config.folder / "checkpoint.pt").exists():
         return
     try:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Annotated, Any
 
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
@@ -44,7 +44,7 @@ class Block(Options):
 
     experiments: str | list[str]
     conditions: str | list[str] = Field(default_factory=list)
-    seeds: list[Seed]
+    seeds: Annotated[list[Seed], Field(min_length=1)]
     overrides: list[str] = Field(default_factory=list)
 
 
@@ -151,20 +151,24 @@ def expand(
         for experiment in _as_list(block.experiments)
         for condition, optional in _conditions(name, block, experiment).items()
     ]
+    if not pairs:
+        raise UserError(f"sweep={','.join(names)}: has no experiments")
     for one in parsed:
         if (group := one.key_or_group) not in narrowing:
             continue
         known = sorted({pair[group] for _, pair, _ in pairs if pair[group]})
         for value in _values(one):
             if value not in known:
-                told = command_line.nearest(value, known)
+                told = (
+                    command_line.nearest(value, known) if known else f"its blocks name no {group}s"
+                )
                 raise UserError(f"{group}={value}: is not in sweep={','.join(names)}; {told}")
         pairs = [entry for entry in pairs if entry[1][group] in _values(one)]
     planned: dict[tuple[str, ...], tuple[str, str] | None] = {}
     for block, pair, optional in pairs:
         own = [f"seed={','.join(map(str, block.seeds))}", *block.overrides]
-        changed = {one.get_key_element() for one in rest}
-        kept = [one for one in command_line.parse(own) if one.get_key_element() not in changed]
+        changed = {one.key_or_group for one in rest}
+        kept = [one for one in command_line.parse(own) if one.key_or_group not in changed]
         chosen = [f"{group}={name}" for group, name in pair.items() if name]
         lines = [*chosen, *(str(one.input_line) for one in [*kept, *rest])]
         for job in _combinations(lines):
@@ -250,7 +254,9 @@ def _shared_folders(jobs: list[PlannedJob]) -> Iterator[str]:
     seen: dict[str, PlannedJob] = {}
     for job in jobs:
         folder = str(job.config.folder)
-        if folder in seen:
+        if folder in seen and seen[folder].overrides == job.overrides:
+            yield f"{' '.join(job.overrides)}: is given twice"
+        elif folder in seen:
             yield (
                 f"{folder}: two jobs would use this folder ({' '.join(seen[folder].overrides)} and "
                 f"{' '.join(job.overrides)}); give the options that differ in separate sweeps with "

@@ -54,7 +54,7 @@ class Renderer:
         elif textures.dtype != np.uint8:
             raise ValueError(f"textures must be uint8, not {textures.dtype}")
         else:
-            texels = pack_textures(textures)
+            texels = pack_textures(textures.astype(np.uint8, copy=False))
         self.width = width
         self.height = height
         focal = width / 2 / math.tan(math.radians(fov) / 2)

@@ -19,7 +19,7 @@ from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments import composing
 from zipf.experiments.config import PositiveInt, Seed, module_names
 from zipf.experiments.errors import UserError
-from zipf.experiments.playing.recording import Recording, usual_fps
+from zipf.experiments.playing.recording import Recording, check_recording, usual_fps
 from zipf.experiments.playing.screens import open_screen
 from zipf.experiments.playing.sessions import Session, Shows, World, has_image
 from zipf.experiments.running.agent_policy import AgentPolicy
@@ -57,6 +57,8 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
         UserError: options that contradict each other, or that this machine cannot fulfil.
     """
     policy = _who_plays(options)
+    if options.record:  # making the worlds may take a minute
+        check_recording(Path(options.record), options.fps or 0)
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
     worlds = _worlds(options, policy, seed)
     say(f"{', '.join(world.level for world in worlds)}, seed {seed}")
@@ -120,7 +122,7 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
     """A world of each level; they are played in turn."""
     names = module_names(options.plugins)
     composing.load_plugins(names)
-    trained = load_agent(Path(options.run), "cpu", names) if options.run else None
+    trained = load_agent(Path(options.run).expanduser(), "cpu", names) if options.run else None
     level_options = trained.config.level_options if trained else {}
     agent = None
     if trained and policy == "agent":

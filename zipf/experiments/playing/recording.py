@@ -54,12 +54,7 @@ class Recording:
         self.size = (0, 0)  # width, height
         self.written = False
         self._ending = path.suffix.lower()
-        if self._ending not in ENDINGS:
-            raise UserError(f"record={path}: should end in {' or '.join(ENDINGS)}")
-        if self._ending == ".gif" and fps > GIF_MAX_FPS:
-            raise UserError(f"fps={fps}: a GIF shows at most {GIF_MAX_FPS} frames per second")
-        if self._ending == ".mp4":
-            _check_video_library()
+        check_recording(path, fps)
         self._writer: Any = None
         self._durations: list[int] = []  # milliseconds, of each frame of a GIF
         self._last = np.zeros((0, 0, 3), np.uint8)
@@ -124,6 +119,16 @@ class Recording:
 
     def _cannot_be_written(self, error: OSError) -> UserError:
         return UserError(f"record={self.path}: cannot be written: {error.strerror or error}")
+
+
+def check_recording(path: Path, fps: float) -> None:
+    """Raises UserError for a recording that cannot be made, whatever it shows."""
+    if path.suffix.lower() not in ENDINGS:
+        raise UserError(f"record={path}: should end in {' or '.join(ENDINGS)}")
+    if path.suffix.lower() == ".gif" and fps > GIF_MAX_FPS:
+        raise UserError(f"fps={fps}: a GIF shows at most {GIF_MAX_FPS} frames per second")
+    if path.suffix.lower() == ".mp4":
+        _check_video_library()
 
 
 def _check_video_library() -> None:

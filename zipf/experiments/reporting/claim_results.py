@@ -139,8 +139,8 @@ def _window(table: ScoreTable, rows: Sequence[Row]) -> tuple[int, int] | None:
 
 
 def _curve(seeds: Sequence[pd.DataFrame]) -> tuple[pd.Series, int]:
-    """The median over seeds by update, of the updates with as many seeds as any has; and how many
-    seeds that are."""
+    """The median over seeds by update, of the updates with as many seeds as any has, or as the
+    protocol asks for; and how many seeds that are."""
     by_update = pd.concat(seeds).groupby("update")["score"]
     counts = by_update.count()
     most = int(counts.max()) if len(counts) else 0

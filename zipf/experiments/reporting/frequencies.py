@@ -12,11 +12,9 @@ import pandas as pd
 
 from zipf.experiments.reporting.csv_files import read_table
 from zipf.experiments.reporting.results import Run
-from zipf.experiments.reporting.situations import rank_counts
+from zipf.experiments.reporting.situations import LEVEL_RANK, rank_counts
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside
-
-LEVEL_RANK = "level"  # the rank of a level drawn at a reset; see docs/results.md
 
 
 def rank_shares(table: ScoreTable, name: str) -> pd.Series:
@@ -93,7 +91,7 @@ def training_episodes(run: Run, table: ScoreTable) -> float | None:
         {"update": "number", "frames": "number", "episode_length": "number or empty"},
         [],
     )
-    # A run that was killed and resumed repeats lines.
+    # A run of version 0.1.0 that was killed and resumed has lines twice.
     metrics = metrics.drop_duplicates("update", keep="last").sort_values("update")
     metrics = metrics[metrics["update"] <= inside["update"].max()]
     lengths = metrics["episode_length"].ffill().bfill()

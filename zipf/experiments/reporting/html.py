@@ -268,7 +268,7 @@ def _figures(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Figures
         found.append((f"{measure} against the number of times met", text, met))
     if not found:
         return []
-    axes = html_learning.AXES if curves else {}
+    axes = html_learning.axes_of(table) if curves else {}
     axis = html_learning.default_axis(table)
     return [Figures(f"{table.name}-axis", found, legend(table, styles), axes, axis)]
 

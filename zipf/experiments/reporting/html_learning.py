@@ -24,7 +24,14 @@ from zipf.experiments.reporting.tables import Row, ScoreTable
 from zipf.experiments.reporting.wording import KIND_NAMES
 from zipf.references import REFERENCES
 
-AXES: Mapping[str, str] = {"update": "Updates", "frames": "Frames", "hours": "Hours"}
+_AXES: Mapping[str, str] = {"update": "Updates", "frames": "Frames", "hours": "Hours"}
+
+
+def axes_of(table: ScoreTable) -> Mapping[str, str]:
+    """The horizontal axes of learning curves, with titles. Times of several devices are not
+    compared."""
+    several = len(devices_of(table.runs)) > 1
+    return {time: title for time, title in _AXES.items() if time != "hours" or not several}
 
 
 def default_axis(table: ScoreTable) -> str:
@@ -47,10 +54,10 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[
     scores = pd.concat([every["score"], pd.Series(references, dtype=float)])
     low, high = min(0.0, scores.min()), max(1.0, scores.max())
     limits = [low - (0.05 * (high - low) if low < 0 else 0.0), high + 0.03 * (high - low)]
-    ends = {time: 1.02 * max(float(every[time].max()), 1e-9) for time in AXES}
-    windows = {time: None if time == "hours" else window_ends(table, time) for time in AXES}
+    titles = axes_of(table)
+    ends = {time: 1.02 * max(float(every[time].max()), 1e-9) for time in titles}
+    windows = {time: None if time == "hours" else window_ends(table, time) for time in titles}
     used = default_axis(table)
-    several = ", on several devices" if len(devices_of(table.runs)) > 1 else ""
     panels = []
     for levels in table.kinds:
         kind = levels.level_kind
@@ -63,10 +70,10 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[
                 ends_of = pd.DataFrame({time: [0.0, end] for time, end in ends.items()})
                 traces.append((level_line(one.name, known[kind]), ends_of))
         axes: dict[str, dict[str, Any]] = {}
-        for time, title in AXES.items():
+        for time, title in titles.items():
             window = windows[time]
             axes[time] = {
-                "title": title + (several if time == "hours" else ""),
+                "title": title,
                 "x": [numbers(places[time]) for _, places in traces],
                 "range": [0, ends[time]],
                 "shapes": [shade(*window)] if window else [],
@@ -77,7 +84,7 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[
             [trace for trace, _ in traces],
             layout(
                 KIND_NAMES[kind],
-                x={"title": AXES[used], "range": axes[used]["range"], "tickformat": "~s"},
+                x={"title": titles[used], "range": axes[used]["range"], "tickformat": "~s"},
                 y={"title": "Score", "range": limits},
                 shapes=axes[used]["shapes"],
             ),
@@ -97,7 +104,7 @@ def _curves(
     row: Row, seeds: Sequence[pd.DataFrame], style: LineStyle
 ) -> Iterator[tuple[go.Scatter, pd.DataFrame]]:
     """The seeds of a row, where there are several, and their median."""
-    columns = [*AXES, "score"]
+    columns = [*_AXES, "score"]
     if len(seeds) > 1:
         for run, seed in zip(row.runs, seeds, strict=True):
             hover = f"seed {run.description.seed}: %{{y:.3f}} at %{{x:.4s}}"

@@ -291,8 +291,8 @@ def _check_kinds(path: Path, rows: pd.DataFrame) -> None:
 def _latest(rows: pd.DataFrame, key: list[str]) -> pd.DataFrame:
     """One row per key, in order of updates.
 
-    A run that was killed and resumed repeats the evaluations after its last checkpoint, with the
-    same outcome because resuming is exact; the later row is kept.
+    A run of version 0.1.0 that was killed and resumed has the evaluations after its last checkpoint
+    twice, with the same outcome because resuming is exact; the later row is kept.
     """
     rows = rows.drop_duplicates(key, keep="last")
     return rows.sort_values("update", kind="stable").reset_index(drop=True)

@@ -149,10 +149,11 @@ def means_inside(run: Run, levels: LevelGroup, window: Window) -> pd.DataFrame:
 
 
 def seed_means(row: Row, levels: LevelGroup, window: Window) -> dict[int, float]:
-    """A row's scores by seed as the table takes their median: of each seed the median over the
-    window of the levels' weighted mean. Without the seeds that have no score in the window."""
-    inside = {run.description.seed: means_inside(run, levels, window)["score"] for run in row.runs}
-    return {seed: float(scores.median()) for seed, scores in inside.items() if len(scores)}
+    """A row's scores by seed: what the table would have of that seed alone. Without the seeds that
+    have no score in the window. Across seeds the table takes their median; across tasks it takes
+    that of each level first, so that its score can be outside of these."""
+    scores = {run.description.seed: _score([run], levels, window) for run in row.runs}
+    return {seed: float(score["score"]) for seed, score in scores.items() if score["seeds"]}
 
 
 def _across_seeds(scored: Sequence[pd.DataFrame]) -> dict[str, float]:

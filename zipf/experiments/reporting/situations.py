@@ -13,6 +13,8 @@ from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside, situations_inside
 
 Measure = Literal["success", "return"]
+LEVEL_RANK = "level"
+"""The rank of a level that is drawn at a reset; see docs/results.md."""
 
 
 def measure_of(table: ScoreTable) -> Measure:
@@ -155,8 +157,7 @@ def shares(table: ScoreTable, rank: str) -> pd.DataFrame:
     """
     (train,) = (levels for levels in table.kinds if levels.level_kind == "train")
     places = {name: place for place, name in enumerate(train.weights)}
-    counts = rank_counts(table)
-    by_level = len(places) > 1 and len(places) == counts.get(rank) and rank == next(iter(counts))
+    by_level = len(places) > 1 and rank == LEVEL_RANK
     lines: list[tuple[str, int, float]] = []
     for levels in table.kinds:
         if by_level and levels.weights.keys() <= places.keys():

@@ -169,4 +169,5 @@ def evaluations_inside(run: Run, window: Window) -> pd.DataFrame:
 
 def situations_inside(run: Run, window: Window) -> pd.DataFrame:
     """The rows of a run's situations at the updates of `evaluations_inside`."""
-    return run.situations[window_of(run, window).select(run.situations["update"])]
+    inside = evaluations_inside(run, window)["update"]
+    return run.situations[run.situations["update"].isin(inside)]

@@ -94,7 +94,9 @@ def evaluate_run(options: EvaluateOptions, watch: Watch = unwatched) -> tuple[in
         UserError: as `load_agent`, or so many worlds do not fit into RAM.
     """
     assert options.run is not None
-    trained = load_agent(Path(options.run), options.device, module_names(options.plugins))
+    trained = load_agent(
+        Path(options.run).expanduser(), options.device, module_names(options.plugins)
+    )
     with enough_ram(f"a smaller num_envs={options.num_envs} needs less"):
         problem = feasibility.too_many_worlds(
             trained.config, options.num_envs, options.episodes, "num_envs"
