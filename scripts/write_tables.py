@@ -145,6 +145,7 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "modules": modules,
     "file": file,
     "tail": tail_table.tail,
+    "tail_best": tail_table.best,
     "comparison": tail_table.comparison,
 }
 
