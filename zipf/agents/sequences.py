@@ -15,23 +15,7 @@ import torch
 from tensordict import TensorDict
 
 from zipf.agents.memory import State
-from zipf.agents.unroll import Unroll, no_observations
-
-STEP = {  # the fields of a step in replay, beside the observation
-    "previous_action": torch.int64,
-    "previous_reward": torch.float32,
-    "is_first": torch.bool,
-    "action": torch.int64,
-    "reward": torch.float32,  # the task's and the bonus
-    "terminated": torch.bool,
-    "truncated": torch.bool,
-}
-FINAL = {  # the fields of an observation that an episode was cut at, beside the observation
-    "step": torch.int64,
-    "previous_action": torch.int64,
-    "previous_reward": torch.float32,
-    "is_first": torch.bool,
-}
+from zipf.agents.unroll import FINAL, STEP, Unroll, no_observations
 
 
 class Sequences:

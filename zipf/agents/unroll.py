@@ -13,6 +13,24 @@ from torch import Tensor
 
 from zipf.agents.memory import State
 
+STEP = {
+    "previous_action": torch.int64,
+    "previous_reward": torch.float32,
+    "is_first": torch.bool,
+    "action": torch.int64,
+    "reward": torch.float32,
+    "terminated": torch.bool,
+    "truncated": torch.bool,
+}
+"""The fields of a step that every agent needs, beside the observation; see `Unroll`."""
+FINAL = {
+    "step": torch.int64,
+    "previous_action": torch.int64,
+    "previous_reward": torch.float32,
+    "is_first": torch.bool,
+}
+"""The fields of an observation that an episode was cut at, beside the observation."""
+
 
 def no_observations(space: gym.spaces.Dict, rows: int) -> dict[str, Tensor]:
     """Zeros in the place of observations of a space, {name: [rows, ...]}.

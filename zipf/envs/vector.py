@@ -358,8 +358,9 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         """
         if self.closed:
             raise ClosedEnvironmentError("step() of an environment that was closed")
+        begins = not self._all_running  # some worlds begin an episode in this step
         mask = self._everywhere
-        if not self._all_running:
+        if begins:
             next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
             waiting = ~(self._seeded if next_step else self._running)
             if waiting.any():
@@ -380,7 +381,6 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                             "observations are written to"
                         )
 
-        begins = mask is not self._everywhere
         if begins:
             self._begin_episodes(~mask, self._unforced)
         self._lengths += mask

@@ -60,12 +60,14 @@ def group_runs(runs: Sequence[Run], window: Asked | None) -> list[RunGroup]:
             of_agent.add(run.description.experiment)
     for run in runs:
         if run.description.external:
-            places = [group for group in tabled if _worlds(group[0]) == _worlds(run)]
+            alike = [group for group in tabled if _worlds(group[0]) == _worlds(run)]
             experiment = run.description.experiment
-            own = [group for group in places if group[0].description.experiment == experiment]
-            if len(experiments[run.description.row_key]) > 1:
-                places = []  # as rows of another experiment's table they would be one agent
-            for group in own or places or [by_key.setdefault(_key(run, window), [])]:
+            places = [group for group in alike if group[0].description.experiment == experiment]
+            if not places and len(experiments[run.description.row_key]) == 1:
+                places = alike  # rows of several experiments would be one agent there
+            if not places:
+                places = [by_key.setdefault(_key(run, window), [])]
+            for group in places:
                 group.append(run)
 
     groups: list[RunGroup] = []

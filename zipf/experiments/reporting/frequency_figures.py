@@ -30,7 +30,7 @@ from zipf.experiments.reporting.situations import (
 )
 from zipf.experiments.reporting.styles import SHADE, LineStyle, panels, row_handles
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.experiments.reporting.wording import KIND_NAMES
+from zipf.experiments.reporting.wording import KIND_NAMES, spoken
 
 
 def frequencies(table: ScoreTable) -> Figure | None:
@@ -61,9 +61,8 @@ def frequencies(table: ScoreTable) -> Figure | None:
         axis.xaxis.set_major_locator(LogLocator(10, subs=(1.0, 2.0, 5.0)))
         axis.xaxis.set_major_formatter(FuncFormatter(lambda place, _: f"{place - 1:.0f}"))
         axis.xaxis.set_minor_formatter(FuncFormatter(lambda *_: ""))
-        spoken = name.replace("_", " ").capitalize()
-        axis.set_title(spoken)
-        axis.set_xlabel(f"{spoken} rank (0 = most frequent)")
+        axis.set_title(spoken(name))
+        axis.set_xlabel(f"{spoken(name)} rank (0 = most frequent)")
         axis.yaxis.set_major_formatter(FuncFormatter(lambda share, _: f"{100 * share:g} %"))
         axis.yaxis.set_minor_formatter(FuncFormatter(lambda *_: ""))
     axes[0].set_ylabel("Share of episodes")

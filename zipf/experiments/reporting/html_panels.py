@@ -214,11 +214,6 @@ def log_ticks(values: Sequence[float]) -> dict[str, Any]:
     return {"type": "log", "tickmode": "array", "tickvals": ticks}
 
 
-def spoken(name: str) -> str:
-    """A rank's name as figures show it."""
-    return name.replace("_", " ").capitalize()
-
-
 def numbers(values: Any) -> list[Any]:
     """As a list, None for NaN. Plotly would encode an array, which a page then does not show."""
     return [None if pd.isna(value) else value for value in pd.Series(values).tolist()]

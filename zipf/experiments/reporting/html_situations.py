@@ -21,7 +21,6 @@ from zipf.experiments.reporting.html_panels import (
     plain,
     row_key,
     shade,
-    spoken,
 )
 from zipf.experiments.reporting.situation_figures import INTERVALS, NAMES
 from zipf.experiments.reporting.situations import (
@@ -37,6 +36,7 @@ from zipf.experiments.reporting.situations import (
 )
 from zipf.experiments.reporting.styles import LineStyle
 from zipf.experiments.reporting.tables import Row, ScoreTable
+from zipf.experiments.reporting.wording import spoken
 from zipf.references import REFERENCES
 
 

@@ -39,6 +39,7 @@ from zipf.experiments.reporting.styles import (
     set_title,
 )
 from zipf.experiments.reporting.tables import ScoreTable
+from zipf.experiments.reporting.wording import spoken
 
 NAMES: Mapping[Measure, str] = {"success": "Success", "return": "Mean return"}
 INTERVALS: Mapping[Measure, str] = {
@@ -88,9 +89,8 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Figure | None
                 axis.axhline(mean, **line)
         for first, last in spans(rare[name]):
             axis.axvspan(first - 0.5, last + 0.5, color=SHADE, zorder=0, linewidth=0)
-        spoken = name.replace("_", " ").capitalize()
-        axis.set_title(spoken)
-        axis.set_xlabel(f"{spoken} rank (0 = most frequent)")
+        axis.set_title(spoken(name))
+        axis.set_xlabel(f"{spoken(name)} rank (0 = most frequent)")
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.set_xlim(-0.5, rank_counts(table)[name] - 0.5)
     if measure == "success":

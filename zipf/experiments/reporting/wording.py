@@ -69,3 +69,8 @@ def short_name(level: str) -> str:
 def seeds_list(seeds: Sequence[int]) -> str:
     """`seed 0` or `seeds 0, 1, 2`."""
     return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}"
+
+
+def spoken(name: str) -> str:
+    """A rank's name as figures show it."""
+    return name.replace("_", " ").capitalize()

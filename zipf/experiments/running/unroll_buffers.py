@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
+from zipf.agents.unroll import FINAL, STEP
 from zipf.envs.vector import ZipfVectorEnv
 
 CARRIED = ("previous_action", "previous_reward", "is_first")
@@ -42,18 +43,8 @@ class UnrollBuffers:
         self.observation = {name: part.numpy() for name, part in self.steps["observation"].items()}
         self.final = self._finals(env, finals) if finals else None
         self.fields: dict[str, NDArray[Any]] = {}
-        for name, dtype in (
-            ("previous_action", torch.int64),
-            ("previous_reward", torch.float32),
-            ("is_first", torch.bool),
-            ("action", torch.int64),
-            ("reward", torch.float32),
-            ("bonus", torch.float32),
-            ("terminated", torch.bool),
-            ("truncated", torch.bool),
-            ("truncation_value", torch.float32),
-            *further.items(),
-        ):
+        more = {"bonus": torch.float32, "truncation_value": torch.float32, **further}
+        for name, dtype in (STEP | more).items():
             self.steps[name] = self._tensor(torch.zeros(shape, dtype=dtype))
             self.fields[name] = self.steps[name].numpy()
         self.fields["previous_action"][:] = -1
@@ -111,12 +102,7 @@ class UnrollBuffers:
     def _finals(self, env: ZipfVectorEnv, count: int) -> TensorDict:
         shape = count, env.num_envs
         final = TensorDict(batch_size=shape)
-        for name, dtype in (
-            ("step", torch.int64),
-            ("previous_action", torch.int64),
-            ("previous_reward", torch.float32),
-            ("is_first", torch.bool),
-        ):
+        for name, dtype in FINAL.items():
             final[name] = self._tensor(torch.zeros(shape, dtype=dtype))
         final["observation"] = self._observations(env, count)
         return final

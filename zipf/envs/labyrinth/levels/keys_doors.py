@@ -54,6 +54,11 @@ class _Planner:
         self.plan = Plan([(row, column)])
         self.colours = [list(COLOURS)[k] for k in rng.permutation(len(COLOURS)).tolist()]
         self.traps: set[int] = set()  # rooms that the way to the goal does not lead through
+        self.core: list[str] = []  # the colours of the doors on the way to the goal, in order
+        self.entered: dict[int, int] = {}  # rooms behind these doors, and the place of the colour
+        self.last = 0  # the room that the next door on the way is beside, or may be
+        self.competitors: list[int] = []  # rooms whose door a trap may have, too
+        self.has_empty = self.has_herring = self.has_trap = False
 
     def free_position(self, room: int) -> Position | None:
         """The free place beside a room that is nearest to the start."""
@@ -100,79 +105,31 @@ class _Planner:
             raise _NoPlace
         self.plan.keys.append((int(self.rng.choice(rooms)), colour))
 
-    def add_herring(self, core: list[str]) -> None:
-        """An empty room behind a door that takes a key of the way to the goal."""
-        room = self.room_with_space(set())
-        self.traps.add(self.add_room(room, core[int(self.rng.integers(len(core)))]))
-
-    def add_trap(self, competitor: int, colour: str, later: list[str]) -> bool:
-        """A room with the same door as the competitor's, and a key that is needed later."""
-        older = [
-            room
-            for room in range(competitor)
-            if room not in self.traps and self.free_position(room)
-        ]
-        if not older or not later:
-            return False
-        trap = self.add_room(int(self.rng.choice(older)), colour)
-        self.plan.keys.append((trap, later[int(self.rng.integers(len(later)))]))
-        self.traps.add(trap)
-        return True
-
     def build(self) -> Plan:
+        """Draws rooms, keys and doors; the plan may have no solution.
+
+        Raises:
+            _NoPlace: the lattice has no room for what was drawn.
+        """
         rng, plan = self.rng, self.plan
         length = int(rng.integers(1, 4))
         easy, useless, openable = rng.integers(0, 2, 3).tolist()
-        core, free = self.colours[:length], self.colours[length:]
-        last, empty, herring, trap = 0, False, False, False
-        entered: dict[int, int] = {}  # core rooms, and the step whose colour their door has
-        competitors: list[int] = []
-        for step, colour in enumerate(core):
-            if rng.random() < _EMPTY_ROOM[length] and not empty and self.free_position(last):
-                last, empty = self.add_room(last, None), True
-            now = rng.random() < 0.5 and not herring
-            before = rng.random() < 0.5
-            if now and before:
-                self.add_herring(core)
-                herring = True
-            others = [room for room in range(len(plan.rooms)) if room not in self.traps]
-            if rng.random() < 0.5 and self.free_position(last):
-                beside = last
-                self.add_key(colour, others)
-            else:
-                self.add_key(colour, [last])
-                too_late = step == length - 1 and length > 1 and not trap and not competitors
-                if too_late and self.free_position(last):
-                    beside = last
-                else:
-                    beside = self.room_with_space(self.traps)
-            room = self.add_room(beside, colour)
-            if beside == last and entered:
-                competitor = max(entered)  # the newest core room; `last` may be the empty one
-                competitors.append(competitor)
-                if not trap and rng.random() < 0.5:
-                    at = entered[competitor]
-                    trap = self.add_trap(competitor, core[at], core[at + 1 :])
-            entered[room] = step
-            last = room
-            if now and not before:
-                self.add_herring(core)
-                herring = True
-        plan.goal = last
-        for competitor in competitors:
-            if not trap:
-                at = entered[competitor]
-                trap = self.add_trap(competitor, core[at], core[at + 1 :])
+        self.core, free = self.colours[:length], self.colours[length:]
+        for step in range(length):
+            self.add_core_room(step)
+        plan.goal = self.last
+        for competitor in self.competitors:
+            self.try_trap(competitor)
         try:
             for _ in range(easy):
                 door = free[int(rng.integers(len(free)))]
                 self.traps.add(self.add_room(self.room_with_space(set()), door))
-            if not herring:
-                self.add_herring(core)
+            if not self.has_herring:
+                self.add_herring()
         except _NoPlace:
             pass  # the lattice is full
         ways_in = set(plan.links)
-        self.add_doors(free, core, openable)
+        self.add_doors(free, openable)
         unopenable = {colour for link, colour in plan.links.items() if link not in ways_in}
         unused = [colour for colour in free if colour not in unopenable]
         space = [r for r in range(len(plan.rooms)) if self.objects(r) < _OBJECTS]
@@ -181,7 +138,66 @@ class _Planner:
             plan.keys.append((space[int(rng.integers(len(space)))], colour))
         return plan
 
-    def add_doors(self, free: list[str], core: list[str], openable: int) -> None:
+    def add_core_room(self, step: int) -> None:
+        """A room of the way to the goal behind the next door, the key of that door, and sometimes
+        what leads astray."""
+        rng, colour, length = self.rng, self.core[step], len(self.core)
+        empty = rng.random() < _EMPTY_ROOM[length]
+        if empty and not self.has_empty and self.free_position(self.last):
+            self.last, self.has_empty = self.add_room(self.last, None), True
+        herring = rng.random() < 0.5 and not self.has_herring
+        before = rng.random() < 0.5
+        if herring and before:
+            self.add_herring()
+        others = [room for room in range(len(self.plan.rooms)) if room not in self.traps]
+        if rng.random() < 0.5 and self.free_position(self.last):
+            beside = self.last
+            self.add_key(colour, others)
+        else:
+            self.add_key(colour, [self.last])
+            # Without this door no later step could have the trap.
+            needed = step == length - 1 and length > 1 and not (self.has_trap or self.competitors)
+            if needed and self.free_position(self.last):
+                beside = self.last
+            else:
+                beside = self.room_with_space(self.traps)
+        room = self.add_room(beside, colour)
+        if beside == self.last and self.entered:
+            competitor = max(self.entered)  # the newest core room; `last` may be the empty one
+            self.competitors.append(competitor)
+            if not self.has_trap and rng.random() < 0.5:
+                self.try_trap(competitor)
+        self.entered[room] = step
+        self.last = room
+        if herring and not before:
+            self.add_herring()
+
+    def add_herring(self) -> None:
+        """An empty room behind a door that takes a key of the way to the goal."""
+        room = self.room_with_space(set())
+        self.traps.add(self.add_room(room, self.core[int(self.rng.integers(len(self.core)))]))
+        self.has_herring = True
+
+    def try_trap(self, competitor: int) -> None:
+        """A room with the same door as the competitor's, and a key that is needed later; nothing if
+        there is one, or no place for it."""
+        if self.has_trap:
+            return
+        step = self.entered[competitor]
+        later = self.core[step + 1 :]
+        older = [
+            room
+            for room in range(competitor)
+            if room not in self.traps and self.free_position(room)
+        ]
+        if not older or not later:
+            return
+        trap = self.add_room(int(self.rng.choice(older)), self.core[step])
+        self.plan.keys.append((trap, later[int(self.rng.integers(len(later)))]))
+        self.traps.add(trap)
+        self.has_trap = True
+
+    def add_doors(self, free: list[str], openable: int) -> None:
         """Doors between rooms that lie side by side and are not connected yet."""
         plan = self.plan
         pairs = [
@@ -193,7 +209,7 @@ class _Planner:
             and (b, a) not in plan.links
         ]
         drawn = [pairs[k] for k in self.rng.permutation(len(pairs)).tolist()]
-        choices = [free, free, *[core] * openable]
+        choices = [free, free, *[self.core] * openable]
         for pair, colours in zip(drawn, choices, strict=False):
             plan.links[pair] = colours[int(self.rng.integers(len(colours)))]
 
