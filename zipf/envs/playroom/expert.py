@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,38 @@ LOOK = hand.LOOK_RATE * STEP
 # How precisely the view can be turned: half of its smallest steps, and a little more.
 _AIM_YAW = 0.51 * 0.05 * _TURN
 _AIM_PITCH = 0.51 * 0.03 * LOOK
+
+# Of bringing a toy, in metres.
+_ARM = 1.1  # it is let go at most so far from the agent
+_STAND_OFF = 0.3  # the least gap between the agent and the support
+_INSIDE = 0.15  # from the support's edge to the spot on it
+_FROM_EDGE = 0.1  # from the support's edge to the toy beside it
+_OVER = 0.1  # it is let go when so near to the spot, seen from above,
+_LOW_ENOUGH = 0.25  # and no higher than this above it
+_ABOVE = 0.12  # it is held so high above the spot
+_HOLD_ERROR = 0.07  # of the hand's distance: half of what a push changes, and a little more
+
+
+class _Spot(NamedTuple):
+    """Where a toy is let go.
+
+    Attributes:
+        x, y, top: the place, metres; `top` is that of what it comes to lie on.
+        pose, size: of the support.
+        inset: of the place from the support's edge; negative outside.
+        closest: of the agent to it.
+        radius, height: of the toy.
+    """
+
+    x: float
+    y: float
+    top: float
+    pose: NDArray[np.float64]
+    size: NDArray[np.float64]
+    inset: float
+    closest: float
+    radius: float
+    height: float
 
 
 def require_playable(env: PlayroomVectorEnv, player: str) -> None:
@@ -107,45 +139,60 @@ class Expert:
 
     def _bring(self, i: int) -> int:
         """Carries the held target to its support, and lets go there."""
+        if not self.worlds.lifted[i, 0]:
+            return self._raise(i)
+        spot = self._spot(i)
+        agent = self.worlds.agents[i]
+        distance = math.hypot(spot.x - agent[AX], spot.y - agent[AY])
+        gap = rectangle_gap(spot.pose, spot.size, agent[AX], agent[AY])
+        if distance > _ARM or distance < spot.closest or gap < _STAND_OFF:
+            return self._carry(i, spot)
+        return self._hold_over(i, spot, distance)
+
+    def _spot(self, i: int) -> _Spot:
+        """Where to let go of the target: inside the support, or on the floor beside it."""
         worlds = self.worlds
         near = worlds.task[i] < ON
         support = int(worlds.task[i]) - (NEAR if near else ON)
         pose, size = worlds.furniture[i, support], FURNITURE_SIZE[support]
-        agent, item = worlds.agents[i], worlds.objects[i, 0]
-        extent = worlds.extents[worlds.ranks[i, 0]]
-        if not worlds.lifted[i, 0]:
-            return self._raise(i)
+        agent, extent = worlds.agents[i], worlds.extents[worlds.ranks[i, 0]]
         radius = footprint(extent)
         closest = AGENT_RADIUS + radius + 0.05
-        gap = rectangle_gap(pose, size, agent[AX], agent[AY])
-        # Where to let go: inside the support, or on the floor beside it.
-        inset = 0.15 if not near else -(radius + 0.1)
-        spot = _inside(pose, size, max(inset, 0.0), agent)
+        inset = -(radius + _FROM_EDGE) if near else _INSIDE
+        x, y = _inside(pose, size, max(inset, 0.0), agent)
         if near:
-            share = -inset / max(gap, -inset)
-            spot = tuple(s + share * (a - s) for s, a in zip(spot, agent[:2].tolist(), strict=True))
-        distance = math.hypot(spot[0] - agent[AX], spot[1] - agent[AY])
-        if distance > 1.1 or distance < closest or gap < 0.3:
-            goals = _beside(pose, size, inset, closest)
-            if self._is_low(i, radius):
-                return actions.GRAB + actions.LOOK_UP
-            # It faces the support on its way: a held object would keep it away from walls.
-            aside = math.atan2(pose[1] - agent[AY], pose[0] - agent[AX]) - agent[YAW]
-            aside = (aside + math.pi) % (2 * math.pi) - math.pi
-            if abs(aside) > _TURN and self.env.lengths[i] % 2:
-                return actions.GRAB + (actions.TURN_RIGHT if aside < 0 else actions.TURN_LEFT)
-            return actions.GRAB + self.go(i, goals)
+            share = -inset / max(rectangle_gap(pose, size, agent[AX], agent[AY]), -inset)
+            x, y = x + share * (agent[AX] - x), y + share * (agent[AY] - y)
         top = 0.0 if near else float(size[2])
-        height = max(top + 0.12, 0.2) + extent[2] / 2 - EYE
-        if math.hypot(item[X] - spot[0], item[Y] - spot[1]) < 0.1 and item[Z] < top + 0.25:
+        return _Spot(x, y, top, pose, size, inset, closest, radius, float(extent[2]))
+
+    def _carry(self, i: int, spot: _Spot) -> int:
+        """Walks to a place from which the target can be held over the spot."""
+        if self._is_low(i, spot.radius):
+            return actions.GRAB + actions.LOOK_UP
+        # It faces the support on its way: a held object would keep it away from walls.
+        agent = self.worlds.agents[i]
+        aside = math.atan2(spot.pose[1] - agent[AY], spot.pose[0] - agent[AX]) - agent[YAW]
+        aside = (aside + math.pi) % (2 * math.pi) - math.pi
+        if abs(aside) > _TURN and self.env.lengths[i] % 2:
+            return actions.GRAB + (actions.TURN_RIGHT if aside < 0 else actions.TURN_LEFT)
+        goals = _beside(spot.pose, spot.size, spot.inset, spot.closest)
+        return actions.GRAB + self.go(i, goals)
+
+    def _hold_over(self, i: int, spot: _Spot, distance: float) -> int:
+        """Holds the target over the spot, `distance` metres away, and lets go there."""
+        agent, item = self.worlds.agents[i], self.worlds.objects[i, 0]
+        over = math.hypot(item[X] - spot.x, item[Y] - spot.y) < _OVER
+        if over and item[Z] < spot.top + _LOW_ENOUGH:
             room = self.env.rooms[i]
             assert room is not None
             swinging = room.objects[0].velocity.length > 0.3
             return actions.GRAB if swinging else actions.NOOP
-        yaw = math.atan2(spot[1] - agent[AY], spot[0] - agent[AX])
-        hold = min(max(math.hypot(distance, height), hand.NEAREST_HOLD), worlds.reach)
-        if abs(hold - agent[HOLD]) > 0.07:
+        height = max(spot.top + _ABOVE, 0.2) + spot.height / 2 - EYE
+        hold = min(max(math.hypot(distance, height), hand.NEAREST_HOLD), self.worlds.reach)
+        if abs(hold - agent[HOLD]) > _HOLD_ERROR:
             return actions.PUSH if hold > agent[HOLD] else actions.PULL
+        yaw = math.atan2(spot.y - agent[AY], spot.x - agent[AX])
         return self._face(i, yaw, math.atan2(height, distance), closed=True)
 
     def _is_low(self, i: int, radius: float) -> bool:
