@@ -21,6 +21,7 @@ from zipf.experiments.catalogue import condition_row
 from zipf.experiments.composing import Composed, choices, composed, groups
 from zipf.experiments.config import (
     DEVICE_PATTERN,
+    LINE_PATTERN,
     NAME_PATTERN,
     Config,
     RowOptions,
@@ -307,6 +308,7 @@ def _owners(option: str, known: list[str]) -> list[str]:
 
 _IN_WORDS = {
     NAME_PATTERN: "should be usable as a folder's name (not empty, no '/', no leading '.')",
+    LINE_PATTERN: "should be one line",
     DEVICE_PATTERN: "should be auto, cpu, cuda or cuda:<number>",
     "string_type": "should be text (quote it if it looks like a number)",
     "list_type": "should be a list in square brackets, such as [1,2]",
