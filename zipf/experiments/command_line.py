@@ -347,7 +347,9 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             kind = problem.get("ctx", {}).get("pattern", problem["type"])
             message = _IN_WORDS.get(kind, problem["msg"])
             message = message.removeprefix("Input ").removeprefix("Value error, ")
-            yield f"{name}={problem['input']!s:.200}: {message}"
+            shown = str(problem["input"])
+            shown = repr(shown) if len(shown.splitlines()) > 1 else shown
+            yield f"{name}={shown:.200}: {message}"
 
 
 def _name(composed: Composed) -> str:
