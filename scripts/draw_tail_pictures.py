@@ -122,14 +122,15 @@ WORLDS = [
         "playroom_lift_compact",
         {
             "impala,network=film": Agent("IMPALA, modulated by the instruction", "#000000"),
-            "impala_matching": Agent("IMPALA, told where by a matcher", "#cc3311"),
+            "imitation": Agent("Imitation", "#0077bb"),
+            "impala_matching": Agent("IMPALA with a matcher", "#cc3311"),
             "impala_matching_settled": Agent(
                 "The same, then with a falling learning rate", "#ee7733"
             ),
             "impala_matching_settled_longer": Agent(
                 "The same, falling three times as slowly", "#aa3377"
             ),
-            "imitation_matching": Agent("Imitation, told where by a matcher", "#009988"),
+            "imitation_matching": Agent("Imitation with a matcher", "#009988"),
         },
         "blind",
         of_target,

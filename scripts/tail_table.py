@@ -82,7 +82,9 @@ TASKS = (
         "Lifting a toy",
         "playroom_lift_compact",
         {
+            "impala_1000_updates": "IMPALA",
             "impala_hindsight": "IMPALA, hindsight",
+            "imitation": "Imitation",
             "impala,network=film": "IMPALA, `film` network",
             "impala_matching": "IMPALA, `matching` network, matcher from finding",
             "impala_matching_settled": "The same, then a falling learning rate",
