@@ -117,7 +117,7 @@ def test_a_run_says_where_its_weights_are_from_and_resumes_without_it(first, cap
     assert described[0]["pretrained"] == described[1]["pretrained"]
     capsys.readouterr()
     shown = run(str(whole), "--window", "last", module="zipf.report", folder=root).stdout
-    told = "Seed 5 of whole began with the encoder of demo first seed 0, trained on 90 frames"
+    told = "Seed 5 of whole began with the encoder of demo first, seed 0, trained on 90 frames"
     assert told in " ".join(shown.split())
     assert train(asked((root, whole), "name=following")) == 0
     following = json.loads((root / "demo" / "following" / "seed5" / "run.json").read_text())
@@ -139,7 +139,8 @@ def test_seeds_that_begin_with_seeds_of_a_condition_are_one_row(first, capsys):
     ).stdout
     told = " ".join(shown.split())
     assert "were not trained with the same settings" not in told
-    assert f"Seed 1 of {configs[0].row.title} began with the encoder of demo first seed 1" in told
+    title = configs[0].row.title
+    assert f"Seeds 0, 1 of {title} began with the encoder of demo first, the same seed" in told
 
 
 @pytest.mark.parametrize(

@@ -469,7 +469,6 @@ def test_the_smallest_version_of_a_texture_is_its_mean():
     [
         ({"width": 0}, "width must be 1 or more, not 0"),
         ({"height": -3}, "height must be 1 or more, not -3"),
-        ({"threads": 0}, "threads must be 1 or more, not 0"),
         ({"fov": 180}, "fov must be from 1 to 170 degrees, not 180"),
     ],
 )

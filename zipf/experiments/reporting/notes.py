@@ -16,7 +16,7 @@ from zipf.experiments.reporting.windows import (
     window_of,
     window_text,
 )
-from zipf.experiments.reporting.wording import count_text
+from zipf.experiments.reporting.wording import count_text, seeds_list
 from zipf.references import REFERENCE_NAMES
 
 
@@ -117,14 +117,16 @@ def _seeds_notes(runs: Sequence[Run]) -> list[str]:
 
 def _pretrained_notes(runs: Sequence[Run]) -> list[str]:
     """Which other runs the seeds of a condition began with."""
-    found = []
+    alike: dict[tuple[str, str, str], list[int]] = {}
     for run in runs:
-        there = run.description.pretrained
+        seed, there = run.description.seed, run.description.pretrained
         if there is not None:
-            found.append(
-                f"Seed {run.description.seed} of {run.description.row.title} began with the "
-                f"{', '.join(there.parts)} of {there.experiment} {there.condition} seed "
-                f"{there.seed}, trained on {count_text(there.frames)} frames, which are not "
-                "counted here."
-            )
-    return found
+            other = "the same seed" if there.seed == seed else f"seed {there.seed}"
+            frames = count_text(there.frames)
+            where = f"{', '.join(there.parts)} of {there.experiment} {there.condition}"
+            alike.setdefault((where, other, frames), []).append(seed)
+    return [
+        f"{seeds_list(seeds).capitalize()} of {runs[0].description.row.title} began with the "
+        f"{where}, {other}, trained on {frames} frames, which are not counted here."
+        for (where, other, frames), seeds in alike.items()
+    ]
