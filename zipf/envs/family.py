@@ -230,10 +230,9 @@ def _check_fields(family: Family) -> None:
             raise ValueError(
                 f"{field_name} of a family must be a tuple of {kind.__name__}, got {value!r}"
             )
-    loaded = {**vars(family), **family.references}
-    for field_name in loaded.keys() - {"name", "summary", "id"}:
-        value = loaded[field_name]
-        if isinstance(value, str) and not all(value.partition(":")):
+    for field_name, value in {**vars(family), **family.references}.items():
+        texts = ("name", "summary", "id")
+        if field_name not in texts and isinstance(value, str) and not all(value.partition(":")):
             raise ValueError(
                 f"{field_name} of a family must be an object or 'module:attribute', got {value!r}"
             )
