@@ -210,6 +210,11 @@ def is_image(space: gym.Space) -> bool:
     )
 
 
+def has_image(space: gym.spaces.Dict) -> bool:
+    """Whether there is an image of that name."""
+    return "image" in space.spaces and is_image(space["image"])
+
+
 def is_text(name: str, space: gym.Space) -> bool:
     """Whether a part is a text as codes of its words: [L], with zeros behind the last one."""
     return (

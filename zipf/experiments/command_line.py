@@ -21,13 +21,13 @@ from zipf.experiments.catalogue import condition_row
 from zipf.experiments.composing import Composed, choices, composed, groups
 from zipf.experiments.config import (
     DEVICE_PATTERN,
-    LINE_PATTERN,
     NAME_PATTERN,
     Config,
     RowOptions,
     schema,
 )
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting.descriptions import LINE_PATTERN
 from zipf.experiments.settings import affects_learning, flatten
 from zipf.options import Options
 

@@ -23,18 +23,16 @@ from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import ReweightingOptions
 from zipf.experiments.augmentation import AugmentationOptions
 from zipf.experiments.errors import UserError
+from zipf.experiments.reporting.descriptions import Colour, Count, Finite, Line
 from zipf.experiments.runtime import RayOptions, RuntimeOptions, TorchrunOptions
 from zipf.experiments.settings import affects_learning, changes_nothing, flatten
 from zipf.options import Options
 
 PositiveInt = Annotated[int, Field(ge=1, lt=10**15)]
-Update = Annotated[int, Field(ge=0, lt=10**15)]
-Interval = Annotated[list[Update], Field(min_length=2, max_length=2)]
+Interval = Annotated[list[Count], Field(min_length=2, max_length=2)]
 Pair = Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 NAME_PATTERN = r"^[^/.\r\n][^/\r\n]*$"
-LINE_PATTERN = r"^[^\r\n]*$"
-COLOUR_PATTERN = r"^#[0-9a-fA-F]{6}$"
 DEVICE_PATTERN = r"^(auto|cpu|cuda(:\d+)?)$"
 Name = Annotated[str, Field(max_length=200, pattern=NAME_PATTERN)]
 Device = Annotated[str, Field(pattern=DEVICE_PATTERN)]
@@ -85,9 +83,9 @@ class RowOptions(Options):
     curves; without a `colour` a free one is chosen.
     """
 
-    title: Annotated[str, Field(min_length=1, pattern=LINE_PATTERN)]
-    order: Annotated[float, Field(allow_inf_nan=False)] | None = None
-    colour: Annotated[str, Field(pattern=COLOUR_PATTERN)] | None = None
+    title: Line
+    order: Finite | None = None
+    colour: Colour | None = None
     line: Literal["solid", "dashed"] = "solid"
 
 

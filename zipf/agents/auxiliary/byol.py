@@ -19,7 +19,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
-from zipf.agents.encoders import Encoder, is_image
+from zipf.agents.encoders import Encoder, has_image
 from zipf.agents.network import Inputs, Torso, frozen_copy, head
 from zipf.agents.network_options import NetworkOptions
 
@@ -312,8 +312,7 @@ def build(
     Raises:
         ValueError: a form that shifts images, for observations without one.
     """
-    has_image = "image" in space.spaces and is_image(space["image"])
-    if not isinstance(options, BYOLOptions) and not has_image:
+    if not isinstance(options, BYOLOptions) and not has_image(space):
         raise ValueError(
             f"auxiliary={options.name} needs an image named 'image', and the observations here "
             f"have only {', '.join(sorted(space))}; auxiliary=byol reads whatever the network does"

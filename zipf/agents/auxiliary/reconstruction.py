@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
 from zipf.agents.averaging import average
-from zipf.agents.encoders import is_image, is_text, vocabulary
+from zipf.agents.encoders import has_image, is_text, vocabulary
 from zipf.agents.image_networks import ResidualBlock, largest_patch
 from zipf.agents.network import Inputs, Torso
 from zipf.agents.network_options import NetworkOptions, ResNetOptions, ShallowOptions
@@ -239,7 +239,7 @@ def build(
         ValueError: the observations have no image, or no instruction where that is reconstructed.
     """
     missing = set()
-    if "image" not in space.spaces or not is_image(space["image"]):
+    if not has_image(space):
         missing.add("image")
     if isinstance(options, VisionLanguageOptions) and not (
         "instruction" in space.spaces and is_text("instruction", space["instruction"])

@@ -39,7 +39,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from zipf.agents.encoders import Encoder, is_image
+from zipf.agents.encoders import Encoder, has_image
 from zipf.agents.episodic.dictionary import Dictionary
 from zipf.agents.episodic.options import DictionarySizes, EpisodicOptions, MemOptions
 from zipf.agents.episodic.recorder import DictionaryRecorder, Recorder, Rows
@@ -74,7 +74,7 @@ class MemRecorder(DictionaryRecorder):
         seed: int,
         space: gym.spaces.Dict,
     ):
-        if "image" not in space.spaces or not is_image(space["image"]):
+        if not has_image(space):
             raise ValueError(
                 f"episodic={options.name} needs an image named 'image', and the observations here "
                 f"have only {', '.join(sorted(space))}; episodic=dictionary reads whatever the "
@@ -89,9 +89,7 @@ class MemRecorder(DictionaryRecorder):
         self.register_buffer("learned_from", torch.zeros(size, dtype=torch.bool))
         for name in ("place", "filled", "next"):  # of the next row; of rows; of the next batch
             self.register_buffer(name, torch.zeros((), dtype=torch.int64))
-        zeros = no_observations(space, size)
-        for k, name in enumerate(self.observations):
-            self.register_buffer(f"buffer_{k}", zeros[name])
+        self._register("buffer", no_observations(space, size))
         self._latest: tuple[Tensor, Tensor] | None = None  # rows that were learned from, and losses
 
     def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
@@ -103,7 +101,7 @@ class MemRecorder(DictionaryRecorder):
         if filled >= 2:
             rows = int(self.next) + torch.arange(min(o.batch, filled), device=self.core.device)
             rows %= filled
-            seen = {name: part[rows] for name, part in self._buffers_of_parts().items()}
+            seen = {name: part[rows] for name, part in self._registered("buffer").items()}
             changed = augment(seen["image"], o.noise, o.cutout, self.generator())
             both = {name: torch.cat([part, part]) for name, part in seen.items()}
             both["image"] = torch.cat([seen["image"], changed])
@@ -137,15 +135,11 @@ class MemRecorder(DictionaryRecorder):
         dictionary.write(self.cores[leaves], self.values[leaves], priorities)
         self.cores[places] = rows.cores
         self.values[places] = rows.values
-        for name, buffer in self._buffers_of_parts().items():
+        for name, buffer in self._registered("buffer").items():
             buffer[places] = rows.observations[name]
         self.learned_from[places] = False
         self.place.copy_((self.place + count) % size)
         self.filled.copy_((self.filled + count).clamp(max=size))
-
-    def _buffers_of_parts(self) -> dict[str, Tensor]:
-        """The frames in the buffer, by the parts of their observations."""
-        return {name: getattr(self, f"buffer_{k}") for k, name in enumerate(self.observations)}
 
     def unfamiliarity(self, rows: Tensor) -> Tensor:
         """The share of the rows that were learned from whose momentum loss is lower: float64 [N] in

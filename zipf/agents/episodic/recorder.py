@@ -106,8 +106,7 @@ class DictionaryRecorder(Recorder):
         self.register_buffer("return_", torch.zeros(worlds))  # from that row on
         self.register_buffer("factor", torch.ones(worlds))  # the discount of the next reward
         self.observations = sorted(observations or {})
-        for k, name in enumerate(self.observations):  # a name may have a dot, a buffer's may not
-            self.register_buffer(f"observation_{k}", (observations or {})[name])
+        self._register("observation", observations or {})
 
     def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
         """No loss."""
@@ -142,7 +141,7 @@ class DictionaryRecorder(Recorder):
         everywhere = torch.arange(worlds, device=device)
         self.core.copy_(pick(self.core, core.float(), source, everywhere))
         self.action.copy_(pick(self.action, action, source, everywhere))
-        for name, pending in self._pending().items():
+        for name, pending in self._registered("observation").items():
             pending.copy_(pick(pending, steps["observation", name], source, everywhere))
         self.age.copy_(age.masked_fill(ends[-1], 0))
         self.return_.copy_(return_)
@@ -160,9 +159,15 @@ class DictionaryRecorder(Recorder):
         for name, value in carried.items():
             getattr(self, name).copy_(value)
 
-    def _pending(self) -> dict[str, Tensor]:
-        """The observations of the rows drawn, by part, [B, ...] each."""
-        return {name: getattr(self, f"observation_{k}") for k, name in enumerate(self.observations)}
+    def _register(self, prefix: str, parts: dict[str, Tensor]) -> None:
+        """Registers buffers of observations by number: a part's name may have a dot, a buffer's may
+        not."""
+        for k, name in enumerate(self.observations):
+            self.register_buffer(f"{prefix}_{k}", parts[name])
+
+    def _registered(self, prefix: str) -> dict[str, Tensor]:
+        """These buffers by the parts' names."""
+        return {name: getattr(self, f"{prefix}_{k}") for k, name in enumerate(self.observations)}
 
     def _of_episodes(self) -> list[str]:
         pending = [f"observation_{k}" for k in range(len(self.observations))]
@@ -194,7 +199,7 @@ class DictionaryRecorder(Recorder):
             values = torch.cat([cores, taken, taken * squashed.unsqueeze(-1)], -1)
         observations = {
             name: pick(pending, steps["observation", name], source, world)
-            for name, pending in self._pending().items()
+            for name, pending in self._registered("observation").items()
         }
         return Rows(cores, values, observations)
 

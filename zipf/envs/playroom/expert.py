@@ -172,8 +172,7 @@ class Expert:
             return actions.GRAB + actions.LOOK_UP
         # It faces the support on its way: a held object would keep it away from walls.
         agent = self.worlds.agents[i]
-        aside = math.atan2(spot.pose[1] - agent[AY], spot.pose[0] - agent[AX]) - agent[YAW]
-        aside = (aside + math.pi) % (2 * math.pi) - math.pi
+        aside = _aside(agent, math.atan2(spot.pose[1] - agent[AY], spot.pose[0] - agent[AX]))
         if abs(aside) > _TURN and self.env.lengths[i] % 2:
             return actions.GRAB + (actions.TURN_RIGHT if aside < 0 else actions.TURN_LEFT)
         goals = _beside(spot.pose, spot.size, spot.inset, spot.closest)
@@ -205,7 +204,7 @@ class Expert:
     def _face(self, i: int, yaw: float, pitch: float, *, closed: bool) -> int:
         """Turns the view towards two angles, the one with the larger error first."""
         agent = self.worlds.agents[i]
-        aside = (yaw - agent[YAW] + math.pi) % (2 * math.pi) - math.pi
+        aside = _aside(agent, yaw)
         above = pitch - agent[PITCH]
         grip = actions.GRAB if closed else 0
         if abs(aside) > max(abs(above), _AIM_YAW):
@@ -269,6 +268,11 @@ class Expert:
         w = self.worlds
         arrays = (w.ranks, w.hands, w.objects, w.orientation, w.furniture)
         return b"".join(array[i].tobytes() for array in arrays)
+
+
+def _aside(agent: NDArray[np.float64], yaw: float) -> float:
+    """How far a direction is to the left of the agent's view, radians, -pi to pi."""
+    return float((yaw - agent[YAW] + math.pi) % (2 * math.pi) - math.pi)
 
 
 def _inside(

@@ -122,7 +122,7 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
     """A world of each level; they are played in turn."""
     names = module_names(options.plugins)
     composing.load_plugins(names)
-    trained = load_agent(Path(options.run).expanduser(), "cpu", names) if options.run else None
+    trained = load_agent(Path(options.run), "cpu", names) if options.run else None
     level_options = trained.config.level_options if trained else {}
     agent = None
     if trained and policy == "agent":

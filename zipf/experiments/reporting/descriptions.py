@@ -15,7 +15,10 @@ from zipf.experiments.reporting.csv_files import read_bytes
 from zipf.experiments.reporting.wording import EXTERNAL_MARK
 from zipf.references import REFERENCE_NAMES
 
-Line = Annotated[str, Field(min_length=1, pattern=r"^[^\r\n]*$")]
+LINE_PATTERN = r"^[^\r\n]*$"
+COLOUR_PATTERN = r"^#[0-9a-fA-F]{6}$"
+Line = Annotated[str, Field(min_length=1, pattern=LINE_PATTERN)]
+Colour = Annotated[str, Field(pattern=COLOUR_PATTERN)]
 Whole = Annotated[int, Field(gt=-(2**63), lt=2**63)]
 Count = Annotated[int, Field(ge=0, lt=10**15)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -41,7 +44,7 @@ class RowDescription(_Described):
 
     title: Line
     order: Finite | None
-    colour: Annotated[str, Field(pattern="^#[0-9a-fA-F]{6}$")] | None
+    colour: Colour | None
     line: Literal["solid", "dashed"]
 
 

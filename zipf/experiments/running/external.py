@@ -23,7 +23,7 @@ from zipf.envs.arguments import whole
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting import checksums
 from zipf.experiments.reporting.csv_files import read_fields, read_lines
-from zipf.experiments.reporting.descriptions import RunDescription, first_problem
+from zipf.experiments.reporting.descriptions import COLOUR_PATTERN, RunDescription, first_problem
 from zipf.experiments.reporting.replacing import replace_text
 from zipf.experiments.running.scoring import (
     NOT_GEOMETRY,
@@ -111,7 +111,7 @@ def record(
     for option, text in (("name", name), ("experiment", experiment)):
         if not isinstance(text, str) or not text.strip() or len(text.splitlines()) > 1:
             raise ValueError(f"{option}={text!r}: should be one line of text")
-    if colour is not None and not re.fullmatch("#[0-9a-fA-F]{6}", str(colour)):
+    if colour is not None and not re.fullmatch(COLOUR_PATTERN, str(colour)):
         raise ValueError(f"colour={colour!r}: should be '#rrggbb', six hexadecimal digits")
     if line not in ("solid", "dashed"):
         raise ValueError(f"line={line!r}: should be 'solid' or 'dashed'")

@@ -46,6 +46,7 @@ def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Traine
             other options.
     """
     composing.load_plugins(plugins)
+    folder = folder.expanduser()
     config = run_folder.read_config(folder, plugins).model_copy(update={"device": device})
     path = run_folder.agent_file(folder)
     saved = checkpoint.load(path)
@@ -94,9 +95,7 @@ def evaluate_run(options: EvaluateOptions, watch: Watch = unwatched) -> tuple[in
         UserError: as `load_agent`, or so many worlds do not fit into RAM.
     """
     assert options.run is not None
-    trained = load_agent(
-        Path(options.run).expanduser(), options.device, module_names(options.plugins)
-    )
+    trained = load_agent(Path(options.run), options.device, module_names(options.plugins))
     with enough_ram(f"a smaller num_envs={options.num_envs} needs less"):
         problem = feasibility.too_many_worlds(
             trained.config, options.num_envs, options.episodes, "num_envs"

@@ -11,7 +11,7 @@ from zipf.envs.labyrinth.screen import Place
 from zipf.envs.labyrinth.world import World
 
 STEP = 8
-"""Units a side of the array in the middle of the screen, and those of a cell."""
+"""Units a side of a cell of the array in the middle of the screen, which has 64."""
 POSITIONS = range(4, 60, STEP)
 """Positions of cells, in units from the array's left or top."""
 START, UNIT = 16, 1.5
