@@ -18,6 +18,7 @@ from playroom_worlds import (
     wait,
 )
 
+from zipf.envs.playroom.achieved import achieved
 from zipf.envs.playroom.constants import FURNITURE_SIZE
 from zipf.envs.playroom.falling import STILL_MOTION
 from zipf.envs.playroom.geometry import rectangle_gap
@@ -254,6 +255,21 @@ def test_finding(item: int, end: Any) -> None:
     env = playroom("supervised/find_shape_uniform")
     assert outcome(find(env, ("duck", "book"), item)) == end
     assert outcome(find(playroom("supervised/find_shape_zipf2"), ("duck", "duck"), item)) == DONE
+
+
+@pytest.mark.parametrize(("target_side", "end"), [(0.5, FAILED), (0.45, DONE)])
+def test_between_two_objects_the_nearer_one_counts(target_side: float, end: Any) -> None:
+    """Both come within 0.7 m in one step of an agent that walks straight ahead."""
+    env = playroom("supervised/find_shape_uniform")
+    aside = 0.95 - target_side
+    arrange(env, (0, 0, 0, 0), {0: (0.7, target_side), 1: (0.7, -aside)}, ("duck", "book"))
+    result = act(env, "MOVE_FORWARD_FULL")
+    while outcome(result) == RUNS:
+        result = act(env, "MOVE_FORWARD_FULL")
+    gaps = [math.hypot(*(env.worlds.objects[0, j, :2] - env.worlds.agents[0, :2])) for j in (0, 1)]
+    assert max(gaps) < 0.7
+    assert outcome(result) == end
+    assert achieved(env.worlds, 0) == ((0 if end == DONE else 1), env.worlds.task[0])
 
 
 # Time.

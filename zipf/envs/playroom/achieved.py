@@ -1,13 +1,11 @@
 """What the agent of a playroom has done at an episode's end."""
 
-import math
-
 from zipf.envs.playroom.constants import FURNITURE_SIZE, NEAR_DISTANCE
 from zipf.envs.playroom.falling import STILL_STEPS
 from zipf.envs.playroom.geometry import rectangle_gap
-from zipf.envs.playroom.judgement import APPROACH_DISTANCE
+from zipf.envs.playroom.judgement import APPROACH_DISTANCE, nearest_within
 from zipf.envs.playroom.levels import LIFT, NEAR, ON
-from zipf.envs.playroom.state import AX, AY, FLOOR, ON_BED, Worlds, X, Y
+from zipf.envs.playroom.state import FLOOR, ON_BED, Worlds, X, Y
 
 Achievement = tuple[int, int]
 """Which of the world's objects, and the task that was done with it."""
@@ -28,11 +26,8 @@ def achieved(worlds: Worlds, i: int) -> Achievement | None:
 
 
 def _approached(worlds: Worlds, i: int) -> Achievement | None:
-    agent = worlds.agents[i]
-    for j, place in enumerate(worlds.objects[i]):
-        if math.hypot(place[X] - agent[AX], place[Y] - agent[AY]) < APPROACH_DISTANCE:
-            return j, int(worlds.task[i])
-    return None
+    nearest = nearest_within(APPROACH_DISTANCE, worlds.agents[i], worlds.objects[i])
+    return None if nearest < 0 else (int(nearest), int(worlds.task[i]))
 
 
 def _put(worlds: Worlds, i: int) -> Achievement | None:
