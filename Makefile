@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # Two jobs at a time, one core each.
 BESIDE := hydra/launcher=joblib hydra.launcher.n_jobs=2
 
-.PHONY: demo conditions tail test lint types docs wheel results clean
+.PHONY: demo conditions tail test test-all lint types docs wheel results clean
 
 demo: $(VENV)/.installed  ## train on a small gridworld for a few minutes, then print the scores
 	$(BIN)/python -m zipf.train experiment=demo
@@ -21,8 +21,11 @@ tail: conditions  ## parts for learning the tail, on the larger worlds, too: som
 	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m sweep=tail $(BESIDE)
 	$(BIN)/python -m zipf.report runs/
 
-test: $(VENV)/.installed  ## run all tests
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+test: $(VENV)/.installed  ## run the tests
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+
+test-all: test  ## run the tests, and those that take minutes each
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
 lint: $(VENV)/.installed  ## check style and formatting
 	$(BIN)/ruff check .

@@ -67,7 +67,7 @@ def probabilities(level: str) -> NDArray[np.float64]:
 
 def draw_distributions(figure: plt.Figure) -> None:
     """The three levels side by side, on one scale."""
-    tables = {kind: probabilities(SPLIT.levels(kind)[0].name) for kind in envs.KINDS}
+    tables = {kind: probabilities(SPLIT.levels(kind)[0].name) for kind in envs.PAPER_KINDS}
     train = tables["train"]
     norm = LogNorm(train.min(), train.max())
     seldom = train[tables["rare"] > 0]

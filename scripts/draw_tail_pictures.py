@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from zipf.envs import distributions, reference, split
-from zipf.envs.splits import KINDS
+from zipf.envs.splits import PAPER_KINDS
 from zipf.experiments.reporting.results import Run, load_runs
 from zipf.experiments.reporting.statistics import wilson_interval
 from zipf.experiments.reporting.wording import KIND_NAMES
@@ -166,7 +166,7 @@ def main() -> None:
 def learning(world: World, runs: dict[str, list[Run]]) -> Figure:
     """Scores on the three levels against millions of frames, a line for each run."""
     figure, axes = plt.subplots(1, 3, figsize=(8.4, 3.1), sharey=True, layout="constrained")
-    for axis, kind in zip(axes, KINDS, strict=True):
+    for axis, kind in zip(axes, PAPER_KINDS, strict=True):
         for name, agent in world.agents.items():
             for k, run in enumerate(runs[name]):
                 scores = run.mean_scores(run.description.levels_of(kind))

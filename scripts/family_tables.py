@@ -10,7 +10,17 @@ from gymnasium import spaces
 from tables import code, comments, described, markdown
 
 from zipf import envs
+from zipf.envs import floors
+from zipf.envs.labyrinth import FAMILY as _labyrinth
 from zipf.envs.labyrinth.levels import LEVELS
+from zipf.references import says_little
+
+LITTLE = "‡"
+LEGEND = [
+    "",
+    f"{LITTLE} Says little about reading: a policy that neither reads nor looks has more than half "
+    "of the expert's score.",
+]
 
 
 def families(folder: str) -> list[str]:
@@ -80,16 +90,33 @@ def levels(family: str) -> list[str]:
     found = envs.find_family(family)
     uses: dict[str, list[str]] = {}
     for split in found.splits:
-        for kind in envs.KINDS:
+        for kind in split.kinds:
             for level in split.levels(kind):
                 uses.setdefault(level.name, []).append(f"{code(split.name)} ({kind})")
-    known = [one for one in envs.REFERENCES if one.name in found.references]
+    names = [one.name for one in envs.REFERENCES if one.name in found.references]
     rows = []
-    for name in (f"{family}/{level}" for level in found.levels):
-        scores = (envs.reference(one.name, name) for one in known)
-        texts = ("" if score is None else f"{score.score:.3f}" for score in scores)
-        rows.append((code(name), ", ".join(uses.get(name, [])), *texts))
-    return markdown(("Level", "Used by split", *(one.title for one in known)), rows)
+    marked = False
+    for level in (f"{family}/{level}" for level in found.levels):
+        known = {name: envs.reference(name, level) for name in names}
+        texts = ("" if score is None else f"{score.score:.3f}" for score in known.values())
+        little = _says_little(known)
+        marked |= little
+        shown = code(level) + (f" {LITTLE}" if little else "")
+        rows.append((shown, ", ".join(uses.get(level, [])), *texts, _policy(known)))
+    titles = (one.title for one in envs.REFERENCES if one.name in names)
+    lines = markdown(("Level", "Used by split", *titles, "Blind policy"), rows)
+    return [*lines, *(LEGEND if marked else [])]
+
+
+def _policy(known: dict[str, envs.ReferenceScore | None]) -> str:
+    """The policy that has the blind score, where it was found by a search."""
+    blind = known.get("blind")
+    return code(floors.summary(blind.policy)) if blind and blind.policy else ""
+
+
+def _says_little(known: dict[str, envs.ReferenceScore | None], random: float = 0.0) -> bool:
+    blind, expert = (known.get(name) for name in ("blind", "expert"))
+    return says_little(blind and blind.score - random, expert and expert.score - random)
 
 
 def labyrinth() -> list[str]:
@@ -107,14 +134,19 @@ def labyrinth() -> list[str]:
 
 def labyrinth_references() -> list[str]:
     """What players that do not learn, and people, score in the labyrinth."""
-    known = [one for one in envs.REFERENCES if one.name in envs.find_family("labyrinth").references]
+    names = [one.name for one in envs.REFERENCES if one.name in _labyrinth.references]
     rows = []
     for name, level in LEVELS.items():
-        scores = (envs.reference(one.name, f"labyrinth/{name}") for one in known)
-        texts = ("" if one is None else f"{one.score:.1f} ± {one.error:.1f}" for one in scores)
-        rows.append((code(name), f"{level.random:g}", f"{level.human:g}", *texts))
-    titles = (one.title for one in known)
-    return markdown(("Level", "Random, published", "Human, published", *titles), rows)
+        known = {of: envs.reference(of, f"labyrinth/{name}") for of in names}
+        texts = (
+            "" if one is None else f"{one.score:.1f} ± {one.error:.1f}" for one in known.values()
+        )
+        shown = code(name) + (f" {LITTLE}" if _says_little(known, level.random) else "")
+        published = f"{level.random:g}", f"{level.human:g}"
+        rows.append((shown, *published, *texts, _policy(known)))
+    titles = (one.title for one in envs.REFERENCES if one.name in names)
+    header = ("Level", "Random, published", "Human, published", *titles, "Blind policy")
+    return [*markdown(header, rows), *LEGEND]
 
 
 def constructor_options(family: str) -> list[str]:

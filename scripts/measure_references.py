@@ -98,6 +98,31 @@ def figure(
     }
 
 
+def write_figure(
+    family: str, name: str, level: str, figure: dict[str, Any], out: Path | None = None
+) -> Figures:
+    """Puts a figure into `references.json` in the family's package, in the place of that with the
+    same options; returns all figures."""
+    package = importlib.import_module(f"zipf.envs.{family}")
+    out = out or Path(str(package.__file__)).with_name("references.json")
+    found: Figures = json.loads(out.read_text("utf-8")) if out.exists() else {}
+    of_level = found.setdefault(name, {}).setdefault(level, [])
+    of_level[:] = [*(old for old in of_level if old["options"] != figure["options"]), figure]
+    order = [*LEVELS[family]]
+    ordered = {
+        one.name: dict(
+            sorted(
+                found[one.name].items(),
+                key=lambda item: order.index(item[0]) if item[0] in order else len(order),
+            )
+        )
+        for one in envs.REFERENCES
+        if one.name in found
+    }
+    out.write_text(json.dumps(ordered, indent=2) + "\n", "utf-8")
+    return ordered
+
+
 def page(family: str, found: Figures) -> str:
     """The table for the record."""
     published = {
@@ -178,15 +203,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if given.missing and options in there:
                 continue
             new = figure(name, given.family, level, options, given.episodes, given.seed)
-            of_level = found.setdefault(name, {}).setdefault(level, [])
-            of_level[:] = [*(old for old in of_level if old["options"] != options), new]
+            found = write_figure(given.family, name, level, new, out)
             print(f"{name}, {level} {options}: {new['score']} +- {new['error']}", flush=True)
-            ordered = {
-                name: {level: found[name][level] for level in levels if level in found[name]}
-                for name in (one.name for one in envs.REFERENCES)
-                if name in found
-            }
-            out.write_text(json.dumps(ordered, indent=2) + "\n", "utf-8")
     table = given.page or RESULTS / f"{given.family}_references.md"
     table.write_text(page(given.family, found), "utf-8")
     print(f"written: {out}, {table}")

@@ -146,6 +146,7 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "file": file,
     "tail": tail_table.tail,
     "tail_best": tail_table.best,
+    "tail_situations": tail_table.situations,
     "comparison": tail_table.comparison,
 }
 

@@ -65,7 +65,7 @@ def gridworld(chance: Mapping[str, float | None] = CHANCE) -> list[dict[str, Any
     """The levels of a gridworld."""
     return [
         level(kind, f"gridworld/{kind}", chance=chance.get(kind), blind=BLIND[kind])
-        for kind in envs.KINDS
+        for kind in envs.PAPER_KINDS
     ]
 
 

@@ -30,7 +30,12 @@ from zipf.agents.auxiliary.byol import (
     BYOLOptions,
     random_shift,
 )
-from zipf.agents.auxiliary.reconstruction import VisionLanguageOptions, VisionOptions
+from zipf.agents.auxiliary.reconstruction import (
+    LanguageOptions,
+    Reconstruction,
+    VisionLanguageOptions,
+    VisionOptions,
+)
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs
@@ -650,6 +655,7 @@ def test_the_papers_sizes():
             ["auxiliary=vision_language"],
             ["needs an instruction", "only image", "auxiliary=vision reconstructs the image alone"],
         ),
+        (["auxiliary=language"], ["auxiliary=language needs an instruction", "only image"]),
         (
             ["auxiliary=vision", "environment.observation=tiles"],
             ["auxiliary=vision needs an image", "only cue, tiles"],
@@ -691,6 +697,7 @@ def test_byol_reads_tiles():
         ("demo", "byol_frame", "impala"),
         ("demo", "byol_horizon", "impala"),
         ("playroom_lift_compact", "vision_language", "vmpo"),
+        ("playroom_lift_compact", "language", "impala"),
         ("playroom_lift_compact", "byol_horizon", "impala"),
     ],
 )
@@ -728,6 +735,7 @@ def test_runs_train_and_resume(experiment, auxiliary, kind, tmp_path):
         == {
             "vision": ["auxiliary_vision"],
             "vision_language": ["auxiliary_vision", "auxiliary_language"],
+            "language": ["auxiliary_language"],
             "byol": ["auxiliary_byol", "auxiliary_byol_spread"],
             "byol_frame": ["auxiliary_byol", "auxiliary_byol_spread"],
             "byol_horizon": ["auxiliary_byol", "auxiliary_byol_spread"],
@@ -864,3 +872,23 @@ def test_byol_does_not_collapse(options, collapses, monkeypatch):
     assert logged[-1]["auxiliary_byol"] < 0.7 * logged[0]["auxiliary_byol"]
     assert (logged[-1]["auxiliary_byol_spread"] < 0.2) == collapses
     assert (logged[-1]["auxiliary_byol_spread"] > 0.5) != collapses
+
+
+def test_language_alone_is_the_second_loss_of_both_and_decodes_no_image():
+    both = build_auxiliary_of(VISION_LANGUAGE)
+    alone = build_auxiliary_of(LanguageOptions(name="language", language_weight=0.3, fraction=1.0))
+    assert alone.image is None
+    assert not any("image" in name for name, _ in alone.named_parameters())
+    alone.instruction.load_state_dict(both.instruction.state_dict())
+    data = inputs(0)
+    core = torch.randn(STEPS + 1, BATCH, 16, generator=torch.Generator().manual_seed(0))
+    _, metrics = both(data, core)
+    loss, own = alone(data, core)
+    assert list(own) == ["auxiliary_language"]
+    torch.testing.assert_close(own["auxiliary_language"], metrics["auxiliary_language"])
+    torch.testing.assert_close(loss, 0.3 * own["auxiliary_language"])
+
+
+def build_auxiliary_of(options):
+    torch.manual_seed(0)
+    return Reconstruction(space(), COMPACT, 16, options, seed=0)

@@ -82,7 +82,7 @@ def test_claims_name_what_there_is() -> None:
                 assert {*one.without} <= set(table.rows)
                 for condition, column in filter(None, (one.score, one.against, one.base)):
                     assert condition == "*" or condition.split(",")[0] in conditions
-                    assert column in envs.KINDS or column in table.train_groups
+                    assert column in envs.PAPER_KINDS or column in table.train_groups
 
 
 @pytest.mark.parametrize(

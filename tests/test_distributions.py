@@ -6,7 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zipf.envs import pcg64
-from zipf.envs.distributions import by_name, law_name, rare, uniform, usual_name, zipfian
+from zipf.envs.distributions import (
+    by_name,
+    law_name,
+    rare,
+    uniform,
+    usual_name,
+    validation,
+    zipfian,
+)
 
 
 def test_zipfian_follows_the_law() -> None:
@@ -24,9 +32,16 @@ def test_rare_is_the_last_fifth() -> None:
     np.testing.assert_array_equal(np.flatnonzero(rare(9)), [8])
 
 
+@pytest.mark.parametrize(
+    ("n", "first", "last"), [(20, 8, 11), (50, 20, 29), (30, 12, 17), (5, 2, 2)]
+)
+def test_validation_is_the_middle_fifth(n: int, first: int, last: int) -> None:
+    assert np.flatnonzero(validation(n)).tolist() == list(range(first, last + 1))
+
+
 @given(n=st.integers(5, 200), exponent=st.floats(0, 1e6))
 def test_distributions_are_probabilities(n: int, exponent: float) -> None:
-    for p in (zipfian(n, exponent), uniform(n), rare(n)):
+    for p in (zipfian(n, exponent), uniform(n), rare(n), validation(n)):
         assert p.dtype == np.float64
         assert p.shape == (n,)
         assert (p >= 0).all()
@@ -47,6 +62,8 @@ def test_empty_distributions_are_refused() -> None:
             distribution(2.5)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="n >= 5"):
         rare(4)
+    with pytest.raises(ValueError, match="middle fifth of 4 is empty"):
+        validation(4)
 
 
 @pytest.mark.parametrize(
@@ -58,6 +75,7 @@ def test_empty_distributions_are_refused() -> None:
         ("uniform", uniform(20)),
         ("rare", rare(20)),
         ("uniform_rare", rare(20)),
+        ("validation", validation(20)),
     ],
 )
 def test_distributions_by_name(name: str, expected: np.ndarray) -> None:

@@ -46,6 +46,7 @@ def law(level: str) -> NDArray[np.float64]:
             "uniform": range(50),
             "all": range(50),
             "rare": range(40, 50),
+            "validation": range(20, 30),
             "frequent": range(10),
         }
         weights[kept[name]] = 1

@@ -490,7 +490,8 @@ def test_disagreement_about_chance_is_noted(tmp_path: Path) -> None:
 
 def test_episodes_of_a_reference_are_those_of_the_score_that_is_shown(tmp_path: Path) -> None:
     measured = [
-        level(kind, f"gridworld/{kind}", chance=CHANCE[kind], episodes=500) for kind in envs.KINDS
+        level(kind, f"gridworld/{kind}", chance=CHANCE[kind], episodes=500)
+        for kind in envs.PAPER_KINDS
     ]
     write_run(tmp_path, constant(0.5))
     write_run(tmp_path, constant(0.5), seed=1, levels=measured)
@@ -817,7 +818,7 @@ def test_the_papers_tables_name_known_conditions_and_levels() -> None:
     ):
         table = paper.paper_table(experiment)
         assert set(table.rows) <= conditions
-        columns = {*envs.KINDS, *table.train_groups}
+        columns = {*envs.PAPER_KINDS, *table.train_groups}
         assert all(set(scores) <= columns for scores in table.rows.values())
     assert paper.paper_table("playroom_lifting").score("impala_mlp", "train") is None
     assert paper.paper_table("labyrinth_forward").score("impala", "rare") == (

@@ -145,7 +145,7 @@ def test_chance_is_drawn_where_it_has_the_same_unit(
     figure = situation_figures.by_rank(table, line_styles(table.rows))
     assert figure is not None
     assert ("Chance (random actions), mean over ranks" in legend(figure)) == drawn
-    assert ("Blind (does not read what is asked for), mean over ranks" in legend(figure)) == drawn
+    assert ("Blind (neither reads nor looks), mean over ranks" in legend(figure)) == drawn
 
 
 def test_chance_is_drawn_at_each_rank_where_it_is_known(tmp_path: Path) -> None:

@@ -108,6 +108,50 @@ def test_statistics_in_the_report(tmp_path: Path) -> None:
     assert written.startswith(",".join(seed_statistics.STATISTICS_COLUMNS))
 
 
+def test_conditions_at_chance_are_not_compared(tmp_path: Path) -> None:
+    """Chance is 0.03, 0.05 and 0.09: a rare score of 0.1 against 0.05 says nothing."""
+    for seed, extra in enumerate((0.0, 0.001, 0.002)):
+        scores = {update: (0.5 + extra, 0.3, 0.05 + extra) for update in (100, 200, 300)}
+        write_run(tmp_path, scores, seed=seed)
+        scores = {update: (0.7 + extra, 0.06, 0.1 + extra) for update in (100, 200, 300)}
+        write_run(tmp_path, scores, condition="r2d2", seed=seed)
+    text = shown(tmp_path)
+    assert "| R2D2 | 1.00 [1.00, 1.00] | 0.00 [0.00, 0.00] | at chance |" in text
+    assert "Not of two that are less than 0.05 above chance." in text
+    frame = seed_statistics.statistics_frame(only_table(tmp_path))
+    compared = frame[frame["statistic"] == seed_statistics.IMPROVEMENT]
+    assert set(compared["level_kind"]) == {"train", "uniform"}
+
+
+def test_success_in_each_rare_situation(tmp_path: Path) -> None:
+    won = {(18, 18): (9, 0), (18, 19): (10, 10), (19, 18): (0, 0), (19, 19): (10, 5)}
+    for seed in (0, 1):
+        lines = [
+            f"{update},rare,{map},{target},10,{of_seeds[seed]},{of_seeds[seed]}.0"
+            for update in (100, 300)
+            for (map, target), of_seeds in won.items()
+        ]
+        write_run(tmp_path, constant(0.5), seed=seed, situations=[SITUATIONS, *lines])
+    text = shown(tmp_path)
+    assert "| Condition | Mean | 18–18 | 18–19 | 19–18 | 19–19 |" in text
+    mean = np.mean([seeds for seeds in won.values()]) / 10
+    line = next(one for one in text.splitlines() if one.startswith("| IMPALA | 0.55 ["))
+    assert line.endswith("| 0.90/0.00 | 1.00/1.00 | 0.00/0.00 | 1.00/0.50 |")
+    assert mean == pytest.approx(0.55)
+    table = only_table(tmp_path)
+    found = seed_statistics.success_by_situation(table.rows[0], table)
+    _, low, high = seed_statistics.bootstrap_of_situations(found)
+    # Few situations that differ much: far wider than the 160 episodes alone would be.
+    rng = np.random.default_rng(1)
+    rates = np.array([[p for p, _ in row] for row in found.to_numpy()])
+    means = []
+    for _ in range(4000):
+        seeds, situations = rng.integers(2, size=2), rng.integers(4, size=4)
+        drawn = [rng.binomial(20, rates[s, k]) / 20 for s in seeds for k in situations]
+        means.append(np.mean(drawn))
+    assert (low, high) == pytest.approx(tuple(np.quantile(means, [0.025, 0.975])), abs=0.03)
+
+
 def test_one_seed_has_one_sentence(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5))
     text = shown(tmp_path)

@@ -81,7 +81,7 @@ def test_the_right_answer_is_the_side_of_the_object_on_the_levels_first_frame():
     assert (step["target"] != info["target"]).any()
 
 
-@pytest.mark.parametrize("kind", envs.KINDS)
+@pytest.mark.parametrize("kind", envs.PAPER_KINDS)
 def test_random_answers_score_as_their_reference_says(kind):
     [asked] = envs.questions(envs.split("playroom_find")).levels(kind)
     known = envs.reference("chance", asked, image_size=(18, 24))

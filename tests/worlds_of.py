@@ -57,7 +57,7 @@ def needs(
     split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
     if agents()[agent].answers_questions and not asks(split):
         return f"splits with such questions: {', '.join(filter(asks, envs.all_splits()))}"
-    if auxiliary == "vision_language" and not speaks(experiment):
+    if auxiliary in ("language", "vision_language") and not speaks(experiment):
         return "needs an instruction"
     if network in ("film", "attention", "matching") and not speaks(experiment):
         return "reads images by an instruction"

@@ -73,7 +73,7 @@ def _evaluate(arguments: list[str]) -> None:
     from rich.console import Console
 
     from zipf.experiments.command_line import read_options
-    from zipf.experiments.config import EvaluateOptions
+    from zipf.experiments.config import EvaluateOptions, module_names
     from zipf.experiments.running import run_folder
     from zipf.experiments.running.logger import write_results
     from zipf.experiments.running.trained import evaluate_run
@@ -88,7 +88,11 @@ def _evaluate(arguments: list[str]) -> None:
         update, results = evaluate_run(options, watch)
     chosen = f"-episodes{options.episodes}" if options.episodes else ""
     name = f"evaluation-{update}{chosen}-seed{options.seed}"
-    _show(f"{folder} at update {update}", results, description["levels"])
+    config = run_folder.read_config(folder, module_names(options.plugins))
+    levels = run_folder.with_further_kinds(
+        description["levels"], config.split, config.level_options
+    )
+    _show(f"{folder} at update {update}", results, levels)
     for file in write_results(folder / name, results):
         Console(highlight=False, markup=False).print(f"written: {file}", soft_wrap=True)
 

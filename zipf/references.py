@@ -31,8 +31,8 @@ REFERENCES = (
     Reference(
         "blind",
         "Blind",
-        "does not read what is asked for",
-        "masters the level but guesses what an episode asks for",
+        "neither reads nor looks",
+        "the best known policy that neither reads what an episode asks for nor looks",
     ),
     Reference(
         "generalist",
@@ -50,3 +50,9 @@ REFERENCES = (
 """All references, in the order of tables."""
 
 REFERENCE_NAMES = tuple(reference.name for reference in REFERENCES)
+
+
+def says_little(blind: float | None, expert: float | None) -> bool:
+    """Whether a level says little about reading and looking: a policy that does neither has more
+    than half of the expert's score. False where one of the two is not known."""
+    return blind is not None and expert is not None and blind > expert / 2

@@ -31,7 +31,7 @@ from zipf.envs.family import (
     symmetries,
 )
 from zipf.envs.references import ReferenceScore
-from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
+from zipf.envs.splits import KINDS, PAPER_KINDS, Normalisation, Split, SplitLevel
 from zipf.references import REFERENCES, Reference
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ _LAZY = {
 
 __all__ = [
     "KINDS",
+    "PAPER_KINDS",
     "REFERENCES",
     "SCRIPTED",
     "EngineError",

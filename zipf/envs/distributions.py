@@ -62,13 +62,34 @@ def rare(n: int) -> NDArray[np.float64]:
     return probabilities
 
 
+def validation(n: int) -> NDArray[np.float64]:
+    """Uniform over the middle fifth, `n // 5` ranks: those to choose agents on.
+
+    Returns:
+        float64 [n], zero but for the ranks from `(n - n // 5) // 2` on: 8 to 11 of 20.
+
+    Raises:
+        ValueError: if `n < 5`, where the middle fifth is empty.
+    """
+    _check_size(n)
+    size = n // 5
+    if size == 0:
+        raise ValueError(
+            f"the middle fifth of {n} is empty: the validation distribution needs n >= 5"
+        )
+    probabilities = np.zeros(n)
+    first = (n - size) // 2
+    probabilities[first : first + size] = 1.0 / size
+    return probabilities
+
+
 def by_name(name: str) -> Distribution:
     """The distribution a level is named after, as a function of the number of ranks.
 
     Args:
-        name: `uniform`, `rare` (or `uniform_rare`, its name in the paper), or `zipf_<exponent>`
-            with an exponent >= 0 such as `zipf_2` or `zipf_1.5`, without sign, underscores or
-            powers of ten.
+        name: `uniform`, `rare` (or `uniform_rare`, its name in the paper), `validation`, or
+            `zipf_<exponent>` with an exponent >= 0 such as `zipf_2` or `zipf_1.5`, without sign,
+            underscores or powers of ten.
 
     Raises:
         ValueError: if the name is none of these.
@@ -79,6 +100,8 @@ def by_name(name: str) -> Distribution:
         return uniform
     if name in ("rare", "uniform_rare"):
         return rare
+    if name == "validation":
+        return validation
     if name.startswith("zipf_"):
         try:
             exponent = float(name.removeprefix("zipf_"))
@@ -88,11 +111,12 @@ def by_name(name: str) -> Distribution:
             zipfian(1, exponent)  # refuses a bad exponent now rather than at the first draw
             if _LAW.fullmatch(name):
                 return lambda n: zipfian(n, exponent)
-    nearest = difflib.get_close_matches(name, ["zipf_2", "uniform", "rare", "uniform_rare"], n=2)
+    known = ["zipf_2", "uniform", "rare", "uniform_rare", "validation"]
+    nearest = difflib.get_close_matches(name, known, n=2)
     hint = f" (did you mean {' or '.join(map(repr, nearest))}?)" if nearest else ""
     raise ValueError(
         f"unknown level {name!r}{hint}: expected 'zipf_<exponent>' with an exponent >= 0 such as 2 "
-        "or 1.5, 'uniform' or 'rare'"
+        "or 1.5, 'uniform', 'rare' or 'validation'"
     )
 
 

@@ -90,16 +90,19 @@ class Family:
         id: the Gymnasium id; None: the family is not registered with Gymnasium.
         check: raises ValueError for a name that is not a level; None: those in `levels` are.
         references: scores of players that do not learn, by the name that the player has in
-            `zipf.references.REFERENCES`: "chance" is of uniformly random actions, "blind" of a
-            policy that masters the level but cannot read what an episode asks for, "generalist" and
-            "expert" of scripted players. Each is a function: `function(level, **options)` gives a
-            `ReferenceScore`, or None where it is not known. References that are known of no level
-            are left out.
+            `zipf.references.REFERENCES`: "chance" is of uniformly random actions, "blind" the best
+            that is known of policies that neither read what an episode asks for nor look,
+            "generalist" and "expert" of scripted players. Each is a function:
+            `function(level, **options)` gives a `ReferenceScore`, or None where it is not known.
+            References that are known of no level are left out.
         appearance: names of options that change what is shown and nothing else; the functions in
             `references` are not told of them.
         keys: what a keyboard's keys do, for `zipf.play`; None: nobody can play by hand.
         expert: `expert(env)` is a scripted player of a batch that reads the state of its worlds;
             None: there is none.
+        blind_policies: by name, `policy(env)` is a scripted player of a batch that does not read
+            what an episode asks for; `zipf.envs.floors` tries them beside those that act without
+            a look.
         generalist: `generalist(env)` is a scripted player of a batch that knows of each world what
             has been in view in the episode, and no map. It may be called at any time on worlds in
             which another policy acts, leaves them as they are, and gives the same actions again
@@ -129,6 +132,9 @@ class Family:
     appearance: frozenset[str] = frozenset()
     keys: Keys | str | None = None
     expert: Callable[[Any], Player] | str | None = None
+    blind_policies: Mapping[str, Callable[[Any], Player] | str] = field(
+        default_factory=dict, hash=False
+    )
     generalist: Callable[[Any], Player] | str | None = None
     questions: Callable[[Split], Split] | str | None = None
     symmetries: Callable[[Any, Any], Symmetries] | str | None = None
@@ -177,6 +183,10 @@ class Family:
         from zipf.envs.single import SingleWorld
 
         return SingleWorld(_loaded(self.make_vec), level=level, **kwargs)
+
+    def blind_players(self) -> dict[str, Callable[[Any], Player]]:
+        """The family's own policies that do not read, by name."""
+        return {name: _loaded(policy) for name, policy in self.blind_policies.items()}
 
     def make_goal(self, env: ZipfVectorEnv) -> Goal | None:
         """What reads the goals of a batch of the family from its observations; None: nothing."""

@@ -123,10 +123,18 @@ def zipfian(
         name=name,
         options=_Options,
         summary=f"{len(makers)} environments of Gymnasium, one drawn at every reset",
-        levels=(trained, "uniform", "rare", *makers),
+        levels=(trained, "uniform", "rare", "validation", *makers),
         check=levels.check,
         make_vec=levels.make_vec,
-        splits=(Split(name, f"{name}/{trained}", f"{name}/uniform", f"{name}/rare"),),
+        splits=(
+            Split(
+                name,
+                f"{name}/{trained}",
+                f"{name}/uniform",
+                f"{name}/rare",
+                f"{name}/validation",
+            ),
+        ),
         references={"chance": partial(_known, chance)},
     )
 

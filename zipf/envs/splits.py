@@ -14,8 +14,13 @@ from numpy.typing import ArrayLike
 
 from zipf.envs.arguments import mapping, whole
 
-KINDS = ("train", "uniform", "rare")
-"""What levels are for: to train on (Zipfian), and to test on, uniformly and on the rarest fifth."""
+PAPER_KINDS = ("train", "uniform", "rare")
+"""What levels are for: to train on (Zipfian), and to test on, uniformly and on the rarest fifth.
+Every split has these."""
+
+KINDS = (*PAPER_KINDS, "validation", "fresh")
+"""A split may also have levels to choose on (the middle fifth of the ranks, uniformly), and levels
+whose situations nobody trains on, reported and never chosen on."""
 
 Level = str | Callable[..., Any]
 """A level's full name (`"gridworld/rare"`), or a function that makes a batch of its worlds,
@@ -106,31 +111,36 @@ Levels = Level | SplitLevel | Sequence[Level | SplitLevel]
 class Split:
     """A benchmark: weighted levels to train on and to test on.
 
-    `train`, `uniform` and `rare` may be given as a level, a `SplitLevel` or a sequence of these;
-    they are kept as tuples of `SplitLevel`.
+    The levels of a kind may be given as a level, a `SplitLevel` or a sequence of these; they are
+    kept as tuples of `SplitLevel`.
 
     Attributes:
         name: unique among all splits.
         train, uniform, rare: the levels of each kind.
+        validation, fresh: the same of the kinds that not every split has; empty where it has none.
         draw: how worlds share several train levels: "worlds": evenly, each world has one level for
             good; "resets": at every reset a world draws its level in proportion to the weights.
-        episodes: of each level of a kind, in an evaluation that is not told otherwise.
+        episodes: of each level of a kind, in an evaluation that is not told otherwise; for
+            "validation" and "fresh", where they are not named, those of "uniform".
         spread: what the +- of a table is: "seeds": the median absolute deviation across seeds;
             "tasks": the standard error across levels.
         paper: which of the paper's experiments this repeats, a key of `paper_tables.json`, with
             the options' defaults; None: none of them.
 
     Raises:
-        ValueError: a kind has no level, or one level twice; or two levels have the same name.
+        ValueError: one of `PAPER_KINDS` has no level, a kind has one level twice, or two levels
+            have the same name.
     """
 
     name: str
     train: Any
     uniform: Any
     rare: Any
+    validation: Any = ()
+    fresh: Any = ()
     draw: Literal["worlds", "resets"] = "worlds"
     episodes: Mapping[str, int] = field(
-        default_factory=lambda: MappingProxyType(dict.fromkeys(KINDS, 1000)),  # the paper's
+        default_factory=lambda: MappingProxyType(dict.fromkeys(PAPER_KINDS, 1000)),  # the paper's
         hash=False,
     )
     spread: Literal["seeds", "tasks"] = "seeds"
@@ -140,7 +150,7 @@ class Split:
         for kind in KINDS:
             levels = _split_levels(getattr(self, kind))
             names = [one.name for one in levels]
-            if not names:
+            if not names and kind in PAPER_KINDS:
                 raise ValueError(f"split {self.name!r} has no {kind} level")
             if twice := sorted({name for name in names if names.count(name) > 1}):
                 raise ValueError(f"split {self.name!r} has the {kind} level {twice[0]} twice")
@@ -156,17 +166,27 @@ class Split:
             raise ValueError(f"draw must be 'worlds' or 'resets', got {self.draw!r}")
         if self.spread not in ("seeds", "tasks"):
             raise ValueError(f"spread must be 'seeds' or 'tasks', got {self.spread!r}")
-        if set(mapping("episodes", self.episodes)) != set(KINDS):
+        given = set(mapping("episodes", self.episodes))
+        if not set(PAPER_KINDS) <= given <= set(KINDS):
             raise ValueError(
-                f"episodes must have a number for each of {', '.join(KINDS)}, "
-                f"got {dict(self.episodes)}"
+                f"episodes must have a number for each of {', '.join(PAPER_KINDS)}, and may have "
+                f"one for {' and '.join(KINDS[len(PAPER_KINDS) :])}; got {dict(self.episodes)}"
             )
-        for kind in KINDS:
+        for kind in given:
             whole(f"episodes[{kind!r}]", self.episodes[kind], 1)
 
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kinds of which there are levels, in the order of `KINDS`."""
+        return tuple(kind for kind in KINDS if self.levels(kind))
+
     def levels(self, kind: str) -> tuple[SplitLevel, ...]:
-        """The levels of a kind: "train", "uniform" or "rare"."""
+        """The levels of a kind, of `KINDS`; empty where the split has none."""
         return getattr(self, kind)
+
+    def episodes_of(self, kind: str) -> int:
+        """How many episodes of each level of a kind an evaluation plays."""
+        return self.episodes.get(kind, self.episodes["uniform"])
 
     @property
     def all_levels(self) -> tuple[SplitLevel, ...]:

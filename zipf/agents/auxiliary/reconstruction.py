@@ -33,6 +33,14 @@ class VisionOptions(AuxiliaryOptions):
     fraction: Fraction
 
 
+class LanguageOptions(AuxiliaryOptions):
+    """Reconstructs the instruction, in a random `fraction` of the frames."""
+
+    name: Literal["language"]
+    language_weight: Weight
+    fraction: Fraction
+
+
 class VisionLanguageOptions(AuxiliaryOptions):
     """Reconstructs image and instruction, in a random `fraction` of the frames."""
 
@@ -42,8 +50,12 @@ class VisionLanguageOptions(AuxiliaryOptions):
     fraction: Fraction
 
 
+ReconstructionOptions = VisionOptions | LanguageOptions | VisionLanguageOptions
+
+
 class Reconstruction(Auxiliary):
-    """Reconstructs the image and, with `VisionLanguageOptions`, the instruction.
+    """Reconstructs the image, the instruction, or both, as the options say. The decoder of what is
+    not reconstructed is not built.
 
     Both losses are means, over the channels and over the words of the frames that are drawn. Row T
     of an unroll is left out: it is the first row of the next.
@@ -60,17 +72,18 @@ class Reconstruction(Auxiliary):
         space: gym.spaces.Dict,
         network: NetworkOptions,
         core_size: int,
-        options: VisionOptions | VisionLanguageOptions,
+        options: ReconstructionOptions,
         seed: int,
     ):
         super().__init__(seed)
         self.options = options
-        shape = space["image"].shape
-        assert shape is not None
-        self.image = build_image_decoder(core_size, shape, network)
-        self.register_buffer("mean_image", torch.zeros(shape))  # as logits
-        self.instruction = None
-        if isinstance(options, VisionLanguageOptions):
+        self.image = self.instruction = None
+        if not isinstance(options, LanguageOptions):
+            shape = space["image"].shape
+            assert shape is not None
+            self.image = build_image_decoder(core_size, shape, network)
+            self.register_buffer("mean_image", torch.zeros(shape))  # as logits
+        if not isinstance(options, VisionOptions):
             self.instruction = InstructionDecoder(core_size, vocabulary(space["instruction"]))
 
     def forward(self, inputs: Inputs, core: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
@@ -83,19 +96,23 @@ class Reconstruction(Auxiliary):
             core = core[rows]
             frames = {name: part[rows] for name, part in frames.items()}
 
-        if self.updates == 0:
-            mean = average(frames["image"].float().mean(0) / 255.0)
-            self.mean_image = mean.logit(eps=0.01)  # finite where pixels are always black or white
-        vision = image_cross_entropy(self.mean_image + self.image(core), frames["image"])
-        loss = o.vision_weight * vision
-        metrics = {"auxiliary_vision": vision.detach()}
-        if isinstance(o, VisionLanguageOptions):
+        losses, metrics = [], {}
+        if not isinstance(o, LanguageOptions):
+            assert self.image is not None
+            if self.updates == 0:
+                mean = average(frames["image"].float().mean(0) / 255.0)
+                # Finite where pixels are always black or white.
+                self.mean_image = mean.logit(eps=0.01)
+            vision = image_cross_entropy(self.mean_image + self.image(core), frames["image"])
+            losses.append(o.vision_weight * vision)
+            metrics["auxiliary_vision"] = vision.detach()
+        if not isinstance(o, VisionOptions):
             assert self.instruction is not None
             instruction = frames["instruction"]
             language = word_cross_entropy(self.instruction(core, instruction), instruction)
-            loss = loss + o.language_weight * language
+            losses.append(o.language_weight * language)
             metrics["auxiliary_language"] = language.detach()
-        return loss, metrics
+        return torch.stack(losses).sum(), metrics
 
 
 def image_cross_entropy(logits: Tensor, image: Tensor) -> Tensor:
@@ -227,7 +244,7 @@ class InstructionDecoder(nn.Module):
 
 
 def build(
-    options: VisionOptions | VisionLanguageOptions,
+    options: ReconstructionOptions,
     space: gym.spaces.Dict,
     network: NetworkOptions,
     torso: Torso,
@@ -239,9 +256,9 @@ def build(
         ValueError: the observations have no image, or no instruction where that is reconstructed.
     """
     missing = set()
-    if not has_image(space):
+    if not isinstance(options, LanguageOptions) and not has_image(space):
         missing.add("image")
-    if isinstance(options, VisionLanguageOptions) and not (
+    if not isinstance(options, VisionOptions) and not (
         "instruction" in space.spaces and is_text("instruction", space["instruction"])
     ):
         missing.add("instruction")
@@ -251,7 +268,7 @@ def build(
             f"and the observations here have only {', '.join(sorted(space))}; "
             + (
                 "auxiliary=vision reconstructs the image alone"
-                if missing == {"instruction"}
+                if missing == {"instruction"} and has_image(space)
                 else "auxiliary=byol reads whatever the network does"
             )
         )
@@ -259,4 +276,5 @@ def build(
 
 
 register(VisionOptions, build)
+register(LanguageOptions, build)
 register(VisionLanguageOptions, build)

@@ -28,8 +28,8 @@ FAMILY = Family(
     name="gridworld",
     summary="find the cued object in one of 20 maps",
     id="zipf/Gridworld-v0",
-    levels=("zipf_2", "uniform", "rare"),
-    check="zipf.envs.distributions:by_name",
+    levels=("zipf_2", "uniform", "rare", "validation", "fresh"),
+    check="zipf.envs.gridworld.level:distribution",
     options=GridworldOptions,
     splits=(
         Split(
@@ -37,6 +37,8 @@ FAMILY = Family(
             "gridworld/zipf_2",
             "gridworld/uniform",
             "gridworld/rare",
+            "gridworld/validation",
+            "gridworld/fresh",
             paper="gridworld",
         ),
         # Ours: trained on flatter and steeper distributions, tested on the same levels.
@@ -46,6 +48,8 @@ FAMILY = Family(
                 f"gridworld/zipf_{exponent}",
                 "gridworld/uniform",
                 "gridworld/rare",
+                "gridworld/validation",
+                "gridworld/fresh",
             )
             for exponent in (0, 1, 3)
         ),
@@ -54,7 +58,7 @@ FAMILY = Family(
     make_vec="zipf.envs.gridworld.vector:GridworldVectorEnv",
     references={
         "chance": "zipf.envs.gridworld.chance:chance",
-        "blind": "zipf.envs.gridworld.chance:blind",
+        "blind": "zipf.envs.gridworld.chance:floor",
         "generalist": measured("zipf.envs.gridworld", "generalist"),
         "expert": "zipf.envs.gridworld.expert:score",
     },

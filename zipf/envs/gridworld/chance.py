@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs import distributions
 from zipf.envs.arguments import whole
 from zipf.envs.gridworld import kernels, looks
-from zipf.envs.gridworld.maps import MOVES, Maps, build_maps, check_sizes
-from zipf.envs.references import ReferenceScore
+from zipf.envs.gridworld.level import distribution as of_level
+from zipf.envs.gridworld.level import maps_of
+from zipf.envs.gridworld.maps import MOVES, Maps, check_sizes
+from zipf.envs.references import ReferenceScore, higher_floor
 
 SURVIVAL = 1e-20  # ours: less of an episode is left than a sum of probabilities can show
 
@@ -59,7 +60,8 @@ def _chance(
     num_objects: int,
     max_steps: int,
 ) -> ReferenceScore:
-    maps = build_maps(num_maps, num_rooms, room_size, num_objects)
+    name = level.removeprefix("gridworld/")
+    maps = maps_of(name, (num_maps, num_rooms, room_size, num_objects))
     return mean_success(level, random_policy(maps, max_steps).success)
 
 
@@ -70,7 +72,7 @@ def mean_success(level: str, success: NDArray) -> ReferenceScore:
         level: its name.
         success: [maps, objects], the probability of success where that object is the target.
     """
-    distribution = distributions.by_name(level.removeprefix("gridworld/"))
+    distribution = of_level(level.removeprefix("gridworld/"))
     num_maps, num_objects = success.shape
     by_map, by_target = success @ distribution(num_objects), distribution(num_maps) @ success
     by_rank = {"map": tuple(by_map.tolist()), "target": tuple(by_target.tolist())}
@@ -80,13 +82,23 @@ def mean_success(level: str, success: NDArray) -> ReferenceScore:
 def blind(
     level: str, *, num_maps: int = 20, num_objects: int = 20, **options: Any
 ) -> ReferenceScore:
-    """The score of a policy that reaches any object but cannot see the cue, and goes to that which
-    is the target most often in training: exact."""
-    distribution = distributions.by_name(level.removeprefix("gridworld/"))
-    score = float(distribution(num_objects)[0])
-    by_target = (1.0, *(0.0,) * (num_objects - 1))
+    """The score of a policy that reaches any object but cannot see the cue, and goes to one that is
+    the target most often on the level: exact.
+
+    On the rare level that is one of the four rarest objects. A policy that has only met the
+    training level would go to the first object there, which is never the target.
+    """
+    distribution = of_level(level.removeprefix("gridworld/"))
+    of_targets = distribution(num_objects)
+    score = float(of_targets.max())
+    by_target = tuple(np.eye(num_objects)[of_targets.argmax()].tolist())
     by_rank = {"map": (score,) * num_maps, "target": by_target}
-    return ReferenceScore(score, by_rank=by_rank)
+    return ReferenceScore(score, by_rank=by_rank, policy="expert of the likeliest target")
+
+
+floor = higher_floor("zipf.envs.gridworld", blind)
+"""The blind reference: the higher one of `blind` and of the policies that were searched for. Those
+may know the maps by heart."""
 
 
 def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from zipf.envs.arguments import whole
 from zipf.envs.gridworld import kernels
 from zipf.envs.gridworld.chance import destinations, mean_success
-from zipf.envs.gridworld.maps import Maps, build_maps, check_sizes
+from zipf.envs.gridworld.level import maps_of
+from zipf.envs.gridworld.maps import Maps, check_sizes
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.envs.references import ReferenceScore
 
@@ -52,7 +53,8 @@ def score(
     max_steps: int = 100,
 ) -> ReferenceScore:
     """The expert's score on a level, exact, also by map and by target."""
-    maps = build_maps(*check_sizes(num_maps, num_rooms, room_size, num_objects))
+    sizes = check_sizes(num_maps, num_rooms, room_size, num_objects)
+    maps = maps_of(level.removeprefix("gridworld/"), sizes)
     max_steps = whole("max_steps", max_steps, 1)
     return mean_success(level, reached(maps, max_steps).astype(np.float64))
 

@@ -9,9 +9,13 @@ from numpy.typing import NDArray
 
 from zipf.envs import distributions, pcg64
 from zipf.envs.arguments import whole
+from zipf.envs.distributions import Distribution
 from zipf.envs.gridworld import kernels
 from zipf.envs.gridworld.looks import CELL, NUM_CODES
-from zipf.envs.gridworld.maps import MOVES, VIEW, Maps, build_maps, check_sizes
+from zipf.envs.gridworld.maps import MOVES, VIEW, Maps, build_maps, check_sizes, fresh_from
+
+FRESH = "fresh"
+"""The level of the fresh maps, all situations of which are equally likely."""
 
 MOST_STEPS = 10**9  # ours: no episode is as long, and the count stays exact as float64
 
@@ -20,6 +24,28 @@ OBSERVATIONS: dict[str, dict[str, tuple[int, ...]]] = {
     "tiles": {"tiles": (VIEW, VIEW), "cue": (1,)},
 }
 """Keys and shapes of what one world shows, all uint8, by the `observation` option."""
+
+
+def distribution(name: str) -> Distribution:
+    """What the ranks of maps and of targets are drawn from, each by itself, on the level of a name.
+
+    Args:
+        name: without its family.
+
+    Raises:
+        ValueError: there is no such level.
+    """
+    if name == FRESH:
+        return distributions.uniform
+    try:
+        return distributions.by_name(name)
+    except ValueError as error:
+        raise ValueError(f"{error}, or '{FRESH}'") from None
+
+
+def maps_of(name: str, sizes: tuple[int, tuple[int, int], tuple[int, int], int]) -> Maps:
+    """The maps of the level of a name, of the sizes that `check_sizes` returned."""
+    return build_maps(*sizes, fresh_from(sizes[0]) if name == FRESH else 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +87,7 @@ class Level:
         if not isinstance(name, str):
             raise ValueError(f"level must be a level's name, got {name!r}")
         name = name.removeprefix("gridworld/")
-        distribution = distributions.by_name(name)
+        of_ranks = distribution(name)
         if not isinstance(observation, str) or observation not in OBSERVATIONS:
             raise ValueError(
                 f"observation must be {' or '.join(map(repr, OBSERVATIONS))}, got {observation!r}"
@@ -69,15 +95,15 @@ class Level:
         max_steps = whole("max_steps", max_steps, 1, MOST_STEPS)
         sizes = check_sizes(num_maps, num_rooms, room_size, num_objects)
         for option, size in (("num_maps", num_maps), ("num_objects", num_objects)):
-            if distribution is distributions.rare and size < 5:
+            if of_ranks in (distributions.rare, distributions.validation) and size < 5:
                 raise ValueError(
-                    f"{option} must be at least 5 for level {name!r}, the rarest fifth; got {size}"
+                    f"{option} must be at least 5 for level {name!r}, a fifth; got {size}"
                 )
         return cls(
             name=name,
-            maps=build_maps(*sizes),
-            map_cdf=pcg64.cumulative(distribution(num_maps)),
-            target_cdf=pcg64.cumulative(distribution(num_objects)),
+            maps=maps_of(name, sizes),
+            map_cdf=pcg64.cumulative(of_ranks(num_maps)),
+            target_cdf=pcg64.cumulative(of_ranks(num_objects)),
             max_steps=max_steps,
             observation=observation,
         )

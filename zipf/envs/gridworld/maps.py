@@ -16,6 +16,9 @@ from zipf.envs.arguments import pair, whole
 from zipf.envs.gridworld import looks
 
 FIRST_SEED = 1234
+FRESH_FROM = 20
+"""Fresh maps, which nobody trains on, are numbered from here on, or from the number of the maps of
+the benchmark where there are more: with the default sizes their seeds are 1254 to 1273."""
 VIEW = 7  # rows and columns of cells in the agent's view, which is centred on the agent
 PAD = VIEW // 2
 MOVES = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
@@ -37,7 +40,7 @@ class Maps:
     """The maps of a level. Arrays are read-only and shared between environments.
 
     Attributes:
-        num_maps, num_rooms, room_size, num_objects: the arguments of `build_maps`.
+        num_maps, num_rooms, room_size, num_objects, first: the arguments of `build_maps`.
         codes: uint8 [maps, rows + 6, columns + 6], cell codes (`looks.py`) without the agent,
             with three cells of floor around the board so that every view is a slice.
         cells: int64 [maps, objects + 1, 2], (row, column) on the board of each object in order
@@ -48,11 +51,13 @@ class Maps:
     num_rooms: tuple[int, int]
     room_size: tuple[int, int]
     num_objects: int
+    first: int
     codes: NDArray[np.uint8]
     cells: NDArray[np.int64]
 
     def __reduce__(self) -> tuple[object, ...]:
-        return build_maps, (self.num_maps, self.num_rooms, self.room_size, self.num_objects)
+        sizes = self.num_maps, self.num_rooms, self.room_size, self.num_objects
+        return build_maps, (*sizes, self.first)
 
     @property
     def boards(self) -> NDArray[np.uint8]:
@@ -101,8 +106,10 @@ def build_maps(
     num_rooms: tuple[int, int] = (3, 3),
     room_size: tuple[int, int] = (3, 3),
     num_objects: int = 20,
+    first: int = 0,
 ) -> Maps:
-    """Builds maps `0 .. num_maps - 1`, of `num_rooms` rooms (rows, columns) of `room_size` cells.
+    """Builds `num_maps` maps from map `first` on, of `num_rooms` rooms (rows, columns) of
+    `room_size` cells.
 
     Raises:
         ValueError: as `check_sizes`, or a map has fewer places than objects.
@@ -111,17 +118,17 @@ def build_maps(
     height, width = (n * (size + 1) + 1 for n, size in zip(num_rooms, room_size, strict=True))
     codes = np.zeros((num_maps, height + 2 * PAD, width + 2 * PAD), dtype=np.uint8)
     cells = np.zeros((num_maps, num_objects + 1, 2), dtype=np.int64)
-    maps = Maps(num_maps, num_rooms, room_size, num_objects, codes, cells)
+    maps = Maps(num_maps, num_rooms, room_size, num_objects, first, codes, cells)
     for i in range(num_maps):
-        rng = np.random.default_rng(FIRST_SEED + i)
+        rng = np.random.default_rng(FIRST_SEED + first + i)
         step = (room_size[0] + 1, room_size[1] + 1)
         links = _link_rooms(num_rooms, rng)
         doors = _open_doors(links, step, rng)
         places = _places(list(links), doors, step)
         if len(places) <= num_objects:
             raise ValueError(
-                f"num_objects = {num_objects}, but map {i} has only {len(places)} places for the "
-                f"objects and the agent, so at most {len(places) - 1} objects fit: "
+                f"num_objects = {num_objects}, but map {first + i} has only {len(places)} places "
+                f"for the objects and the agent, so at most {len(places) - 1} objects fit: "
                 f"use fewer objects, or more or larger rooms than num_rooms = {num_rooms}, "
                 f"room_size = {room_size}"
             )
@@ -137,6 +144,11 @@ def build_maps(
     codes.flags.writeable = False
     cells.flags.writeable = False
     return maps
+
+
+def fresh_from(num_maps: int) -> int:
+    """The number of the first fresh map where the benchmark has `num_maps` maps."""
+    return max(FRESH_FROM, num_maps)
 
 
 def _link_rooms(num_rooms: tuple[int, int], rng: np.random.Generator) -> dict[Room, list[Room]]:

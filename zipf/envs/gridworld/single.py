@@ -83,6 +83,9 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
     - `zipf_2`: exponent 2, to train on; `zipf_<exponent>` for any other exponent >= 0.
     - `uniform`: every map and object alike.
     - `rare`: uniform over the rarest fifth of maps and of objects (`uniform_rare` in the paper).
+    - `validation`: uniform over the middle fifth of maps and of objects, to choose agents on. Ours.
+    - `fresh`: every map and object alike, on 20 other maps (of the seeds 1254 to 1273), which no
+      level trains on. Ours.
 
     ## Arguments
 

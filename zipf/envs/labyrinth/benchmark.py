@@ -14,7 +14,7 @@ from zipf.envs import distributions
 from zipf.envs.arguments import unknown
 from zipf.envs.labyrinth.levels import LEVELS, by_name
 from zipf.envs.references import ReferenceScore, measured
-from zipf.envs.splits import KINDS, Normalisation, Split, SplitLevel
+from zipf.envs.splits import PAPER_KINDS, Normalisation, Split, SplitLevel
 
 if TYPE_CHECKING:
     from zipf.envs.vector import ZipfVectorEnv
@@ -25,6 +25,8 @@ MIXTURES: dict[str, tuple[str, str]] = {
     "uniform": ("forward", "uniform"),
     "forward_rare": ("forward", "rare"),
     "reversed_rare": ("reversed", "rare"),
+    "forward_validation": ("forward", "validation"),
+    "reversed_validation": ("reversed", "validation"),
 }
 """Levels that draw a task at every reset: the order of the tasks, most frequent first, and the
 distribution over it. `zipf<exponent>` is a further one for every exponent, in forward order."""
@@ -157,7 +159,7 @@ units of human scores; for a single task's score it is 0.008 to 0.023 on average
 """
 
 
-def _split(name: str, order: str) -> Split:
+def _split(name: str, order: str, trained: str = "zipf_1", paper: str | None = None) -> Split:
     names = _tasks(order)
 
     def weighted(distribution: str) -> tuple[SplitLevel, ...]:
@@ -174,19 +176,21 @@ def _split(name: str, order: str) -> Split:
 
     return Split(
         name,
-        weighted("zipf_1"),
+        weighted(trained),
         weighted("uniform"),
         weighted("rare"),
+        weighted("validation"),
         draw="resets",
-        episodes=dict.fromkeys(KINDS, EPISODES),
+        episodes=dict.fromkeys(PAPER_KINDS, EPISODES),
         spread="tasks",
-        paper=name,
+        paper=paper,
     )
 
 
 SPLITS = (
-    _split("labyrinth_forward", "forward"),
-    _split("labyrinth_reversed", "reversed"),
+    _split("labyrinth_forward", "forward", paper="labyrinth_forward"),
+    _split("labyrinth_reversed", "reversed", paper="labyrinth_reversed"),
+    _split("labyrinth_uniform", "forward", "uniform"),  # ours: uniform training, to compare with
 )
-"""Human-normalised scores of the tasks, averaged by their weights: Zipf's law in training, evenly
-over all tasks, and evenly over the rarest fifth."""
+"""Human-normalised scores of the tasks, averaged by their weights: Zipf's law in training (the last
+trains evenly), evenly over all tasks, over the rarest fifth, and over the middle fifth."""

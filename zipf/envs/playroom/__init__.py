@@ -43,6 +43,7 @@ FAMILY = Family(
             "playroom/lift/lift_shape_zipf3",
             "playroom/lift/lift_shape_uniform",
             "playroom/lift/lift_shape_uniform_rare",
+            "playroom/lift/lift_shape_validation",
             paper="playroom_lifting",
         ),
         Split(
@@ -54,6 +55,7 @@ FAMILY = Family(
             ),
             "playroom/put/put_on_bed_tray_all",
             "playroom/put/put_on_bed_tray_rare",
+            "playroom/put/put_on_bed_tray_validation",
             paper="playroom_putting",
         ),
         Split(
@@ -61,20 +63,52 @@ FAMILY = Family(
             "playroom/supervised/find_shape_zipf3",
             "playroom/supervised/find_shape_uniform",
             "playroom/supervised/find_shape_uniform_rare",
+            "playroom/supervised/find_shape_validation",
             paper="playroom_finding",
+        ),
+        # Ours: uniform training, the paper's point of comparison.
+        *(
+            Split(
+                f"playroom_{task}_uniform",
+                f"playroom/{uniform}",
+                f"playroom/{uniform}",
+                f"playroom/{rare}",
+                f"playroom/{validation}",
+            )
+            for task, uniform, rare, validation in (
+                (
+                    "lift",
+                    "lift/lift_shape_uniform",
+                    "lift/lift_shape_uniform_rare",
+                    "lift/lift_shape_validation",
+                ),
+                (
+                    "put",
+                    "put/put_on_bed_tray_all",
+                    "put/put_on_bed_tray_rare",
+                    "put/put_on_bed_tray_validation",
+                ),
+                (
+                    "find",
+                    "supervised/find_shape_uniform",
+                    "supervised/find_shape_uniform_rare",
+                    "supervised/find_shape_validation",
+                ),
+            )
         ),
     ),
     make="zipf.envs.playroom.single:PlayroomEnv",
     make_vec="zipf.envs.playroom.backends:make_vec",
     references={
         "chance": measured("zipf.envs.playroom", "chance"),
-        "blind": "zipf.envs.playroom.references:blind",
+        "blind": "zipf.envs.playroom.references:floor",
         "generalist": measured("zipf.envs.playroom", "generalist"),
         "expert": measured("zipf.envs.playroom", "expert"),
     },
     appearance=frozenset({"image_size", "looks"}),
     keys="zipf.envs.playroom.keys:KEYS",
     expert="zipf.envs.playroom.expert:Expert",
+    blind_policies={"guessing expert": "zipf.envs.playroom.blind:BlindExpert"},
     generalist="zipf.envs.playroom.generalist:Generalist",
     symmetries="zipf.envs.playroom.symmetries:Symmetries",
     goal="zipf.envs.goals:Instruction",

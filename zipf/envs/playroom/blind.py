@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.playroom.expert import Expert, require_playable
+from zipf.envs.playroom.falling import STILL_STEPS
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 _OF_OBJECTS = ("ranks", "objects", "orientation", "status", "still", "lifted")
@@ -15,11 +16,12 @@ _OF_OBJECTS = ("ranks", "objects", "orientation", "status", "still", "lifted")
 
 class BlindExpert:
     """Solves the episodes of `env` as if another instruction had been given: any toy of the room as
-    the target, and any task of the level.
+    the target, and any task of the level. Where that did not end the episode, it goes on with
+    another toy or task, until all have been tried.
 
     Args:
         env: asked at every step from the first of an episode on.
-        seed: of the choice of toys and tasks.
+        seed: of the order of toys and tasks.
 
     Raises:
         ValueError: as for `Expert`.
@@ -30,6 +32,12 @@ class BlindExpert:
         self.env = env
         self.generator = np.random.default_rng(seed)
         n, count = env.worlds.ranks.shape
+        tasks = env.level.tasks or (0,)
+        # Every guess: a toy and a task. `guesses` has their order in each world.
+        self.all = np.array([(toy, task) for toy in range(count) for task in tasks])
+        self.guesses = np.tile(np.arange(len(self.all)), (n, 1))
+        self.number = np.zeros(n, np.int64)  # of the guess, in that order
+        self.held = np.zeros(n, np.bool_)  # whether its toy has been in the hand
         self.order = np.tile(np.arange(count), (n, 1))  # of the objects, the believed target first
         self.tasks = env.worlds.task.copy()
         believed: Any = SimpleNamespace(
@@ -43,11 +51,11 @@ class BlindExpert:
         """The next action of every world, int64 [N]."""
         env = self.env
         for i in np.flatnonzero(env.lengths == 0).tolist():
-            target = int(self.generator.integers(self.order.shape[1]))
-            self.order[i] = np.arange(self.order.shape[1])
-            self.order[i, [0, target]] = target, 0
-            if env.level.tasks:
-                self.tasks[i] = self.generator.choice(env.level.tasks)
+            self.guesses[i] = self.generator.permutation(len(self.all))
+            self._guess(i, 0)
+        self.held |= env.worlds.hands == self.order[:, 0]
+        for i in np.flatnonzero(self._has_failed()).tolist():
+            self._guess(i, (int(self.number[i]) + 1) % len(self.all))
         self.believed.worlds = self.expert.worlds = self._worlds()
         self.believed.lengths = env.lengths
         for world, room in enumerate(env.rooms):
@@ -55,6 +63,20 @@ class BlindExpert:
             objects = [room.objects[j] for j in self.order[world]]
             self.believed.rooms[world] = SimpleNamespace(agent=room.agent, objects=objects)
         return self.expert()
+
+    def _guess(self, i: int, number: int) -> None:
+        target, task = self.all[self.guesses[i, number]]
+        self.number[i], self.held[i] = number, False
+        self.order[i] = np.arange(self.order.shape[1])
+        self.order[i, [0, target]] = target, 0
+        self.tasks[i] = task
+
+    def _has_failed(self) -> NDArray[np.bool_]:
+        """Where the believed target has been carried and lies still, and nothing has ended, [N]."""
+        worlds, rows = self.env.worlds, np.arange(len(self.order))
+        target = self.order[:, 0]
+        rests = worlds.lifted[rows, target] & (worlds.still[rows, target] >= STILL_STEPS)
+        return self.held & (worlds.hands < 0) & rests
 
     def _worlds(self) -> Any:
         """The worlds with their objects in the believed order."""

@@ -14,7 +14,7 @@ from zipf.envs.playroom.achieved import Achievement
 from zipf.envs.playroom.references import blind
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.references import ReferenceScore
-from zipf.envs.splits import KINDS, Split
+from zipf.envs.splits import Split
 from zipf.envs.vector import Observation
 
 LEFT, RIGHT = 0, 1
@@ -116,7 +116,8 @@ class FirstFrames:
         """
         if name not in ("chance", "blind"):
             return None
-        return blind(self.level.partition("/")[2], **options)
+        known = blind(self.level.partition("/")[2], **options)
+        return known and replace(known, policy=None)
 
     def __str__(self) -> str:
         return self.level
@@ -135,6 +136,6 @@ def questions(split: Split) -> Split:
             )
     asked: dict[str, Any] = {
         kind: [replace(one, level=FirstFrames(one.name)) for one in split.levels(kind)]
-        for kind in KINDS
+        for kind in split.kinds
     }
     return replace(split, **asked)

@@ -1,4 +1,7 @@
-"""The playroom's eighteen levels, its objects and its instructions."""
+"""The playroom's levels, its objects and its instructions.
+
+The eighteen of the release, and ours, whose names end in `_validation`.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -90,13 +93,14 @@ def _levels() -> dict[str, Level]:
         "uniform_rare": distributions.rare(n),
         "all": distributions.uniform(n),
         "rare": distributions.rare(n),
+        "validation": distributions.validation(n),
         "frequent": _frequent(0.0),
     }
     near = tuple(NEAR + i for i in range(len(SUPPORTS)))
     on = tuple(ON + i for i in range(len(SUPPORTS)))
     kinds: dict[str, tuple[list[str], int, tuple[int, ...], bool]] = {
         "lift/lift_shape": (
-            ["zipf2", "zipf3", "zipf4", "uniform", "uniform_rare"],
+            ["zipf2", "zipf3", "zipf4", "uniform", "uniform_rare", "validation"],
             2,
             (LIFT,),
             False,
@@ -105,8 +109,13 @@ def _levels() -> dict[str, Level]:
         # Ours: how many are many is not published.
         "put/lift_shape_many": (["zipf1", "zipf4"], 5, (LIFT,), True),
         "put/put_near_bed_tray": (["frequent"], 2, near, True),
-        "put/put_on_bed_tray": (["frequent", "all", "rare"], 2, on, True),
-        "supervised/find_shape": (["zipf2", "zipf3", "uniform", "uniform_rare"], 1, (), False),
+        "put/put_on_bed_tray": (["frequent", "all", "rare", "validation"], 2, on, True),
+        "supervised/find_shape": (
+            ["zipf2", "zipf3", "uniform", "uniform_rare", "validation"],
+            1,
+            (),
+            False,
+        ),
     }
     return {
         f"{kind}_{name}": Level(f"{kind}_{name}", drawn[name], others, tasks, furnished)

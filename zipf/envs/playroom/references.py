@@ -4,7 +4,9 @@ references were measured and stand in `references.json`."""
 from typing import Any
 
 from zipf.envs.playroom import levels
-from zipf.envs.references import ReferenceScore
+from zipf.envs.references import ReferenceScore, higher_floor
+
+POLICY = "guessing expert"  # in `Family.blind_policies`
 
 
 def blind(level: str, *, backend: str = "own", **options: Any) -> ReferenceScore | None:
@@ -20,7 +22,12 @@ def blind(level: str, *, backend: str = "own", **options: Any) -> ReferenceScore
     found = levels.by_name(level)
     if not found.finding:
         score = 1 / ((found.others + 1) * len(found.tasks))
-        return ReferenceScore(score, by_rank={"target": (score,) * len(found.probabilities)})
+        by_rank = {"target": (score,) * len(found.probabilities)}
+        return ReferenceScore(score, by_rank=by_rank, policy=POLICY)
     by_target = (1 + found.probabilities) / 2
     score = float(found.probabilities @ by_target)
-    return ReferenceScore(score, by_rank={"target": tuple(by_target.tolist())})
+    return ReferenceScore(score, by_rank={"target": tuple(by_target.tolist())}, policy=POLICY)
+
+
+floor = higher_floor("zipf.envs.playroom", blind)
+"""The blind reference: the higher one of `blind` and of the policies that were searched for."""

@@ -33,7 +33,7 @@ FURTHER_LINE = 0.45  # of that, what each further line of a title needs
 def averages(table: ScoreTable) -> Figure | None:
     """A line for each row: its scores on the three kinds of levels, each with its lowest and
     highest seed; those of players that do not learn below, in grey. None without a score."""
-    scores = table.scores.pivot(index="row", columns="level_kind", values="score")
+    scores = table.scores.pivot(index="row", columns="level_kind", values="score")[[*KIND_STYLES]]
     rows = [row for row in table.rows if scores.loc[row.key].notna().any()]
     if not rows:
         return None

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from zipf.envs.splits import KINDS
+from zipf.envs.splits import KINDS, PAPER_KINDS
 from zipf.experiments.errors import UserError
 from zipf.experiments.reporting.csv_files import read_bytes
 from zipf.experiments.reporting.wording import EXTERNAL_MARK
@@ -28,6 +28,12 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 def _known(name: str) -> str:
     if name not in REFERENCE_NAMES:
         raise ValueError(f"should be one of {', '.join(REFERENCE_NAMES)}, is {name!r}")
+    return name
+
+
+def _kind(name: str) -> str:
+    if name not in KINDS:
+        raise ValueError(f"should be one of {', '.join(KINDS)}, is {name!r}")
     return name
 
 
@@ -52,12 +58,14 @@ class ReferenceDescription(_Described):
     """The score of a player that does not learn on a level.
 
     `episodes` is over how many it was measured, None where it is exact. `by_rank` is the same at
-    each value of a rank of the situation, for those ranks for which it is known.
+    each value of a rank of the situation, for those ranks for which it is known. `policy` is the
+    text of the policy of a blind one that was searched for, see `zipf.envs.floors`.
     """
 
     score: Finite
     episodes: Count | None
     by_rank: Mapping[str, tuple[Finite, ...]]
+    policy: str | None = None
 
 
 class LevelDescription(_Described):
@@ -68,7 +76,7 @@ class LevelDescription(_Described):
     `references` are those of `zipf.references.REFERENCES` that are known, by name.
     """
 
-    level_kind: Literal["train", "uniform", "rare"]
+    level_kind: Annotated[str, AfterValidator(_kind)]
     level: Line
     weight: Positive
     normalised: bool
@@ -134,7 +142,7 @@ class RunDescription(_Described):
             raise ValueError(f"window {list(self.window)} ends before it starts")
         for level_kind in KINDS:
             names = [one.level for one in self.levels if one.level_kind == level_kind]
-            if not names:
+            if not names and level_kind in PAPER_KINDS:
                 raise ValueError(f"levels: there is no {level_kind} level")
             if len(set(names)) < len(names):
                 raise ValueError(f"levels: two {level_kind} levels have the same name")
@@ -174,7 +182,7 @@ class LevelGroup:
     """Levels of a kind that are scored together.
 
     Attributes:
-        level_kind: train, uniform or rare.
+        level_kind: of `zipf.envs.KINDS`.
         name: of the group; empty for all levels of the kind.
         weights: of each level by its name.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import pandas as pd
 
@@ -58,19 +59,20 @@ class Grid:
     lines: list[Line]
     references: list[Line]
 
-    @property
-    def has_paper(self) -> bool:
-        """Whether the paper has a number for any cell."""
-        return any(text != NONE for line in self.lines for text in line.paper)
+    @cached_property
+    def has_paper(self) -> tuple[bool, ...]:
+        """For each column of scores whether the paper has a number in it."""
+        return tuple(
+            any(line.paper[place] != NONE for line in self.lines)
+            for place in range(len(self.columns))
+        )
 
     def cells(self, line: Line) -> list[str]:
-        """A line's cells, the paper's beside ours where there are any."""
-        if not self.has_paper:
-            return [*line.leading, *line.ours]
-        return [
-            *line.leading,
-            *(t for pair in zip(line.ours, line.paper, strict=True) for t in pair),
-        ]
+        """A line's cells, the paper's beside ours in columns where there are any."""
+        cells = [*line.leading]
+        for ours, paper, published in zip(line.ours, line.paper, self.has_paper, strict=True):
+            cells += [ours, paper] if published else [ours]
+        return cells
 
 
 def main_grid(table: ScoreTable) -> Grid:

@@ -225,9 +225,9 @@ def table_section(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Section
 def cells_of(grid: Grid, title: str = "", folded: bool = False) -> Cells:
     """A score table."""
     head, paper = [*grid.leading], set()
-    for column in grid.columns:
+    for column, published in zip(grid.columns, grid.has_paper, strict=True):
         head.append(column)
-        if grid.has_paper:
+        if published:
             paper.add(len(head))
             head.append("paper")
     return Cells(

@@ -68,27 +68,34 @@ def _heading(text: str) -> str:
 
 
 def _grid(grid: Grid, title: str, text: str) -> str:
-    count = len(grid.columns)
-    width = 2 if grid.has_paper else 1
+    widths = [2 if published else 1 for published in grid.has_paper]
     leading = len(grid.leading)
-    wide = leading + width * count > 8
+    wide = leading + sum(widths) > 8
     lines = [
         r"\begin{table}",
         r"\centering",
         r"\footnotesize",
         rf"\setlength{{\tabcolsep}}{{{3 if wide else 4}pt}}",
         _NO_WIDER_THAN_THE_PAGE,
-        rf"\begin{{tabular}}{{l{'r' * (leading - 1 + width * count)}}}",
+        rf"\begin{{tabular}}{{l{'r' * (leading - 1 + sum(widths))}}}",
         r"\toprule",
     ]
     names = [_heading(column) for column in grid.columns]
     headings = " & ".join(grid.leading)
-    if grid.has_paper:
-        spans = [rf"\multicolumn{{2}}{{c}}{{{name}}}" for name in names]
+    if any(grid.has_paper):
+        spans = [
+            rf"\multicolumn{{{width}}}{{c}}{{{name}}}"
+            for name, width in zip(names, widths, strict=True)
+        ]
         lines.append(rf"{' &' * leading} {' & '.join(spans)} \\")
-        ends = range(leading + 1, leading + 1 + 2 * count, 2)
-        lines.append("".join(rf"\cmidrule(lr){{{first}-{first + 1}}}" for first in ends))
-        lines.append(rf"{headings}{' & ours & paper' * count} \\")
+        firsts = [leading + 1 + sum(widths[:place]) for place in range(len(widths))]
+        rules = (
+            rf"\cmidrule(lr){{{first}-{first + width - 1}}}"
+            for first, width in zip(firsts, widths, strict=True)
+        )
+        lines.append("".join(rules))
+        below = (" & ours & paper" if width == 2 else " & ours" for width in widths)
+        lines.append(rf"{headings}{''.join(below)} \\")
     else:
         lines.append(rf"{headings} & {' & '.join(names)} \\")
     lines.append(r"\midrule")

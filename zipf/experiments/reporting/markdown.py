@@ -157,9 +157,9 @@ def _side_by_side(beside: SideBySide) -> str:
 
 def _grid(grid: Grid) -> str:
     header, align = [*grid.leading], [":--", *["--:"] * (len(grid.leading) - 1)]
-    for column in grid.columns:
-        header += [_escape(column)] + (["paper"] if grid.has_paper else [])
-        align += ["--:"] * (2 if grid.has_paper else 1)
+    for column, published in zip(grid.columns, grid.has_paper, strict=True):
+        header += [_escape(column)] + (["paper"] if published else [])
+        align += ["--:"] * (2 if published else 1)
     lines = [*grid.lines, *grid.references]
     rows = [header, align, *([_escape(cell) for cell in grid.cells(line)] for line in lines)]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)

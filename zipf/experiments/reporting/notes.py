@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from zipf.envs.splits import KINDS
+from zipf.envs.splits import PAPER_KINDS
 from zipf.experiments.reporting.results import Run, devices_of
 from zipf.experiments.reporting.windows import (
     LastEvaluations,
@@ -17,7 +17,7 @@ from zipf.experiments.reporting.windows import (
     window_text,
 )
 from zipf.experiments.reporting.wording import count_text, seeds_list
-from zipf.references import REFERENCE_NAMES
+from zipf.references import REFERENCE_NAMES, says_little
 
 
 def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
@@ -33,6 +33,7 @@ def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
             "figure of scores against time."
         )
     found += [note for name in REFERENCE_NAMES for note in _reference_notes(runs, name)]
+    found += _floor_notes(runs)
     for key in dict.fromkeys(run.description.row_key for run in runs):
         of_row = [run for run in runs if run.description.row_key == key]
         found += _seeds_notes(of_row) + _pretrained_notes(of_row)
@@ -60,7 +61,7 @@ def _window_notes(run: Run, window: Window) -> list[str]:
             f"{run.label}: has {number} evaluation{'s' if number > 1 else ''}{beside}, not "
             f"{window.count}: scored over what there is."
         )
-    missing = set(KINDS) - set(inside["level_kind"])
+    missing = set(PAPER_KINDS) - set(inside["level_kind"])
     if missing:
         found.append(
             f"{run.label}: no evaluation of {', '.join(sorted(missing))}; not counted there."
@@ -94,6 +95,24 @@ def _reference_notes(runs: Sequence[Run], name: str) -> list[str]:
                     f"({known:.2f} and {score:.2f} on {level.level}): the first is shown."
                 ]
     return []
+
+
+def _floor_notes(runs: Sequence[Run]) -> list[str]:
+    """Levels on which a policy that neither reads nor looks does well."""
+    names: list[str] = []
+    for run in runs:
+        for level in run.description.levels:
+            blind, expert = (level.references.get(name) for name in ("blind", "expert"))
+            scores = [one.score if one else None for one in (blind, expert)]
+            if says_little(*scores) and level.level not in names:
+                names.append(level.level)
+    if not names:
+        return []
+    shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    return [
+        f"Says little about reading: {shown}. A policy that neither reads nor looks has more than "
+        "half of the expert's score there."
+    ]
 
 
 def _seeds_notes(runs: Sequence[Run]) -> list[str]:

@@ -233,7 +233,8 @@ def _read_evaluations(path: Path, description: RunDescription, notes: list[str])
         if len(unknown):
             raise UserError(
                 f"{path.as_posix()}, line {unknown.index[0]}: {level_kind} level "
-                f"{unknown['level'].iloc[0]!r}; by run.json the run has {', '.join(known)}"
+                f"{unknown['level'].iloc[0]!r}; by run.json the run has "
+                f"{', '.join(known) or 'none of this kind'}"
             )
     return _latest(rows, ["update", "level_kind", "level"])
 

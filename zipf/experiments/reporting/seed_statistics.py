@@ -13,10 +13,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from zipf.experiments.reporting.claims import LEARNED
 from zipf.experiments.reporting.descriptions import LevelGroup
 from zipf.experiments.reporting.grids import Grid, Line
 from zipf.experiments.reporting.intervals import (
     FEWEST_SEEDS,
+    RESAMPLES,
+    SEED,
     Interval,
     improvement,
     interquartile_mean,
@@ -47,6 +50,8 @@ STATISTICS_COLUMNS = (
     "seeds",
     "levels",
 )
+AT_CHANCE = "at chance"
+MOST_SITUATIONS = 20  # ours: more columns are read by nobody
 TOO_FEW = f"needs {FEWEST_SEEDS} seeds"
 IQM, IMPROVEMENT = "interquartile mean", "probability of improvement"
 
@@ -116,9 +121,20 @@ def statistics_frame(table: ScoreTable) -> pd.DataFrame:
         for row, scores in known.items():
             add(row, levels, IQM, "", len(scores), interquartile_mean(scores))
         for (first, theirs), (row, scores) in itertools.combinations(known.items(), 2):
+            if at_chance(table, levels, row, first):
+                continue
             seeds = min(len(scores), len(theirs))
             add(row, levels, IMPROVEMENT, first.key, seeds, improvement(scores, theirs))
     return pd.DataFrame(lines, columns=[*STATISTICS_COLUMNS, "row"])
+
+
+def at_chance(table: ScoreTable, levels: LevelGroup, *rows: Row) -> bool:
+    """Whether none of these rows is `LEARNED` above chance on a kind of levels: which of them is
+    better says nothing then. False where chance is not known."""
+    scores = table.scores[table.scores["level_kind"] == levels.level_kind].set_index("row")
+    chance = scores["chance"].iloc[0]
+    best = scores.loc[[row.key for row in rows], "score"].max()
+    return bool(best < chance + LEARNED)
 
 
 def seed_statistics(table: ScoreTable, frame: pd.DataFrame) -> SeedStatistics:
@@ -135,8 +151,16 @@ def seed_statistics(table: ScoreTable, frame: pd.DataFrame) -> SeedStatistics:
             grids.append(better)
             sentences.append(
                 "Probability of improvement: that a seed of the row is better than one of the "
-                "other, ties counting half; at 0.5 neither is."
+                "other, ties counting half; at 0.5 neither is. Not of two that are less than "
+                f"{LEARNED:g} above chance."
             )
+    if (rare := _rare_situations(table)) is not None:
+        grids.append(rare)
+        sentences.append(
+            "Success in rare situations: in each, numbered by its ranks, of every seed over the "
+            "window. Mean: of all of these, with the 95 % interval of a bootstrap that draws "
+            "seeds, situations and episodes."
+        )
     if (met := _visits(table)) is not None:
         grids.append(met)
         sentences.append(
@@ -193,13 +217,74 @@ def _improvements(table: ScoreTable, frame: pd.DataFrame) -> Grid | None:
         return None
     (baseline,) = (row for row in table.rows if row.key == found["against"].iloc[0])
     found = found[found["against"] == baseline.key]
-    lines = [
-        _line([row.title], _texts(found[found["row"] == row.key]), table, TOO_FEW)
-        for row in table.rows
-        if row is not baseline
-    ]
+    lines = []
+    for row in table.rows:
+        if row is not baseline:
+            missing = {
+                levels.level_kind: AT_CHANCE
+                for levels in table.kinds
+                if at_chance(table, levels, row, baseline)
+            }
+            enough = _seeds(table, row) >= FEWEST_SEEDS
+            texts = {**(missing if enough else {}), **_texts(found[found["row"] == row.key])}
+            lines.append(_line([row.title], texts, table, TOO_FEW))
     title = f"{IMPROVEMENT} on {baseline.title}"
     return _grid(table, title, "improvement", ["Condition"], lines)
+
+
+def _rare_situations(table: ScoreTable) -> Grid | None:
+    """Success in each situation of the rare levels; None where it is not known."""
+    rates = {row: success_by_situation(row, table) for row in table.rows}
+    names = sorted({name for found in rates.values() for name in found.columns})
+    if not 1 < len(names) <= MOST_SITUATIONS:
+        return None
+    lines = []
+    for row, found in rates.items():
+        if len(found):
+            mean = estimate_text(*bootstrap_of_situations(found))
+            each = ["/".join(score_text(p) for p, _ in found[name]) for name in names]
+            lines.append(Line([row.title, mean], each, [NONE] * len(names)))
+    ranks = ", ".join(table.runs[0].situation_names[: len(names[0])])
+    shown = ["–".join(map(str, name)) for name in names]
+    title = f"success in rare situations ({ranks})"
+    return Grid(title, f"{table.name}-rare-situations", ["Condition", "Mean"], shown, lines, [])
+
+
+def success_by_situation(row: Row, table: ScoreTable) -> pd.DataFrame:
+    """Success in each situation of the rare levels over the window: a line for each seed, a column
+    for each situation (the tuple of its ranks), pairs of success and episodes. Where there are more
+    than `MOST_SITUATIONS`, for each value of the first rank. Empty where a seed has not met them
+    all, or does not report success."""
+    lines = {}
+    for run in row.runs:
+        inside = situations_inside(run, table.window)
+        rare = inside[inside["level_kind"] == "rare"]
+        ranks = [*run.situation_names]
+        if not ranks or rare["successes"].isna().any():
+            return pd.DataFrame()
+        if len(rare.groupby(ranks)) > MOST_SITUATIONS:
+            ranks = ranks[:1]
+        summed = rare.groupby(ranks)[["successes", "episodes"]].sum()
+        lines[run.description.seed] = {
+            name if isinstance(name, tuple) else (name,): (won / played, int(played))
+            for name, won, played in summed.itertuples()
+        }
+    found = pd.DataFrame.from_dict(lines, orient="index")
+    return pd.DataFrame() if found.isna().any(axis=None) else found
+
+
+def bootstrap_of_situations(found: pd.DataFrame) -> tuple[float, float, float]:
+    """The mean of a `success_by_situation`, and the ends of its 95 % interval: of resamples in
+    which seeds, situations, and the episodes of each are drawn."""
+    rates = np.array([[p for p, _ in line] for line in found.to_numpy()])
+    counts = np.array([[n for _, n in line] for line in found.to_numpy()])
+    rng = np.random.default_rng(SEED)
+    seeds = rng.integers(len(rates), size=(RESAMPLES, len(rates), 1))
+    situations = rng.integers(rates.shape[1], size=(RESAMPLES, 1, rates.shape[1]))
+    drawn = rng.binomial(counts[seeds, situations], rates[seeds, situations])
+    means = (drawn / counts[seeds, situations]).mean(axis=(1, 2))
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(rates.mean()), float(low), float(high)
 
 
 def _visits(table: ScoreTable) -> Grid | None:

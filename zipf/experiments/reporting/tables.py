@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -121,7 +121,7 @@ def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[Score
         paper = paper_of(group.runs)
         description = group.runs[0].description
         used, is_own = table_window(group.runs, window)
-        kinds = tuple(description.levels_of(level_kind) for level_kind in KINDS)
+        kinds = tuple(_kinds(group.runs))
         groups = tuple(part for levels in kinds for part in _parts(levels, paper))
         whole = score_frame(rows, kinds, used, group.name, description.experiment, paper)
         parts = score_frame(rows, groups, used, group.name, description.experiment, paper)
@@ -154,6 +154,14 @@ def csv_report(tables: Sequence[ScoreTable]) -> str:
     return pd.concat([part for part in parts if len(part)])[list(CSV_COLUMNS)].to_csv(
         index=False, float_format="%.10g", lineterminator="\n"
     )
+
+
+def _kinds(runs: Sequence[Run]) -> Iterator[LevelGroup]:
+    """The levels of each kind that one of the runs has: of the first that has it."""
+    for kind in KINDS:
+        known = (run.description.levels_of(kind) for run in runs)
+        if first := next((levels for levels in known if levels.weights), None):
+            yield first
 
 
 def _parts(levels: LevelGroup, paper: PaperTable | None) -> list[LevelGroup]:

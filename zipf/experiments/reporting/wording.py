@@ -8,7 +8,13 @@ from typing import Literal, get_args
 
 PROTOCOL_SEEDS = 3  # the paper trains three replicas of each condition
 
-KIND_NAMES: Mapping[str, str] = {"train": "Train (Zipfian)", "uniform": "Uniform", "rare": "Rare"}
+KIND_NAMES: Mapping[str, str] = {
+    "train": "Train (Zipfian)",
+    "uniform": "Uniform",
+    "rare": "Rare",
+    "validation": "Validation",
+    "fresh": "Fresh",
+}
 PlotFormat = Literal["png", "pdf", "svg"]
 PLOT_FORMATS: tuple[PlotFormat, ...] = get_args(PlotFormat)
 VideoFormat = Literal["gif", "mp4"]

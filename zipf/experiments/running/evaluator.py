@@ -61,7 +61,7 @@ class Result:
     """The episodes of one level, in the order in which they started.
 
     Attributes:
-        kind: train, uniform or rare.
+        kind: of `zipf.envs.KINDS`.
         split_level: the level as the split has it, with weight and normalisation.
         episodes: a row each: the situation's ranks, `success` (not in worlds that report none),
             `return` and `length`.
@@ -148,12 +148,12 @@ def evaluate(
     watch: Watch = unwatched,
     **level_options: Any,
 ) -> list[Result]:
-    """Plays a policy on every level of a split: those to train on, the uniform and the rare ones.
+    """Plays a policy on every level of a split, of all kinds that it has.
 
-    Worlds are seeded from `seed` and the level's place in the split; no other random generator is
-    touched. Where the split draws a level at every reset, levels are played one at a time all the
-    same, and situations begin with the level's rank, as in training. A level that stands in several
-    kinds is played once, and its episodes count in each of them.
+    Worlds are seeded from `seed` and the level's kind and place in the split; no other random
+    generator is touched. Where the split draws a level at every reset, levels are played one at a
+    time all the same, and situations begin with the level's rank, as in training. A level that
+    stands in several kinds is played once, and its episodes count in each of them.
 
     Args:
         episodes: on each level; None: as many as the split says.
@@ -169,12 +169,12 @@ def evaluate(
         episodes = whole("episodes", episodes, 1)
     num_envs = whole("num_envs", num_envs, 1)
     results = []
-    counts = {kind: episodes or split.episodes[kind] for kind in envs.KINDS}
+    counts = {kind: episodes or split.episodes_of(kind) for kind in split.kinds}
     played: dict[tuple[str, str, int], pd.DataFrame] = {}
-    to_play = {_key(one, counts[kind]) for kind in envs.KINDS for one in split.levels(kind)}
+    to_play = {_key(one, counts[kind]) for kind in split.kinds for one in split.levels(kind)}
     total = sum(count for *_, count in to_play)
     with _Worlds(split, level_options) as worlds:
-        for index, kind in enumerate(envs.KINDS):
+        for kind in split.kinds:
             count = counts[kind]
             for place, level in enumerate(split.levels(kind)):
                 key = _key(level, count)
@@ -187,11 +187,20 @@ def evaluate(
                         policy,
                         env,
                         episodes=count,
-                        seed=derive_seed(seed, "evaluation", index + place * len(envs.KINDS)),
+                        seed=_level_seed(seed, kind, place),
                         watch=_of_all(watch, before, total),
                     )
                 results.append(Result(kind, level, played[key]))
     return results
+
+
+def _level_seed(seed: int, kind: str, place: int) -> int:
+    """The seed of the worlds of a level. That of `PAPER_KINDS` does not depend on which other kinds
+    there are."""
+    kinds = envs.PAPER_KINDS
+    if kind in kinds:
+        return derive_seed(seed, "evaluation", kinds.index(kind) + place * len(kinds))
+    return derive_seed(seed, f"evaluation {kind}", place)
 
 
 def _of_all(watch: Watch, before: int, total: int) -> Callable[[int], object]:

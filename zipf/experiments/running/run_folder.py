@@ -160,7 +160,7 @@ def write_description(
         resumed = [*began.get("resumed", []), {"update": resumed_at, **how}]
         how = {name: began.get(name) for name in how}
         pretrained = began.get("pretrained")
-        described = began["levels"]
+        described = with_further_kinds(began["levels"], split, config.level_options)
     else:
         described = describe_levels(
             split, config.level_options, chance_episodes=config.evaluation.chance_episodes
@@ -206,7 +206,7 @@ def describe_levels(
         chance_episodes: measure chance over so many episodes where it is not known; 0: do not.
     """
     described = []
-    for kind in envs.KINDS:
+    for kind in split.kinds:
         for level in split.levels(kind):
             references = {}
             for one in envs.REFERENCES:
@@ -227,6 +227,16 @@ def describe_levels(
     return described
 
 
+def with_further_kinds(
+    described: list[dict[str, Any]], split: envs.Split, options: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """The levels of a run, and those of the kinds that its split did not have when it began."""
+    kinds = {one["level_kind"] for one in described}
+    return described + [
+        one for one in describe_levels(split, options) if one["level_kind"] not in kinds
+    ]
+
+
 def _described(level: envs.SplitLevel, known: envs.ReferenceScore) -> dict[str, Any]:
     return {
         "score": level.normalised(known.score),
@@ -235,13 +245,14 @@ def _described(level: envs.SplitLevel, known: envs.ReferenceScore) -> dict[str, 
             name: [level.normalised(value) for value in values]
             for name, values in known.by_rank.items()
         },
+        **({"policy": known.policy} if known.policy else {}),
     }
 
 
 def mean_of_levels(described: list[dict[str, Any]], kind: str, reference: str) -> float | None:
     """The weighted mean of a reference over a kind's levels; None where one is not known."""
     levels = [level for level in described if level["level_kind"] == kind]
-    if any(reference not in level["references"] for level in levels):
+    if not levels or any(reference not in level["references"] for level in levels):
         return None
     total = sum(level["weight"] for level in levels)
     weighted = (level["weight"] * level["references"][reference]["score"] for level in levels)
@@ -362,14 +373,19 @@ def _check_same(folder: Path, description: dict[str, Any], config: Config, **kno
     """Raises `UserError` where `run.json` describes another run than the configuration, or has
     other entries than `known`."""
     split = envs.split(config.environment.split)
+    described = {one["level_kind"] for one in description["levels"]}
     here = {
         "experiment": config.experiment,
         "condition": config.condition,
         "seed": config.seed,
         "split": split.name,
         "environment": config.level_options,
+        # A run of before a split had levels of a further kind may go on.
         "levels": [
-            [kind, one.name, one.weight] for kind in envs.KINDS for one in split.levels(kind)
+            [kind, one.name, one.weight]
+            for kind in split.kinds
+            for one in split.levels(kind)
+            if kind in envs.PAPER_KINDS or kind in described
         ],
         **known,
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -15,6 +16,7 @@ from zipf import envs
 from zipf.envs.arguments import whole
 from zipf.experiments.reporting.statistics import wilson_interval
 from zipf.experiments.running.evaluator import (
+    OUTCOMES,
     Result,
     evaluate,
     scores,
@@ -24,6 +26,7 @@ from zipf.experiments.running.policies import as_policy, own_torch_draws
 from zipf.experiments.running.seeds import derive_seed
 from zipf.experiments.running.worlds import Worlds
 
+FEWEST_MET = 5  # times, on average, that a situation is met where situations are drawn
 RESAMPLES = 2000  # of the bootstrap: percentiles that repeat to about a tenth of the width
 
 NOT_GEOMETRY = {"autoreset_mode", "copy", "render_mode"}
@@ -37,15 +40,18 @@ class Evaluation:
     not the differences between agents trained from other seeds. Of a level whose returns are all 0
     or 1, and of `success`, they are Wilson's (1927); of other returns the percentiles of a
     bootstrap of 2000 resamples (Efron 1979), NaN for a single episode; scores have the intervals of
-    their mean returns, normalised. Of the mean over several levels they are combined by MOVER (Zou,
-    Huang and Zhang 2009, Computational Statistics & Data Analysis 53(11)).
+    their mean returns, normalised. Scores on rare, validation and fresh levels also cover which
+    situations these are: of a bootstrap that draws situations, and then episodes of each. Where
+    most situations were met fewer than five times, it draws values of the first rank. Of the mean
+    over several levels they are combined by MOVER (Zou, Huang and Zhang 2009, Computational
+    Statistics & Data Analysis 53(11)).
 
     Attributes:
         split: the split's name.
         geometry: for each level's name the constructor options of the worlds that were played,
             defaults included. Worlds of your own levels have those that were given.
         episodes: a row per episode, in the order in which they started on their level:
-            `level_kind` ("train", "uniform" or "rare"), `level_name`, the situation's ranks
+            `level_kind` (of `zipf.envs.KINDS`), `level_name`, the situation's ranks
             (0 = most frequent), `success` (where the worlds report it), `return` and `length` (in
             frames).
         situations: a row per situation met on a kind of levels: `level_kind`, its ranks,
@@ -110,7 +116,8 @@ def score(
     details: bool = False,
     **level_options: Any,
 ) -> dict[str, float] | Evaluation:
-    """Scores any policy as the paper does: {"train": ..., "uniform": ..., "rare": ...}.
+    """Scores any policy as the paper does: {"train": ..., "uniform": ..., "rare": ...}, and on the
+    further kinds of levels that the split has ("validation", "fresh").
 
     The score of a level is its mean return, normalised where the split says so; the score of a
     kind of levels is the mean over them, by their weights.
@@ -298,11 +305,42 @@ def _kinds(levels: pd.DataFrame) -> pd.DataFrame:
 def score_interval(result: Result) -> tuple[float, float]:
     """The 95 % confidence interval of a level's score; see `Evaluation`."""
     returns = result.episodes["return"].to_numpy()
+    situations = _situations_met(result)
     interval: Callable[[NDArray], tuple[float, float]] = _bootstrap
-    if np.isin(returns, (0, 1)).all():
+    if situations is not None:
+        interval = partial(bootstrap_over_situations, situations)
+    elif np.isin(returns, (0, 1)).all():
         interval = _wilson
     ends = [result.split_level.normalised(end) for end in interval(returns)]
     return min(ends), max(ends)
+
+
+def _situations_met(result: Result) -> NDArray[np.integer] | None:
+    """What of the episodes of a slice of the situations is drawn, int64 [n], numbered from 0; None
+    on other levels, and where there is only one."""
+    ranks = [str(name) for name in result.episodes if name not in OUTCOMES]
+    if result.kind in ("train", "uniform") or not ranks:
+        return None
+    groups = result.episodes.groupby(ranks).ngroup().to_numpy(np.int64)
+    if groups.max() + 1 > len(groups) / FEWEST_MET:
+        groups = result.episodes.groupby(ranks[:1]).ngroup().to_numpy(np.int64)
+    return groups if groups.max() > 0 else None
+
+
+def bootstrap_over_situations(
+    situations: NDArray[np.integer], returns: NDArray
+) -> tuple[float, float]:
+    """The percentile interval of a mean return [n] whose episodes are of `situations` [n]: in each
+    resample as many situations are drawn as there are, and of each as many episodes as it has."""
+    rng = np.random.default_rng(0)
+    of_each = [returns[situations == k] for k in range(situations.max() + 1)]
+    counts = np.array([len(one) for one in of_each])
+    # By resample and situation, the sum of the returns of drawn episodes.
+    sums = np.stack([rng.choice(one, (RESAMPLES, len(one))).sum(axis=1) for one in of_each], axis=1)
+    drawn = rng.integers(len(of_each), size=(RESAMPLES, len(of_each)))
+    totals = np.take_along_axis(sums, drawn, axis=1).sum(axis=1)
+    low, high = np.percentile(totals / counts[drawn].sum(axis=1), [2.5, 97.5])
+    return float(low), float(high)
 
 
 def _wilson(outcomes: NDArray) -> tuple[float, float]:

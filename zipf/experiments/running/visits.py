@@ -33,16 +33,19 @@ class Visits:
 
     def beside(self, situations: pd.DataFrame) -> pd.DataFrame:
         """The situations with further columns, int64: `visits`, how often training has met each,
-        and, where it has several ranks, `visits_<rank>`, how often with this value of the rank.
-        Without these columns where the situations have other ranks than training's."""
+        and, where it has several ranks, `visits_<rank>`, how often with this value of the rank: 0
+        on fresh levels, whose ranks are of other situations. Without these columns where the
+        situations have other ranks than training's."""
         if not self.ranks or not set(self.ranks) <= set(situations.columns):
             return situations
         met = zip(*(situations[name].tolist() for name in self.ranks), strict=True)
-        columns = {"visits": [self._met[situation] for situation in met]}
+        columns = {"visits": np.array([self._met[situation] for situation in met], np.int64)}
         if len(self.ranks) > 1:
             for name, counts in self._of_rank.items():
-                columns[f"visits_{name}"] = [counts[value] for value in situations[name].tolist()]
-        return situations.assign(**columns)
+                of_rank = [counts[value] for value in situations[name].tolist()]
+                columns[f"visits_{name}"] = np.array(of_rank, np.int64)
+        known = (situations["level_kind"] != "fresh").to_numpy()
+        return situations.assign(**{name: counts * known for name, counts in columns.items()})
 
     def state_dict(self) -> dict[str, Any]:
         """Situations, int64 [n, ranks], and how often each was met, int64 [n]."""

@@ -1,0 +1,170 @@
+"""Searches for policies that neither read nor look, on every level that a split uses.
+
+    python scripts/search_floors.py
+    python scripts/search_floors.py labyrinth --seconds 100 --episodes 300
+    python scripts/search_floors.py playroom --levels put/put_near_bed_tray_frequent
+
+`zipf.envs.floors` says what is tried. Each level is searched with the split's own options, and
+with those of each experiment in the split's environments. The best five policies are played again
+on seeds that the search has not seen. All five stand in `results/floors.csv`; the best is the
+level's "blind" in `references.json` of the family's package, which evaluations, reports and the
+documentation read.
+
+Levels that stand in the table are passed over, so that the command may be stopped and given again;
+`--again` searches them anew and keeps the better.
+"""
+
+import argparse
+import json
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from measure_references import RESULTS, write_figure
+
+from zipf import envs
+from zipf.envs import floors
+from zipf.experiments import command_line, composing
+from zipf.experiments.running.run_folder import commit
+
+TABLE = RESULTS / "floors.csv"
+ROWS = {"gridworld": 512, "playroom": 256, "labyrinth": 64}
+"""How many worlds are stepped together; more of them take more RAM."""
+PLACE = ["family", "level", "options"]
+Task = tuple[str, str, dict[str, Any]]
+"""Family, level and constructor options."""
+
+
+def tasks(family: str) -> list[Task]:
+    """Family, level and options of everything that is searched: each level that a split uses, with
+    the defaults and with the options of each experiment."""
+    own = envs.find_family(family)
+    defaults = own.options_class().model_dump(exclude=set(own.appearance))
+    found: list[Task] = []
+    for split in own.splits:
+        for level in split.all_levels:
+            found.append((family, level.name.partition("/")[2], {**level.options}))
+    for experiment in command_line.choices("experiment"):
+        chosen = composing.composed(f"experiment={experiment}").values["environment"]
+        split = envs.split(chosen["split"])
+        if envs.family_of_split(split.name) is own:
+            others = {
+                name: chosen[name]
+                for name, value in defaults.items()
+                if name in chosen and chosen[name] != value
+            }
+            for level in split.all_levels:
+                name = level.name.partition("/")[2]
+                found.append((family, name, {**others, **level.options}))
+    return [task for place, task in enumerate(found) if task not in found[:place]]
+
+
+def arena(family: str, level: str, options: Mapping[str, Any]) -> floors.Arena:
+    """The level's worlds, with images of a few pixels: nobody looks at them."""
+    small = {"image_size": (3, 4)} if family != "gridworld" else {"observation": "tiles"}
+    return floors.Arena(f"{family}/{level}", ROWS[family], options={**small, **options})
+
+
+def searched(task: Task, seconds: float, episodes: int, first: Sequence[str]) -> list[floors.Floor]:
+    """The best policies of a level, the best first."""
+    played = arena(*task)
+    best = floors.search(played, seconds=seconds, known=first)
+    found = floors.play(best, played, episodes=episodes)
+    played.close()
+    return sorted(found, key=lambda one: -one.score)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("families", nargs="*", metavar="family", help="all if none is given")
+    parser.add_argument("--levels", nargs="+", default=[], help="without the family's name")
+    parser.add_argument("--options", type=json.loads, help="only with these, as JSON")
+    parser.add_argument("--seconds", type=float, default=300, help="of searching, for each level")
+    parser.add_argument("--episodes", type=int, default=2000, help="to measure the best five over")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="levels at a time")
+    parser.add_argument("--again", action="store_true", help="search what is in the table, too")
+    parser.add_argument("--table", type=Path, default=TABLE)
+    given = parser.parse_args(arguments)
+    if unknown := sorted(set(given.families) - set(ROWS)):
+        parser.error(f"unknown families {', '.join(unknown)}: expected some of {', '.join(ROWS)}")
+    table = pd.read_csv(given.table) if given.table.exists() else pd.DataFrame(columns=PLACE)
+    done = set(table[PLACE].itertuples(index=False, name=None))
+    due = [
+        task
+        for family in given.families or ROWS
+        for task in tasks(family)
+        if (not given.levels or task[1] in given.levels)
+        and (given.options is None or task[2] == given.options)
+        and (given.again or _key(task) not in done)
+    ]
+    with ProcessPoolExecutor(given.jobs) as pool:
+        running = {
+            pool.submit(searched, task, given.seconds, given.episodes, known(table, task)): task
+            for task in due
+        }
+        for number, future in enumerate(as_completed(running), 1):
+            task, best = running[future], future.result()
+            table = _with(table, task, best, given.seconds)
+            given.table.write_text(table.to_csv(index=False, lineterminator="\n"), "utf-8")
+            write_figure(task[0], "blind", task[1], best_known(table, task))
+            print(f"{number}/{len(due)} {'/'.join(task[:2])} {task[2]}: {best[0]}", flush=True)
+
+
+def _key(task: Task) -> tuple[str, str, str]:
+    return (*task[:2], json.dumps(task[2], sort_keys=True))
+
+
+def _here(table: pd.DataFrame, task: Task) -> pd.Series:
+    """Which lines are of this level with these options."""
+    return (table[PLACE] == pd.Series(_key(task), PLACE)).all(axis=1)
+
+
+def known(table: pd.DataFrame, task: Task) -> list[str]:
+    """The policies that the table has of a level with any options."""
+    here = (table[PLACE[:2]] == pd.Series(_key(task)[:2], PLACE[:2])).all(axis=1)
+    return list(dict.fromkeys(table["policy"][here])) if len(table) else []
+
+
+def best_known(table: pd.DataFrame, task: Task) -> dict[str, Any]:
+    """The best policy of a level as `references.json` has it."""
+    first = table[_here(table, task)].iloc[0]
+    return {
+        "score": float(first["score"]),
+        "error": float(first["error"]),
+        "episodes": int(first["episodes"]),
+        "options": task[2],
+        "seed": 0,
+        "commit": str(first["commit"]),
+        "policy": str(first["policy"]),
+    }
+
+
+def _with(
+    table: pd.DataFrame, task: Task, best: Sequence[floors.Floor], seconds: float
+) -> pd.DataFrame:
+    """The table with a level's best policies, those of an earlier search among them."""
+    rows = [
+        {
+            **dict(zip(PLACE, _key(task), strict=True)),
+            "policy": one.policy,
+            "score": round(one.score, 4),
+            "error": round(one.error, 4),
+            "episodes": one.episodes,
+            "seconds": seconds,
+            "commit": commit(),
+        }
+        for one in best
+    ]
+    here = _here(table, task)
+    rows += table[here].to_dict("records")  # type: ignore[arg-type]
+    best_first = pd.DataFrame(rows).sort_values("score", ascending=False, kind="stable")
+    kept = best_first.drop_duplicates("policy").head(floors.KEPT)
+    new = pd.concat([table[~here], kept] if len(table) else [kept])
+    return new.sort_values(PLACE, kind="stable", ignore_index=True)
+
+
+if __name__ == "__main__":
+    main()

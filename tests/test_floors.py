@@ -1,0 +1,148 @@
+"""Policies that neither read nor look: how they are played, searched for, and what they score."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import search_floors
+from numpy.typing import NDArray
+
+from zipf import envs
+from zipf.envs import floors
+from zipf.envs.playroom.judgement import APPROACH_DISTANCE
+from zipf.envs.playroom.vector import PlayroomVectorEnv
+
+FIND = "supervised/find_shape_uniform"
+SMALL = {"image_size": (3, 4)}
+
+
+def test_a_policy_plays_the_episodes_of_its_seeds_from_their_first_step_on() -> None:
+    arena = floors.Arena("gridworld/rare", rows=5)
+    policies, seeds = ["actions 7*6 5*8 2 7*16 2 7*6 2 1*6 2 7*6 2", "actions 2"], range(5, 25)
+    found = arena.returns(policies, seeds)
+    for k, runs in enumerate((floors._runs(policies[0]), [(2, 1)])):
+        cycle = [action for action, steps in runs for _ in range(steps)]
+        for j, seed in enumerate(seeds):
+            env = envs.make("gridworld/rare")
+            env.reset(seed=seed)
+            total, step, ended = 0.0, 0, False
+            while not ended:
+                _, reward, terminated, truncated, _ = env.step(cycle[step % len(cycle)])
+                total, step, ended = total + float(reward), step + 1, terminated or truncated
+            assert found[k, j] == total
+    assert found.any()
+    assert (arena.returns(policies, seeds) == found).all()
+
+
+def test_walks_hold_their_actions() -> None:
+    player = floors._open_loop(["walk 0.75 of 1 4"] * 4000, 8, 0)
+    played = np.array([player() for _ in range(20)])
+    assert set(np.unique(played)) == {1, 4}
+    # A new draw is the same action half of the time.
+    assert (played[1:] == played[:-1]).mean() == pytest.approx(0.75 + 0.25 / 2, abs=0.01)
+    assert (played == 1).mean() == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("text", ["action 1", "actions", "actions 1*0", "walk of 1", "expert"])
+def test_what_is_no_policy_is_refused(text: str) -> None:
+    arena = floors.Arena("gridworld/uniform", rows=2)
+    with pytest.raises(ValueError, match="is no policy: expected 'actions"):
+        floors.play([text], arena, episodes=2)
+    with pytest.raises(ValueError, match="there are actions 0 to 7"):
+        floors.play(["actions 8"], arena, episodes=2)
+    with pytest.raises(ValueError, match="episodes must be at least 2"):
+        floors.play(["actions 1"], arena, episodes=1)
+
+
+def test_trying_every_toy_at_both_places_solves_the_near_task() -> None:
+    near = "playroom/put/put_near_bed_tray_frequent"
+    arena = floors.Arena(near, rows=8, options=SMALL)
+    (found,) = floors.play(["guessing expert"], arena, episodes=8)
+    assert found.score == 1.0
+    arena = floors.Arena(near, rows=8, options={**SMALL, "near_failure": True})
+    (found,) = floors.play(["guessing expert"], arena, episodes=8)
+    assert found.score < 0.5
+
+
+class AnyToyInReach(PlayroomVectorEnv):
+    """Finding by the rule of version 0.2.0: the target counts wherever it is within reach, also
+    where another toy is nearer."""
+
+    def _play(self, mask: NDArray[np.bool_], actions: NDArray[np.int64]) -> Any:
+        reward, terminated, success = super()._play(mask, actions)
+        places, agents = self.worlds.objects[:, :, :2], self.worlds.agents[:, None, :2]
+        near = np.linalg.norm(places - agents, axis=2) < APPROACH_DISTANCE
+        found = near & (self.worlds.ranks == self.worlds.ranks[:, :1])
+        success |= mask & found.any(axis=1)
+        return np.where(success, 1.0, reward), terminated, success
+
+
+@pytest.mark.parametrize(("make", "cheats"), [(AnyToyInReach, True), (PlayroomVectorEnv, False)])
+def test_the_search_finds_a_rule_that_can_be_cheated(make: Any, cheats: bool) -> None:
+    known = envs.reference("blind", f"playroom/{FIND}")
+    assert known is not None
+    arena = floors.Arena(
+        lambda num_envs, **options: make(num_envs, FIND, max_steps=20, **options),
+        rows=256,
+        options=SMALL,
+    )
+    best = floors.play(floors.search(arena, seconds=6), arena, episodes=1000)
+    assert any(floors.exceeds(one, known.score, 0.05) for one in best) == cheats
+
+
+def test_no_constant_action_beats_blind_in_finding() -> None:
+    """Walking straight ahead once found the target nine times in ten."""
+    for name in ("zipf3", "uniform", "uniform_rare", "validation"):
+        level = f"playroom/supervised/find_shape_{name}"
+        known = envs.reference("blind", level)
+        assert known is not None
+        arena = floors.Arena(level, rows=230, options={**SMALL, "max_steps": 15})
+        every = [f"actions {one}" for one in range(arena.count)]
+        for found in floors.play(every, arena, episodes=150):
+            assert not floors.exceeds(found, known.score, 0.0), (level, found)
+
+
+def test_a_floor_is_the_higher_one_of_what_was_reasoned_and_found() -> None:
+    uniform, rare = (envs.reference("blind", f"gridworld/{one}") for one in ("uniform", "rare"))
+    assert uniform is not None
+    assert rare is not None
+    assert (uniform.score, rare.score) == (1 / 20, 1 / 4)
+    near = envs.reference("blind", "playroom/put/put_near_bed_tray_frequent")
+    assert near is not None
+    assert near.policy == "guessing expert"
+    assert near.score == pytest.approx(1, abs=0.01)  # 1/6 by reasoning
+
+
+# Each level once, with the options of an experiment where one has others: its episodes are shorter.
+TASKS = {
+    (family, level): options
+    for family in search_floors.ROWS
+    for family, level, options in search_floors.tasks(family)
+}
+SECONDS = {"gridworld": 1.0, "playroom": 2.0, "labyrinth": 5.0}
+EPISODES = {"gridworld": 300, "playroom": 48, "labyrinth": 24}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("family", "level"), TASKS)
+def test_no_cheat_beats_the_floor_of_a_level(family: str, level: str) -> None:
+    """Neither the recorded policy nor one that a short search finds now."""
+    options = TASKS[family, level]
+    known = envs.reference("blind", f"{family}/{level}", **options)
+    assert known is not None
+    of_split = next(
+        one
+        for split in envs.find_family(family).splits
+        for one in split.all_levels
+        if one.name == f"{family}/{level}"
+    )
+    # The margin is in units of the score, which in the labyrinth is a fraction of a human's.
+    margin = 0.05 / (of_split.normalised(1.0) - of_split.normalised(0.0))
+    arena = search_floors.arena(family, level, options)
+    cheats = floors.search(arena, seconds=SECONDS[family], episodes=8)[:2]
+    recorded = [known.policy] if known.episodes else []  # others are exact, and no policy to play
+    for found in floors.play([*recorded, *cheats], arena, episodes=EPISODES[family]):
+        assert math.isfinite(found.score)
+        assert not floors.exceeds(found, known.score, margin), found
+    arena.close()
