@@ -13,7 +13,7 @@ demo: $(VENV)/.installed  ## train on a small gridworld for a few minutes, then 
 	$(BIN)/python -m zipf.train experiment=demo
 	$(BIN)/python -m zipf.report runs/demo
 
-conditions: $(VENV)/.installed  ## every agent on the same gridworld, three seeds each: about three hours on 2 cores
+conditions: $(VENV)/.installed  ## every agent on the same gridworld, three seeds each: some hours on 2 cores
 	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m sweep=demo $(BESIDE)
 	$(BIN)/python -m zipf.report runs/demo_conditions
 

@@ -131,7 +131,8 @@ def page(family: str, found: Figures) -> str:
         for level in split.all_levels
         if level.normalisation is not None
     }
-    known = [one for one in envs.REFERENCES if one.name in found]
+    # What is blind has a table of its own, of scripts/search_floors.py.
+    known = [one for one in envs.REFERENCES if one.name in found and one.name != "blind"]
     titles = [title for one in known for title in (one.title, "Episodes")]
     header = ["Level", *(["Random, published", "Human, published"] if published else []), *titles]
     lines = [header, [":--"] + ["--:"] * (len(header) - 1)]

@@ -8,7 +8,7 @@
 with those of each experiment in the split's environments. The best five policies are played again
 on seeds that the search has not seen. All five stand in `results/floors.csv`; the best is the
 level's "blind" in `references.json` of the family's package, which evaluations, reports and the
-documentation read.
+documentation read. `results/floors.md` has it beside chance and expert, for the record.
 
 Levels that stand in the table are passed over, so that the command may be stopped and given again;
 `--again` searches them anew and keeps the better.
@@ -24,11 +24,13 @@ from typing import Any
 
 import pandas as pd
 from measure_references import RESULTS, write_figure
+from tables import markdown
 
 from zipf import envs
 from zipf.envs import floors
 from zipf.experiments import command_line, composing
 from zipf.experiments.running.run_folder import commit
+from zipf.references import says_little
 
 TABLE = RESULTS / "floors.csv"
 ROWS = {"gridworld": 512, "playroom": 256, "labyrinth": 64}
@@ -111,6 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             given.table.write_text(table.to_csv(index=False, lineterminator="\n"), "utf-8")
             write_figure(task[0], "blind", task[1], best_known(table, task))
             print(f"{number}/{len(due)} {'/'.join(task[:2])} {task[2]}: {best[0]}", flush=True)
+    given.table.with_suffix(".md").write_text(page(table), "utf-8")
 
 
 def _key(task: Task) -> tuple[str, str, str]:
@@ -164,6 +167,49 @@ def _with(
     kept = best_first.drop_duplicates("policy").head(floors.KEPT)
     new = pd.concat([table[~here], kept] if len(table) else [kept])
     return new.sort_values(PLACE, kind="stable", ignore_index=True)
+
+
+def page(table: pd.DataFrame) -> str:
+    """The best policy of each level beside its references, for the record."""
+    columns = ("Level", "Best policy", "Its score", "Episodes", "Blind", "Chance", "Expert")
+    rows = []
+    for (family, level, written), of_level in table.groupby(PLACE, sort=False):
+        options = json.loads(written)
+        names = ("blind", "chance", "expert")
+        references = [envs.reference(name, f"{family}/{level}", **options) for name in names]
+        scores = [None if one is None else one.score for one in references]
+        best = of_level.iloc[0]
+        shown = f"{family}/{level}" + "".join(f", {key}={value}" for key, value in options.items())
+        mark = " ‡" if says_little(scores[0], scores[2]) else ""
+        rows.append(
+            (
+                shown + mark,
+                f"`{floors.summary(best['policy'])}`",
+                f"{best['score']:.3f} ± {best['error']:.3f}",
+                str(best["episodes"]),
+                *("–" if score is None else f"{score:.3f}" for score in scores),
+            )
+        )
+    lines = markdown(columns, rows, right=columns[2:])
+    return "\n".join(
+        [
+            "## Floors: the best that policies reach that neither read nor look",
+            "",
+            *lines,
+            "",
+            "Mean returns of an episode ± standard error, of the best of the policies that "
+            "`scripts/search_floors.py` found, played on other seeds than those of the search. "
+            "Blind is the higher one of this and of what follows from the rules. ‡: more than half "
+            "of the expert's return; the level says little about reading. `results/floors.csv` has "
+            "the five best policies of each level, whole, with the seconds of the search and the "
+            "commit.",
+            "",
+            "```",
+            "python scripts/search_floors.py",
+            "```",
+            "",
+        ]
+    )
 
 
 if __name__ == "__main__":

@@ -48,7 +48,8 @@ def test_a_record_is_a_run_that_the_report_reads(tmp_path):
     assert description.external.name == "Theirs"
     assert description.situation == {"map": 20, "target": 5}
     assert [level.level for level in description.levels] == [
-        *("gridworld/zipf_2", "gridworld/uniform", "gridworld/rare")
+        *("gridworld/zipf_2", "gridworld/uniform", "gridworld/rare"),
+        *("gridworld/validation", "gridworld/fresh"),
     ]
     assert description.levels[0].references["chance"].score == (
         envs.reference("chance", "gridworld/zipf_2", **DEMO).score
@@ -58,7 +59,7 @@ def test_a_record_is_a_run_that_the_report_reads(tmp_path):
     for kind, score in evaluation.scores.items():
         assert rows.loc[kind, "score"] == score
         assert rows.loc[kind, "frames"] == rows.loc[kind, "update"] == 1000
-    assert run.situations["episodes"].sum() == 3 * 12
+    assert run.situations["episodes"].sum() == 5 * 12
     written = json.loads((tmp_path / "seed0" / "run.json").read_text())
     assert written["external"]["geometry"] == evaluate.geometry("gridworld", **DEMO)
     assert written["torch"] == sys.modules["torch"].__version__
@@ -83,16 +84,16 @@ def test_several_records_are_a_curve(tmp_path):
         recorded(tmp_path, frames)
     last = recorded(tmp_path, 3000, seconds=7.5, episodes=20)
     table = pd.read_csv(tmp_path / "evaluations.csv")
-    assert sorted(table["update"]) == [1000] * 3 + [2000] * 3 + [3000] * 3
+    assert sorted(table["update"]) == [1000] * 5 + [2000] * 5 + [3000] * 5
     again = table[table["update"] == 3000]
     assert (again["episodes"] == 20).all()
     assert (again["seconds"] == 7.5).all()
     assert list(again["score"]) == list(last.scores.values())
     situations = pd.read_csv(tmp_path / "situations.csv")
     assert situations.groupby("update")["episodes"].sum().to_dict() == {
-        1000: 36,
-        2000: 36,
-        3000: 60,
+        1000: 60,
+        2000: 60,
+        3000: 100,
     }
     recorded(tmp_path, 4000, update=17)
     table = pd.read_csv(tmp_path / "evaluations.csv")

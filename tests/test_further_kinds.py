@@ -104,7 +104,8 @@ def test_a_split_without_further_kinds_is_valid() -> None:
     assert list(evaluate.score(policy, split, episodes=4, **SMALL)) == ["train", "uniform", "rare"]
     more = envs.Split(
         "own",
-        *("gridworld/zipf_2", "gridworld/uniform", "gridworld/rare", "gridworld/validation"),
+        *("gridworld/zipf_2", "gridworld/uniform", "gridworld/rare"),
+        validation="gridworld/validation",
         episodes={"train": 2, "uniform": 3, "rare": 4, "validation": 5},
     )
     details = evaluate.score(policy, more, details=True, **SMALL)

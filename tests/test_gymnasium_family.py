@@ -60,10 +60,11 @@ def over(count: int = 10, **options: Any) -> zipf.envs.Family:
 def test_a_list_of_ids() -> None:
     made = zipf.envs.register(zipf.envs.zipfian(IDS, exponent=2))
     assert made.name == "goal"
-    assert made.levels == ("zipf_2", "uniform", "rare", *IDS)
+    assert made.levels == ("zipf_2", "uniform", "rare", "validation", *IDS)
     split = zipf.envs.split("goal")
-    names = {kind: [level.name for level in split.levels(kind)] for kind in zipf.envs.KINDS}
-    assert names == {"train": ["goal/zipf_2"], "uniform": ["goal/uniform"], "rare": ["goal/rare"]}
+    names = {kind: [level.name for level in split.levels(kind)] for kind in split.kinds}
+    others = {kind: [f"goal/{kind}"] for kind in ("uniform", "rare", "validation")}
+    assert names == {"train": ["goal/zipf_2"], **others}
     env = make_vec("goal/zipf_2", 40)
     assert env.situation == {"level": 5}
     observation, info = env.reset(seed=0)
@@ -77,7 +78,7 @@ def test_a_list_of_ids() -> None:
 def test_a_list_of_options() -> None:
     made = zipf.envs.register(over(exponent=1.5, options={"tries": 2}))
     assert made.name == "goal"
-    assert made.levels[:5] == ("zipf_1.5", "uniform", "rare", "goal_0", "goal_1")
+    assert made.levels[:5] == ("zipf_1.5", "uniform", "rare", "validation", "goal_0")
     env = make_vec("goal/rare", 40)
     assert env.situation == {"goal": 10}
     observation, info = env.reset(seed=0)

@@ -276,7 +276,7 @@ def test_runs_are_trained_and_resumed(tmp_path: Path, monkeypatch: pytest.Monkey
     description = run_folder.read_description(whole.folder)
     assert description["environment"]["backend"] == "dmlab"
     assert description["paper"] is None
-    assert [one["references"] for one in description["levels"]] == [{}] * 66
+    assert [one["references"] for one in description["levels"]] == [{}] * (30 + 30 + 6 + 6)
     assert load("own", "own").what_is_learned != whole.what_is_learned
 
 

@@ -68,7 +68,7 @@ def test_a_function_scores_what_is_known_exactly():
         episodes=3000,
         seed=2,
     )
-    assert list(scores) == ["train", "uniform", "rare"]
+    assert list(scores) == [*envs.KINDS]
     for kind, exact in (("train", 0.0324), ("uniform", 0.0477), ("rare", 0.0859)):
         assert abs(scores[kind] - exact) < 4 * np.sqrt(exact * (1 - exact) / 3000)
 
@@ -179,7 +179,7 @@ def test_a_policys_geometry_must_be_the_splits():
 
 def test_geometry_has_the_defaults():
     found = evaluate.geometry("gridworld", num_rooms=(2, 2))
-    assert list(found) == ["gridworld/zipf_2", "gridworld/uniform", "gridworld/rare"]
+    assert list(found) == [one.name for one in envs.split("gridworld").all_levels]
     assert found["gridworld/rare"]["num_maps"] == 20
     assert found["gridworld/rare"]["num_rooms"] == [2, 2]
     own = envs.SplitLevel(lambda n, **o: envs.make_vec("gridworld/rare", n, **o), options=SMALL)

@@ -154,7 +154,8 @@ def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
     ]
     each = [one["references"]["chance"]["score"] for one in described["levels"]]
     assert {
-        kind: run_folder.mean_of_levels(described["levels"], kind, "chance") for kind in envs.KINDS
+        kind: run_folder.mean_of_levels(described["levels"], kind, "chance")
+        for kind in envs.PAPER_KINDS
     } == {
         "train": pytest.approx((each[0] + each[1]) / 2),
         "uniform": each[2],
@@ -166,7 +167,7 @@ def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
     shown = capsys.readouterr().out
     assert all(f"│ {level} " in shown for level in (*train, "gridworld/rare"))
     experts = (
-        run_folder.mean_of_levels(described["levels"], kind, "expert") for kind in envs.KINDS
+        run_folder.mean_of_levels(described["levels"], kind, "expert") for kind in envs.PAPER_KINDS
     )
     assert re.search(rf"│ expert +│ {' +│ +'.join(f'{mean:.3f}' for mean in experts)} ", shown)
     assert re.search(r"┃ level +┃ score ┃ chance ┃ blind ┃ expert ┃", shown)
@@ -384,7 +385,7 @@ def test_evaluate_scores_a_run(trained, monkeypatch, capsys):
     evaluate.main()
     shown = capsys.readouterr().out
     table = pd.read_csv(folder / "evaluation-2-episodes20-seed0.csv")
-    assert list(table["level_kind"]) == ["train", "uniform", "rare"]
+    assert list(table["level_kind"]) == [*envs.KINDS]
     assert (table["episodes"] == 20).all()
     evaluate.main()
     assert capsys.readouterr().out == shown
@@ -565,7 +566,7 @@ def test_a_kill_before_the_first_checkpoint_starts_again(trained):
     (folder / "situations.csv").write_text("update,level_k")
     assert runner.train(command_line.load(trained)) == 0
     assert list(pd.read_csv(folder / "metrics.csv")["update"]) == [1, 2]
-    assert sorted(pd.read_csv(folder / "evaluations.csv")["update"]) == [0, 0, 0, 2, 2, 2]
+    assert sorted(pd.read_csv(folder / "evaluations.csv")["update"]) == [0] * 5 + [2] * 5
 
 
 def test_a_run_stopped_at_its_start_is_not_scored_there_twice(tmp_path):
@@ -576,7 +577,7 @@ def test_a_run_stopped_at_its_start_is_not_scored_there_twice(tmp_path):
         begun.save()
     assert runner.train(command_line.load(arguments)) == 0
     rows = pd.read_csv(folder_of(arguments) / "evaluations.csv")
-    assert list(rows["update"]) == [0, 0, 0, 2, 2, 2]
+    assert list(rows["update"]) == [0] * 5 + [2] * 5
 
 
 def test_a_finished_run_is_left_as_it_is(trained):

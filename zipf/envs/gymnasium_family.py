@@ -132,7 +132,7 @@ def zipfian(
                 f"{name}/{trained}",
                 f"{name}/uniform",
                 f"{name}/rare",
-                f"{name}/validation",
+                validation=f"{name}/validation",
             ),
         ),
         references={"chance": partial(_known, chance)},

@@ -136,8 +136,6 @@ class Split:
     train: Any
     uniform: Any
     rare: Any
-    validation: Any = ()
-    fresh: Any = ()
     draw: Literal["worlds", "resets"] = "worlds"
     episodes: Mapping[str, int] = field(
         default_factory=lambda: MappingProxyType(dict.fromkeys(PAPER_KINDS, 1000)),  # the paper's
@@ -145,6 +143,8 @@ class Split:
     )
     spread: Literal["seeds", "tasks"] = "seeds"
     paper: str | None = None
+    validation: Any = ()
+    fresh: Any = ()
 
     def __post_init__(self) -> None:
         for kind in KINDS:

@@ -37,9 +37,9 @@ FAMILY = Family(
             "gridworld/zipf_2",
             "gridworld/uniform",
             "gridworld/rare",
-            "gridworld/validation",
-            "gridworld/fresh",
             paper="gridworld",
+            validation="gridworld/validation",
+            fresh="gridworld/fresh",
         ),
         # Ours: trained on flatter and steeper distributions, tested on the same levels.
         *(
@@ -48,8 +48,8 @@ FAMILY = Family(
                 f"gridworld/zipf_{exponent}",
                 "gridworld/uniform",
                 "gridworld/rare",
-                "gridworld/validation",
-                "gridworld/fresh",
+                validation="gridworld/validation",
+                fresh="gridworld/fresh",
             )
             for exponent in (0, 1, 3)
         ),

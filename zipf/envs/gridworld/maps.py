@@ -51,9 +51,9 @@ class Maps:
     num_rooms: tuple[int, int]
     room_size: tuple[int, int]
     num_objects: int
-    first: int
     codes: NDArray[np.uint8]
     cells: NDArray[np.int64]
+    first: int = 0
 
     def __reduce__(self) -> tuple[object, ...]:
         sizes = self.num_maps, self.num_rooms, self.room_size, self.num_objects
@@ -118,7 +118,7 @@ def build_maps(
     height, width = (n * (size + 1) + 1 for n, size in zip(num_rooms, room_size, strict=True))
     codes = np.zeros((num_maps, height + 2 * PAD, width + 2 * PAD), dtype=np.uint8)
     cells = np.zeros((num_maps, num_objects + 1, 2), dtype=np.int64)
-    maps = Maps(num_maps, num_rooms, room_size, num_objects, first, codes, cells)
+    maps = Maps(num_maps, num_rooms, room_size, num_objects, codes, cells, first)
     for i in range(num_maps):
         rng = np.random.default_rng(FIRST_SEED + first + i)
         step = (room_size[0] + 1, room_size[1] + 1)

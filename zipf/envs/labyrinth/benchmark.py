@@ -179,11 +179,11 @@ def _split(name: str, order: str, trained: str = "zipf_1", paper: str | None = N
         weighted(trained),
         weighted("uniform"),
         weighted("rare"),
-        weighted("validation"),
         draw="resets",
         episodes=dict.fromkeys(PAPER_KINDS, EPISODES),
         spread="tasks",
         paper=paper,
+        validation=weighted("validation"),
     )
 
 

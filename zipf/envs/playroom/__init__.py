@@ -43,8 +43,8 @@ FAMILY = Family(
             "playroom/lift/lift_shape_zipf3",
             "playroom/lift/lift_shape_uniform",
             "playroom/lift/lift_shape_uniform_rare",
-            "playroom/lift/lift_shape_validation",
             paper="playroom_lifting",
+            validation="playroom/lift/lift_shape_validation",
         ),
         Split(
             "playroom_put",
@@ -55,16 +55,16 @@ FAMILY = Family(
             ),
             "playroom/put/put_on_bed_tray_all",
             "playroom/put/put_on_bed_tray_rare",
-            "playroom/put/put_on_bed_tray_validation",
             paper="playroom_putting",
+            validation="playroom/put/put_on_bed_tray_validation",
         ),
         Split(
             "playroom_find",
             "playroom/supervised/find_shape_zipf3",
             "playroom/supervised/find_shape_uniform",
             "playroom/supervised/find_shape_uniform_rare",
-            "playroom/supervised/find_shape_validation",
             paper="playroom_finding",
+            validation="playroom/supervised/find_shape_validation",
         ),
         # Ours: uniform training, the paper's point of comparison.
         *(
@@ -73,7 +73,7 @@ FAMILY = Family(
                 f"playroom/{uniform}",
                 f"playroom/{uniform}",
                 f"playroom/{rare}",
-                f"playroom/{validation}",
+                validation=f"playroom/{validation}",
             )
             for task, uniform, rare, validation in (
                 (

@@ -44,8 +44,10 @@ class Visits:
             for name, counts in self._of_rank.items():
                 of_rank = [counts[value] for value in situations[name].tolist()]
                 columns[f"visits_{name}"] = np.array(of_rank, np.int64)
-        known = (situations["level_kind"] != "fresh").to_numpy()
-        return situations.assign(**{name: counts * known for name, counts in columns.items()})
+        if "level_kind" in situations:
+            known = (situations["level_kind"] != "fresh").to_numpy()
+            columns = {name: counts * known for name, counts in columns.items()}
+        return situations.assign(**columns)
 
     def state_dict(self) -> dict[str, Any]:
         """Situations, int64 [n, ranks], and how often each was met, int64 [n]."""
