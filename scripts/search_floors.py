@@ -11,7 +11,8 @@ level's "blind" in `references.json` of the family's package, which evaluations,
 documentation read. `results/floors.md` has it beside chance and expert, for the record.
 
 Levels that stand in the table are passed over, so that the command may be stopped and given again;
-`--again` searches them anew and keeps the better.
+`--again` searches them anew, beginning with the policies that are there, and keeps the better. With
+`--seconds 0` it only measures those policies again.
 """
 
 import argparse
@@ -163,8 +164,12 @@ def _with(
     ]
     here = _here(table, task)
     rows += table[here].to_dict("records")  # type: ignore[arg-type]
-    best_first = pd.DataFrame(rows).sort_values("score", ascending=False, kind="stable")
-    kept = best_first.drop_duplicates("policy").head(floors.KEPT)
+    # Of a policy that was measured before, the figure of more episodes counts.
+    known = pd.DataFrame(rows).sort_values("episodes", ascending=False, kind="stable")
+    best_first = known.drop_duplicates("policy").sort_values(
+        "score", ascending=False, kind="stable"
+    )
+    kept = best_first.head(floors.KEPT)
     new = pd.concat([table[~here], kept] if len(table) else [kept])
     return new.sort_values(PLACE, kind="stable", ignore_index=True)
 

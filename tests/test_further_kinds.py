@@ -12,7 +12,7 @@ from zipf import envs, evaluate
 from zipf.envs.gridworld.maps import build_maps
 from zipf.experiments import command_line
 from zipf.experiments.reporting import markdown
-from zipf.experiments.running import evaluator
+from zipf.experiments.running import evaluator, scoring
 from zipf.experiments.running.seeds import derive_seed
 from zipf.experiments.running.visits import Visits
 
@@ -180,3 +180,30 @@ def test_the_sweep_of_conditions_has_rare_situations_that_chance_finds() -> None
     chance = envs.reference("chance", "gridworld/rare", **config.level_options)
     assert chance is not None
     assert 0 < chance.score < 1
+
+
+def test_intervals_of_rare_scores_also_cover_which_situations_these_are() -> None:
+    """Two situations, one of which is always solved: 400 episodes, but two draws."""
+    level = envs.SplitLevel("gridworld/rare")
+    ranks = np.arange(400) % 2
+    episodes = pd.DataFrame({"map": 18, "target": 18 + ranks, "success": ranks == 0})
+    episodes["return"] = episodes["success"].astype(float)
+    intervals = {
+        kind: scoring.score_interval(evaluator.Result(kind, level, episodes)) for kind in envs.KINDS
+    }
+    assert intervals["uniform"] == intervals["train"] == pytest.approx((0.45, 0.55), abs=0.01)
+    for kind in ("rare", "validation", "fresh"):
+        assert intervals[kind] == (0.0, 1.0)
+    # Of equal situations the episodes are all that varies.
+    episodes["return"] = np.random.default_rng(0).permutation(np.arange(400) % 4 == 0) * 1.0
+    low, high = scoring.score_interval(evaluator.Result("rare", level, episodes))
+    assert (low, high) == pytest.approx((0.21, 0.295), abs=0.03)
+
+
+def test_situations_that_are_hardly_met_are_drawn_by_their_first_rank() -> None:
+    level = envs.SplitLevel("playroom/lift/lift_shape_uniform_rare")
+    targets = 40 + np.arange(300) % 3
+    episodes = pd.DataFrame({"target": targets, "other_1": np.arange(300) % 50})
+    episodes["return"] = (targets == 40) * 1.0
+    low, high = scoring.score_interval(evaluator.Result("rare", level, episodes))
+    assert (low, high) == (0.0, 1.0)  # three toys, one of which is lifted
