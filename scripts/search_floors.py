@@ -65,6 +65,16 @@ def tasks(family: str) -> list[Task]:
     return [task for place, task in enumerate(found) if task not in found[:place]]
 
 
+def split_level(family: str, level: str) -> envs.SplitLevel:
+    """The level as the first split has it that uses it: with its normalisation."""
+    return next(
+        one
+        for split in envs.find_family(family).splits
+        for one in split.all_levels
+        if one.name == f"{family}/{level}"
+    )
+
+
 def arena(family: str, level: str, options: Mapping[str, Any]) -> floors.Arena:
     """The level's worlds, with images of a few pixels: nobody looks at them."""
     small = {"image_size": (3, 4)} if family != "gridworld" else {"observation": "tiles"}
@@ -185,7 +195,9 @@ def page(table: pd.DataFrame) -> str:
         scores = [None if one is None else one.score for one in references]
         best = of_level.iloc[0]
         shown = f"{family}/{level}" + "".join(f", {key}={value}" for key, value in options.items())
-        mark = " ‡" if says_little(scores[0], scores[2]) else ""
+        of_split = split_level(family, level)
+        blind, _, expert = (None if one is None else of_split.normalised(one) for one in scores)
+        mark = " ‡" if says_little(blind, expert) else ""
         rows.append(
             (
                 shown + mark,
@@ -205,7 +217,7 @@ def page(table: pd.DataFrame) -> str:
             "Mean returns of an episode ± standard error, of the best of the policies that "
             "`scripts/search_floors.py` found, played on other seeds than those of the search. "
             "Blind is the higher one of this and of what follows from the rules. ‡: more than half "
-            "of the expert's return; the level says little about reading. `results/floors.csv` has "
+            "of the expert's score; the level says little about reading. `results/floors.csv` has "
             "the five best policies of each level, whole, with the seconds of the search and the "
             "commit.",
             "",

@@ -92,6 +92,13 @@ def test_the_search_finds_a_rule_that_can_be_cheated(make: Any, cheats: bool) ->
     assert any(floors.exceeds(one, known.score, 0.05) for one in best) == cheats
 
 
+def test_without_time_a_search_has_what_is_known() -> None:
+    arena = floors.Arena("gridworld/rare", rows=64)
+    known = ["actions 7*6 5*8 2 7*16 2 7*6 2 1*6 2 7*6 2", "actions 0"]
+    found = floors.search(arena, seconds=0, known=known)
+    assert found == known  # the first knows a map
+
+
 def test_no_constant_action_beats_blind_in_finding() -> None:
     """Walking straight ahead once found the target nine times in ten."""
     for name in ("zipf3", "uniform", "uniform_rare", "validation"):
@@ -135,12 +142,7 @@ def test_no_cheat_beats_the_floor_of_a_level(family: str, level: str) -> None:
     options = TASKS[family, level]
     known = envs.reference("blind", f"{family}/{level}", **options)
     assert known is not None
-    of_split = next(
-        one
-        for split in envs.find_family(family).splits
-        for one in split.all_levels
-        if one.name == f"{family}/{level}"
-    )
+    of_split = search_floors.split_level(family, level)
     # The margin is in units of the score, which in the labyrinth is a fraction of a human's.
     margin = 0.05 / (of_split.normalised(1.0) - of_split.normalised(0.0))
     arena = search_floors.arena(family, level, options)

@@ -101,7 +101,8 @@ class Matcher(nn.Module):
     A place has a key, what convolutions find there, and an instruction a query, linear in its code:
     score = e^s cos(key, query) + offset, where s is learned and the offset, linear in what
     convolutions find, is the place's own, whatever is asked for. Images and texts that meet in
-    cosines: Radford et al. 2021. `zipf.agents.hindsight` has a loss for it.
+    cosines: Radford et al. 2021; a map of them as the policy's input: Jiang and Lu 2024 (COPL,
+    arXiv 2408.01942). `zipf.agents.hindsight` has a loss for it.
 
     Attributes:
         centres: of the places, float32 [P, 2]: down and to the right, in sides of the image.

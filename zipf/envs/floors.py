@@ -199,7 +199,8 @@ class _Search:
 
     def _used(self) -> float:
         """The share of the time that has passed."""
-        return (time.monotonic() - self.began) / self.seconds
+        passed = time.monotonic() - self.began
+        return passed / self.seconds if self.seconds else math.inf
 
     def _seeds(self, count: int) -> list[int]:
         return self.rng.integers(SEARCHED, 2 * SEARCHED, size=count).tolist()
