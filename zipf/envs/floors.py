@@ -187,7 +187,7 @@ class _Search:
 
     def run(self, known: Sequence[str]) -> list[str]:
         count = self.arena.count
-        self._try([*(self.arena.own or {}), *known])
+        self._try([*(self.arena.own or {}), *known], share=math.inf)
         self._try([_actions([(one, 1)]) for one in self.rng.permutation(count).tolist()])
         alone = sorted(range(count), key=lambda one: -self.tried.get(_actions([(one, 1)]), -1e9))
         survivors = alone[:SURVIVORS]
@@ -205,16 +205,17 @@ class _Search:
     def _seeds(self, count: int) -> list[int]:
         return self.rng.integers(SEARCHED, 2 * SEARCHED, size=count).tolist()
 
-    def _try(self, texts: Sequence[str]) -> None:
+    def _try(self, texts: Sequence[str], share: float = SHARES[2]) -> None:
+        """Plays policies, until this share of the time has passed."""
         new = [text for text in dict.fromkeys(texts) if text not in self.tried]
         for first in range(0, len(new), self.batch):
+            if self._used() > share:
+                return
             part = new[first : first + self.batch]
             for text, of_policy in zip(
                 part, self.arena.returns(part, self._seeds(self.episodes)), strict=True
             ):
                 self.tried[text] = float(of_policy.mean())
-            if self._used() > SHARES[2]:
-                return
 
     def _try_until(self, share: float, texts: Iterator[str]) -> None:
         while self._used() < share:
