@@ -79,6 +79,18 @@ def test_how_worlds_are_stepped_is_not_recorded(tmp_path):
     assert not {"copy", "render_mode"} & environment.keys()
 
 
+def test_a_record_of_before_the_further_kinds_goes_on(tmp_path):
+    recorded(tmp_path, 1000)
+    described = json.loads((tmp_path / "run.json").read_text())
+    described["levels"] = described["levels"][:3]
+    for name in ("gridworld/validation", "gridworld/fresh"):
+        del described["external"]["geometry"][name]
+    (tmp_path / "run.json").write_text(json.dumps(described))
+    recorded(tmp_path, 2000)
+    run = results.load_run(tmp_path)
+    assert [one.level_kind for one in run.description.levels] == [*envs.KINDS]
+
+
 def test_several_records_are_a_curve(tmp_path):
     for frames in (1000, 3000, 2000):
         recorded(tmp_path, frames)

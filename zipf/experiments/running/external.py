@@ -96,7 +96,10 @@ def record(
             here: a count that is not whole or negative, an empty name. Nothing is played then.
         zipf.experiments.errors.UserError: the folder holds another run, or cannot be written.
     """
-    from zipf.experiments.running.run_folder import describe_levels  # imports PyTorch
+    from zipf.experiments.running.run_folder import (  # imports PyTorch
+        describe_levels,
+        with_further_kinds,
+    )
 
     split = as_split(split)
     check_options(level_options)
@@ -132,8 +135,11 @@ def record(
         "recorded": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
     description = _as_json(given)
-    levels = _recorded_levels(folder, description)
-    description["levels"] = levels or describe_levels(split, level_options)
+    levels = _recorded_levels(folder, description, split)
+    if levels:
+        description["levels"] = with_further_kinds(levels, split, dict(level_options))
+    else:
+        description["levels"] = describe_levels(split, level_options)
     try:
         RunDescription.model_validate_json(json.dumps(description))
     except ValidationError as error:
@@ -223,8 +229,11 @@ def _version(library: str) -> str | None:
     return getattr(sys.modules.get(library), "__version__", None)
 
 
-def _recorded_levels(folder: Path, description: Mapping[str, Any]) -> list[dict[str, Any]] | None:
+def _recorded_levels(
+    folder: Path, description: Mapping[str, Any], split: envs.Split
+) -> list[dict[str, Any]] | None:
     """The levels as an earlier record of the same agent described them; None where there is none.
+    The split may have levels of further kinds since.
 
     Raises:
         UserError: the folder belongs to something else.
@@ -240,12 +249,16 @@ def _recorded_levels(folder: Path, description: Mapping[str, Any]) -> list[dict[
         there = json.loads(path.read_text(encoding="utf-8"))
         if not there["external"]:
             raise UserError(ours)
-        differing = [
-            f"{key} {there[key]} there, {description[key]} here"
-            for key in same
-            if there[key] != description[key]
-        ]
         levels = there["levels"]
+        kinds = {one["level_kind"] for one in levels}
+        new = {one.name for kind in split.kinds if kind not in kinds for one in split.levels(kind)}
+        new -= {one["level"] for one in levels}
+        worlds = description["external"]["geometry"].items()
+        external = {"geometry": {name: one for name, one in worlds if name not in new}}
+        here = {**description, "external": {**description["external"], **external}}
+        differing = [
+            f"{key} {there[key]} there, {here[key]} here" for key in same if there[key] != here[key]
+        ]
     except (OSError, ValueError, KeyError, TypeError):
         raise UserError(f"{path}: is not a run's description; choose another folder") from None
     if differing:

@@ -196,7 +196,11 @@ def write_description(
 
 
 def describe_levels(
-    split: envs.Split, options: dict[str, Any], *, chance_episodes: int = 0
+    split: envs.Split,
+    options: dict[str, Any],
+    *,
+    chance_episodes: int = 0,
+    kinds: Collection[str] | None = None,
 ) -> list[dict[str, Any]]:
     """The levels of a run, each with its weight and the scores of those references that are known,
     as `LevelDescription` reads them.
@@ -204,9 +208,10 @@ def describe_levels(
     Args:
         options: constructor options of the levels.
         chance_episodes: measure chance over so many episodes where it is not known; 0: do not.
+        kinds: of levels; None: all that the split has.
     """
     described = []
-    for kind in split.kinds:
+    for kind in split.kinds if kinds is None else kinds:
         for level in split.levels(kind):
             references = {}
             for one in envs.REFERENCES:
@@ -232,9 +237,8 @@ def with_further_kinds(
 ) -> list[dict[str, Any]]:
     """The levels of a run, and those of the kinds that its split did not have when it began."""
     kinds = {one["level_kind"] for one in described}
-    return described + [
-        one for one in describe_levels(split, options) if one["level_kind"] not in kinds
-    ]
+    new = [kind for kind in split.kinds if kind not in kinds]
+    return described + describe_levels(split, options, kinds=new)
 
 
 def _described(level: envs.SplitLevel, known: envs.ReferenceScore) -> dict[str, Any]:
