@@ -42,22 +42,30 @@ LEVELS: Mapping[str, Sequence[str]] = {
 """Levels of each family; one that draws others has the mean of theirs."""
 
 
-def to_measure(family: str) -> Measured:
-    """Levels, and the constructor options that are not the family's defaults: none, and those of
-    the experiments with the family's worlds."""
-    found: list[tuple[str, Mapping[str, Any]]] = [(level, {}) for level in LEVELS[family]]
+def experiments_of(family: str) -> list[tuple[envs.Split, Mapping[str, Any]]]:
+    """For each experiment with the family's worlds its split, and the constructor options that are
+    not the family's defaults."""
+    found = []
     own = envs.find_family(family)
     defaults = own.options_class().model_dump(exclude=set(own.appearance))
     for experiment in command_line.choices("experiment"):
         worlds = composing.composed(f"experiment={experiment}").values["environment"]
         split = envs.split(worlds["split"])
-        if envs.family_of_split(split.name) is not own:
-            continue
-        others = {
-            key: worlds[key]
-            for key, value in defaults.items()
-            if key in worlds and worlds[key] != value
-        }
+        if envs.family_of_split(split.name) is own:
+            others = {
+                key: worlds[key]
+                for key, value in defaults.items()
+                if key in worlds and worlds[key] != value
+            }
+            found.append((split, others))
+    return found
+
+
+def to_measure(family: str) -> Measured:
+    """Levels, and the constructor options that are not the family's defaults: none, and those of
+    the experiments with the family's worlds."""
+    found: list[tuple[str, Mapping[str, Any]]] = [(level, {}) for level in LEVELS[family]]
+    for split, others in experiments_of(family):
         if others:
             levels = {one.name.removeprefix(f"{family}/"): others for one in split.all_levels}
             found += [one for one in levels.items() if one not in found]

@@ -24,12 +24,11 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from measure_references import RESULTS, write_figure
+from measure_references import RESULTS, experiments_of, write_figure
 from tables import markdown
 
 from zipf import envs
 from zipf.envs import floors
-from zipf.experiments import command_line, composing
 from zipf.experiments.running.run_folder import commit
 from zipf.references import says_little
 
@@ -44,24 +43,12 @@ Task = tuple[str, str, dict[str, Any]]
 def tasks(family: str) -> list[Task]:
     """Family, level and options of everything that is searched: each level that a split uses, with
     the defaults and with the options of each experiment."""
-    own = envs.find_family(family)
-    defaults = own.options_class().model_dump(exclude=set(own.appearance))
-    found: list[Task] = []
-    for split in own.splits:
-        for level in split.all_levels:
-            found.append((family, level.name.partition("/")[2], {**level.options}))
-    for experiment in command_line.choices("experiment"):
-        chosen = composing.composed(f"experiment={experiment}").values["environment"]
-        split = envs.split(chosen["split"])
-        if envs.family_of_split(split.name) is own:
-            others = {
-                name: chosen[name]
-                for name, value in defaults.items()
-                if name in chosen and chosen[name] != value
-            }
-            for level in split.all_levels:
-                name = level.name.partition("/")[2]
-                found.append((family, name, {**others, **level.options}))
+    plain = [(split, {}) for split in envs.find_family(family).splits]
+    found: list[Task] = [
+        (family, level.name.partition("/")[2], {**options, **level.options})
+        for split, options in [*plain, *experiments_of(family)]
+        for level in split.all_levels
+    ]
     return [task for place, task in enumerate(found) if task not in found[:place]]
 
 
@@ -175,8 +162,8 @@ def _with(
     here = _here(table, task)
     rows += table[here].to_dict("records")  # type: ignore[arg-type]
     # Of a policy that was measured before, the figure of more episodes counts.
-    known = pd.DataFrame(rows).sort_values("episodes", ascending=False, kind="stable")
-    best_first = known.drop_duplicates("policy").sort_values(
+    every = pd.DataFrame(rows).sort_values("episodes", ascending=False, kind="stable")
+    best_first = every.drop_duplicates("policy").sort_values(
         "score", ascending=False, kind="stable"
     )
     kept = best_first.head(floors.KEPT)

@@ -1,5 +1,6 @@
 """Zipf's Playroom: do as an instruction says with one of 50 toys, seen in the first person."""
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -30,6 +31,37 @@ class PlayroomOptions(Options):
     near_failure: bool = False  # paper: "reward is also given if the correct object is placed near"
 
 
+_PAPER_SPLITS = (
+    Split(
+        "playroom_lift",
+        "playroom/lift/lift_shape_zipf3",
+        "playroom/lift/lift_shape_uniform",
+        "playroom/lift/lift_shape_uniform_rare",
+        paper="playroom_lifting",
+        validation="playroom/lift/lift_shape_validation",
+    ),
+    Split(
+        "playroom_put",
+        (
+            "playroom/put/lift_shape_zipf2",
+            "playroom/put/put_near_bed_tray_frequent",
+            "playroom/put/put_on_bed_tray_frequent",
+        ),
+        "playroom/put/put_on_bed_tray_all",
+        "playroom/put/put_on_bed_tray_rare",
+        paper="playroom_putting",
+        validation="playroom/put/put_on_bed_tray_validation",
+    ),
+    Split(
+        "playroom_find",
+        "playroom/supervised/find_shape_zipf3",
+        "playroom/supervised/find_shape_uniform",
+        "playroom/supervised/find_shape_uniform_rare",
+        paper="playroom_finding",
+        validation="playroom/supervised/find_shape_validation",
+    ),
+)
+
 FAMILY = Family(
     name="playroom",
     summary="lift, put or find the named one of 50 toys, in the first person",
@@ -38,63 +70,11 @@ FAMILY = Family(
     check="zipf.envs.playroom.levels:by_name",
     options=PlayroomOptions,
     splits=(
-        Split(
-            "playroom_lift",
-            "playroom/lift/lift_shape_zipf3",
-            "playroom/lift/lift_shape_uniform",
-            "playroom/lift/lift_shape_uniform_rare",
-            paper="playroom_lifting",
-            validation="playroom/lift/lift_shape_validation",
-        ),
-        Split(
-            "playroom_put",
-            (
-                "playroom/put/lift_shape_zipf2",
-                "playroom/put/put_near_bed_tray_frequent",
-                "playroom/put/put_on_bed_tray_frequent",
-            ),
-            "playroom/put/put_on_bed_tray_all",
-            "playroom/put/put_on_bed_tray_rare",
-            paper="playroom_putting",
-            validation="playroom/put/put_on_bed_tray_validation",
-        ),
-        Split(
-            "playroom_find",
-            "playroom/supervised/find_shape_zipf3",
-            "playroom/supervised/find_shape_uniform",
-            "playroom/supervised/find_shape_uniform_rare",
-            paper="playroom_finding",
-            validation="playroom/supervised/find_shape_validation",
-        ),
+        *_PAPER_SPLITS,
         # Ours: uniform training, the paper's point of comparison.
         *(
-            Split(
-                f"playroom_{task}_uniform",
-                f"playroom/{uniform}",
-                f"playroom/{uniform}",
-                f"playroom/{rare}",
-                validation=f"playroom/{validation}",
-            )
-            for task, uniform, rare, validation in (
-                (
-                    "lift",
-                    "lift/lift_shape_uniform",
-                    "lift/lift_shape_uniform_rare",
-                    "lift/lift_shape_validation",
-                ),
-                (
-                    "put",
-                    "put/put_on_bed_tray_all",
-                    "put/put_on_bed_tray_rare",
-                    "put/put_on_bed_tray_validation",
-                ),
-                (
-                    "find",
-                    "supervised/find_shape_uniform",
-                    "supervised/find_shape_uniform_rare",
-                    "supervised/find_shape_validation",
-                ),
-            )
+            replace(split, name=f"{split.name}_uniform", train=split.uniform, paper=None)
+            for split in _PAPER_SPLITS
         ),
     ),
     make="zipf.envs.playroom.single:PlayroomEnv",
