@@ -7,8 +7,8 @@ from typing import get_args
 
 from tables import code, described, markdown
 
-from zipf.experiments import command_line, composing
-from zipf.experiments.config import schema
+from zipf.experiments.options import command_line, composing
+from zipf.experiments.options.schema import schema
 from zipf.options import Options, name_of
 
 CONFIGS = Path(__file__).parent.parent / "configs"

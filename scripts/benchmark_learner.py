@@ -48,12 +48,12 @@ from zipf.agents.image_networks import ResNet
 from zipf.agents.impala import Impala
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
-from zipf.experiments import command_line
-from zipf.experiments.config import find_device
-from zipf.experiments.running import run_folder
-from zipf.experiments.running.allocator import keep_freed_ram
-from zipf.experiments.running.factory import build_agent
-from zipf.experiments.running.runner import Run
+from zipf.experiments.building import run_folder
+from zipf.experiments.building.factory import build_agent
+from zipf.experiments.options import command_line
+from zipf.experiments.options.schema import find_device
+from zipf.experiments.training.allocator import keep_freed_ram
+from zipf.experiments.training.runner import Run
 
 Speeds = dict[int, list[float]]
 

@@ -27,11 +27,11 @@ from rich.console import Console
 from rich.table import Table
 
 from zipf import envs
-from zipf.experiments import command_line
-from zipf.experiments.running import run_folder
-from zipf.experiments.running.checkpoint import arrays, tensors
-from zipf.experiments.running.factory import build_agent, build_collector
-from zipf.experiments.running.runner import Run
+from zipf.experiments.building import run_folder
+from zipf.experiments.building.checkpoint import arrays, tensors
+from zipf.experiments.building.factory import build_agent, build_collector
+from zipf.experiments.options import command_line
+from zipf.experiments.training.runner import Run
 
 EXPERIMENTS = ("gridworld_compact", "gridworld", "playroom_lift")
 STEPS = 4  # of a shortened unroll, whose bytes are those of as many rows

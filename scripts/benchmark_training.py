@@ -63,7 +63,7 @@ class Task:
 
 def task_of(experiment: str) -> Task:
     from zipf import envs
-    from zipf.experiments import command_line
+    from zipf.experiments.options import command_line
 
     config = command_line.load([f"experiment={experiment}", "memory=mlp"])
     return Task(
@@ -105,10 +105,10 @@ def trunk(task: Task, space: Any) -> Any:
 
 
 def train_zipf(experiment: str, pause: turns.Pause, *overrides: str) -> None:
-    from zipf.experiments import command_line
-    from zipf.experiments.running import run_folder
-    from zipf.experiments.running.allocator import keep_freed_ram
-    from zipf.experiments.running.runner import Run
+    from zipf.experiments.building import run_folder
+    from zipf.experiments.options import command_line
+    from zipf.experiments.training.allocator import keep_freed_ram
+    from zipf.experiments.training.runner import Run
 
     keep_freed_ram()
     with tempfile.TemporaryDirectory() as folder:

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from zipf.envs import distributions, reference, split
 from zipf.envs.splits import PAPER_KINDS
-from zipf.experiments.reporting.results import Run, load_runs
+from zipf.experiments.records.results import Run, load_runs
+from zipf.experiments.records.wording import KIND_NAMES
 from zipf.experiments.reporting.statistics import wilson_interval
-from zipf.experiments.reporting.wording import KIND_NAMES
 
 ROOT = Path(__file__).parent.parent
 

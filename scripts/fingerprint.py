@@ -1,3 +1,4 @@
+# ruff: noqa: E501
 """What a checkout computes, as digests: to compare two checkouts on one machine, bit for bit.
 
     PYTHONPATH=<checkout> python scripts/fingerprint.py --write before.json

@@ -18,8 +18,8 @@ from zipf import envs
 from zipf.envs.gridworld import kernels
 from zipf.envs.gridworld.maps import VIEW
 from zipf.envs.gridworld.vector import GridworldVectorEnv
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.trained import load_agent
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.trained import load_agent
 
 
 def main() -> None:

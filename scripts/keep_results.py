@@ -20,9 +20,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from zipf.experiments.errors import TOLD, UserError, tell
-from zipf.experiments.reporting import checksums
-from zipf.experiments.reporting.results import load_run
+from zipf.errors import TOLD, UserError, tell
+from zipf.experiments.records import checksums
+from zipf.experiments.records.results import load_run
 
 RESULTS = Path(__file__).parent.parent / "results"
 

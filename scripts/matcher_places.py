@@ -26,7 +26,7 @@ from zipf.envs.playroom.in_view import look
 from zipf.envs.playroom.state import AX, AY, PITCH, YAW, X, Y, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.playroom.view import FIELD_OF_VIEW
-from zipf.experiments.running.trained import load_agent
+from zipf.experiments.evaluation.trained import load_agent
 
 _GROUPS = [0, 1, 2, 5, 10, 20, 40, 50]  # ours: first ranks of the rows
 _BATCH = 250

@@ -25,8 +25,8 @@ from zipf.envs.episodes import measure
 from zipf.envs.gridworld import FAMILY as GRIDWORLD
 from zipf.envs.labyrinth.levels import LEVELS as TASKS
 from zipf.envs.playroom.levels import LEVELS as PLAYROOM
-from zipf.experiments import command_line, composing
-from zipf.experiments.running.run_folder import commit
+from zipf.experiments.building.run_folder import commit
+from zipf.experiments.options import command_line, composing
 
 RESULTS = Path(__file__).parent.parent / "results"
 NUM_ENVS = 100

@@ -17,8 +17,8 @@ import pandas as pd
 import yaml
 
 from zipf import envs
-from zipf.experiments.reporting import checksums
-from zipf.experiments.running.run_folder import describe_levels
+from zipf.experiments.building.run_folder import describe_levels
+from zipf.experiments.records import checksums
 
 RESULTS = Path(__file__).parent.parent / "results"
 

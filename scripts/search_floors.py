@@ -29,7 +29,7 @@ from tables import markdown
 
 from zipf import envs
 from zipf.envs import floors
-from zipf.experiments.running.run_folder import commit
+from zipf.experiments.building.run_folder import commit
 from zipf.references import says_little
 
 TABLE = RESULTS / "floors.csv"

@@ -47,10 +47,10 @@ import pandas as pd
 import torch
 import yaml
 
-from zipf.experiments import command_line
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import checkpoint, runner  # noqa: F401 (imported before forking)
-from zipf.experiments.settings import flatten
+from zipf.errors import UserError
+from zipf.experiments.building import checkpoint
+from zipf.experiments.options import command_line
+from zipf.experiments.records.learned_options import flatten
 
 SMALL = [
     "device=cpu",

@@ -9,17 +9,17 @@ from tables import code, markdown
 
 from zipf import envs
 from zipf.envs.splits import PAPER_KINDS
-from zipf.experiments import composing
-from zipf.experiments.reporting.paper import paper_table
-from zipf.experiments.reporting.results import load_runs
+from zipf.experiments.building.run_folder import describe_levels, mean_of_levels
+from zipf.experiments.options import composing
+from zipf.experiments.records.paper import paper_table
+from zipf.experiments.records.results import load_runs
+from zipf.experiments.records.wording import KIND_NAMES, NONE, count_text, score_text
 from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.seed_statistics import (
     bootstrap_of_situations,
     success_by_situation,
 )
 from zipf.experiments.reporting.tables import ScoreTable, score_tables
-from zipf.experiments.reporting.wording import KIND_NAMES, NONE, count_text, score_text
-from zipf.experiments.running.run_folder import describe_levels, mean_of_levels
 from zipf.references import REFERENCES
 
 RESULTS = Path(__file__).parent.parent / "results"

@@ -23,7 +23,7 @@ import tail_table
 from tables import code, markdown
 
 from zipf import envs
-from zipf.experiments import catalogue, command_line, composing
+from zipf.experiments.options import catalogue, command_line, composing
 
 ROOT = Path(__file__).parent.parent
 MARKS = re.compile(

@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDict
 
 from zipf.agents.unroll import Unroll
-from zipf.experiments.running import checkpoint
+from zipf.experiments.building import checkpoint
 
 PACKAGE = Path(__file__).parent.parent
 ANNOUNCED = "zipf: compiling the environments: a minute or so, once\n"

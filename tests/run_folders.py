@@ -12,8 +12,9 @@ import pytest
 import yaml
 
 from zipf import envs, report
-from zipf.experiments import command_line, composing
-from zipf.experiments.reporting import checksums, results, tables, windows
+from zipf.experiments.options import command_line, composing
+from zipf.experiments.records import checksums, results
+from zipf.experiments.reporting import tables, windows
 
 CHANCE = {"train": 0.0324, "uniform": 0.0477, "rare": 0.0859}
 EVALUATIONS = "update,frames,seconds,level_kind,level,episodes,score,success,return,length"

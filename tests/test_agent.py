@@ -19,8 +19,8 @@ from zipf.agents.episodic import DictionaryOptions
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
-from zipf.experiments.composing import CONFIG_DIR
-from zipf.experiments.running.collector import Collector
+from zipf.experiments.options.composing import CONFIG_DIR
+from zipf.experiments.training.collector import Collector
 from zipf.options import Options
 
 ACTIONS, WORLDS, STEPS = 2, 4, 5

@@ -13,8 +13,8 @@ from zipf.agents.hindsight import AchievedOptions
 from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.players import Teacher
 from zipf.envs.playroom.actions import ACTIONS, TURN_LEFT, TURN_RIGHT
-from zipf.experiments.augmentation import Augmentation, RandomAugmentationOptions
-from zipf.experiments.running.collector import Collector
+from zipf.experiments.options.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.training.collector import Collector
 
 IMAGE = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (6, 8, 3), np.uint8))
 DECLARED = [family for family in envs.families().values() if family.symmetries is not None]

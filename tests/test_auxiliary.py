@@ -42,9 +42,10 @@ from zipf.agents.network import ActorCritic, Inputs
 from zipf.agents.network_options import ResNetOptions, ShallowOptions
 from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import VMPO, VMPOOptions
-from zipf.experiments import command_line
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import checkpoint, runner
+from zipf.errors import UserError
+from zipf.experiments.building import checkpoint
+from zipf.experiments.options import command_line
+from zipf.experiments.training import runner
 
 ACTIONS, STEPS, BATCH, WORDS, LENGTH = 3, 7, 4, 6, 5
 COMPACT = compact(patch=None, channels=8, size=16, head_size=0)

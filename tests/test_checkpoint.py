@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import checkpoint
+from zipf.errors import UserError
+from zipf.experiments.building import checkpoint
 
 STATE = {
     "update": 3,
@@ -77,7 +77,7 @@ PEAKS = """
 import resource, sys
 import torch
 from pathlib import Path
-from zipf.experiments.running import checkpoint
+from zipf.experiments.building import checkpoint
 
 path = Path(sys.argv[1])
 peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -104,8 +104,8 @@ def test_no_copy_is_made_of_what_is_saved_or_loaded(tmp_path):
 FULL_DISK = """
 import resource, sys
 from pathlib import Path
-from zipf.experiments.running import checkpoint
-from zipf.experiments.errors import UserError
+from zipf.experiments.building import checkpoint
+from zipf.errors import UserError
 
 path = Path(sys.argv[1])
 checkpoint.save(path, {"update": 1})

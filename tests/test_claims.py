@@ -12,8 +12,9 @@ from pydantic import TypeAdapter, ValidationError
 from run_folders import constant, write_run
 
 from zipf import envs
-from zipf.experiments import command_line
-from zipf.experiments.reporting import claims, markdown, paper, results, tables
+from zipf.experiments.options import command_line
+from zipf.experiments.records import paper, results
+from zipf.experiments.reporting import claims, markdown, tables
 from zipf.experiments.reporting.claim_results import (
     CLAIM_COLUMNS,
     check_claims,

@@ -18,7 +18,8 @@ from pages import BLOCKS, PAGES, PLACEHOLDER, ROOT, TEXT, Block, command, comman
 from ray.scripts import scripts
 from torch.distributed import run as torchrun
 
-from zipf.experiments import command_line, sweeps
+from zipf.experiments.options import command_line
+from zipf.experiments.sweeping import sweeps
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 COMMANDS = {"zipf.train", "zipf.evaluate", "zipf.play", "zipf.report"}

@@ -15,9 +15,9 @@ from zipf import envs
 from zipf.agents.exploration import CountBonus, CountOptions, FirstVisitBonus, FirstVisitOptions
 from zipf.agents.network import Inputs
 from zipf.envs.mixture import Mixture
-from zipf.experiments import command_line
-from zipf.experiments.running.collector import Collector, soft_asymmetric
-from zipf.experiments.running.factory import build_agent
+from zipf.experiments.building.factory import build_agent
+from zipf.experiments.options import command_line
+from zipf.experiments.training.collector import Collector, soft_asymmetric
 
 WORLDS, STEPS = 6, 9
 SMALL = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5, "max_steps": 7}

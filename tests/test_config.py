@@ -14,8 +14,10 @@ from zipf.agents import Agent
 from zipf.agents.encoders import Encoder
 from zipf.agents.impala import Impala
 from zipf.envs.gridworld import GridworldOptions
-from zipf.experiments import command_line, composing, config, feasibility, sweeps
-from zipf.experiments.errors import UserError
+from zipf.errors import UserError
+from zipf.experiments.building import feasibility
+from zipf.experiments.options import command_line, composing, schema
+from zipf.experiments.sweeping import sweeps
 
 EXPERIMENTS = command_line.choices("experiment")
 GROUPS = [group for group in command_line.parts() if group != "agent"]
@@ -44,7 +46,7 @@ def test_every_choice_goes_with_every_kind_of_worlds(experiment, group, choice):
 
 def test_every_condition_says_how_tables_show_it():
     files = [composing.condition_file(name) for name in CONDITIONS_OF_TABLES]
-    rows = [config.RowOptions(**file["row"]) for file in files]
+    rows = [schema.RowOptions(**file["row"]) for file in files]
     assert len({row.title for row in rows}) == len({row.order for row in rows}) == len(rows)
     assert len({(row.colour, row.line) for row in rows}) == len(rows)
 
@@ -317,7 +319,7 @@ MISTAKES = [
 @pytest.mark.parametrize("has", [True, False])
 def test_automatic_precision_is_what_the_device_computes_fast(has, monkeypatch):
     """In the checked options, which is what files tell, and only where it was asked for."""
-    monkeypatch.setattr(config, "has_bfloat16", lambda device: has and device == "cpu")
+    monkeypatch.setattr(schema, "has_bfloat16", lambda device: has and device == "cpu")
     overrides = ["experiment=playroom_lift_compact", "device=cpu"]
     loaded = command_line.load(overrides)
     assert loaded.condition == "impala"
@@ -343,8 +345,8 @@ def test_automatic_precision_is_what_the_device_computes_fast(has, monkeypatch):
 def test_instructions_for_bfloat16_are_asked_for(capabilities, has, monkeypatch):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert config.has_bfloat16("cpu") == config.has_bfloat16("auto") == has
-    assert not config.has_bfloat16("cuda:0")
+    assert schema.has_bfloat16("cpu") == schema.has_bfloat16("auto") == has
+    assert not schema.has_bfloat16("cuda:0")
 
 
 @pytest.mark.parametrize(("overrides", "told"), MISTAKES, ids=[str(m[0]) for m in MISTAKES])

@@ -30,11 +30,11 @@ from zipf.agents.critics import (
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.returns import lambda_returns, unrescale, vtrace
-from zipf.experiments import command_line
-from zipf.experiments.errors import UserError
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import play
+from zipf.errors import UserError
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.options import command_line
+from zipf.experiments.training.collector import Collector
 
 ACTIONS = 3
 SPACES = (

@@ -8,8 +8,9 @@ from conftest import TINY, assert_equal
 from worlds_of import cheapest_pairs
 
 from zipf.agents import agents
-from zipf.experiments import command_line
-from zipf.experiments.running import checkpoint, runner
+from zipf.experiments.building import checkpoint
+from zipf.experiments.options import command_line
+from zipf.experiments.training import runner
 
 CUDA = "cuda"
 SMALL = {  # what is not small enough in an agent's file, and what it cannot do

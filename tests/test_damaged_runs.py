@@ -6,10 +6,10 @@ import shutil
 import pytest
 from conftest import TINY, contents
 
-from zipf.experiments import command_line
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import logger, runner
-from zipf.experiments.running.result_table import ResultTable
+from zipf.errors import UserError
+from zipf.experiments.options import command_line
+from zipf.experiments.records.result_table import ResultTable
+from zipf.experiments.training import logger, runner
 
 
 def edit(old: bytes, new: bytes):

@@ -27,7 +27,7 @@ from zipf.agents.episodic.familiarity import alike, augment, contrastive_losses
 from zipf.agents.episodic.recorder import Rows
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs
-from zipf.experiments.running.collector import Collector
+from zipf.experiments.training.collector import Collector
 
 ACTIONS, STEPS, BATCH, SIZE = 3, 6, 4, 16
 SPACE = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8))

@@ -11,8 +11,8 @@ import pytest
 from zipf import envs, evaluate
 from zipf.envs import ZipfVectorEnv, pcg64
 from zipf.envs.gridworld.vector import GridworldVectorEnv
-from zipf.experiments.running import evaluator, scoring
-from zipf.experiments.running.seeds import derive_seed
+from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.evaluation import evaluator, scoring
 
 SMALL = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
 

@@ -21,7 +21,7 @@ from zipf.agents.exploration import (
 from zipf.agents.impala import Impala
 from zipf.agents.memory import MLPOptions
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.running.collector import Collector
+from zipf.experiments.training.collector import Collector
 
 OPTIONS = CountOptions(name="count", scale=0.3, table_size=2**20)
 FIRST_VISIT = FirstVisitOptions(name="first_visit", scale=0.25)

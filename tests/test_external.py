@@ -9,10 +9,12 @@ import pandas as pd
 import pytest
 
 from zipf import envs, evaluate, play, report
-from zipf.experiments import command_line
-from zipf.experiments.errors import UserError
-from zipf.experiments.reporting import results
-from zipf.experiments.running import external, run_folder, runner
+from zipf.errors import UserError
+from zipf.experiments.building import run_folder
+from zipf.experiments.evaluation import external
+from zipf.experiments.options import command_line
+from zipf.experiments.records import results
+from zipf.experiments.training import runner
 
 DEMO = {"num_maps": 20, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 9}
 PLAY = {"episodes": 12, "num_envs": 6}
@@ -299,7 +301,7 @@ def test_a_checkpoint_of_other_options_is_no_agent_of_this_run(tmp_path, monkeyp
 def test_a_runs_agent_is_scored_by_its_folder(ours):
     scores = evaluate.score(ours, seed=3, **PLAY, **DEMO)
     config = run_folder.read_config(ours)
-    from zipf.experiments.running.trained import evaluate_agent, load_agent
+    from zipf.experiments.evaluation.trained import evaluate_agent, load_agent
 
     agent = load_agent(ours, "cpu").agent
     expected = evaluate_agent(config, agent, seed=3, **PLAY)

@@ -10,11 +10,11 @@ from run_folders import constant, level, only_table, write_run
 
 from zipf import envs, evaluate
 from zipf.envs.gridworld.maps import build_maps
-from zipf.experiments import command_line
+from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.evaluation import evaluator, scoring
+from zipf.experiments.options import command_line
 from zipf.experiments.reporting import markdown
-from zipf.experiments.running import evaluator, scoring
-from zipf.experiments.running.seeds import derive_seed
-from zipf.experiments.running.visits import Visits
+from zipf.experiments.training.visits import Visits
 
 SMALL = {"num_rooms": (2, 2), "num_objects": 5}
 
@@ -140,7 +140,8 @@ def test_a_table_has_the_further_kinds_and_a_dash_for_runs_of_before(tmp_path: P
 
 
 def test_a_run_of_before_resumes_and_is_scored_on_the_further_kinds(tmp_path: Path) -> None:
-    from zipf.experiments.running import run_folder, runner
+    from zipf.experiments.building import run_folder
+    from zipf.experiments.training import runner
 
     line = [
         *("experiment=demo", f"run_root={tmp_path}", "collector.num_envs=4", "memory.size=8"),

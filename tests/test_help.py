@@ -13,10 +13,11 @@ import zipf.play
 import zipf.report
 import zipf.train
 from zipf import envs
-from zipf.experiments import command_line, sweeps
-from zipf.experiments.config import EvaluateOptions
+from zipf.experiments.options import command_line
+from zipf.experiments.options.schema import EvaluateOptions
 from zipf.experiments.playing.playing import PlayOptions
 from zipf.experiments.reporting.windows import parse_window
+from zipf.experiments.sweeping import sweeps
 
 OPTIONS = {zipf.evaluate: EvaluateOptions, zipf.play: PlayOptions}
 """The commands that take `name=value`."""

@@ -27,14 +27,14 @@ from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.reweighting import InverseCountOptions
 from zipf.envs.players import Teacher
-from zipf.experiments import command_line
-from zipf.experiments.augmentation import Augmentation, RandomAugmentationOptions
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import hindsight, runner
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import play
-from zipf.experiments.running.goal_memory import GoalMemory
+from zipf.errors import UserError
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.options import command_line
+from zipf.experiments.options.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.training import relabelling, runner
+from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.goal_memory import GoalMemory
 
 WORLDS, STEPS = 12, 9
 OPTIONS = AchievedOptions(
@@ -84,7 +84,7 @@ def replayed(situation, actions, observation):
 @pytest.mark.parametrize("observation", ["tiles", "image"])
 def test_relabelled_episodes_are_those_that_ask_for_what_was_touched(observation, monkeypatch):
     """Exactly, in worlds in which that object is the target. Episodes span unrolls."""
-    monkeypatch.setattr(hindsight, "_FIRST_ROWS", 8)
+    monkeypatch.setattr(relabelling, "_FIRST_ROWS", 8)
     collector = collector_of(observation=observation)
     twin = envs.make_vec(LEVEL, WORLDS, observation=observation, max_steps=80)
     _, info = twin.reset(seed=0)

@@ -28,17 +28,16 @@ from run_folders import (
 )
 
 from zipf import report
-from zipf.experiments.errors import UserError
+from zipf.errors import UserError
+from zipf.experiments.records import results, video_files
 from zipf.experiments.reporting import (
     differences,
     frequencies,
     grids,
     html_learning,
     html_situations,
-    results,
     styles,
     tables,
-    videos,
 )
 from zipf.experiments.reporting.html import Cells, Section, Text, page, report_sections
 
@@ -136,7 +135,7 @@ def add_videos(folder: Path) -> None:
     (folder / "videos").mkdir()
     picture = Image.fromarray(np.zeros((8, 8, 3), np.uint8))
     picture.save(folder / "videos/rarest_success.gif")
-    video = videos.Video(
+    video = video_files.Video(
         file="rarest_success.gif",
         outcome="success",
         seed=31,
@@ -144,7 +143,7 @@ def add_videos(folder: Path) -> None:
         length=321,
         every=3,
     )
-    situation = videos.VideosOfSituation(
+    situation = video_files.VideosOfSituation(
         title="rarest situation",
         level="gridworld/uniform",
         ranks={"map": 19, "target": 18},
@@ -152,8 +151,8 @@ def add_videos(folder: Path) -> None:
         successes=200,
         videos=(video,),
     )
-    described = videos.Videos(update=300, situations=(situation,))
-    (folder / "videos" / videos.NAME).write_text(described.model_dump_json())
+    described = video_files.Videos(update=300, situations=(situation,))
+    (folder / "videos" / video_files.NAME).write_text(described.model_dump_json())
 
 
 # --- contents --------------------------------------------------------------------------------
@@ -369,7 +368,7 @@ def test_videos_are_in_the_page(written: tuple[Path, str]) -> None:
 def test_a_film_can_be_stopped(tmp_path: Path) -> None:
     folder = write_run(tmp_path, constant(0.5))
     add_videos(folder)
-    described = folder / "videos" / videos.NAME
+    described = folder / "videos" / video_files.NAME
     described.write_text(described.read_text().replace(".gif", ".mp4"))
     (folder / "videos/rarest_success.mp4").write_bytes(b"\0\0\0\x18ftypisom")
     (film,) = (given for tag, given in Page(made(tmp_path)).tags if tag == "video")
@@ -384,7 +383,7 @@ def test_videos_are_videos(tmp_path: Path) -> None:
     (folder / "videos/rarest_success.gif").write_text("#!/bin/sh")
     with pytest.raises(UserError, match=r"rarest_success\.gif: is no GIF file"):
         made(tmp_path)
-    described = folder / "videos" / videos.NAME
+    described = folder / "videos" / video_files.NAME
     described.write_text(described.read_text().replace("rarest_success", "../../secret"))
     with pytest.raises(UserError, match=r"videos\.json: is damaged \(situations\.0\.videos\.0"):
         made(tmp_path)

@@ -16,9 +16,9 @@ from zipf.agents.imitation import Imitation, ImitationOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.envs.players import Teacher
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import play
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.training.collector import Collector
 
 ACTIONS, STEPS, BATCH = 3, 6, 4
 OPTIONS = ImitationOptions(

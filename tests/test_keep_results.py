@@ -6,8 +6,8 @@ import keep_results
 import pytest
 from run_folders import constant, seal, write_run
 
-from zipf.experiments.errors import UserError
-from zipf.experiments.reporting.results import load_run
+from zipf.errors import UserError
+from zipf.experiments.records.results import load_run
 
 METRICS = "update,frames,seconds\n300,1228800,750.0\n"
 

@@ -20,10 +20,11 @@ from zipf.envs.labyrinth.dmlab import DmlabVectorEnv
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.evaluate import score
-from zipf.experiments import command_line, composing
-from zipf.experiments.config import Config
+from zipf.experiments.building import run_folder
+from zipf.experiments.options import command_line, composing
+from zipf.experiments.options.schema import Config
 from zipf.experiments.playing.playing import PlayOptions, play
-from zipf.experiments.running import run_folder, runner
+from zipf.experiments.training import runner
 
 Lab = fake_deepmind_lab.Lab
 SMALL: dict[str, Any] = {"backend": "dmlab", "image_size": (3, 4)}

@@ -24,11 +24,14 @@ from zipf.agents.agent import Setting, agents
 from zipf.agents.auxiliary import auxiliaries
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.unroll import Unroll
-from zipf.experiments import command_line
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import checkpoint, learners, runner, sweep
-from zipf.experiments.running.trained import load_agent
-from zipf.experiments.running.visits import Visits
+from zipf.errors import UserError
+from zipf.experiments.building import checkpoint
+from zipf.experiments.cluster import learners
+from zipf.experiments.evaluation.trained import load_agent
+from zipf.experiments.options import command_line
+from zipf.experiments.sweeping import sweep
+from zipf.experiments.training import runner
+from zipf.experiments.training.visits import Visits
 
 STEPS, BATCH, WORDS = 6, 4, 5
 TORCHRUN = ["runtime=torchrun", "runtime.learners=2"]
@@ -361,7 +364,7 @@ SPY = '''
 """What each process had at its end; and signals, at a step or an evaluation that the environment
 names."""
 import os, signal, time, torch
-from zipf.experiments.running import runner
+from zipf.experiments.training import runner
 
 RANK, STARTED = os.environ.get("RANK"), os.environ.get("TORCHELASTIC_RESTART_COUNT", "0")
 step, close = runner.Run.step, runner.Run.close

@@ -11,9 +11,9 @@ from networks import compact
 from zipf.agents import Setting, agents
 from zipf.agents.memory import MLPOptions
 from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import play
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.training.collector import Collector
 
 ADAM = {"adam_beta1": 0.9, "adam_beta2": 0.999, "adam_epsilon": 1e-8}
 OPTIONS = {

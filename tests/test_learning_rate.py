@@ -7,9 +7,9 @@ from conftest import TINY, assert_equal, learned
 from test_agent import NAMES, build, unrolls
 
 from zipf.agents.agent import Agent
-from zipf.experiments import command_line
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import runner
+from zipf.errors import UserError
+from zipf.experiments.options import command_line
+from zipf.experiments.training import runner
 
 
 def optimisers_of(agent):

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from zipf.experiments.errors import UserError
-from zipf.experiments.running.logger import Logger
-from zipf.experiments.running.result_table import ResultTable
+from zipf.errors import UserError
+from zipf.experiments.records.result_table import ResultTable
+from zipf.experiments.training.logger import Logger
 
 ROWS = [{"loss": 0.5}, {"loss": 0.25, "kl": 1.0}, {"kl": 2.0, "a, quoted": 3.0}, {"loss": 0.125}]
 

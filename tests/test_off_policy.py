@@ -15,8 +15,8 @@ from zipf.agents.network import Inputs
 from zipf.agents.network_options import CompactOptions
 from zipf.agents.returns import vtrace
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.overlap import Overlap
+from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.overlap import Overlap
 
 # The fixed point, exactly: a small Markov decision process whose every unroll is listed.
 

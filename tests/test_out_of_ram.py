@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from zipf.experiments.errors import UserError
-from zipf.experiments.running.out_of_ram import enough_ram
+from zipf.errors import UserError
+from zipf.experiments.building.out_of_ram import enough_ram
 
 
 def on_a_gpu():

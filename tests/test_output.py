@@ -12,9 +12,9 @@ import pytest
 from conftest import ANNOUNCED, PACKAGE, TINY
 from rich.console import Console
 
-from zipf.experiments.running import checkpoint
-from zipf.experiments.running.display import Display
-from zipf.experiments.running.signals import StopSignals
+from zipf.experiments.building import checkpoint
+from zipf.experiments.training.display import Display
+from zipf.experiments.training.signals import StopSignals
 
 TRAIN = [*TINY, "updates=6", "evaluation.every=1", "name=x"]
 

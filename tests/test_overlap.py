@@ -14,14 +14,15 @@ from conftest import TINY, assert_equal, learned, untimed
 from zipf import envs
 from zipf.agents.exploration import build_exploration
 from zipf.agents.unroll import Unroll
-from zipf.experiments import command_line
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import run_folder, runner
-from zipf.experiments.running.collector import Abandoned, Collector
-from zipf.experiments.running.factory import build_agent
-from zipf.experiments.running.overlap import Overlap
-from zipf.experiments.running.seeds import derive_seed
-from zipf.experiments.running.visits import Visits
+from zipf.errors import UserError
+from zipf.experiments.building import run_folder
+from zipf.experiments.building.factory import build_agent
+from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.options import command_line
+from zipf.experiments.training import runner
+from zipf.experiments.training.collector import Abandoned, Collector
+from zipf.experiments.training.overlap import Overlap
+from zipf.experiments.training.visits import Visits
 
 
 @pytest.fixture(autouse=True)

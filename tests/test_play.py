@@ -27,12 +27,12 @@ from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.envs.keyboard import LEAVE, NEXT, Binding, Keys, Toggle
 from zipf.envs.labyrinth import words
-from zipf.experiments import command_line
-from zipf.experiments.errors import UserError
+from zipf.errors import UserError
+from zipf.experiments.options import command_line
 from zipf.experiments.playing import playing, screens, sessions
 from zipf.experiments.playing.playing import PlayOptions
 from zipf.experiments.playing.recording import Recording
-from zipf.experiments.running import runner
+from zipf.experiments.training import runner
 
 PATIENCE = 120.0  # seconds, on a machine busy with other things
 FAMILIES = {
@@ -341,10 +341,10 @@ def test_a_run_plays_its_levels(run, level, played, tmp_path):
 
 
 def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
-    from zipf.experiments.running.agent_policy import AgentPolicy
-    from zipf.experiments.running.evaluator import play as score
-    from zipf.experiments.running.seeds import derive_seed
-    from zipf.experiments.running.trained import load_agent
+    from zipf.experiments.building.seeds import derive_seed
+    from zipf.experiments.evaluation.agent_policy import AgentPolicy
+    from zipf.experiments.evaluation.evaluator import play as score
+    from zipf.experiments.evaluation.trained import load_agent
 
     said = play(f"run={run}", "episodes=1", "seed=7", f"record={tmp_path}/out.gif")
     trained = load_agent(run, "cpu")

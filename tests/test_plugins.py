@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 from conftest import run
 
-from zipf.experiments import catalogue, command_line, composing
-from zipf.experiments.errors import UserError
+from zipf.errors import UserError
+from zipf.experiments.options import catalogue, command_line, composing
 
 WORLD = """
     from functools import partial

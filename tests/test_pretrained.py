@@ -12,9 +12,9 @@ from test_agent import NAMES, SPACE, build, unrolls
 from test_auxiliary import BYOL
 
 from zipf.agents.network import Torso
-from zipf.experiments import command_line
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import runner
+from zipf.errors import UserError
+from zipf.experiments.options import command_line
+from zipf.experiments.training import runner
 
 
 def networks_of(agent):

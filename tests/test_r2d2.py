@@ -23,14 +23,15 @@ from zipf.agents.network import Inputs
 from zipf.agents.r2d2 import R2D2, R2D2Options
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.unroll import Unroll
-from zipf.experiments import command_line, composing, feasibility
-from zipf.experiments.config import schema
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import checkpoint, run_folder, runner
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import play
-from zipf.experiments.running.trained import load_agent
+from zipf.errors import UserError
+from zipf.experiments.building import checkpoint, feasibility, run_folder
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.evaluation.trained import load_agent
+from zipf.experiments.options import command_line, composing
+from zipf.experiments.options.schema import schema
+from zipf.experiments.training import runner
+from zipf.experiments.training.collector import Collector
 
 ACTIONS, STEPS, WORLDS, BURN_IN = 3, 6, 4, 2
 OPTIONS = R2D2Options(

@@ -15,11 +15,12 @@ from conftest import PACKAGE, TINY, assert_equal, learned
 
 from zipf import envs
 from zipf.agents.agent import agents
-from zipf.experiments import command_line, runtime
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import run_folder, runner
-from zipf.experiments.running.factory import build_agent, build_collector
-from zipf.experiments.running.ray_actors import RayActors
+from zipf.errors import UserError
+from zipf.experiments.building import run_folder
+from zipf.experiments.building.factory import build_agent, build_collector
+from zipf.experiments.cluster.ray_actors import RayActors
+from zipf.experiments.options import command_line, runtime
+from zipf.experiments.training import runner
 
 OPTIONS = [*TINY, "exploration=none", "schedule.checkpoint_every=2", "name=row"]
 FRAMES = 6 * 5  # of an update

@@ -9,9 +9,9 @@ from zipf.agents.agent import Setting
 from zipf.agents.gtrxl import GTrXLOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import play
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.training.collector import Collector
 
 DELAY = 10
 IMPALA = ImpalaOptions(

@@ -16,7 +16,7 @@ from tensordict import NonTensorData, TensorDict
 from zipf.agents import free_space, replay
 from zipf.agents.priorities import PrioritySampler, SumTree
 from zipf.agents.replay import Replay
-from zipf.experiments.running import checkpoint
+from zipf.experiments.building import checkpoint
 
 ITEM = TensorDict(
     {

@@ -30,8 +30,9 @@ from run_folders import (
 )
 
 from zipf import envs
-from zipf.experiments.errors import UserError
-from zipf.experiments.reporting import captions, checksums, markdown, results, tables
+from zipf.errors import UserError
+from zipf.experiments.records import checksums, results
+from zipf.experiments.reporting import captions, markdown, tables
 
 
 def test_a_torn_last_line_is_left_out_and_noted(tmp_path: Path) -> None:

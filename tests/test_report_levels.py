@@ -26,7 +26,8 @@ from run_folders import (
 )
 
 from zipf import envs, report
-from zipf.experiments.reporting import captions, markdown, results, statistics, tables
+from zipf.experiments.records import results
+from zipf.experiments.reporting import captions, markdown, statistics, tables
 
 PUTTING = envs.split("playroom_put")
 LIFTING = envs.split("playroom_lift")

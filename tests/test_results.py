@@ -7,14 +7,14 @@ import pandas as pd
 import pytest
 
 from zipf import envs
-from zipf.experiments import command_line
+from zipf.experiments.building import run_folder
+from zipf.experiments.evaluation.evaluator import scores
+from zipf.experiments.evaluation.trained import evaluate_agent, load_agent
+from zipf.experiments.options import command_line
 from zipf.experiments.reporting import figures
 from zipf.experiments.reporting.claim_results import CLAIM_COLUMNS
 from zipf.experiments.reporting.scores import CSV_COLUMNS
 from zipf.experiments.reporting.seed_statistics import STATISTICS_COLUMNS
-from zipf.experiments.running import run_folder
-from zipf.experiments.running.evaluator import scores
-from zipf.experiments.running.trained import evaluate_agent, load_agent
 from zipf.report import report
 
 ROOT = Path(__file__).parent.parent

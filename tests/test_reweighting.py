@@ -23,11 +23,11 @@ from zipf.agents.reweighting import (
     build_reweighting,
 )
 from zipf.envs.players import Teacher
-from zipf.experiments import command_line
-from zipf.experiments.errors import UserError
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import play
+from zipf.errors import UserError
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.options import command_line
+from zipf.experiments.training.collector import Collector
 
 TABLE = {"table_size": 2**16}
 

@@ -10,7 +10,7 @@ import torch
 from conftest import assert_equal
 
 from zipf.agents.rnd import LARGEST_INPUT, RNDBonus, RNDOptions, Statistics
-from zipf.experiments.running import checkpoint
+from zipf.experiments.building import checkpoint
 
 OPTIONS = RNDOptions(
     name="rnd",

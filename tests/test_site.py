@@ -11,7 +11,7 @@ from mkdocs.exceptions import PluginError
 from pages import DOCS, ROOT
 
 from zipf import envs
-from zipf.experiments import command_line
+from zipf.experiments.options import command_line
 
 
 class Loader(yaml.SafeLoader):

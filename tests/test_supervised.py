@@ -22,10 +22,10 @@ from zipf.envs.playroom.first_frame import LEFT, RIGHT, FirstFrameVectorEnv
 from zipf.envs.playroom.generalist import Generalist
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.single import SingleWorld
-from zipf.experiments.augmentation import Augmentation, RandomAugmentationOptions
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import play
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.options.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.training.collector import Collector
 
 OPTIONS = SupervisedOptions(
     name="supervised",

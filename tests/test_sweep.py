@@ -14,12 +14,14 @@ from conftest import PACKAGE, TINY, command, contents
 from worlds_of import chosen, needs
 
 from zipf import envs, report
-from zipf.experiments import command_line, composing, sweeps
-from zipf.experiments.catalogue import help_text
-from zipf.experiments.errors import UserError
-from zipf.experiments.reporting.paper import paper_table
-from zipf.experiments.running import checkpoint, job, run_folder, runner, sweep
-from zipf.experiments.running.signals import SWEEP_PIPE, StopSignals
+from zipf.errors import UserError
+from zipf.experiments.building import checkpoint, run_folder
+from zipf.experiments.options import command_line, composing
+from zipf.experiments.options.catalogue import help_text
+from zipf.experiments.records.paper import paper_table
+from zipf.experiments.sweeping import job, sweep, sweeps
+from zipf.experiments.training import runner
+from zipf.experiments.training.signals import SWEEP_PIPE, StopSignals
 
 SWEEPS = composing.choices("sweep")
 

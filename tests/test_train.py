@@ -29,13 +29,14 @@ from worlds_of import cheapest_pairs
 
 import zipf.envs.family
 from zipf import envs, evaluate
-from zipf.experiments import command_line
-from zipf.experiments.config import EvaluateOptions
-from zipf.experiments.errors import UserError
-from zipf.experiments.running import checkpoint, run_folder, runner
-from zipf.experiments.running import trained as run_trained
-from zipf.experiments.running.factory import build_agent
-from zipf.experiments.running.trained import evaluate_run, load_agent
+from zipf.errors import UserError
+from zipf.experiments.building import checkpoint, run_folder
+from zipf.experiments.building.factory import build_agent
+from zipf.experiments.evaluation import trained as run_trained
+from zipf.experiments.evaluation.trained import evaluate_run, load_agent
+from zipf.experiments.options import command_line
+from zipf.experiments.options.schema import EvaluateOptions
+from zipf.experiments.training import runner
 
 
 def folder_of(arguments: list[str]) -> Path:
@@ -682,10 +683,10 @@ def test_what_cannot_be_compiled_is_one_line(trained, monkeypatch):
 
 FULL_DISK = """
 import resource, sys
-from zipf.experiments import command_line, composing
-from zipf.experiments.running import runner
-from zipf.experiments.config import EvaluateOptions
-from zipf.experiments.errors import UserError
+from zipf.experiments.options import command_line, composing
+from zipf.experiments.training import runner
+from zipf.experiments.options.schema import EvaluateOptions
+from zipf.errors import UserError
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))
 try:

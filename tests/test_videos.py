@@ -12,11 +12,11 @@ from PIL import Image, ImageSequence
 from run_folders import constant, refusal, write_external, write_run
 
 from zipf import envs, report
-from zipf.experiments import command_line
+from zipf.experiments.evaluation.trained import load_agent
+from zipf.experiments.options import command_line
 from zipf.experiments.playing import videos as recorder
-from zipf.experiments.reporting import videos
-from zipf.experiments.running import runner
-from zipf.experiments.running.trained import load_agent
+from zipf.experiments.records import video_files
+from zipf.experiments.training import runner
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_a_success_and_a_failure_of_both_situations(
 ) -> None:
     assert report.main([str(run), "--videos"]) == 0
     assert f"Wrote {(run / 'videos').as_posix()} (successes: " in capsys.readouterr().out
-    described = videos.read(run)
+    described = video_files.read(run)
     assert described is not None
     assert described.update == 1
     often, rare = described.situations

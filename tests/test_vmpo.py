@@ -15,9 +15,9 @@ from zipf.agents.agent import Setting
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.vmpo import SMALLEST_DUAL, VMPO, VMPOOptions, is_top, vmpo_losses
-from zipf.experiments import command_line, composing
-from zipf.experiments.running import checkpoint, run_folder
-from zipf.experiments.running.runner import Run
+from zipf.experiments.building import checkpoint, run_folder
+from zipf.experiments.options import command_line, composing
+from zipf.experiments.training.runner import Run
 
 ACTIONS, STEPS, BATCH = 3, 5, 5
 OPTIONS = VMPOOptions(

@@ -1,9 +1,9 @@
 """One room, three objects: two steps lead to any of them. Chance is a third."""
 
 from zipf import envs
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.collector import Collector
-from zipf.experiments.running.evaluator import play
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.training.collector import Collector
 
 WORLDS = {
     "num_maps": 1,

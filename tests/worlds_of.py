@@ -4,7 +4,7 @@ from functools import cache
 
 from zipf import envs
 from zipf.agents import agents
-from zipf.experiments import composing
+from zipf.experiments.options import composing
 
 
 @cache

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import zipf
-from zipf.experiments.errors import TOLD, UserError, tell
-from zipf.experiments.output import keep_going
-from zipf.experiments.running.external import record
-from zipf.experiments.running.scoring import Evaluation, geometry, score
+from zipf.errors import TOLD, UserError, tell
+from zipf.experiments.evaluation.external import record
+from zipf.experiments.evaluation.scoring import Evaluation, geometry, score
+from zipf.output import keep_going
 
 if TYPE_CHECKING:
-    from zipf.experiments.config import EvaluateOptions
-    from zipf.experiments.running.evaluator import Result, Watch
+    from zipf.experiments.evaluation.evaluator import Result, Watch
+    from zipf.experiments.options.schema import EvaluateOptions
 
 __all__ = ["Evaluation", "geometry", "main", "record", "score"]
 
@@ -72,11 +72,11 @@ def _evaluate(arguments: list[str]) -> None:
     # Here, because `score` needs none of these: they import PyTorch and TensorBoard.
     from rich.console import Console
 
-    from zipf.experiments.command_line import read_options
-    from zipf.experiments.config import EvaluateOptions, module_names
-    from zipf.experiments.running import run_folder
-    from zipf.experiments.running.logger import write_results
-    from zipf.experiments.running.trained import evaluate_run
+    from zipf.experiments.building import run_folder
+    from zipf.experiments.evaluation.trained import evaluate_run
+    from zipf.experiments.options.command_line import read_options
+    from zipf.experiments.options.schema import EvaluateOptions, module_names
+    from zipf.experiments.training.logger import write_results
 
     options = read_options(EvaluateOptions, arguments)
     if options.run is None or options.policy or options.split:
@@ -100,10 +100,10 @@ def _evaluate(arguments: list[str]) -> None:
 def _evaluate_script(options: EvaluateOptions) -> None:
     """Scores the player of `policy=`. Raises UserError for options that do not go together."""
     from zipf import envs
-    from zipf.experiments import composing
-    from zipf.experiments.config import module_names
-    from zipf.experiments.running import run_folder
-    from zipf.experiments.running.trained import evaluate_scripted
+    from zipf.experiments.building import run_folder
+    from zipf.experiments.evaluation.trained import evaluate_scripted
+    from zipf.experiments.options import composing
+    from zipf.experiments.options.schema import module_names
 
     scripts = " or ".join(f"policy={name}" for name in envs.SCRIPTED)
     if options.policy is None or options.split is None:
@@ -138,8 +138,8 @@ def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> No
     from rich.table import Column, Table
 
     from zipf import envs
-    from zipf.experiments.running import run_folder
-    from zipf.experiments.running.evaluator import scores
+    from zipf.experiments.building import run_folder
+    from zipf.experiments.evaluation.evaluator import scores
 
     by_kind = scores(results)
     table = Table("", *by_kind)

@@ -6,10 +6,10 @@ import signal
 import sys
 
 import zipf
-from zipf.experiments.command_line import read_options
-from zipf.experiments.errors import TOLD, tell
-from zipf.experiments.output import keep_going
+from zipf.errors import TOLD, tell
+from zipf.experiments.options.command_line import read_options
 from zipf.experiments.playing.playing import PlayOptions, play
+from zipf.output import keep_going
 
 __all__ = ["main"]
 

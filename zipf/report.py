@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import zipf
-from zipf.experiments.errors import TOLD, UserError, tell
-from zipf.experiments.output import keep_going
-from zipf.experiments.reporting.wording import PLOT_FORMATS, VIDEO_FORMATS, PlotFormat
+from zipf.errors import TOLD, UserError, tell
+from zipf.experiments.records.wording import PLOT_FORMATS, VIDEO_FORMATS, PlotFormat
+from zipf.output import keep_going
 
 if TYPE_CHECKING:
     from zipf.experiments.reporting.claim_results import ClaimLine
@@ -76,7 +76,8 @@ def report(
     """
     from rich.console import Console
 
-    from zipf.experiments.reporting import figures, latex, markdown, results, tables, terminal
+    from zipf.experiments.records import results
+    from zipf.experiments.reporting import figures, latex, markdown, tables, terminal
     from zipf.experiments.reporting.claim_results import check_claims, csv_claims
     from zipf.experiments.reporting.seed_statistics import (
         csv_statistics,
@@ -263,7 +264,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     try:
         if chosen.videos:
-            from zipf.experiments.config import module_names
+            from zipf.experiments.options.schema import module_names
             from zipf.experiments.playing.videos import record_videos
 
             _checked(chosen.window, chosen.html)

@@ -15,10 +15,12 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 import zipf
-from zipf.experiments import catalogue, command_line, composing, sweeps
-from zipf.experiments.errors import TOLD, UserError, tell
-from zipf.experiments.output import keep_going
-from zipf.experiments.running import learners, runner, sweep
+from zipf.errors import TOLD, UserError, tell
+from zipf.experiments.cluster import learners
+from zipf.experiments.options import catalogue, command_line, composing
+from zipf.experiments.sweeping import sweep, sweeps
+from zipf.experiments.training import runner
+from zipf.output import keep_going
 
 # For the help text in configs/train.yaml.
 OmegaConf.register_new_resolver("zipf_choices", catalogue.help_text, replace=True)

@@ -16,17 +16,17 @@ from pydantic import Field
 from zipf import envs
 from zipf.envs.keyboard import Keys
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments import composing
-from zipf.experiments.config import PositiveInt, Seed, module_names
-from zipf.experiments.errors import UserError
+from zipf.errors import UserError
+from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.evaluator import Policy
+from zipf.experiments.evaluation.scripted import ScriptedPolicy
+from zipf.experiments.evaluation.trained import Trained, load_agent
+from zipf.experiments.options import composing
+from zipf.experiments.options.schema import PositiveInt, Seed, module_names
 from zipf.experiments.playing.recording import Recording, check_recording, usual_fps
 from zipf.experiments.playing.screens import open_screen
 from zipf.experiments.playing.sessions import Session, Shows, World, has_image
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.evaluator import Policy
-from zipf.experiments.running.scripted import ScriptedPolicy
-from zipf.experiments.running.seeds import derive_seed
-from zipf.experiments.running.trained import Trained, load_agent
 from zipf.options import Options
 
 

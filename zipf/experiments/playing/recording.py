@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.errors import UserError
+from zipf.errors import UserError
 
 ENDINGS = (".gif", ".mp4")
 GIF_MAX_FPS = 50  # browsers play frames shorter than 1/50 s five times slower than meant

@@ -24,7 +24,7 @@ from PIL import Image
 
 from zipf.envs.keyboard import LEAVE
 from zipf.envs.window import open_display
-from zipf.experiments.errors import UserError
+from zipf.errors import UserError
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from zipf.envs.keyboard import LEAVE, NEXT, Keys
 from zipf.envs.vector import ZipfVectorEnv
+from zipf.experiments.evaluation.evaluator import Policy
 from zipf.experiments.playing.recording import Recording
 from zipf.experiments.playing.screens import Screen, Text, enlarge
-from zipf.experiments.running.evaluator import Policy
 
 _PAUSE = 1.0  # seconds on the last frame of an episode
 _LOW = 288  # pixels; pictures of a smaller height are enlarged

@@ -20,18 +20,18 @@ from numpy.typing import NDArray
 
 from zipf import envs
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.errors import UserError
+from zipf.errors import UserError
+from zipf.experiments.building.run_folder import agent_file
+from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
+from zipf.experiments.evaluation.trained import Trained, load_agent
 from zipf.experiments.playing.recording import Recording, usual_fps
 from zipf.experiments.playing.screens import enlarge
-from zipf.experiments.reporting import videos
-from zipf.experiments.reporting.replacing import replace_text
-from zipf.experiments.reporting.results import load_runs
-from zipf.experiments.reporting.videos import OUTCOMES, Video, VideosOfSituation
-from zipf.experiments.reporting.wording import VIDEO_FORMATS, VideoFormat
-from zipf.experiments.running.agent_policy import AgentPolicy
-from zipf.experiments.running.run_folder import agent_file
-from zipf.experiments.running.seeds import derive_seed
-from zipf.experiments.running.trained import Trained, load_agent
+from zipf.experiments.records import video_files
+from zipf.experiments.records.replacing import replace_text
+from zipf.experiments.records.results import load_runs
+from zipf.experiments.records.video_files import OUTCOMES, Video, VideosOfSituation
+from zipf.experiments.records.wording import VIDEO_FORMATS, VideoFormat
 
 EPISODES = 200  # tried in a situation
 AT_A_TIME = 50  # worlds that play them; as many draws find every value of a rank, ten times over
@@ -64,7 +64,7 @@ class Episode:
     actions: NDArray[np.int64]
 
     @property
-    def outcome(self) -> videos.Outcome:
+    def outcome(self) -> video_files.Outcome:
         return "success" if self.success else "failure"
 
 
@@ -101,20 +101,20 @@ def record_videos(
         counts = ", ".join(
             f"{one.title} {one.successes} of {one.episodes} episodes" for one in made.situations
         )
-        say(f"Wrote {(folder / videos.FOLDER).as_posix()} (successes: {counts})")
+        say(f"Wrote {(folder / video_files.FOLDER).as_posix()} (successes: {counts})")
 
 
-def record_run(folder: Path, trained: Trained, format: VideoFormat) -> videos.Videos:
+def record_run(folder: Path, trained: Trained, format: VideoFormat) -> video_files.Videos:
     """Records the videos of a run in the place of those that it may have.
 
     Raises:
         UserError: the worlds do not play the same actions alike, or a file cannot be written.
     """
-    target = folder / videos.FOLDER
+    target = folder / video_files.FOLDER
     try:
         target.mkdir(exist_ok=True)
         for path in sorted(target.iterdir()):
-            if path.name == videos.NAME or path.suffix[1:] in VIDEO_FORMATS:
+            if path.name == video_files.NAME or path.suffix[1:] in VIDEO_FORMATS:
                 path.unlink()
         parts = []
         for name, title, extreme in SITUATIONS:
@@ -134,8 +134,8 @@ def record_run(folder: Path, trained: Trained, format: VideoFormat) -> videos.Vi
                     videos=tuple(recorded),
                 )
             )
-        made = videos.Videos(update=trained.update, situations=tuple(parts))
-        replace_text(target / videos.NAME, made.model_dump_json(indent=2) + "\n")
+        made = video_files.Videos(update=trained.update, situations=tuple(parts))
+        replace_text(target / video_files.NAME, made.model_dump_json(indent=2) + "\n")
     except OSError as error:
         raise UserError(f"{target.as_posix()}: cannot be written: {error.strerror}") from None
     return made
@@ -172,7 +172,7 @@ def play(trained: Trained, situation: Situation, name: str) -> tuple[list[Episod
         The first success and the first failure, without an outcome that there was not; how many
         episodes were played, and how many of them succeeded.
     """
-    first: dict[videos.Outcome, Episode] = {}
+    first: dict[video_files.Outcome, Episode] = {}
     tried = successes = 0
     policy = AgentPolicy(
         trained.agent, seed=derive_seed(0, "videos", name), device=trained.config.torch_device

@@ -15,10 +15,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from zipf.experiments.records.wording import KIND_NAMES
 from zipf.experiments.reporting.scores import seed_means
 from zipf.experiments.reporting.styles import RARE_COLOUR, set_title
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.experiments.reporting.wording import KIND_NAMES
 from zipf.references import REFERENCES
 
 KIND_STYLES: Mapping[str, Mapping[str, Any]] = {

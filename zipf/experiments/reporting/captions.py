@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from zipf.experiments.records.wording import EXTERNAL_MARK, PROTOCOL_SEEDS, range_text
 from zipf.experiments.reporting.claim_results import ClaimLine
 from zipf.experiments.reporting.claims import LEARNED, published_window
 from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import OwnWindows, ScaledWindow, UpdateWindow, window_text
-from zipf.experiments.reporting.wording import EXTERNAL_MARK, PROTOCOL_SEEDS, range_text
 from zipf.references import REFERENCES
 
 PLAIN_MEAN = "plain mean"

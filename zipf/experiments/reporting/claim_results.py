@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from zipf.experiments.records.paper import paper_table
+from zipf.experiments.records.wording import PROTOCOL_SEEDS
 from zipf.experiments.reporting.claims import (
     Check,
     Claim,
@@ -19,12 +21,10 @@ from zipf.experiments.reporting.claims import (
     judge,
     together,
 )
-from zipf.experiments.reporting.paper import paper_table
 from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.scores import seed_means
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import UpdateWindow
-from zipf.experiments.reporting.wording import PROTOCOL_SEEDS
 
 CLAIM_COLUMNS = ("claim", "statement", "table", "bounds", "outcome", "numbers", "paper", "note")
 

@@ -26,7 +26,7 @@ from typing import Annotated, Literal
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from zipf.experiments.reporting.wording import NONE, PROTOCOL_SEEDS, count_text, updates_text
+from zipf.experiments.records.wording import NONE, PROTOCOL_SEEDS, count_text, updates_text
 
 Outcome = Literal["holds", "fails", "not enough data"]
 Measure = Literal["value", "difference", "change", "share"]

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from zipf.envs.splits import PAPER_KINDS
-from zipf.experiments.errors import UserError
+from zipf.errors import UserError
+from zipf.experiments.records.paper import PaperTable, paper_table
+from zipf.experiments.records.results import Run
 from zipf.experiments.reporting.differences import differences
-from zipf.experiments.reporting.paper import PaperTable, paper_table
-from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.windows import Asked, used_window
 
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from zipf.experiments.reporting.results import Run
-from zipf.experiments.reporting.wording import NONE
+from zipf.experiments.records.results import Run
+from zipf.experiments.records.wording import NONE
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
+from zipf.experiments.records.results import aligned, devices_of
+from zipf.experiments.records.wording import KIND_NAMES, PlotFormat
 from zipf.experiments.reporting.average_figures import averages
 from zipf.experiments.reporting.frequency_figures import by_visits, frequencies
 from zipf.experiments.reporting.markdown import PLOT_KINDS
-from zipf.experiments.reporting.results import aligned, devices_of
 from zipf.experiments.reporting.situation_figures import by_rank, by_situation
 from zipf.experiments.reporting.styles import (
     BAND,
@@ -38,7 +39,6 @@ from zipf.experiments.reporting.windows import (
     UpdateWindow,
     evaluations_inside,
 )
-from zipf.experiments.reporting.wording import KIND_NAMES, PlotFormat
 
 
 def draw(

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import pandas as pd
 
-from zipf.experiments.reporting.csv_files import read_table
-from zipf.experiments.reporting.results import Run
+from zipf.experiments.records.csv_files import read_table
+from zipf.experiments.records.results import Run
 from zipf.experiments.reporting.situations import LEVEL_RANK, rank_counts
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside

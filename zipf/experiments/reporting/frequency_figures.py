@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator
 
+from zipf.experiments.records.wording import KIND_NAMES, spoken
 from zipf.experiments.reporting.average_figures import KIND_STYLES
 from zipf.experiments.reporting.situation_figures import (
     INTERVALS,
@@ -30,7 +31,6 @@ from zipf.experiments.reporting.situations import (
 )
 from zipf.experiments.reporting.styles import SHADE, LineStyle, panels, row_handles
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.experiments.reporting.wording import KIND_NAMES, spoken
 
 
 def frequencies(table: ScoreTable) -> Figure | None:

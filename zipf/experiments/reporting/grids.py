@@ -8,14 +8,8 @@ from functools import cached_property
 
 import pandas as pd
 
-from zipf.experiments.reporting.captions import PLAIN_MEAN
-from zipf.experiments.reporting.descriptions import LevelGroup
-from zipf.experiments.reporting.rows import PaperRow, Row
-from zipf.experiments.reporting.scores import other_statistic
-from zipf.experiments.reporting.side_by_side import SideBySide
-from zipf.experiments.reporting.tables import ScoreTable
-from zipf.experiments.reporting.windows import OwnWindows
-from zipf.experiments.reporting.wording import (
+from zipf.experiments.records.descriptions import LevelGroup
+from zipf.experiments.records.wording import (
     KIND_NAMES,
     NONE,
     count_text,
@@ -24,6 +18,12 @@ from zipf.experiments.reporting.wording import (
     short_name,
     updates_text,
 )
+from zipf.experiments.reporting.captions import PLAIN_MEAN
+from zipf.experiments.reporting.rows import PaperRow, Row
+from zipf.experiments.reporting.scores import other_statistic
+from zipf.experiments.reporting.side_by_side import SideBySide
+from zipf.experiments.reporting.tables import ScoreTable
+from zipf.experiments.reporting.windows import OwnWindows
 from zipf.references import REFERENCES, Reference
 
 MOST_COLUMNS = 5  # of scores, as many as fit a page; more levels than that become lines

@@ -18,10 +18,17 @@ from typing import ClassVar
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from zipf.experiments.reporting import html_learning, html_situations, videos
+from zipf.experiments.records import video_files
+from zipf.experiments.records.csv_files import read_bytes
+from zipf.experiments.records.results import Run
+from zipf.experiments.records.wording import (
+    count_text,
+    duration_text,
+    seeds_list,
+)
+from zipf.experiments.reporting import html_learning, html_situations
 from zipf.experiments.reporting.captions import caption, claims_caption, side_by_side_caption
 from zipf.experiments.reporting.claim_results import ClaimLine
-from zipf.experiments.reporting.csv_files import read_bytes
 from zipf.experiments.reporting.differences import differences
 from zipf.experiments.reporting.frequencies import episodes_behind
 from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
@@ -32,18 +39,12 @@ from zipf.experiments.reporting.markdown import (
     claim_cells,
     run_cells,
 )
-from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.seed_statistics import SeedStatistics, without_statistics
 from zipf.experiments.reporting.side_by_side import side_by_side
 from zipf.experiments.reporting.situation_figures import NAMES
 from zipf.experiments.reporting.situations import measure_of
 from zipf.experiments.reporting.styles import LineStyle, line_styles
 from zipf.experiments.reporting.tables import Row, ScoreTable
-from zipf.experiments.reporting.wording import (
-    count_text,
-    duration_text,
-    seeds_list,
-)
 
 
 @dataclass(frozen=True)
@@ -311,7 +312,7 @@ def _details(row: Row, run: Run) -> RunDetails:
 
 
 def _clips(row: Row, run: Run) -> list[Clips]:
-    found = videos.read(run.folder)
+    found = video_files.read(run.folder)
     if found is None:
         return []
     groups = []
@@ -321,14 +322,14 @@ def _clips(row: Row, run: Run) -> list[Clips]:
             f"{one.title[0].upper()}{one.title[1:]} ({one.level}, rank: {ranks}): "
             f"{one.successes} of {one.episodes} episodes succeeded"
         )
-        groups.append((name, [_clip(run, one, outcome) for outcome in videos.OUTCOMES]))
+        groups.append((name, [_clip(run, one, outcome) for outcome in video_files.OUTCOMES]))
     title = (
         f"Videos: {row.title}, seed {run.description.seed}, at update {count_text(found.update)}"
     )
     return [Clips(title, groups)]
 
 
-def _clip(run: Run, situation: videos.VideosOfSituation, outcome: videos.Outcome) -> Clip:
+def _clip(run: Run, situation: video_files.VideosOfSituation, outcome: video_files.Outcome) -> Clip:
     video = situation.of(outcome)
     if video is None:
         return Clip(f"No {outcome} in {count_text(situation.episodes)} episodes.", None)
@@ -336,7 +337,7 @@ def _clip(run: Run, situation: videos.VideosOfSituation, outcome: videos.Outcome
         f"{outcome.capitalize()}: seed {video.seed}, return {video.episode_return:g}, "
         f"{video.length} frames" + (f", one in {video.every} shown" if video.every > 1 else "")
     )
-    address = videos.data_address(run.folder, video)
+    address = video_files.data_address(run.folder, video)
     return Clip(text, address, is_film=address.startswith("data:video"))
 
 

@@ -8,6 +8,8 @@ from typing import Any
 import pandas as pd
 from plotly import graph_objects as go
 
+from zipf.experiments.records.results import LevelGroup, Run, aligned, devices_of
+from zipf.experiments.records.wording import KIND_NAMES
 from zipf.experiments.reporting.figures import frames_follow_updates, window_ends
 from zipf.experiments.reporting.html_panels import (
     Panel,
@@ -18,10 +20,8 @@ from zipf.experiments.reporting.html_panels import (
     panel,
     shade,
 )
-from zipf.experiments.reporting.results import LevelGroup, Run, aligned, devices_of
 from zipf.experiments.reporting.styles import LineStyle
 from zipf.experiments.reporting.tables import Row, ScoreTable
-from zipf.experiments.reporting.wording import KIND_NAMES
 from zipf.references import REFERENCES
 
 _AXES: Mapping[str, str] = {"update": "Updates", "frames": "Frames", "hours": "Hours"}

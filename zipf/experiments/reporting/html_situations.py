@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 from plotly import graph_objects as go
 
+from zipf.experiments.records.wording import spoken
 from zipf.experiments.reporting.frequencies import counted_visits, rank_shares, times_met
 from zipf.experiments.reporting.html_panels import (
     WIDTH,
@@ -36,7 +37,6 @@ from zipf.experiments.reporting.situations import (
 )
 from zipf.experiments.reporting.styles import LineStyle
 from zipf.experiments.reporting.tables import Row, ScoreTable
-from zipf.experiments.reporting.wording import spoken
 from zipf.references import REFERENCES
 
 

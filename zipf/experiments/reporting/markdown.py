@@ -9,15 +9,15 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from zipf.experiments.records.results import Run
+from zipf.experiments.records.wording import NONE, PLOT_FORMATS, count_text, duration_text
 from zipf.experiments.reporting.captions import caption, claims_caption, side_by_side_caption
 from zipf.experiments.reporting.claim_results import ClaimLine
 from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
-from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.seed_statistics import SeedStatistics, without_statistics
 from zipf.experiments.reporting.side_by_side import SideBySide, side_by_side
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.experiments.reporting.wording import NONE, PLOT_FORMATS, count_text, duration_text
 
 # As in the plots' file names, in their order.
 PLOT_KINDS = ("learning", "hours", "averages", "frequency", "ranks", "situations", "visits")

@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 
 from zipf.envs.splits import PAPER_KINDS
-from zipf.experiments.reporting.results import Run, devices_of
+from zipf.experiments.records.results import Run, devices_of
+from zipf.experiments.records.wording import count_text, seeds_list
 from zipf.experiments.reporting.windows import (
     LastEvaluations,
     ScaledWindow,
@@ -16,7 +17,6 @@ from zipf.experiments.reporting.windows import (
     window_of,
     window_text,
 )
-from zipf.experiments.reporting.wording import count_text, seeds_list
 from zipf.references import REFERENCE_NAMES, says_little
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from zipf.experiments.reporting.results import Run
-from zipf.experiments.reporting.wording import EXTERNAL_MARK
+from zipf.experiments.records.results import Run
+from zipf.experiments.records.wording import EXTERNAL_MARK
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,9 +29,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from zipf.experiments.reporting.descriptions import LevelGroup, ReferenceDescription
-from zipf.experiments.reporting.paper import PaperTable
-from zipf.experiments.reporting.results import Run
+from zipf.experiments.records.descriptions import LevelGroup, ReferenceDescription
+from zipf.experiments.records.paper import PaperTable
+from zipf.experiments.records.results import Run
 from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.statistics import (
     median_absolute_deviation,

@@ -13,8 +13,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from zipf.experiments.records.descriptions import LevelGroup
+from zipf.experiments.records.wording import (
+    KIND_NAMES,
+    NONE,
+    count_text,
+    score_text,
+    seeds_text,
+)
 from zipf.experiments.reporting.claims import LEARNED
-from zipf.experiments.reporting.descriptions import LevelGroup
 from zipf.experiments.reporting.grids import Grid, Line
 from zipf.experiments.reporting.intervals import (
     FEWEST_SEEDS,
@@ -27,13 +34,6 @@ from zipf.experiments.reporting.intervals import (
 from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside, situations_inside
-from zipf.experiments.reporting.wording import (
-    KIND_NAMES,
-    NONE,
-    count_text,
-    score_text,
-    seeds_text,
-)
 
 STATISTICS_COLUMNS = (
     "table",

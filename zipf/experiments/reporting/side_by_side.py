@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from zipf.envs.splits import KINDS
-from zipf.experiments.reporting.paper import (
+from zipf.experiments.records.paper import (
     PaperColumn,
     PaperLayout,
     paper_layouts,

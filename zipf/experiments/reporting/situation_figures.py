@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from zipf.experiments.records.wording import spoken
 from zipf.experiments.reporting.situations import (
     Measure,
     measure_of,
@@ -39,7 +40,6 @@ from zipf.experiments.reporting.styles import (
     set_title,
 )
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.experiments.reporting.wording import spoken
 
 NAMES: Mapping[Measure, str] = {"success": "Success", "return": "Mean return"}
 INTERVALS: Mapping[Measure, str] = {

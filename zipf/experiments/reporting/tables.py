@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import pandas as pd
 
 from zipf.envs.splits import KINDS
+from zipf.experiments.records.descriptions import LevelGroup, RunDescription
+from zipf.experiments.records.paper import PaperTable
+from zipf.experiments.records.results import Run
 from zipf.experiments.reporting.comparable import group_runs, paper_of
-from zipf.experiments.reporting.descriptions import LevelGroup, RunDescription
 from zipf.experiments.reporting.notes import notes
-from zipf.experiments.reporting.paper import PaperTable
-from zipf.experiments.reporting.results import Run
 from zipf.experiments.reporting.rows import Row, rows_of
 from zipf.experiments.reporting.scores import CSV_COLUMNS, known_references, score_frame
 from zipf.experiments.reporting.windows import (

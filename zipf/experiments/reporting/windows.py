@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from zipf.experiments.errors import UserError
-from zipf.experiments.reporting.results import Run
-from zipf.experiments.reporting.wording import updates_text
+from zipf.errors import UserError
+from zipf.experiments.records.results import Run
+from zipf.experiments.records.wording import updates_text
 
 
 @dataclass(frozen=True)

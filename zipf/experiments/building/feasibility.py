@@ -1,0 +1,374 @@
+"""Checks of combinations of options: do they fit each other, the worlds and this machine?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from zipf import envs
+from zipf.agents.agent import Agent, agents
+from zipf.agents.episodic import NO_EPISODIC
+from zipf.agents.free_space import free_ram, in_words
+from zipf.agents.hindsight import AchievedOptions
+from zipf.agents.network import ActorCritic
+from zipf.agents.network_options import MatchingOptions
+from zipf.errors import UserError
+from zipf.experiments.building import run_folder
+from zipf.experiments.building.factory import build_agent
+from zipf.experiments.options.augmentation import build_augmentation
+from zipf.experiments.options.runtime import RayOptions, TorchrunOptions, has_ray
+from zipf.experiments.options.schema import Config, PretrainedOptions, find_device
+from zipf.experiments.records.learned_options import flatten
+
+
+def problems(config: Config) -> Iterator[str]:
+    """The problems of options that are each valid by themselves, one line each."""
+    start, end = config.schedule.window
+    if start > end:
+        yield f"schedule.window=[{start}, {end}]: should begin before it ends"
+    if decay := config.learning_rate_decay:
+        if decay[0] >= decay[1]:
+            yield f"learning_rate_decay={decay}: should begin before it ends"
+        elif decay[1] < config.updates:
+            yield (
+                f"learning_rate_decay={decay}: nothing would be learned from update {decay[1]} on; "
+                f"should not end before updates={config.updates}"
+            )
+    split = envs.split(config.environment.split)
+    train = split.levels("train")
+    if split.draw == "worlds" and 0 < config.num_envs < len(train):
+        of_each = ", for each learner" if config.learners > 1 else ""
+        yield (
+            f"collector.num_envs={config.collector.num_envs}: should be at least "
+            f"{len(train) * config.learners}, a world for each train level of {split.name}{of_each}"
+        )
+    agent, collector = agents()[config.agent.name], config.collector
+    told = list(agent.problems(config.agent, config.num_envs, collector.unroll_length))
+    told += agent.lacks(config.agent.name, config)
+    yield from told
+    yield from _lacks_goals(config)
+    yield from _reads_itself(config)
+    try:
+        find_device(config.device)
+    except UserError as error:
+        yield str(error)
+    if problem := _no_folder(config):
+        yield f"run_root={config.run_root:.200}: {problem}"
+    if not agent.learns_from_rewards and config.exploration.name != "none":
+        yield (
+            f"exploration={config.exploration.name}: agent={config.agent.name} does not learn from "
+            "rewards; choose exploration=none"
+        )
+    if agent.largest_lag < config.lag:
+        yield (
+            f"collector.lag={config.lag}: agent={config.agent.name} does not correct for older "
+            f"weights; should be at most {agent.largest_lag}"
+        )
+    yield from _no_pretrained(config)
+    yield from _no_matcher(config)
+    yield from _not_in_a_cluster(config)
+    yield from _not_by_several_learners(config)
+    yield from (line for line in _cannot_be_built(config) if line not in told)
+
+
+def _no_pretrained(config: Config) -> Iterator[str]:
+    """Why a new run cannot begin with another's weights."""
+    run = config.pretrained.run
+    if run is None and config.pretrained.parts != PretrainedOptions().parts:
+        yield "pretrained.parts: are of another run; give pretrained.run=<its folder>"
+    if run is None or (config.folder / "checkpoint.pt").exists():
+        return
+    try:
+        folder = Path(run).expanduser()
+        run_folder.read_config(folder, config.plugins)
+        run_folder.agent_file(folder)
+    except (UserError, RuntimeError, ValueError) as error:  # or no such home, or a zero byte
+        yield f"pretrained.run={run:.200}: {error}"
+
+
+def _no_matcher(config: Config) -> Iterator[str]:
+    """Options of a matcher where there is none, or of one that cannot have learned."""
+    network, hindsight = config.network, config.hindsight
+    fixed = isinstance(network, MatchingOptions) and network.matcher == "fixed"
+    if fixed and config.pretrained.run is None:
+        yield "network.matcher=fixed: keeps random weights without pretrained.run; choose learned"
+    if not isinstance(hindsight, AchievedOptions) or not hindsight.matching_cost:
+        return
+    if not isinstance(network, MatchingOptions):
+        yield (
+            f"hindsight.matching_cost={hindsight.matching_cost}: network={network.name} matches no "
+            "images with instructions; choose 0, or network=matching"
+        )
+    elif fixed:
+        yield (
+            f"hindsight.matching_cost={hindsight.matching_cost}: network.matcher=fixed learns "
+            "nothing; choose 0, or network.matcher=learned"
+        )
+
+
+def _not_in_a_cluster(config: Config) -> Iterator[str]:
+    """Options that `runtime=ray` does not support."""
+    if not isinstance(config.runtime, RayOptions):
+        return
+    if not has_ray():
+        yield 'runtime=ray: needs Ray: pip install "zipf-rl[ray]"'
+    if agents()[config.agent.name].largest_lag == 0:
+        others = [name for name, agent in agents().items() if agent.largest_lag]
+        yield (
+            f"runtime=ray: agent={config.agent.name} does not correct for older weights; choose "
+            f"runtime=local, or agent={' or '.join(others)}"
+        )
+    if config.collector.lag is not None:
+        yield (
+            f"collector.lag={config.collector.lag}: is of runtime=local; with runtime=ray choose "
+            "runtime.ahead"
+        )
+
+
+def _not_by_several_learners(config: Config) -> Iterator[str]:
+    """What does not go with several learners."""
+    if not isinstance(config.runtime, TorchrunOptions):
+        return
+    num_envs, learners = config.collector.num_envs, config.learners
+    if num_envs % learners or num_envs < learners:
+        yield (
+            f"collector.num_envs={num_envs}: should be a multiple of runtime.learners={learners}, "
+            "which share the worlds"
+        )
+    if not agents()[config.agent.name].averages_gradients:
+        able = [name for name, agent in agents().items() if agent.averages_gradients]
+        yield (
+            f"runtime=torchrun: agent={config.agent.name} does not average gradients over "
+            f"learners; choose runtime=local, or agent={' or '.join(able)}"
+        )
+    if config.episodic != NO_EPISODIC:
+        yield (
+            f"episodic={config.episodic.name}: each learner would have a dictionary of its own; "
+            "with runtime=torchrun choose episodic=none"
+        )
+    if ":" in config.device:
+        yield (
+            f"device={config.device}: is one for all learners; with runtime=torchrun choose "
+            "device=cuda, which is another for each learner of a machine"
+        )
+
+
+def _lacks_goals(config: Config) -> Iterator[str]:
+    """Options that need to know what an episode asks for, in worlds that do not say."""
+    family = envs.family_of_split(config.environment.split)
+    for part in ("reweighting", "hindsight"):
+        chosen = getattr(config, part).name
+        if chosen != "none" and family.goal is None:
+            yield (
+                f"{part}={chosen}: the worlds of {family.name} do not say what an episode asks "
+                f"for; choose {part}=none"
+            )
+
+
+def _reads_itself(config: Config) -> Iterator[str]:
+    """Kept episodes together with episodic memory: they would read their own rows from it."""
+    hindsight, episodic = config.hindsight, config.episodic
+    kept = hindsight.kept_per_goal if isinstance(hindsight, AchievedOptions) else None
+    if kept and episodic != NO_EPISODIC:
+        yield (
+            f"hindsight.kept_per_goal={kept}: kept episodes would read their own rows from the "
+            f"dictionary of episodic={episodic.name}; choose null, or episodic=none"
+        )
+
+
+def has_instruction(environment: dict[str, Any]) -> bool:
+    """Whether the worlds of a split, with these options, have an instruction; True if they cannot
+    be made."""
+    key = json.dumps(environment, sort_keys=True, default=str)
+    if key not in _instructed:
+        options = {name: value for name, value in environment.items() if name != "split"}
+        try:
+            env = envs.make_vec(envs.split(environment["split"]).uniform[0], 1, **options)
+            _instructed[key] = "instruction" in env.single_observation_space.spaces
+            env.close()
+        except (ValueError, TypeError, MemoryError):
+            _instructed[key] = True
+    return _instructed[key]
+
+
+_instructed: dict[str, bool] = {}
+
+
+def too_many_worlds(config: Config, num_envs: int, episodes: int | None, option: str) -> str | None:
+    """Why an evaluation with so many worlds does not fit into RAM, or None."""
+    played = min(num_envs, episodes or max(config.split.episodes.values()))
+    # What is seen, what was seen last, and the agent's copy.
+    return _too_large(f"{option}={num_envs}", "its worlds", played, 3 * _frame_bytes(config))
+
+
+def _too_large(options: str, what: str, count: int, each: int) -> str | None:
+    free = free_ram()
+    if count * each <= free:
+        return None
+    return (
+        f"{options}: {what} take {in_words(count * each)} of RAM, and {in_words(free)} are free; "
+        f"{max(free // each, 1)} would fit"
+    )
+
+
+def _frame_bytes(config: Config) -> int:
+    """RAM for a frame of one world: the observation and what is kept beside it."""
+    env = envs.make_vec(config.split.uniform[0], 1, **config.level_options)
+    env.close()
+    return sum(part.nbytes for part in env.allocate().values()) + BESIDE_A_FRAME
+
+
+def _no_folder(config: Config) -> str | None:
+    """Why a run's folder cannot be made, or None."""
+    try:
+        paths = config.folder, *config.folder.parents
+        if any(path.exists() and not path.is_dir() for path in paths):
+            return "should be a folder, but there is a file of that name"
+    except OSError as error:
+        return f"cannot be a folder: {error.strerror}"
+    except (RuntimeError, ValueError) as error:  # a home that there is not, or a zero byte
+        return f"cannot be a folder: {error}"
+    return None
+
+
+BESIDE_A_FRAME = 64  # bytes: reward, action, flags and so on
+LARGEST_SIZE = 2**16  # ours: the weights between two such layers take 17 GB
+
+_buildable: dict[str, list[str]] = {}
+
+
+def _cannot_be_built(config: Config) -> list[str]:
+    """Why the levels or the agent cannot be made. Equal options are tried once."""
+    others = {"seed": 0, "compile": config.compile, "evaluation": config.evaluation.model_dump()}
+    key = json.dumps(config.what_is_learned | others)
+    if key not in _buildable:
+        _buildable[key] = list(_try_to_build(config))
+    return _buildable[key]
+
+
+def _try_to_build(config: Config) -> Iterator[str]:
+    try:
+        split = config.split
+    except ValueError as error:
+        answering = [one.name for one in envs.all_splits().values() if _has_questions(one)]
+        yield (
+            f"agent={config.agent.name}: {error}; splits with such questions: "
+            f"{', '.join(answering)}"
+        )
+        return
+    try:
+        for level in split.all_levels:
+            env = envs.make_vec(level, 1, **config.level_options)
+            env.close()
+    except ValueError as error:
+        yield f"environment: {error}"
+        return
+    except MemoryError as error:
+        yield f"environment: one world does not fit into RAM ({error})"
+        return
+    family = envs.family_of_split(config.environment.split)
+    if config.hindsight.name != "none" and family.goal is not None and not env.achieves:
+        yield (
+            f"hindsight={config.hindsight.name}: these worlds do not tell what an episode has "
+            "achieved; choose hindsight=none"
+        )
+    if lacking := list(_lacking_ram(config, env)):
+        yield from lacking
+        return
+    try:
+        with torch.random.fork_rng(devices=[]):  # an agent may seed the global generator
+            agent = build_agent(config.model_copy(update={"device": "cpu", "run_root": "."}), env)
+    except UserError as error:
+        yield from str(error).splitlines()
+        return
+    yield from _left_random(config, agent)
+    try:
+        symmetries = envs.symmetries(split, env)
+        space = env.single_observation_space
+        build_augmentation(config.augmentation, space, 1, seed=0, symmetries=symmetries)
+    except ValueError as error:
+        yield str(error)
+    if agent.teacher and getattr(family, agent.teacher) is None:
+        known = [name for name in envs.SCRIPTED if getattr(family, name) is not None]
+        yield (
+            f"agent.teacher={agent.teacher}: {family.name} has no such player; should be "
+            f"{' or '.join(known) or 'another agent'}"
+        )
+
+
+def _left_random(config: Config, agent: Agent) -> Iterator[str]:
+    """Parts of a network that learn nothing and are not taken from another run."""
+    chosen = config.pretrained.parts
+    if config.pretrained.run is None:
+        return
+    left = [
+        name
+        for name in agent.fixed_parts()
+        if not any(f"{name}.".startswith(f"{part}.") for part in chosen)
+    ]
+    if left:
+        yield (
+            f"pretrained.parts=[{','.join(chosen)}]: network.matcher=fixed keeps random weights "
+            f"where they are not taken from that run; add {','.join(left)}"
+        )
+
+
+def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
+    """What does not fit into RAM, by arithmetic: nothing is allocated."""
+    collector, evaluation = config.collector, config.evaluation
+    frames = (collector.unroll_length + 1) * (1 + config.lag)
+    problems = [
+        _too_large(
+            f"collector.num_envs={collector.num_envs}, "
+            f"collector.unroll_length={collector.unroll_length}",
+            "the worlds of an unroll",
+            collector.num_envs,
+            frames * _frame_bytes(config),
+        ),
+        too_many_worlds(config, evaluation.num_envs, evaluation.episodes, "evaluation.num_envs"),
+    ]
+    yield from filter(None, problems)
+    parts = {name: getattr(config, name).model_dump() for name in ("memory", "network", "critic")}
+    too_large = False
+    for name, value in flatten(parts).items():
+        numbers = value if isinstance(value, list) else [value]
+        if any(isinstance(one, int) and one > LARGEST_SIZE for one in numbers):
+            too_large = True
+            yield f"{name}={value}: should be at most {LARGEST_SIZE}"
+    if too_large:
+        return
+    size, free = _weight_bytes(config, env), free_ram()
+    if size is None:
+        yield f"memory.size={config.memory.size}: such a network has too many weights or layers"
+    elif size > free:
+        yield (
+            f"memory.size={config.memory.size}: the weights of such a network, their gradients and "
+            f"the optimiser take {in_words(size)}, and {in_words(free)} of RAM are free"
+        )
+
+
+def _weight_bytes(config: Config, env: envs.ZipfVectorEnv) -> int | None:
+    """Of an actor-critic with this network and memory; 0 where none can be made of them, None where
+    it is too large for PyTorch. On a GPU only the weights themselves are in RAM."""
+    try:
+        with torch.device("meta"):
+            spaces = env.single_observation_space, env.single_action_space
+            network = ActorCritic(*spaces, config.network, config.memory, config.critic)
+    except ValueError:
+        return 0  # the agent, which may use neither, will tell
+    except (RuntimeError, RecursionError):  # more bytes than an integer holds, or layers
+        return None
+    size = sum(parameter.nbytes for parameter in network.parameters())
+    return size if config.device.startswith("cuda") else 4 * size
+
+
+def _has_questions(split: envs.Split) -> bool:
+    try:
+        envs.questions(split)
+    except ValueError:
+        return False
+    return True

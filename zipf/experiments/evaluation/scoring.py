@@ -1,0 +1,364 @@
+"""Scores of any policy, with everything that they were computed from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Literal, overload
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy import stats
+
+from zipf import envs
+from zipf.envs.arguments import whole
+from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.evaluation.compatibility import Worlds
+from zipf.experiments.evaluation.evaluator import (
+    OUTCOMES,
+    Result,
+    evaluate,
+    scores,
+    situations,
+)
+from zipf.experiments.evaluation.policies import as_policy, own_torch_draws
+from zipf.experiments.reporting.statistics import wilson_interval
+
+FEWEST_MET = 5  # times, on average, that a situation is met where situations are drawn
+RESAMPLES = 2000  # of the bootstrap: percentiles that repeat to about a tenth of the width
+
+NOT_GEOMETRY = {"autoreset_mode", "copy", "render_mode"}
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What `zipf.evaluate.score(..., details=True)` returns.
+
+    Intervals are 95 % confidence intervals. They cover the chance of the episodes that were played,
+    not the differences between agents trained from other seeds. Of a level whose returns are all 0
+    or 1, and of `success`, they are Wilson's (1927); of other returns the percentiles of a
+    bootstrap of 2000 resamples (Efron 1979), NaN for a single episode; scores have the intervals of
+    their mean returns, normalised. Scores on rare, validation and fresh levels also cover which
+    situations these are: of a bootstrap that draws situations, and then episodes of each. Where
+    most situations were met fewer than five times, it draws values of the first rank. Of the mean
+    over several levels they are combined by MOVER (Zou, Huang and Zhang 2009, Computational
+    Statistics & Data Analysis 53(11)).
+
+    Attributes:
+        split: the split's name.
+        geometry: for each level's name the constructor options of the worlds that were played,
+            defaults included. Worlds of your own levels have those that were given.
+        episodes: a row per episode, in the order in which they started on their level:
+            `level_kind` (of `zipf.envs.KINDS`), `level_name`, the situation's ranks
+            (0 = most frequent), `success` (where the worlds report it), `return` and `length` (in
+            frames).
+        situations: a row per situation met on a kind of levels: `level_kind`, its ranks,
+            `episodes`, `successes` (None where the worlds report none) and `return_sum`.
+        levels: a row per level: `level_kind`, `level_name`, `weight`, `episodes`, `score` with its
+            interval `score_low` to `score_high`, `success` with `success_low` and `success_high`
+            (NaN where the worlds report none), and the means `return` and `length`.
+        kinds: a row per kind of levels: `level_kind`, `score` (the mean over its levels, by their
+            weights), `score_low`, `score_high`, `plain` (the mean over its levels, all weighing the
+            same), `plain_low` and `plain_high`.
+    """
+
+    split: str
+    geometry: Mapping[str, Mapping[str, Any]]
+    episodes: pd.DataFrame = field(repr=False)
+    situations: pd.DataFrame = field(repr=False)
+    levels: pd.DataFrame
+    kinds: pd.DataFrame
+    results: Sequence[Result] = field(repr=False)
+
+    @property
+    def scores(self) -> dict[str, float]:
+        """The score of each kind of levels, as `score` returns without `details`."""
+        return scores(self.results)
+
+
+@overload
+def score(
+    policy: Any,
+    split: str | envs.Split = ...,
+    *,
+    episodes: int | None = ...,
+    num_envs: int = ...,
+    seed: int = ...,
+    batched: bool = ...,
+    deterministic: bool = ...,
+    details: Literal[False] = ...,
+    **level_options: Any,
+) -> dict[str, float]: ...
+@overload
+def score(
+    policy: Any,
+    split: str | envs.Split = ...,
+    *,
+    episodes: int | None = ...,
+    num_envs: int = ...,
+    seed: int = ...,
+    batched: bool = ...,
+    deterministic: bool = ...,
+    details: Literal[True],
+    **level_options: Any,
+) -> Evaluation: ...
+def score(
+    policy: Any,
+    split: str | envs.Split = "gridworld",
+    *,
+    episodes: int | None = None,
+    num_envs: int = 250,
+    seed: int = 0,
+    batched: bool = True,
+    deterministic: bool = False,
+    details: bool = False,
+    **level_options: Any,
+) -> dict[str, float] | Evaluation:
+    """Scores any policy as the paper does: {"train": ..., "uniform": ..., "rare": ...}, and on the
+    further kinds of levels that the split has ("validation", "fresh").
+
+    The score of a level is its mean return, normalised where the split says so; the score of a
+    kind of levels is the mean over them, by their weights.
+
+    Args:
+        policy: one of
+            a function from observations `{name: [N, ...]}` to actions [N];
+            an object with `predict(observation, state, episode_start)` that returns actions and
+            state: a model of Stable-Baselines3 or sb3-contrib, recurrent or not, or your own;
+            a TensorDict module, for instance an actor of TorchRL, recurrent or not
+            (`zipf.experiments.evaluation.tensordict_policy` says what it reads and writes);
+            the path of a TorchScript (.pt, .ts) or ONNX file
+            (`zipf.experiments.evaluation.network_files` says what its inputs and outputs are);
+            the path of a run's folder: the agent of its checkpoint;
+            a `Policy` of `zipf.experiments.evaluation.evaluator`;
+            "expert" or "generalist": a scripted player of the split's family (a folder of this
+            name is `Path("expert")`).
+        split: the benchmark, for instance "gridworld", or a `zipf.envs.Split` of your own.
+        episodes: played on each level; None: as many as the split says: 1000, in the labyrinth's
+            splits 100 of each task.
+        num_envs: worlds played at a time; `batched=False` plays one.
+        seed: of the worlds and of the policy's draws, as far as they come from PyTorch's global
+            generator or are drawn from a file's logits; at least 0.
+        batched: False for a function, or an object with `predict`, that takes one observation
+            `{name: [...]}` and returns one action, as agents of a single Gymnasium environment do.
+        deterministic: the policy's most probable actions in the place of draws; for all but
+            functions and runs.
+        details: return an `Evaluation` in the place of the scores.
+        level_options: constructor options of the levels, for instance `num_maps=5`.
+
+    A policy may carry the constructor options that it was trained with in a mapping `geometry`, for
+    instance `model.geometry = {"num_maps": 5}`; Stable-Baselines3 saves it with the model. It is
+    then refused in other worlds.
+
+    Raises:
+        ValueError: an unknown split, no episodes, no worlds, a seed that is no whole number >= 0,
+            options that no level can have; a policy whose spaces or geometry differ from the
+            split's, or that returns something else than an action for each world.
+        TypeError: the policy is none of these, or its `predict` takes other arguments.
+        ImportError: a file needs a library that is not installed.
+        zipf.errors.UserError: a run's folder from which no agent can be loaded.
+    """
+    split = as_split(split)
+    check_options(level_options)
+    seed = whole("seed", seed, 0)
+    worlds = _worlds(split, level_options)
+    with own_torch_draws(derive_seed(seed, "actions")):
+        results = evaluate(
+            as_policy(policy, worlds, batched=batched, deterministic=deterministic, seed=seed),
+            split,
+            episodes=episodes,
+            num_envs=num_envs if batched else 1,
+            seed=seed,
+            **level_options,
+        )
+    return _evaluation(worlds, results) if details else scores(results)
+
+
+def geometry(split: str | envs.Split, **level_options: Any) -> dict[str, dict[str, Any]]:
+    """The constructor options of a split's levels, defaults included, by level name.
+
+    Raises:
+        ValueError: an unknown split or level.
+    """
+    split = as_split(split)
+    found = {}
+    for level in split.all_levels:
+        options: dict[str, Any] = {}
+        if isinstance(level.level, str):
+            known = envs.find_level(level.level)[0].options_class.model_fields
+            options = {
+                name: option.get_default(call_default_factory=True)
+                for name, option in known.items()
+                if not option.is_required()
+            }
+        options |= {**level_options, **level.options}
+        found[level.name] = {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in options.items()
+            if name not in NOT_GEOMETRY
+        }
+    return found
+
+
+def as_split(split: Any) -> envs.Split:
+    """A split that may be given by its name.
+
+    Raises:
+        ValueError: it is neither, or unknown.
+    """
+    if isinstance(split, envs.Split):
+        return split
+    if not isinstance(split, str):
+        raise ValueError(
+            f"split must be a split's name or a zipf.envs.Split, got a {type(split).__name__}"
+        )
+    return envs.split(split)
+
+
+def check_options(level_options: Mapping[str, Any]) -> None:
+    """Raises ValueError for names that `score` needs itself."""
+    for name in ("level", "autoreset_mode"):
+        if name in level_options:
+            raise ValueError(
+                f"{name}={level_options[name]!r} is no option here: a split has its levels, and "
+                "worlds are reset in the step that ends an episode"
+            )
+
+
+def _worlds(split: envs.Split, level_options: Mapping[str, Any]) -> Worlds:
+    """What a policy must match. Raises ValueError where the split's levels are not alike."""
+    spaces: dict[str, tuple[Any, Any]] = {}
+    for level in split.all_levels:
+        env = envs.make_vec(level, 1, **level_options)
+        spaces[level.name] = env.single_observation_space, env.single_action_space
+        env.close()
+    first = next(iter(spaces))
+    for name, found in spaces.items():
+        if found != spaces[first]:
+            raise ValueError(
+                f"split {split.name!r}: its levels have different spaces: {name} has {found[0]} "
+                f"and {found[1]}, {first} has {spaces[first][0]} and {spaces[first][1]}"
+            )
+    return Worlds(split.name, *spaces[first], geometry(split, **level_options))
+
+
+def _evaluation(worlds: Worlds, results: list[Result]) -> Evaluation:
+    episodes = []
+    levels = []
+    for result in results:
+        named = result.episodes.copy()
+        named.insert(0, "level_kind", result.kind)
+        named.insert(1, "level_name", result.level)
+        episodes.append(named)
+        row = result.row()
+        low, high = score_interval(result)
+        success_low = success_high = np.nan
+        if "success" in result.episodes:
+            success_low, success_high = _wilson(result.episodes["success"].to_numpy())
+        levels.append(
+            {
+                "level_kind": result.kind,
+                "level_name": result.level,
+                "weight": result.split_level.weight,
+                "episodes": row["episodes"],
+                "score": row["score"],
+                "score_low": low,
+                "score_high": high,
+                "success": np.nan if row["success"] is None else row["success"],
+                "success_low": success_low,
+                "success_high": success_high,
+                "return": row["return"],
+                "length": row["length"],
+            }
+        )
+    by_level = pd.DataFrame(levels)
+    return Evaluation(
+        split=worlds.split,
+        geometry=worlds.geometry,
+        episodes=pd.concat(episodes, ignore_index=True),
+        situations=situations(results).reset_index(drop=True),
+        levels=by_level,
+        kinds=_kinds(by_level),
+        results=results,
+    )
+
+
+def _kinds(levels: pd.DataFrame) -> pd.DataFrame:
+    rows = []
+    for kind, of_kind in levels.groupby("level_kind", sort=False):
+        row: dict[str, Any] = {"level_kind": kind}
+        for name, weights in (("score", of_kind["weight"]), ("plain", of_kind["weight"] * 0 + 1)):
+            scores, low, high = (
+                of_kind[column].to_numpy() for column in ("score", "score_low", "score_high")
+            )
+            shares = (weights / weights.sum()).to_numpy()
+            mean = float(shares @ scores)
+            row[name] = mean
+            row[f"{name}_low"] = mean - np.sqrt((shares**2) @ (scores - low) ** 2)
+            row[f"{name}_high"] = mean + np.sqrt((shares**2) @ (high - scores) ** 2)
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def score_interval(result: Result) -> tuple[float, float]:
+    """The 95 % confidence interval of a level's score; see `Evaluation`."""
+    returns = result.episodes["return"].to_numpy()
+    situations = _situations_met(result)
+    interval: Callable[[NDArray], tuple[float, float]] = _bootstrap
+    if situations is not None:
+        interval = partial(bootstrap_over_situations, situations)
+    elif np.isin(returns, (0, 1)).all():
+        interval = _wilson
+    ends = [result.split_level.normalised(end) for end in interval(returns)]
+    return min(ends), max(ends)
+
+
+def _situations_met(result: Result) -> NDArray[np.integer] | None:
+    """What of the episodes of a slice of the situations is drawn, int64 [n], numbered from 0; None
+    on other levels, and where there is only one."""
+    ranks = [str(name) for name in result.episodes if name not in OUTCOMES]
+    if result.kind in ("train", "uniform") or not ranks:
+        return None
+    groups = result.episodes.groupby(ranks).ngroup().to_numpy(np.int64)
+    if groups.max() + 1 > len(groups) / FEWEST_MET:
+        groups = result.episodes.groupby(ranks[:1]).ngroup().to_numpy(np.int64)
+    return groups if groups.max() > 0 else None
+
+
+def bootstrap_over_situations(
+    situations: NDArray[np.integer], returns: NDArray
+) -> tuple[float, float]:
+    """The percentile interval of a mean return [n] whose episodes are of `situations` [n]: in each
+    resample as many situations are drawn as there are, and of each as many episodes as it has."""
+    rng = np.random.default_rng(0)
+    of_each = [returns[situations == k] for k in range(situations.max() + 1)]
+    counts = np.array([len(one) for one in of_each])
+    # By resample and situation, the sum of the returns of drawn episodes.
+    sums = np.stack([rng.choice(one, (RESAMPLES, len(one))).sum(axis=1) for one in of_each], axis=1)
+    drawn = rng.integers(len(of_each), size=(RESAMPLES, len(of_each)))
+    totals = np.take_along_axis(sums, drawn, axis=1).sum(axis=1)
+    low, high = np.percentile(totals / counts[drawn].sum(axis=1), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _wilson(outcomes: NDArray) -> tuple[float, float]:
+    """The interval of the mean of zeros and ones [n]."""
+    successes, count = pd.Series([outcomes.sum()]), pd.Series([len(outcomes)])
+    low, high = wilson_interval(successes, count)
+    return float(low.iloc[0]), float(high.iloc[0])
+
+
+def _bootstrap(returns: NDArray) -> tuple[float, float]:
+    """The interval of the mean of any numbers [n]; always the same for the same numbers."""
+    if len(returns) < 2:
+        return np.nan, np.nan
+    found = stats.bootstrap(
+        (returns,),
+        np.mean,
+        n_resamples=RESAMPLES,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    ).confidence_interval
+    return float(found.low), float(found.high)

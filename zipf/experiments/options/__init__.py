@@ -1,0 +1,1 @@
+"""The options of a run: their schema, composing them, and explaining them."""

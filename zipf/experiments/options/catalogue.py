@@ -1,0 +1,103 @@
+"""The choices that a user has, with a line about each: for `--help` and the documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from pydantic import ValidationError
+
+from zipf import envs
+from zipf.errors import UserError
+from zipf.experiments.options import composing
+from zipf.experiments.options.schema import RowOptions
+
+EXPLAINED = ("experiment", "condition", "environment")
+"""Groups that are listed with a line about each choice."""
+
+LAUNCHERS = {
+    "basic": "one job after another; the default",
+    "joblib": 'hydra.launcher.n_jobs=<number> jobs at a time on this machine; "zipf-rl[sweep]"',
+    "submitit_slurm": 'jobs of a Slurm cluster; "zipf-rl[sweep]"',
+    "submitit_local": 'as submitit_slurm, all at once on this machine; "zipf-rl[sweep]"',
+    "ray": 'tasks of Ray, here or (hydra.launcher.address=auto) on a cluster; "zipf-rl[ray]"',
+}
+"""What starts the jobs of a sweep, and the extra of the package that has it."""
+
+
+def conditions() -> dict[str, RowOptions]:
+    """How tables show each condition, in their order."""
+    rows = {name: condition_row(name) for name in composing.choices("condition")}
+
+    def place(item: tuple[str, RowOptions]) -> tuple[float, str]:
+        name, row = item
+        return float("inf") if row.order is None else row.order, name
+
+    return dict(sorted(rows.items(), key=place))
+
+
+def condition_row(name: str) -> RowOptions:
+    """How tables show a condition; with its name as title where its file has none.
+
+    Raises:
+        UserError: the file says what a row cannot be.
+    """
+    row = composing.condition_file(name).get("row") or {}
+    path = composing.find_file("condition", name)
+    if not isinstance(row, dict):
+        raise UserError(f"{path}: row={row}: should be a mapping, such as row: {{title: {name}}}")
+    try:
+        return RowOptions(**{"title": name, **row})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(("row", *map(str, first["loc"])))
+        raise UserError(f"{path}: {where}={first['input']}: {first['msg']}") from None
+
+
+def summary(group: str, name: str) -> str:
+    """The comment at the top of a choice's file, on one line; empty without a file."""
+    path = composing.find_file(group, name)
+    if path is None:
+        return ""
+    lines: list[str] = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            break
+        if not line.startswith("# @package"):
+            lines.append(line.removeprefix("#").strip())
+    return " ".join(lines)
+
+
+def help_text() -> str:
+    """All choices, for `python -m zipf.train --help`."""
+    parts = {
+        "experiment=": [
+            (name, summary("experiment", name)) for name in composing.choices("experiment")
+        ],
+        "condition=": [(name, row.title) for name, row in conditions().items()],
+        "environment= (a family of worlds)": [
+            (family.name, _described(family))
+            for family in envs.families().values()
+            if family.splits
+        ],
+        "-m sweep= (a sweep; or -m and lists of values)": [
+            (name, summary("sweep", name)) for name in composing.choices("sweep")
+        ],
+        "hydra/launcher= (what starts the jobs of a sweep)": list(LAUNCHERS.items()),
+        "Other groups:": [
+            (f"{group}=", ", ".join(composing.choices(group)))
+            for group in composing.groups()
+            if group not in EXPLAINED
+        ],
+    }
+    return "\n\n".join(f"{heading}\n{_columns(rows)}" for heading, rows in parts.items())
+
+
+def _described(family: envs.Family) -> str:
+    splits = ", ".join(split.name for split in family.splits)
+    return f"{family.summary}; environment.split={splits}"
+
+
+def _columns(rows: Iterable[tuple[str, str]]) -> str:
+    rows = list(rows)
+    width = max(len(name) for name, _ in rows)
+    return "\n".join(f"  {name:{width}}  {text}".rstrip() for name, text in rows)

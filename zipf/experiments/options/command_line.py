@@ -1,0 +1,397 @@
+"""From a command line to a checked configuration.
+
+`load` composes `configs/` with Hydra's overrides and checks the result; it reports all mistakes at
+once. `sweeps.py` does so for every job of a sweep.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from pathlib import PurePath
+from typing import Any, TypeVar
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from pydantic import ValidationError
+
+from zipf.errors import UserError
+from zipf.experiments.building import feasibility
+from zipf.experiments.options import composing
+from zipf.experiments.options.catalogue import condition_row
+from zipf.experiments.options.composing import Composed, choices, composed, groups
+from zipf.experiments.options.schema import (
+    DEVICE_PATTERN,
+    NAME_PATTERN,
+    Config,
+    RowOptions,
+    schema,
+)
+from zipf.experiments.records.descriptions import LINE_PATTERN
+from zipf.experiments.records.learned_options import affects_learning, flatten
+from zipf.options import Options
+
+AnyOptions = TypeVar("AnyOptions", bound=Options)
+
+
+def load(overrides: list[str]) -> Config:
+    """The configuration of these overrides, checked.
+
+    Raises:
+        UserError: with one line for every unknown, mistyped or impossible option.
+    """
+    config = read(overrides)
+    check(config)
+    return config
+
+
+def check(config: Config) -> None:
+    """Raises `UserError` where options do not fit each other, the worlds or this machine."""
+    if problems := list(feasibility.problems(config)):
+        raise UserError("\n".join(problems))
+
+
+def read(overrides: list[str]) -> Config:
+    """The configuration of these overrides; whether they fit each other is left to `check`.
+
+    Raises:
+        UserError: with one line for every unknown or mistyped option; where there are any, also
+            for those that do not fit each other.
+    """
+    parsed = parse(overrides)
+    composing.load_plugins(_plugins(parsed))
+    known, problems = _known(parsed)
+    if not any(override.startswith("experiment=") for override in known):
+        raise UserError("\n".join(problems))
+    composed = _compose_condition(*known)
+    values = dict(composed.values)
+    name = values.pop("name")
+    values["condition"] = _name(composed) if name is None else name
+    named = isinstance(values["condition"], str) and values["condition"]
+    values["row"] = _row(values["condition"]) if named else {"title": "unnamed"}
+    values["row"] |= _asked_of_row(parsed, composed)
+    del values["without_instruction"]
+    try:
+        config = schema().model_validate(values)
+    except ValidationError as error:
+        problems += _explain(error, values)
+    else:
+        problems += feasibility.problems(config) if problems else ()
+    if problems:
+        raise UserError("\n".join(problems))
+    return config
+
+
+def plugins_of(overrides: list[str]) -> list[str]:
+    """The modules in the override `plugins=[...]`.
+
+    Raises:
+        UserError: an override cannot be parsed, or `plugins` is not a list of names.
+    """
+    return _plugins(parse(overrides))
+
+
+def parse(overrides: list[str]) -> list[Override]:
+    """Overrides as Hydra reads them.
+
+    Raises:
+        UserError: with one line for each that cannot be read.
+    """
+    parser = OverridesParser.create()
+    parsed, problems = [], []
+    for text in overrides:
+        try:
+            parsed.append(parser.parse_override(text))
+        except HydraException:
+            problems.append(_advice(parser, text))
+    if problems:
+        raise UserError("\n".join(problems))
+    return parsed
+
+
+def read_options(options_class: type[AnyOptions], arguments: list[str]) -> AnyOptions:
+    """The options of a small command, from `name=value` arguments.
+
+    Raises:
+        UserError: with one line for every unknown, missing or mistyped option.
+    """
+    accepted = list(options_class.model_fields)
+    problems, values = [], {}
+    for argument in arguments:
+        name, equals, value = argument.partition("=")
+        if argument.startswith("-"):
+            problems.append(without_dashes(argument))
+        elif not equals:
+            problems.append(f"{argument}: not of the form option=value")
+        elif name not in accepted:
+            problems.append(f"{name}: no such option; {nearest(name, accepted)}")
+        else:
+            values[name] = value
+    try:
+        options = options_class.model_validate_strings(values)
+    except ValidationError as error:
+        problems += _explain(error, values)
+    if problems:
+        raise UserError("\n".join(problems))
+    return options
+
+
+def without_dashes(flag: str) -> str:
+    """What to say of a flag that there is not."""
+    name, _, value = flag[:200].lstrip("-").partition("=")
+    return (
+        f"{flag:.200}: no such flag; options have no dashes: {name}={value or '<value>'} "
+        "(--help shows them)"
+    )
+
+
+def parts() -> list[str]:
+    """The groups whose choices say how is learned: agent, memory, network and so on."""
+    others = {"experiment", "condition", "environment"}
+    return [name for name in Config.model_fields if name in set(groups()) - others]
+
+
+def nearest(name: str, accepted: list[str]) -> str:
+    """The end of an error message: the same name in other groups, the most similar names, or all
+    that are accepted."""
+    group, dot, option = name.rpartition(".")
+    within = [other for other in accepted if other.rpartition(".")[0] == group]
+    if dot and within:  # the group is right: compare the rest only
+        close = difflib.get_close_matches(option, [other.rpartition(".")[2] for other in within])
+        close = [f"{group}.{other}" for other in close]
+        accepted = within
+    else:
+        close = [other for other in accepted if other.rpartition(".")[2] == name]
+        close = close or difflib.get_close_matches(name, accepted, n=3)
+        # The options of all groups would be a hundred names.
+        accepted = list({other.partition(".")[0] + ".*" * ("." in other) for other in accepted})
+    if close:
+        return f"did you mean {' or '.join(close)}?"
+    return f"should be one of {', '.join(sorted(accepted))}"
+
+
+def _compose_condition(*overrides: str) -> Composed:
+    """As `composed`, with a condition's `without_instruction` where worlds have no instruction."""
+    result = composed(*overrides)
+    other = result.values["without_instruction"]
+    if other is not None and not isinstance(other, dict):
+        raise UserError(
+            f"without_instruction={other!s:.40}: should be choices of groups, as in "
+            "'without_instruction={auxiliary: vision}', or null"
+        )
+    if other and not feasibility.has_instruction(result.values["environment"]):
+        chosen = {override.partition("=")[0] for override in overrides}
+        other = [f"{group}={choice}" for group, choice in other.items() if group not in chosen]
+        result = composed(*overrides, *other)
+    return result
+
+
+def _plugins(overrides: list[Override]) -> list[str]:
+    found = [one.value() for one in overrides if one.key_or_group == "plugins"]
+    names = found[-1] if found else []
+    names = [names] if isinstance(names, str) else names
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise UserError(f"plugins={names}: should be a list of modules: plugins=[my_module]")
+    return names
+
+
+def _row(condition: str) -> dict[str, Any]:
+    """How tables show a condition: as its file says, with changed options after the title."""
+    base, *changes = condition.split(",")
+    known = base in choices("condition")
+    row = condition_row(base).model_dump(exclude_unset=True) if known else {"title": base}
+    return {**row, "title": ", ".join([row["title"], *changes])}
+
+
+def _asked_of_row(overrides: list[Override], composed: Composed) -> dict[str, Any]:
+    """What the command line says of the row: `row.title="..."`, or `row={title: "..."}`."""
+    row = composed.values["row"]
+    if not isinstance(row, dict):
+        return {}
+    asked = {one.key_or_group for one in overrides}
+    for one in overrides:
+        whole = one.value() if one.key_or_group == "row" else None
+        asked |= {f"row.{part}" for part in whole} if isinstance(whole, dict) else set()
+    return {part: value for part, value in row.items() if f"row.{part}" in asked}
+
+
+def _advice(parser: OverridesParser, text: str) -> str:
+    """What to write in the place of an override that cannot be parsed."""
+    name, equals, value = text.partition("=")
+    shown = text if len(text) <= 200 else f"{text[:200]}..."
+    if not equals:
+        found = [f"{group}={text}" for group in groups() if text in choices(group)]
+        told = f"; did you mean {' or '.join(found)}?" if found else ""
+        return f"{shown}: not of the form option=value{told}"
+    quoted = f'{name}="{value}"'
+    try:
+        if parser.parse_override(quoted).value() == value:
+            return f"{shown}: needs quotes within quotes: '{quoted}'"
+    except HydraException:
+        pass
+    return f"{shown}: cannot be read; check its quotes and brackets"
+
+
+def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
+    """The overrides with a known name, and a line about each of the others."""
+    available = groups()
+    known, problems, options = [], [], []
+    experiment = None
+    for override in overrides:
+        key, text = override.key_or_group, str(override.input_line)
+        if override.is_delete():
+            problems.append(f"{text}: options cannot be deleted; give another value")
+        elif key in available:
+            value = str(override.value())
+            if key == "experiment" and experiment not in (None, value):
+                problems.append(
+                    f"experiment={experiment} and experiment={value}: choose one; for both, a "
+                    f"sweep: -m experiment={experiment},{value}"
+                )
+            elif value in choices(key):
+                known.append(text)
+                experiment = value if key == "experiment" else experiment
+            else:
+                own = "; for a name of your own, use name=<name>" if key == "condition" else ""
+                told = nearest(value, choices(key))
+                problems.append(f"{key}={value}: no such {key}; {told}{own}")
+        else:
+            options.append(override)
+    if not any(override.key_or_group == "experiment" for override in overrides):
+        experiments = "|".join(choices("experiment"))
+        problems.append(f"experiment is not set; choose one: experiment={experiments}")
+    if not any(text.startswith("experiment=") for text in known):
+        return known, problems
+    values = composed(*known).values
+    accepted = list(flatten(values))
+    of_row = [f"row.{part}" for part in RowOptions.model_fields if f"row.{part}" not in accepted]
+    parents = {name.rsplit(".", 1)[0] for name in accepted if "." in name}
+    for override in options:
+        key = override.key_or_group
+        if key == "row" and not isinstance(override.value(), dict):
+            problems.append(f"{override.input_line}: should be row.title=<what tables show>")
+        elif key in accepted or key in parents or key.startswith(("hydra.", "hydra/")):
+            known.append(str(override.input_line))
+        elif key in of_row:
+            known.append(f"++{override.input_line}")  # without a condition there is no row yet
+        else:
+            group = key.partition(".")[0]
+            part = values.get(group)
+            if owners := _owners(key, known):
+                told = f"{group}={'|'.join(owners)} has it"
+            elif isinstance(part, dict) and list(part) == ["name"]:  # a choice such as none
+                chosen = part["name"]
+                others = "|".join(one for one in choices(group) if one != chosen)
+                told = f"{group}={chosen} has none; choose {group}={others}"
+            else:
+                told = nearest(key, [*accepted, *of_row, "sweep"])
+            problems.append(f"{key}: no such option; {told}")
+    return known, problems
+
+
+def _owners(option: str, known: list[str]) -> list[str]:
+    """The choices of the option's group that have it, beside these overrides."""
+    group = option.partition(".")[0]
+    if group not in groups():
+        return []
+    others = [override for override in known if not override.startswith(f"{group}=")]
+    found = []
+    for choice in choices(group):
+        try:
+            values = composed(*others, f"{group}={choice}").values
+        except UserError:  # of options that this choice does not have
+            continue
+        if option in flatten(values):
+            found.append(choice)
+    return found
+
+
+_IN_WORDS = {
+    NAME_PATTERN: "should be usable as a folder's name (not empty, no '/', no leading '.')",
+    LINE_PATTERN: "should be one line",
+    DEVICE_PATTERN: "should be auto, cpu, cuda or cuda:<number>",
+    "string_type": "should be text (quote it if it looks like a number)",
+    "list_type": "should be a list in square brackets, such as [1,2]",
+    "tuple_type": "should be a list in square brackets, such as [1,2]",
+    "string_too_short": "should not be empty",
+    "string_too_long": "is too long for a folder's name; use name=<name>",
+}
+
+
+def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
+    for problem in error.errors():
+        node: Any = values
+        path = []
+        for part in problem["loc"]:  # without the tags that pydantic adds for alternatives
+            if isinstance(node, dict) and part not in node and part != problem["loc"][-1]:
+                continue
+            path.append(str(part))
+            node = node.get(part) if isinstance(node, dict) else node
+        name = ".".join(path)
+        if name == "condition":  # a chosen condition is right, so this is the user's own name
+            name = "name"
+        if problem["type"] == "missing" or problem["input"] == "???":
+            yield f"{name}: is not set"
+        elif problem["type"] == "union_tag_invalid":
+            tag = problem["ctx"]
+            option = tag["discriminator"].strip("'")
+            yield f"{name}.{option}={tag['tag']}: should be one of {tag['expected_tags']}"
+        elif problem["type"] == "extra_forbidden":
+            group = str(problem["loc"][0])
+            chosen = values.get(group)
+            if group == "environment" and isinstance(chosen, dict) and "split" in chosen:
+                yield f"{name}: the worlds of split={chosen['split']} have no such option"
+            else:
+                yield f"{name}: no such option here"
+        else:
+            kind = problem.get("ctx", {}).get("pattern", problem["type"])
+            message = _IN_WORDS.get(kind, problem["msg"])
+            message = message.removeprefix("Input ").removeprefix("Value error, ")
+            shown = str(problem["input"])
+            shown = repr(shown) if len(shown.splitlines()) > 1 else shown
+            yield f"{name}={shown:.200}: {message}"
+
+
+def _name(composed: Composed) -> str:
+    """The name of a row: the condition, or agent, memory, auxiliary loss, critic and episodic
+    memory; then all options that differ from theirs. Those of the paper's plain agent are left out.
+    """
+    chosen = composed.choices
+    name = chosen["condition"]
+    if name == "None":
+        name = chosen["agent"]
+        for group, plain in _PLAIN.items():
+            if chosen[group] != plain:
+                name += f"_{_IN_NAMES.get(chosen[group], chosen[group])}"
+    start = [f"experiment={chosen['experiment']}"]
+    compared = [part for part in parts() if part not in ("agent", *_PLAIN)]
+    if name in choices("condition"):
+        start.append(f"condition={name}")
+        compared += ["agent", *_PLAIN]
+    usual = _compose_condition(*start).choices
+    other = [group for group in parts() if chosen[group] != usual[group]]
+    base = flatten(_compose_condition(*start, *(f"{g}={chosen[g]}" for g in other)).values)
+    for group in compared:
+        if group in other:
+            name += f",{group}={chosen[group]}"
+    for option, value in flatten(composed.values).items():
+        if option.split(".")[0] in ("seed", "experiment", "name", "without_instruction"):
+            continue
+        if option == "precision" and base[option] == "auto":
+            continue  # the same run goes on with it on another machine; its checkpoint checks it
+        if affects_learning(option) and value != base.get(option):
+            if option == "pretrained.run":
+                value = _of_seeds(value)
+            name += f",{option}={str(value).replace(' ', '').replace('/', '_')}"
+    return name
+
+
+def _of_seeds(folder: Any) -> str:
+    """The experiment and the condition in the name of a run's folder: seeds that begin with other
+    seeds of the same condition are in one row."""
+    return "_".join(PurePath(str(folder)).parts[-3:-1]) or str(folder)
+
+
+_PLAIN = {"memory": "lstm", "auxiliary": "none", "critic": "scalar", "episodic": "none"}  # paper
+_IN_NAMES = {"gtrxl": "transformer"}  # as the paper calls it

@@ -1,0 +1,243 @@
+"""Composes configurations with Hydra, from `configs/`, folders of the user's, and the registries.
+
+What is registered in Python needs no file: the group `environment` has a choice for every family,
+with the defaults of its options class; `agent` and `auxiliary` have one for every agent and
+auxiliary loss whose options all have defaults.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+import zipf
+from zipf import envs, plugins
+from zipf.agents import agents
+from zipf.agents.auxiliary import auxiliaries
+from zipf.errors import UserError
+from zipf.options import Options
+
+_PACKAGE = Path(zipf.__file__).parent
+# In the wheel `configs/` lies inside the package; in a checkout it lies beside it.
+CONFIG_DIR = next(
+    path for path in (_PACKAGE / "configs", _PACKAGE.parent / "configs") if path.is_dir()
+)
+
+_SEED = re.compile(r"seed=\d{1,18}")
+
+_user_folders: list[Path] = []
+
+
+@dataclass(frozen=True)
+class Composed:
+    """A composed configuration.
+
+    Attributes:
+        values: the options, nested.
+        choices: the choice in each group; `"None"` for no choice.
+    """
+
+    values: dict[str, Any]
+    choices: dict[str, str]
+
+
+def add_folder(folder: str | Path) -> None:
+    """Adds a folder of the user's, laid out like `configs/` (`--config-dir`).
+
+    Raises:
+        UserError: there is no such folder.
+    """
+    try:
+        path = Path(folder).expanduser().resolve()
+        found = path.is_dir()
+    except (OSError, RuntimeError):  # too long a name, or no such user's home
+        found = False
+    if not found:
+        raise UserError(f"--config-dir {folder!s:.200}: there is no such folder")
+    if path not in _user_folders:
+        _user_folders.append(path)
+
+
+def load_plugins(modules: Iterable[str]) -> None:
+    """Imports plugins, also those of installed packages, and adds what they registered to Hydra's
+    choices.
+
+    Raises:
+        UserError: a plugin cannot be imported.
+    """
+    try:
+        plugins.load(modules)
+    except ImportError as error:
+        raise UserError(f"plugins: cannot import {error}") from None
+    _store_registered()
+
+
+def search_path() -> str:
+    """The override that makes Hydra find configurations outside `configs/`; empty for none."""
+    folders = ",".join(quoted(f"file://{folder}") for folder in _folders()[1:])
+    return f"hydra.searchpath=[{folders}]" if folders else ""
+
+
+def quoted(text: str) -> str:
+    """A value as an override can carry it.
+
+    Hydra takes a backslash as it is, but for those before a quote or the end.
+    """
+    escaped = re.sub(r"(\\*)('|\Z)", lambda m: 2 * m[1] + m[2].replace("'", "\\'"), text)
+    return f"'{escaped}'"
+
+
+def groups() -> list[str]:
+    """The groups that have choices."""
+    found = {path.name for folder in _folders() for path in folder.iterdir() if path.is_dir()}
+    others = {"values", "sweep", "hydra"}  # values are chosen by the other groups
+    return sorted((found | _registered().keys()) - others)
+
+
+def choices(group: str) -> list[str]:
+    """The names that can be chosen in a group."""
+    files = {path.stem for folder in _folders() for path in (folder / group).glob("*.yaml")}
+    return sorted(files | _registered().get(group, {}).keys())
+
+
+def composed(*overrides: str) -> Composed:
+    """The configuration of these overrides.
+
+    Raises:
+        UserError: it cannot be composed; with Hydra's message.
+    """
+    return _resolved(search_path(), *overrides)
+
+
+@cache
+def _resolved(search_path: str, *overrides: str) -> Composed:
+    seeds = [override for override in overrides if _SEED.fullmatch(override)]
+    if any(re.match(r"[+~]+seed\b", override) for override in overrides):
+        seeds = []
+    others = [override for override in overrides if override not in seeds]
+    try:
+        # Composing takes Hydra a third of a second; a sweep's jobs often differ in the seed alone.
+        config, choices = _composed(search_path, *others)
+        config = copy.deepcopy(config)
+        if seeds:
+            config["seed"] = int(seeds[-1].partition("=")[2])
+        values = OmegaConf.to_container(config, resolve=True)
+    except (HydraException, OmegaConfBaseException, YAMLError, ValueError, TypeError) as error:
+        raise UserError(told(error)) from None  # the last three: of files of the user's
+    assert isinstance(values, dict)
+    for group in ("experiment", "condition"):
+        if isinstance(values[group], dict):
+            raise UserError(
+                f"{find_file(group, choices[group])}: should begin with '# @package _global_'"
+            )
+    return Composed({str(k): v for k, v in values.items()}, choices)
+
+
+@cache
+def _composed(search_path: str, *overrides: str) -> tuple[DictConfig, dict[str, str]]:
+    _store_registered()
+    backup = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
+    try:
+        with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+            given = [override for override in (search_path, *overrides) if override]
+            config = compose("train", given, return_hydra_config=True)
+    finally:
+        GlobalHydra.instance().hydra = backup
+    choices = {k: str(v) for k, v in config.hydra.runtime.choices.items()}
+    OmegaConf.set_struct(config, False)
+    del config["hydra"]
+    return config, choices
+
+
+def told(error: Exception) -> str:
+    """What Hydra has to say, on one line."""
+    message = " ".join(str(error).split()).partition(" Config search path:")[0]
+    if re.search("Could not find '(environment|agent|auxiliary)/", message):
+        message += "; one of your own has to be registered by a plugin: plugins=[<module>]"
+    if "hydra/launcher" in message:
+        message += ' (joblib and submitit come with the extra: pip install "zipf-rl[sweep]")'
+    return message
+
+
+def find_file(group: str, name: str) -> Path | None:
+    """The file of a choice; None for a name without a file."""
+    paths = (folder / group / f"{name}.yaml" for folder in _folders())
+    return next((path for path in paths if path.is_file()), None)
+
+
+def condition_file(condition: str) -> dict[str, Any]:
+    """The contents of a condition's file; empty for a name without a file.
+
+    Raises:
+        UserError: the file is not YAML.
+    """
+    path = find_file("condition", condition)
+    if path is None:
+        return {}
+    try:
+        return dict(OmegaConf.to_container(OmegaConf.load(path)) or {})  # type: ignore[arg-type]
+    except (YAMLError, OmegaConfBaseException, ValueError) as error:
+        raise UserError(f"{path}: is not a configuration: {error}") from None
+
+
+def _folders() -> list[Path]:
+    return [CONFIG_DIR, *_user_folders, *plugins.config_folders()]
+
+
+def _registered() -> dict[str, dict[str, dict[str, Any]]]:
+    """The registered choices by group and name, with their default values."""
+    return {
+        "environment": {
+            name: {"split": family.splits[0].name, **_defaults(family.options_class)}
+            for name, family in envs.families().items()
+            if family.splits
+        },
+        "agent": {
+            name: {"name": name, **_defaults(agent.Options)}
+            for name, agent in agents().items()
+            if _has_defaults(agent.Options)
+        },
+        "auxiliary": {
+            name: {"name": name, **_defaults(options)}
+            for name, options in auxiliaries().items()
+            if _has_defaults(options)
+        },
+    }
+
+
+def _store_registered() -> None:
+    store = ConfigStore.instance()
+    for group, choices in _registered().items():
+        for name, node in choices.items():
+            if find_file(group, name) is None:
+                store.store(group=group, name=name, node=node)
+
+
+def _has_defaults(options: type[Options]) -> bool:
+    return all(name == "name" or not field.is_required() for name, field in _fields(options))
+
+
+def _fields(options: type[Options]) -> Iterable[tuple[str, Any]]:
+    return options.model_fields.items()
+
+
+def _defaults(options: type[Options]) -> dict[str, Any]:
+    return {
+        name: field.get_default(call_default_factory=True)
+        for name, field in _fields(options)
+        if name != "name"
+    }

@@ -1,0 +1,1 @@
+"""What a run leaves: descriptions and tables, written and read; without PyTorch."""

@@ -1,0 +1,140 @@
+"""CSV files of a run as data frames, with the line of whatever is damaged.
+
+A last line without its newline is what a crash leaves behind: it is dropped and noted. Any other
+damage is an error that names file and line, because a score computed around a hole would look like
+any other score. pandas reads the files; that every line has as many fields as the header is checked
+before, because pandas fills up short lines without a word.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from zipf.errors import UserError
+
+Kind = Literal["count", "count or empty", "number", "number or empty", "text"]
+
+EXPECTED: Mapping[Kind, str] = {
+    "count": "a whole number",
+    "count or empty": "a whole number or nothing",
+    "number": "a finite number",
+    "number or empty": "a finite number or nothing",
+}
+
+
+def read_table(path: Path, columns: Mapping[str, Kind], notes: list[str]) -> pd.DataFrame:
+    """The named columns of a CSV file, in the order of its lines; no rows where it has none.
+
+    Args:
+        columns: what each holds: "count" is read as int64; "number" as float64, which has to be
+            finite; "number or empty" likewise, with NaN for an empty field; "text" as str.
+        notes: gains a sentence if the last line is torn.
+
+    Returns:
+        A frame whose index is the number of the line in the file, the header being line 1.
+
+    Raises:
+        UserError: the file cannot be read, a column is missing, or a line is damaged.
+    """
+    lines, torn = read_lines(path)
+    if torn:
+        notes.append(f"{path.as_posix()}: the last line is torn and was left out")
+    header = read_fields(path, lines)[0] if lines else list(columns)
+    if missing := [name for name in columns if name not in header]:
+        raise UserError(f"{path.as_posix()}, line 1: no column {', '.join(missing)}")
+    texts = pd.read_csv(
+        io.StringIO("\n".join(lines)),
+        header=0 if lines else None,
+        names=header,
+        usecols=list(columns),
+        dtype=str,
+        na_filter=False,
+        skip_blank_lines=False,
+    )
+    texts.index += 2
+    return pd.DataFrame({name: _convert(path, texts[name], kind) for name, kind in columns.items()})
+
+
+def read_header(path: Path) -> list[str]:
+    """The names of the columns; empty where the file has no complete line."""
+    lines, _ = read_lines(path)
+    return read_fields(path, lines[:1])[0] if lines else []
+
+
+def read_bytes(path: Path) -> bytes:
+    """The file's content.
+
+    Raises:
+        UserError: it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{path.as_posix()}: cannot be read: {error.strerror}") from error
+
+
+def read_lines(path: Path) -> tuple[list[str], bool]:
+    """The lines that end in a newline, without it, and whether there is a rest that does not; no
+    lines where there is no file.
+
+    Raises:
+        UserError: the file cannot be read.
+    """
+    if not path.exists():
+        return [], False
+    complete, _, torn = read_bytes(path).rpartition(b"\n")
+    text = complete.decode("utf-8", errors="replace")
+    return (text.split("\n") if text else []), bool(torn)
+
+
+def read_fields(path: Path, lines: list[str]) -> list[list[str]]:
+    """The fields of each line, those of the header first.
+
+    Args:
+        path: of the file, for messages.
+
+    Raises:
+        UserError: a line has another number of fields than the header, or other damage.
+    """
+    reader = csv.reader(lines, strict=True)
+    found: list[list[str]] = []
+    try:
+        for fields in reader:
+            if reader.line_num != len(found) + 1:
+                raise csv.Error("a quoted field does not end")
+            if "\r" in lines[len(found)].removesuffix("\r"):
+                raise csv.Error("a carriage return inside the line")
+            if found and len(fields) != len(found[0]):
+                raise csv.Error(f"{len(fields)} fields where there are {len(found[0])} columns")
+            found.append(fields)
+    except csv.Error as error:
+        raise UserError(f"{path.as_posix()}, line {len(found) + 1}: {error}") from error
+    if len(set(found[0])) < len(found[0]):
+        raise UserError(f"{path.as_posix()}, line 1: two columns of the same name")
+    return found
+
+
+def _convert(path: Path, texts: pd.Series, kind: Kind) -> pd.Series:
+    if kind == "text":
+        return texts
+    values = pd.to_numeric(texts, errors="coerce").astype(float)
+    good = np.isfinite(values.to_numpy())
+    if kind.startswith("count"):
+        good = texts.str.fullmatch("[0-9]{1,15}").to_numpy(bool)  # more are not exact as float64
+    if kind.endswith("or empty"):
+        good = good | (texts == "").to_numpy(bool)
+    if not good.all():
+        line, text = next(iter(texts[~good].items()))
+        shown = text if len(text) <= 40 else f"{text[:40]}..."
+        raise UserError(
+            f"{path.as_posix()}, line {line}: column {texts.name} has {shown!r}, "
+            f"expected {EXPECTED[kind]}"
+        )
+    return values.astype(np.int64) if kind == "count" else values

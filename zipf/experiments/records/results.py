@@ -1,0 +1,336 @@
+"""Run folders as data: what each run is and what it measured, read from its files alone.
+
+A run folder is a folder with a `run.json`. Files that a run has not written yet count as empty.
+docs/results.md describes every file and column.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml
+
+from zipf.envs.splits import KINDS
+from zipf.errors import UserError
+from zipf.experiments.records import checksums
+from zipf.experiments.records.csv_files import Kind, read_bytes, read_header, read_table
+from zipf.experiments.records.descriptions import (
+    LevelGroup,
+    RunDescription,
+    read_description,
+)
+from zipf.experiments.records.learned_options import NOT_LEARNED, changes_nothing, flatten, is_among
+
+# In which two seeds of a condition may differ.
+BOOKKEEPING = (NOT_LEARNED - {"evaluation"}) | {"seed"}
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run, as its files tell it.
+
+    Attributes:
+        folder: as the user gave it, plus the path below.
+        evaluations: one row per (update, level_kind, level), in order of updates: `update`,
+            `frames`, `seconds`, `level_kind`, `level`, `episodes`, `score`, `success` (NaN where
+            the level reports none), `return`.
+        situations: one row per (update, level_kind, situation): `update`, `level_kind`, the
+            situation's ranks, `episodes`, `successes` (NaN where the level reports none),
+            `return_sum`; and where the run has recorded them `visits` and `visits_<rank>`, see
+            docs/results.md.
+        situation_names: the situation's columns, e.g. ("map", "target"); ranks, 0 most frequent.
+        updates, frames, seconds: how far the run has come.
+        settings: the flattened `config.yaml` without bookkeeping; empty for an external run.
+        notes: what the reader of the files had to leave out.
+    """
+
+    folder: Path
+    description: RunDescription
+    evaluations: pd.DataFrame
+    situations: pd.DataFrame
+    situation_names: tuple[str, ...]
+    updates: int
+    frames: int
+    seconds: float
+    settings: Mapping[str, Any]
+    notes: tuple[str, ...]
+    _means: dict[Any, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def label(self) -> str:
+        """The run's folder, as messages show it."""
+        return self.folder.as_posix()
+
+    def evaluations_of(self, levels: LevelGroup) -> pd.DataFrame:
+        """The rows of `evaluations` of these levels, of the updates at which all were scored."""
+        rows = self.evaluations
+        chosen = rows[
+            (rows["level_kind"] == levels.level_kind) & rows["level"].isin(levels.weights)
+        ]
+        scored = chosen.groupby("update")["level"].transform("size")
+        return chosen[scored == len(levels.weights)]
+
+    def mean_scores(self, levels: LevelGroup) -> pd.DataFrame:
+        """The levels' mean score at every update at which all of them were scored.
+
+        Returns:
+            One row per update, in their order: `update`, `frames`, `seconds`, `episodes` (of all
+            levels), `score` (the weighted mean) and `plain_score` (the plain mean). The same frame
+            each time, not to be changed.
+        """
+        # Tables, figures, claims and statistics all ask for the same means.
+        key = levels.level_kind, tuple(levels.weights.items())
+        if key not in self._means:
+            self._means[key] = self._mean_scores(levels)
+        return self._means[key]
+
+    def _mean_scores(self, levels: LevelGroup) -> pd.DataFrame:
+        rows = self.evaluations_of(levels)
+        weights = rows["level"].map(dict(levels.weights)).astype(float)
+        rows = rows.assign(weighted=rows["score"] * weights / sum(levels.weights.values()))
+        means = rows.groupby("update", as_index=False).agg(
+            frames=("frames", "first"),
+            seconds=("seconds", "first"),
+            episodes=("episodes", "sum"),
+            score=("weighted", "sum"),
+            plain_score=("score", "mean"),
+        )
+        return means if levels.is_weighted else means.assign(score=means["plain_score"])
+
+
+def load_runs(folders: Iterable[str | Path]) -> list[Run]:
+    """Every run at any depth under `folders`, in the order of tables. Links are followed; a run
+    that is found twice counts once.
+
+    Raises:
+        UserError: a folder does not exist, cannot be read or holds no run, or a run's files are
+            damaged.
+    """
+    roots = [Path(folder) for folder in folders]
+    found: dict[Path, Path] = {}
+    for folder in roots:
+        try:
+            if not folder.is_dir():
+                raise UserError(f"{folder.as_posix()}: no such folder")
+            for path in _run_folders(folder):
+                found.setdefault(path.resolve(), path)
+        except OSError as error:  # such as too long a name, or a folder that cannot be read
+            where = error.filename or folder.as_posix()
+            raise UserError(f"{where:.200}: {error.strerror}") from None
+    if not found:
+        where = ", ".join(folder.as_posix() for folder in roots)
+        raise UserError(f"no run found under {where}: a run's folder has a run.json")
+    runs = [load_run(folder) for folder in found.values()]
+    return sorted(
+        runs,
+        key=lambda run: (
+            run.description.experiment,
+            run.description.row_order,
+            run.description.seed,
+            run.label,
+        ),
+    )
+
+
+def _run_folders(root: Path) -> Iterator[Path]:
+    """The folders at any depth under a folder that have a run.json. Raises OSError."""
+
+    def fail(error: OSError) -> None:
+        raise error
+
+    seen = set()
+    for folder, inner, files in os.walk(root, followlinks=True, onerror=fail):
+        real = os.path.realpath(folder)
+        if real in seen:  # a link leads back
+            inner.clear()
+            continue
+        seen.add(real)
+        inner.sort()
+        if "run.json" in files:
+            yield Path(folder)
+
+
+def devices_of(runs: Sequence[Run]) -> tuple[str, ...]:
+    """What any of these runs was trained on, each device named once."""
+    return tuple(dict.fromkeys(device for run in runs for device in run.description.devices))
+
+
+def aligned(seeds: Sequence[pd.DataFrame]) -> list[pd.DataFrame]:
+    """The seeds' `mean_scores` with places in common, so that a median over seeds can be taken.
+
+    Where no two seeds were evaluated at the same update, as agents from outside the package may be,
+    the k-th evaluation of each is at the median of the places of all their k-th ones.
+    """
+    updates = pd.concat([seed["update"] for seed in seeds])
+    trained = updates[updates > 0]
+    if len(seeds) < 2 or trained.duplicated().any():
+        return list(seeds)
+    numbered = pd.concat([seed.assign(number=range(len(seed))) for seed in seeds])
+    columns = [name for name in ("update", "frames", "seconds", "hours") if name in numbered]
+    places = numbered.groupby("number")[columns].median()
+    return [
+        seed.assign(**{name: places[name].to_numpy()[: len(seed)] for name in columns})
+        for seed in seeds
+    ]
+
+
+def load_run(folder: Path) -> Run:
+    """The run in `folder`.
+
+    Raises:
+        UserError: one of its files is damaged.
+    """
+    description = read_description(folder / "run.json")
+    notes: list[str] = []
+    evaluations = _read_evaluations(folder / "evaluations.csv", description, notes)
+    situations, situation_names = _read_situations(folder / "situations.csv", description, notes)
+    progress = {"update": 0.0, "frames": 0.0, "seconds": 0.0}
+    metrics = read_table(folder / "metrics.csv", dict.fromkeys(progress, "number"), notes)
+    for frame in (evaluations, metrics):
+        for column in progress:
+            if len(frame):
+                progress[column] = max(progress[column], float(frame[column].max()))
+    settings = _read_settings(folder / "config.yaml", description)
+    if note := checksums.check(folder):
+        notes.append(note)
+    return Run(
+        folder=folder,
+        description=description,
+        evaluations=evaluations,
+        situations=situations,
+        situation_names=situation_names,
+        updates=int(progress["update"]),
+        frames=int(progress["frames"]),
+        seconds=progress["seconds"],
+        settings=settings,
+        notes=tuple(notes),
+    )
+
+
+def _read_evaluations(path: Path, description: RunDescription, notes: list[str]) -> pd.DataFrame:
+    columns: dict[str, Kind] = {
+        "update": "count",
+        "frames": "count",
+        "seconds": "number",
+        "level_kind": "text",
+        "level": "text",
+        "episodes": "count",
+        "score": "number",
+        "success": "number or empty",
+        "return": "number",
+    }
+    rows = read_table(path, columns, notes)
+    _check_kinds(path, rows)
+    for level_kind in KINDS:
+        known = description.levels_of(level_kind).weights
+        of_kind = rows[rows["level_kind"] == level_kind]
+        unknown = of_kind[~of_kind["level"].isin(known)]
+        if len(unknown):
+            raise UserError(
+                f"{path.as_posix()}, line {unknown.index[0]}: {level_kind} level "
+                f"{unknown['level'].iloc[0]!r}; by run.json the run has "
+                f"{', '.join(known) or 'none of this kind'}"
+            )
+    return _latest(rows, ["update", "level_kind", "level"])
+
+
+def _read_situations(
+    path: Path, description: RunDescription, notes: list[str]
+) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    header = read_header(path)
+    names: tuple[str, ...] = ()
+    if "level_kind" in header and "episodes" in header:
+        names = tuple(header[header.index("level_kind") + 1 : header.index("episodes")])
+    columns: dict[str, Kind] = {
+        "update": "count",
+        "level_kind": "text",
+        **{name: "count" for name in names},
+        "episodes": "count",
+        "successes": "number or empty",
+        "return_sum": "number",
+    }
+    visits = ("visits", *(f"visits_{name}" for name in names))
+    columns |= dict.fromkeys([name for name in visits if name in header], "count or empty")
+    rows = read_table(path, columns, notes)
+    _check_kinds(path, rows)
+    for name in names:
+        size = description.situation.get(name)
+        if size is None:
+            raise UserError(
+                f"{path.as_posix()}, line 1: column {name}, but run.json's situation has "
+                f"{', '.join(description.situation) or 'no rank'}"
+            )
+        too_large = rows[rows[name] >= size]
+        if len(too_large):
+            raise UserError(
+                f"{path.as_posix()}, line {too_large.index[0]}: {name} "
+                f"{too_large[name].iloc[0]}, but by run.json the ranks are 0 to {size - 1}"
+            )
+    too_many = rows[rows["successes"] > rows["episodes"]]
+    if len(too_many):
+        raise UserError(
+            f"{path.as_posix()}, line {too_many.index[0]}: {too_many['successes'].iloc[0]:g} "
+            f"successes of {too_many['episodes'].iloc[0]} episodes"
+        )
+    return _latest(rows, ["update", "level_kind", *names]), names
+
+
+def _check_kinds(path: Path, rows: pd.DataFrame) -> None:
+    wrong = rows[~rows["level_kind"].isin(KINDS)]
+    if len(wrong):
+        raise UserError(
+            f"{path.as_posix()}, line {wrong.index[0]}: column level_kind has "
+            f"{wrong['level_kind'].iloc[0]!r}, expected one of {', '.join(KINDS)}"
+        )
+
+
+def _latest(rows: pd.DataFrame, key: list[str]) -> pd.DataFrame:
+    """One row per key, in order of updates.
+
+    A run of version 0.1.0 that was killed and resumed has the evaluations after its last checkpoint
+    twice, with the same outcome because resuming is exact; the later row is kept.
+    """
+    rows = rows.drop_duplicates(key, keep="last")
+    return rows.sort_values("update", kind="stable").reset_index(drop=True)
+
+
+def _read_settings(path: Path, description: RunDescription) -> dict[str, Any]:
+    """The flattened options of a run of this package. An external agent has none: a configuration
+    in its folder would be that of somebody else's training."""
+    if description.external:
+        if path.exists():
+            raise UserError(f"{path.as_posix()}: by run.json the agent is external and has none")
+        return {}
+
+    content = read_bytes(path)
+    try:
+        options = yaml.safe_load(content)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise UserError(f"{path.as_posix()}: not a YAML file") from error
+    if not isinstance(options, dict) or "schedule" not in options:  # the last of them
+        raise UserError(f"{path.as_posix()}: is no run's options, or cut")
+    described = {
+        "experiment": description.experiment,
+        "condition": description.condition,
+        "seed": description.seed,
+        "environment": {"split": description.split, **description.environment},
+    }
+    if differing := [name for name in described if options.get(name) != described[name]]:
+        raise UserError(
+            f"{path.as_posix()}: has options of another run than run.json ({', '.join(differing)})"
+        )
+    flat = flatten(options)
+    if there := description.pretrained:  # in which folder it was, and of which seed, is no setting
+        flat["pretrained.run"] = f"{there.experiment} {there.condition}"
+    else:
+        flat = {key: value for key, value in flat.items() if not key.startswith("pretrained.")}
+    return {
+        key: value
+        for key, value in flat.items()
+        if not is_among(key, BOOKKEEPING) and not changes_nothing(key, value)
+    }

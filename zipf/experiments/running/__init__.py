@@ -1,1 +1,0 @@
-"""Training and evaluation: everything that writes a run's files."""

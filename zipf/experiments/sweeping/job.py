@@ -1,0 +1,203 @@
+"""A job of a sweep: a training in a process of its own, and what becomes of it.
+
+The processes of launchers run this. It imports neither PyTorch nor anything that does.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import IO, Any, Literal
+
+from hydra.core.hydra_config import HydraConfig
+
+from zipf.experiments.records.wording import duration_text
+from zipf.experiments.training.signals import SWEEP_PIPE
+
+State = Literal["begun", "finished", "skipped", "failed", "stopped", "not begun"]
+POLL = 0.2  # seconds; ours
+REPORT_EVERY = 600  # seconds; ours: a job of an hour has few lines
+TRAIN = (sys.executable, "-m", "zipf.train")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run of a sweep.
+
+    Attributes:
+        number: in the sweep, from 1.
+        of: how many jobs the sweep has.
+        name: the run's.
+        folder: the run's, absolute.
+        updates: to reach.
+        arguments: of its command, `python -m zipf.train <arguments>`.
+    """
+
+    number: int
+    of: int
+    name: str
+    folder: str
+    updates: int
+    arguments: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a job, in a word and in words."""
+
+    state: State
+    text: str
+
+
+class Board:
+    """A folder of files through which jobs report their state and learn that the sweep stops.
+
+    Jobs may be processes of other machines; what they return reaches the sweep late, or not at all
+    where a launcher's process was killed.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder.absolute()
+
+    def tell(self, job: Job, outcome: Outcome) -> None:
+        """Notes what became of a job. Raises `OSError` where the folder cannot be written."""
+        path = self.folder / f"{job.number}.json"
+        new = path.with_suffix(".new")
+        new.write_text(json.dumps(asdict(outcome)), encoding="utf-8")
+        os.replace(new, path)
+
+    def outcome(self, job: Job) -> Outcome | None:
+        """The latest that a job has told; None before it has begun."""
+        path = self.folder / f"{job.number}.json"
+        try:
+            return Outcome(**json.loads(path.read_text(encoding="utf-8")))
+        except FileNotFoundError:
+            return None
+
+    def stop(self) -> None:
+        """Makes running jobs stop with checkpoints, and further ones not begin."""
+        (self.folder / "stop").touch()
+
+    def remove(self) -> None:
+        """Removes the folder, and the one that it is in if no other sweep uses that."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        with suppress(OSError):
+            self.folder.parent.rmdir()
+
+    @property
+    def stops(self) -> bool:
+        """Whether the sweep stops."""
+        return (self.folder / "stop").exists()
+
+
+@dataclass(frozen=True)
+class Jobs:
+    """What a launcher calls for each job, in a process of its own or in that of the sweep.
+
+    Attributes:
+        jobs: those to launch, in order.
+        folder: the working directory of their commands.
+    """
+
+    jobs: tuple[Job, ...]
+    board: Board
+    folder: str
+
+    def __call__(self, _: Any) -> Outcome:
+        job = self.jobs[HydraConfig.get().job.num]
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            # Ctrl-C reaches the job's process, too; this one waits for its end.
+            signal.signal(signal.SIGINT, lambda number, frame: None)
+        if self.board.stops:
+            outcome = Outcome("not begun", "not begun")
+        else:
+            self.board.tell(job, Outcome("begun", f"begins, in {job.folder}"))
+            try:
+                outcome = self._train(job)
+            except Exception as error:
+                outcome = failed(f"{type(error).__name__}: {error}")
+        self.board.tell(job, outcome)
+        return outcome
+
+    def _train(self, job: Job) -> Outcome:
+        began = time.monotonic()
+        reading, writing = os.pipe()
+        with (
+            os.fdopen(writing, "wb") as pipe,
+            tempfile.TemporaryFile() as shown,
+            tempfile.TemporaryFile() as errors,
+        ):
+            process = subprocess.Popen(
+                [*TRAIN, *job.arguments],
+                cwd=self.folder,
+                env={**os.environ, SWEEP_PIPE: str(reading)},
+                pass_fds=(reading,),
+                stdin=subprocess.DEVNULL,
+                stdout=shown,
+                stderr=errors,
+            )
+            os.close(reading)
+            reported = began
+            try:
+                while not _has_ended(process):
+                    if self.board.stops:
+                        pipe.close()
+                    elif time.monotonic() - reported > REPORT_EVERY:
+                        reported = time.monotonic()
+                        if progress := [one for one in _lines(shown) if one.startswith("update ")]:
+                            self.board.tell(job, Outcome("begun", progress[-1]))
+            finally:
+                process.kill()  # where waiting for it was interrupted
+                process.wait()
+            return _outcome(
+                job, process.returncode, _lines(shown), _lines(errors), time.monotonic() - began
+            )
+
+
+def _has_ended(process: subprocess.Popen[bytes]) -> bool:
+    try:
+        process.wait(POLL)
+    except subprocess.TimeoutExpired:
+        return False
+    return True
+
+
+def _outcome(job: Job, code: int, shown: list[str], errors: list[str], seconds: float) -> Outcome:
+    if code == 0:
+        return Outcome("finished", f"finished, {job.updates:,} updates, {duration_text(seconds)}")
+    if code in (128 + signal.SIGINT, 128 + signal.SIGTERM):
+        said = [line for line in shown if line.startswith("stopped at ")]
+        return Outcome("stopped", said[-1] if said else "stopped before it began")
+    if code in (-signal.SIGINT, -signal.SIGTERM):
+        return Outcome("stopped", "stopped before it began, or without a checkpoint")
+    if code < 0:
+        why = ", as happens where a machine runs out of RAM" if code == -signal.SIGKILL else ""
+        return failed(f"its process was killed by {signal.Signals(-code).name}{why}")
+    told = [line.removeprefix("error: ") for line in errors if line.startswith("error: ")]
+    if code == 2 and told:
+        return failed("; ".join(told))
+    log = Path(job.folder) / "train.log"
+    with open(log, "a", encoding="utf-8") as file:
+        file.writelines(f"{line}\n" for line in errors)
+    last = errors[-1] if errors else f"exit code {code}"
+    return failed(f"{last} (traceback in {log})")
+
+
+def _lines(file: IO[bytes]) -> list[str]:
+    """What a process has written so far; does not move the place where it writes on."""
+    written = os.pread(file.fileno(), os.fstat(file.fileno()).st_size, 0)
+    return written.decode(errors="replace").splitlines()
+
+
+def failed(why: str) -> Outcome:
+    """The outcome of a job that failed, on one line."""
+    return Outcome("failed", f"failed: {' '.join(why.split())}")

@@ -1,0 +1,299 @@
+"""From a command line to the jobs of a sweep: lists of values, and ready-made sweeps.
+
+A ready-made sweep is a file of `configs/sweep/`, or of a folder that a user or a plugin adds: a
+list of blocks, each with experiments, conditions, seeds and further overrides. `sweep=<name>` on
+the command line stands for its jobs.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any
+
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic import Field, ValidationError
+from yaml import YAMLError
+
+from zipf import envs
+from zipf.errors import UserError
+from zipf.experiments.options import catalogue, command_line, composing
+from zipf.experiments.options.schema import Config, Seed
+from zipf.experiments.records.paper import conditions_of_the_paper, paper_table
+from zipf.options import Options
+
+MOST_JOBS = 10_000  # ours: all of them are checked before the first one starts
+SETS = ("paper", "tail", "all")
+"""Words for sets of conditions: those in the paper's table of the experiment, those in none of the
+paper's tables, and all. Of the last two, conditions that do not go with the experiment are left
+out."""
+
+
+class Block(Options):
+    """The jobs of every combination of experiment, condition and seed.
+
+    `conditions` are names or words of `SETS`; without them the experiment's own agent is trained.
+    `overrides` are as on the command line, with lists of values where wanted.
+    """
+
+    experiments: str | list[str]
+    conditions: str | list[str] = Field(default_factory=list)
+    seeds: Annotated[list[Seed], Field(min_length=1)]
+    overrides: list[str] = Field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class PlannedJob:
+    """A run that a sweep is asked for.
+
+    Attributes:
+        overrides: of its own command, `python -m zipf.train <overrides>`.
+        config: what they amount to.
+        is_finished: whether there is nothing left to do.
+    """
+
+    overrides: tuple[str, ...]
+    config: Config
+    is_finished: bool
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Jobs that were checked.
+
+    Attributes:
+        left_out: a line for every condition of a set that does not go with an experiment.
+    """
+
+    jobs: tuple[PlannedJob, ...]
+    left_out: tuple[str, ...]
+
+
+def check(overrides: list[str], is_finished: Callable[[Config], bool] = lambda _: False) -> Sweep:
+    """All jobs of a command line. A finished one is not checked for what it would need to run.
+
+    Raises:
+        UserError: with one line for every mistake in any of the jobs, or where two of them would
+            use the same folder.
+    """
+    problems: dict[str, None] = {}
+    left_out: dict[str, None] = {}
+    jobs: list[PlannedJob] = []
+    for words, pair in expand(overrides):
+        try:
+            config = command_line.read(list(words))
+            finished = is_finished(config)
+            if not finished:
+                if pair and (why := _misfit(*pair)):
+                    left_out[why] = None
+                    continue
+                command_line.check(config)
+            jobs.append(PlannedJob(words, config, finished))
+        except UserError as error:
+            problems.update(dict.fromkeys(str(error).splitlines()))
+    problems.update(dict.fromkeys(_shared_folders(jobs)))
+    if problems:
+        raise UserError("\n".join(problems))
+    return Sweep(tuple(jobs), tuple(left_out))
+
+
+def named(overrides: Iterable[str]) -> bool:
+    """Whether a command line names a ready-made sweep."""
+    return any(word.startswith("sweep=") for word in overrides)
+
+
+def for_hydra(word: str) -> bool:
+    """Whether an override is about the command, such as the launcher, and not about a job."""
+    return word.lstrip("+~").startswith(("hydra.", "hydra/"))
+
+
+def for_launcher(word: str) -> bool:
+    """Whether an override is about what starts the jobs of a sweep."""
+    return word.lstrip("+~").startswith(("hydra.launcher", "hydra/launcher"))
+
+
+def of_all_jobs(overrides: list[str]) -> list[str]:
+    """The overrides that all jobs of a command line have, without those that make a sweep of it."""
+    parsed = command_line.parse(overrides)
+    kept = (one for one in parsed if one.key_or_group != "sweep" and not one.is_sweep_override())
+    return [str(one.input_line) for one in kept]
+
+
+def expand(
+    overrides: list[str],
+) -> Iterator[tuple[tuple[str, ...], tuple[str, str] | None]]:
+    """The overrides of each job of a command line, not yet checked.
+
+    With them come the job's experiment and condition if the condition is from a set of conditions,
+    of which those that do not fit are left out; else None.
+
+    Raises:
+        UserError: there is no such sweep, or what narrows it is not in it.
+    """
+    words = [word for word in overrides if not for_hydra(word)]
+    parsed = command_line.parse(words)
+    names = [name for one in parsed if one.key_or_group == "sweep" for name in _values(one)]
+    if not names:
+        yield from ((tuple(job), None) for job in _combinations(words))
+        return
+    narrowing = ("experiment", "condition")
+    rest = [one for one in parsed if one.key_or_group not in ("sweep", *narrowing)]
+    pairs = [
+        (block, {"experiment": experiment, "condition": condition}, optional)
+        for name in names
+        for block in read_blocks(name)
+        for experiment in _as_list(block.experiments)
+        for condition, optional in _conditions(name, block, experiment).items()
+    ]
+    if not pairs:
+        raise UserError(f"sweep={','.join(names)}: has no experiments")
+    for one in parsed:
+        if (group := one.key_or_group) not in narrowing:
+            continue
+        known = sorted({pair[group] for _, pair, _ in pairs if pair[group]})
+        for value in _values(one):
+            if value not in known:
+                told = (
+                    command_line.nearest(value, known) if known else f"its blocks name no {group}s"
+                )
+                raise UserError(f"{group}={value}: is not in sweep={','.join(names)}; {told}")
+        pairs = [entry for entry in pairs if entry[1][group] in _values(one)]
+    planned: dict[tuple[str, ...], tuple[str, str] | None] = {}
+    for block, pair, optional in pairs:
+        own = [f"seed={','.join(map(str, block.seeds))}", *block.overrides]
+        changed = {one.key_or_group for one in rest}
+        kept = [one for one in command_line.parse(own) if one.key_or_group not in changed]
+        chosen = [f"{group}={name}" for group, name in pair.items() if name]
+        lines = [*chosen, *(str(one.input_line) for one in [*kept, *rest])]
+        for job in _combinations(lines):
+            left_out = (pair["experiment"], pair["condition"]) if optional else None
+            planned.setdefault(tuple(job), left_out)
+    yield from planned.items()
+
+
+def read_blocks(name: str) -> list[Block]:
+    """The blocks of a ready-made sweep.
+
+    Raises:
+        UserError: there is none of that name, or its file is no list of blocks.
+    """
+    path = composing.find_file("sweep", name)
+    if path is None:
+        told = command_line.nearest(name, composing.choices("sweep"))
+        raise UserError(f"sweep={name}: no such sweep; {told}")
+    try:
+        content: Any = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
+        if not isinstance(content, list) or not content:
+            raise ValueError("should be a list of blocks")
+        return [Block.model_validate(block) for block in content]
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "a block"
+        accepted = ", ".join(Block.model_fields)
+        raise UserError(f"{path}: {where}: {first['msg']}; a block has {accepted}") from None
+    except (YAMLError, OmegaConfBaseException, ValueError) as error:
+        raise UserError(f"{path}: is no sweep: {' '.join(str(error).split())}") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _conditions(sweep: str, block: Block, experiment: str) -> dict[str, bool]:
+    """A block's conditions in an experiment, and whether each may be left out."""
+    if experiment not in (known := composing.choices("experiment")):
+        told = command_line.nearest(experiment, known)
+        raise UserError(f"sweep={sweep}: no such experiment as {experiment}; {told}")
+    words = _as_list(block.conditions)
+    if not words:
+        return {"": False}
+    found: dict[str, bool] = {}
+    rows = list(catalogue.conditions())
+    for word in words:
+        if word == "paper":
+            published = _of_the_papers_table(sweep, experiment)
+            found |= {row: False for row in rows if row in published}
+        elif word == "tail":
+            found = {row: True for row in rows if row not in conditions_of_the_paper()} | found
+        elif word == "all":
+            found = {row: True for row in rows} | found
+        elif word in rows:
+            found[word] = False
+        else:
+            told = command_line.nearest(word, [*SETS, *rows])
+            raise UserError(f"sweep={sweep}: no such condition as {word}; {told}")
+    order = {row: place for place, row in enumerate(rows)}
+    return dict(sorted(found.items(), key=lambda item: order[item[0]]))
+
+
+def _of_the_papers_table(sweep: str, experiment: str) -> Iterable[str]:
+    split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
+    published = envs.split(split).paper
+    if published is None:
+        raise UserError(
+            f"sweep={sweep}: conditions: paper: the paper has no table of experiment={experiment}"
+        )
+    return paper_table(published).rows
+
+
+@cache
+def _misfit(experiment: str, condition: str) -> str | None:
+    """Why a condition does not go with an experiment, whatever else is chosen; None if it does."""
+    try:
+        command_line.load([f"experiment={experiment}", f"condition={condition}"])
+    except UserError as error:
+        return f"experiment={experiment} condition={condition}: {str(error).splitlines()[0]}"
+    return None
+
+
+def _shared_folders(jobs: list[PlannedJob]) -> Iterator[str]:
+    seen: dict[str, PlannedJob] = {}
+    for job in jobs:
+        folder = str(job.config.folder)
+        if folder in seen and seen[folder].overrides == job.overrides:
+            yield f"{' '.join(job.overrides)}: is given twice"
+        elif folder in seen:
+            yield (
+                f"{folder}: two jobs would use this folder ({' '.join(seen[folder].overrides)} and "
+                f"{' '.join(job.overrides)}); give the options that differ in separate sweeps with "
+                "another run_root"
+            )
+        seen.setdefault(folder, job)
+
+
+def _combinations(overrides: list[str]) -> Iterator[list[str]]:
+    """Every combination of the listed values.
+
+    Raises:
+        UserError: there are too many, or what should be a list is none.
+    """
+    alternatives = []
+    for override in command_line.parse(overrides):
+        if override.is_sweep_override():
+            prefix = override.get_key_element()
+            alternatives.append([f"{prefix}={value}" for value in _values(override)])
+        else:
+            alternatives.append([str(override.input_line)])
+    if math.prod(map(len, alternatives)) > MOST_JOBS:
+        raise UserError(f"the lists of values make a sweep of more than {MOST_JOBS:,} jobs")
+    for job in itertools.product(*alternatives):
+        yield list(job)
+
+
+def _values(override: Override) -> list[str]:
+    """The values that an override lists, one after another, as they would be on a command line."""
+    if not override.is_sweep_override():
+        return [str(override.value())]
+    try:
+        return list(itertools.islice(override.sweep_string_iterator(), MOST_JOBS + 1))
+    except HydraException:  # glob, and intervals of a sweeper that draws from them
+        prefix, text = override.get_key_element(), override.input_line
+        raise UserError(f"{text}: list the values, as in {prefix}=a,b") from None
+
+
+def _as_list(value: str | list[str]) -> list[str]:
+    return [value] if isinstance(value, str) else value

@@ -1,0 +1,265 @@
+"""Hindsight: whole episodes, relabelled with what they achieved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict
+
+from zipf.agents.hindsight import AchievedOptions
+from zipf.envs.goals import Goal
+from zipf.envs.vector import ZipfVectorEnv
+from zipf.experiments.options.augmentation import Augmentation, Draw
+from zipf.experiments.training.goal_memory import Episode, GoalMemory, Parts
+
+_FIELDS = {
+    "previous_action": np.dtype(np.int64),
+    "previous_reward": np.dtype(np.float32),
+    "action": np.dtype(np.int64),
+    "reward": np.dtype(np.float32),
+}
+_FIRST_ROWS = 64  # ours: room for short episodes; it doubles where an episode is longer
+
+
+class Hindsight:
+    """Keeps the running episode of each of N worlds, and relabels those that end.
+
+    Args:
+        options: how many episodes, and how many of their last frames.
+        goal: reads what episodes ask for and replaces it.
+        env: the worlds; told to report what episodes achieve.
+        reward: of the last step of a relabelled episode.
+        seed: of the draws among more episodes than are asked for.
+        augmentation: what the agent sees of the worlds; `add` is told what they show.
+        teacher: whether fields have a teacher's actions as `label`. The memory then also keeps
+            every episode for the goal that it was asked for, with these in the place of the
+            actions taken; those that achieved another goal are kept and drawn apart from them.
+            Where a matcher learns, its episodes say whether they `achieved` what they ask for.
+
+    Raises:
+        ValueError: the worlds do not tell what an episode has achieved.
+    """
+
+    def __init__(
+        self,
+        options: AchievedOptions,
+        goal: Goal,
+        env: ZipfVectorEnv,
+        *,
+        reward: float,
+        seed: int,
+        augmentation: Augmentation | None = None,
+        teacher: bool = False,
+    ):
+        env.report_achieved()
+        self.options = options
+        self._regions = env.action_regions if options.matching_cost else None
+        self.goal = goal
+        self.reward = reward
+        self._teacher = teacher
+        self.augmentation = augmentation
+        # Another stream than that of the agent's actions, which stay as they are.
+        own = np.random.SeedSequence([seed, 1]).generate_state(1)
+        self._generator = torch.Generator().manual_seed(int(own[0]))
+        self._worlds = np.arange(env.num_envs)
+        self._lengths = np.zeros(env.num_envs, np.int64)  # of the running episodes, so far
+        # [rows, N]: frame k of an episode is in row k % rows.
+        self._rows = options.length or _FIRST_ROWS
+        like = {name: (part.shape[1:], part.dtype) for name, part in env.allocate().items()}
+        self._observation = self._zeros(like)
+        fields = {**_FIELDS, **({"label": np.dtype(np.int64)} if teacher else {})}
+        self._fields = self._zeros({name: ((), dtype) for name, dtype in fields.items()})
+        self._memory = GoalMemory(options.kept_per_goal) if options.kept_per_goal else None
+        self._chosen: list[Episode] = []
+        self._candidates = 0
+
+    def add(
+        self,
+        observation: Parts,
+        fields: Parts,
+        ended: NDArray[np.bool_],
+        final_info: dict[str, NDArray[Any]],
+    ) -> None:
+        """Adds a step of all worlds.
+
+        Args:
+            observation: of this step, {name: [N, ...]}.
+            fields: those of an unroll's row, {name: [N]}.
+            ended: the worlds whose episodes end with this step, bool [N].
+            final_info: the outcome of these; needed where there are any.
+        """
+        if self.options.length is None and self._lengths.max() == self._rows:
+            self._grow(2 * self._rows)
+        rows = self._lengths % self._rows
+        for kept, given in ((self._observation, observation), (self._fields, fields)):
+            for name, part in kept.items():
+                part[rows, self._worlds] = given[name]
+        self._lengths += 1
+        if not ended.any():
+            return
+        goals, achieved = final_info["achieved"], ended & final_info["has_achieved"]
+        asked = self.goal.read(observation)
+        other = achieved & (goals != asked).any(1)
+        if self._memory is None:
+            for i in np.flatnonzero(other).tolist():
+                self._choose(i, goals[i])
+        elif self._teacher:
+            for i in np.flatnonzero(ended).tolist():
+                succeeded = bool(achieved[i] and not other[i])
+                self._memory.add(np.append(asked[i], 1), self._labelled(i, succeeded))
+            for i in np.flatnonzero(other).tolist():
+                self._memory.add(np.append(goals[i], 0), self._relabelled(i, goals[i]))
+        else:
+            for i in np.flatnonzero(achieved).tolist():
+                self._memory.add(goals[i], self._relabelled(i, goals[i]))
+        self._lengths[ended] = 0
+
+    def _choose(self, world: int, goal: NDArray[Any]) -> None:
+        """Relabels the episode of a world that has just ended, or, where there are more than are
+        asked for, draws whether to: each is as likely to be kept."""
+        self._candidates += 1
+        place = len(self._chosen)
+        if place == self.options.episodes:
+            place = int(torch.randint(self._candidates, (), generator=self._generator))
+        if place < self.options.episodes:
+            self._chosen[place : place + 1] = [self._relabelled(world, goal)]
+
+    def take(self) -> TensorDict | None:
+        """The relabelled episodes to learn from, [L, E] as in `Unroll.episodes`; None if there are
+        none: those since the last call, or some of the memory's."""
+        chosen, self._chosen, self._candidates = self._chosen, [], 0
+        if self._memory is not None:
+            kept = self._memory.draw(self.options.episodes, self._generator)
+            chosen = [self._changed(episode) for episode in kept]
+        if not chosen:
+            return None
+        lengths = torch.tensor([len(fields["reward"]) for _, fields in chosen])
+        shape = int(lengths.max()), len(chosen)
+        row = torch.arange(shape[0])[:, None]
+        inside = row < lengths
+        episodes = TensorDict({"mask": inside}, batch_size=shape)
+        episodes["observation"] = TensorDict(_padded([seen for seen, _ in chosen], shape), shape)
+        episodes.update(_padded([fields for _, fields in chosen], shape))
+        episodes["previous_action"][~inside] = -1
+        episodes["is_first"] = ~inside | (row == 0)
+        episodes["terminated"] = row == lengths - 1
+        episodes["truncated"] = torch.zeros_like(inside)
+        return episodes
+
+    def state_dict(self) -> dict[str, Any]:
+        """The running episodes, with zeros in the place of what is left of earlier ones, and the
+        memory."""
+        lengths = np.minimum(self._lengths, self._rows)
+        row = np.arange(lengths.max())[:, None]
+
+        def running(parts: Parts) -> Parts:
+            copies = {name: part[: len(row)].copy() for name, part in parts.items()}
+            for copy in copies.values():
+                copy[row >= lengths] = 0
+            return copies
+
+        return {
+            "generator": self._generator.get_state(),
+            "lengths": self._lengths.copy(),
+            "observation": running(self._observation),
+            "fields": running(self._fields),
+            "kept": [] if self._memory is None else self._memory.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any], restarted: NDArray[np.bool_]) -> None:
+        """Continues from `state_dict()`, in worlds of which those of `restarted` [N] have begun
+        another episode."""
+        self._chosen, self._candidates = [], 0
+        self._generator.set_state(torch.as_tensor(state["generator"]))
+        self._lengths[:] = state["lengths"]
+        used = len(state["fields"]["reward"])
+        if used > self._rows:
+            self._grow(used)
+        for name, part in state["observation"].items():
+            self._observation[name][:used] = part
+        for name, part in state["fields"].items():
+            self._fields[name][:used] = part
+        self._lengths[restarted] = 0
+        if self._memory is not None:
+            self._memory.load_state_dict(state["kept"])
+
+    def _relabelled(self, world: int, goal: NDArray[Any]) -> Episode:
+        """The episode of a world that has just ended, as if it had been asked for this goal; as the
+        agent saw it, or, for the memory, as the world showed it."""
+        observation, fields = self._episode(world)
+        everywhere = np.ones(len(fields["reward"]), np.bool_)
+        self.goal.write(observation, np.repeat(goal[None], len(everywhere), axis=0), everywhere)
+        fields["reward"][-1] = self.reward
+        if self._teacher and self._memory is not None and self.options.matching_cost:
+            fields["achieved"] = everywhere
+        fields.pop("label", None)
+        if self._memory is None:
+            drawn = None
+            if self.augmentation is not None:
+                drawn = self.augmentation.observe_episode(observation, world)
+            self._point(fields, drawn)
+        elif self.augmentation is not None:
+            self.augmentation.actions_to_worlds(fields, world)
+        return observation, fields
+
+    def _labelled(self, world: int, succeeded: bool) -> Episode:
+        """The episode of a world that has just ended, for the memory, with what the teacher would
+        have done for the actions taken."""
+        observation, fields = self._episode(world)
+        if self.options.matching_cost:
+            fields["achieved"] = np.full(len(fields["reward"]), succeeded)
+        fields["action"] = fields.pop("label")
+        if self.augmentation is not None:
+            self.augmentation.actions_to_worlds(fields, world)
+        return observation, fields
+
+    def _episode(self, world: int) -> Episode:
+        """The kept frames of the running episode of a world, as it was."""
+        length = int(self._lengths[world])
+        rows = np.arange(max(length - self._rows, 0), length) % self._rows
+        observation = {name: part[rows, world] for name, part in self._observation.items()}
+        fields = {name: part[rows, world] for name, part in self._fields.items()}
+        return observation, fields
+
+    def _changed(self, episode: Episode) -> Episode:
+        """A copy of an episode of the memory, augmented anew."""
+        observation, fields = ({name: part.copy() for name, part in p.items()} for p in episode)
+        drawn = None
+        if self.augmentation is not None:
+            drawn = self.augmentation.change_episode(observation, fields)
+        self._point(fields, drawn)
+        return observation, fields
+
+    def _point(self, fields: Parts, drawn: Draw | None) -> None:
+        """Adds the regions of the image that the actions point at, where they do, as the draw of
+        the augmentation has moved them."""
+        if self._regions is not None:
+            fields["region"] = self._regions[fields["action"]]
+            if self.augmentation is not None and drawn is not None:
+                fields["region"] = self.augmentation.move(fields["region"], drawn)
+
+    def _grow(self, rows: int) -> None:
+        """Makes room for longer episodes; no frame has been overwritten yet."""
+        for kept in (self._observation, self._fields):
+            for name, part in kept.items():
+                kept[name] = np.zeros((rows, *part.shape[1:]), part.dtype)
+                kept[name][: len(part)] = part
+        self._rows = rows
+
+    def _zeros(self, like: dict[str, tuple[tuple[int, ...], Any]]) -> Parts:
+        shape = self._rows, len(self._worlds)
+        return {name: np.zeros((*shape, *tail), dtype) for name, (tail, dtype) in like.items()}
+
+
+def _padded(episodes: list[Parts], shape: tuple[int, int]) -> dict[str, torch.Tensor]:
+    """Episodes {name: [length, ...]} beside each other, with zeros behind the shorter ones."""
+    padded = {}
+    for name, first in episodes[0].items():
+        array = np.zeros((*shape, *first.shape[1:]), first.dtype)
+        for e, episode in enumerate(episodes):
+            array[: len(episode[name]), e] = episode[name]
+        padded[name] = torch.from_numpy(array)
+    return padded

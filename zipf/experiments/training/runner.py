@@ -1,0 +1,393 @@
+"""Training: the loop of collecting, learning, logging, evaluating and saving."""
+
+from __future__ import annotations
+
+import shlex
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import torch
+from rich.console import Console
+
+from zipf import envs
+from zipf.agents.agent import Agent
+from zipf.agents.unroll import Unroll
+from zipf.envs.vector import ZipfVectorEnv
+from zipf.errors import UserError
+from zipf.experiments.building import checkpoint, run_folder
+from zipf.experiments.building.factory import build_agent, build_collector
+from zipf.experiments.building.out_of_ram import enough_ram
+from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.cluster import learners
+from zipf.experiments.cluster.learners import LearnerLost, OnlyLearner
+from zipf.experiments.cluster.ray_actors import RayActors
+from zipf.experiments.evaluation.evaluator import scores
+from zipf.experiments.evaluation.trained import evaluate_agent
+from zipf.experiments.options.runtime import RayOptions
+from zipf.experiments.options.schema import Config, has_bfloat16
+from zipf.experiments.training import pretrained
+from zipf.experiments.training.allocator import keep_freed_ram
+from zipf.experiments.training.clock import Clock
+from zipf.experiments.training.display import Display
+from zipf.experiments.training.logger import Logger
+from zipf.experiments.training.overlap import Overlap
+from zipf.experiments.training.rollouts import InTurn, Source
+from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_ended
+from zipf.experiments.training.visits import Visits
+
+
+def train(config: Config) -> int:
+    """Trains until `config.updates`, or until a signal asks to stop; the same command resumes.
+
+    A run that is finished is left as it is.
+
+    Returns the number of the signal that stopped it, 0 for none.
+
+    Raises:
+        UserError: the run cannot begin, go on or be written; the last checkpoint is kept.
+    """
+    if sweep_has_ended():
+        return signal.SIGTERM
+    keep_freed_ram()
+    schedule = config.schedule
+    with ExitStack() as stack:
+        stack.enter_context(_as_user_errors(config))
+        learner = stack.enter_context(learners.joined(config))
+        if learner.is_first:
+            stack.enter_context(run_folder.lock(config.folder))
+        run = Run(config, learner)
+        if run.is_finished:
+            run.close()
+            run.display.say(f"{run.name}: is finished at update {run.update}, in {run.folder}")
+            return 0
+        stop = run.stop
+        try:
+            with run, stop:
+                if run.evaluation_is_due:
+                    run.evaluate()
+                if run.is_new:
+                    run.save()
+                while run.update < config.updates and not learner.agree(stop.requested):
+                    unroll, metrics = run.step()
+                    run.display.advance(run.update)
+                    if run.update % schedule.log_every == 0:
+                        run.log(unroll, metrics)
+                    if run.evaluation_is_due:
+                        run.evaluate()
+                    if run.update % schedule.checkpoint_every == 0:
+                        run.save()
+                run.save()
+            return 0 if run.is_finished else learner.agree(stop.requested)
+        except LearnerLost:
+            if stop.requested:  # torchrun ends all
+                return stop.requested
+            raise
+
+
+@contextmanager
+def _as_user_errors(config: Config) -> Iterator[None]:
+    collector = config.collector
+    smaller = (
+        f"smaller collector.num_envs={collector.num_envs} or "
+        f"collector.unroll_length={collector.unroll_length} need less"
+    )
+    with enough_ram(smaller):
+        try:
+            yield
+        except RuntimeError as error:
+            if not config.compile or not isinstance(error, torch._dynamo.exc.TorchDynamoException):
+                raise
+            first = str(error).strip().splitlines()[0]
+            raise UserError(f"compile=true: {first}; choose compile=false") from None
+
+
+def _build_source(
+    config: Config, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...]
+) -> Source:
+    if isinstance(config.runtime, RayOptions):
+        return RayActors(config, config.runtime, env, agent)
+    collector = build_collector(config, env, agent, player)
+    return Overlap(collector, agent) if config.lag else InTurn(collector, agent)
+
+
+class Run:
+    """One training run: its parts, and how many updates were made.
+
+    Making it reads its folder and writes nothing. As a context manager it writes what describes the
+    run, shows the display, and closes everything in the end. Of several learners the first alone
+    reads, writes, shows and evaluates; all of them call the same methods in the same order.
+
+    Attributes:
+        update: updates made.
+        evaluated: the update of the last evaluation; -1 for none.
+        stop: says whether the run is to stop.
+        is_new: whether it was started rather than resumed from a checkpoint.
+
+    Raises (here and in the methods):
+        UserError: the run cannot begin, go on or be written.
+    """
+
+    def __init__(self, config: Config, learner: OnlyLearner | None = None):
+        self.config = config
+        self.learner = learner or OnlyLearner()
+        self.folder = config.folder
+        self.device = config.torch_device
+        collector = config.collector
+        self.env = envs.make_train(config.split, config.num_envs, **config.level_options)
+        self.agent = build_agent(config, self.env)
+        try:
+            self._notes = self.agent.begin_learning()
+        except ValueError as error:
+            raise UserError(str(error)) from None
+        saved = self.learner.receive(
+            run_folder.find_checkpoint(config) if self.learner.is_first else None
+        )
+        self.is_new = saved is None
+        self._pretrained = None
+        if self.is_new:
+            self._pretrained = pretrained.begin(config, self.agent, self.learner)
+        self.source = _build_source(config, self.env, self.agent, self.learner.player)
+        self.frames_per_update = collector.num_envs * collector.unroll_length
+        self.clock = Clock()
+        self.update = 0
+        self.evaluated = -1
+        self._tables: dict[str, Any] | None = None
+        torch.manual_seed(self.learner.seed(config.seed))
+        if saved:
+            self._load(saved)
+        if not self.is_finished and self.evaluated % config.evaluation.every:
+            self.evaluated = -1  # the logger drops the rows of the evaluation that ended the run
+        if self.is_finished and self.learner.is_first:
+            assert self._tables is not None
+            run_folder.check_description(config, self.env.situation)
+            Logger.check(self.folder, self.update, self._tables)
+        self.name = config.run_name
+        self.display = Display(
+            self.name,
+            config.updates,
+            self.update,
+            frames_per_update=self.frames_per_update,
+            console=None if self.learner.is_first else Console(quiet=True, force_terminal=False),
+        )
+        self.stop = StopSignals(self.display.say)
+
+    def __enter__(self) -> Run:
+        try:
+            self._begin()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def _begin(self) -> None:
+        if self.learner.is_first:
+            self._begin_files()
+        self._logged = self.clock.training, self.update
+        state = "a new run" if self.is_new else f"resumes at update {self.update}"
+        precision = self.config.precision
+        where = f"on {self.device} in {precision}"
+        self.display.say(f"{self.name}: {state}, {where}, in {self.folder}")
+        self._write(f"{self.name}: {state}, {where}")
+        if precision == "bfloat16" and not has_bfloat16(self.device):
+            self._tell(
+                "precision=bfloat16: this device has no instructions for it and takes several "
+                "times as long as with precision=float32"
+            )
+        if self._pretrained:
+            self._tell(pretrained.told(self._pretrained))
+        for note in self._notes:
+            self._tell(note)
+        self.source.open(self._tell)
+        self.display.start()
+
+    def _begin_files(self) -> None:
+        if not self.is_new:
+            run_folder.check_description(self.config, self.env.situation)
+        self.logger = Logger(
+            self.folder,
+            resume_at=-1 if self.is_new else self.update,
+            saved=self._tables,
+            every=self.config.evaluation.every,
+        )
+        resumed_at = None if self.is_new else self.update
+        run_folder.write_description(
+            self.config, self.env.situation, resumed_at, pretrained=self._pretrained
+        )
+        self.logger.write_checksums(-1 if self.is_new else self.update)
+
+    def _tell(self, line: str) -> None:
+        self.display.say(line)
+        self._write(line)
+
+    def _write(self, line: str) -> None:
+        if self.learner.is_first:
+            self.logger.text(line)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self.display.stop()
+        if kind is None:
+            report = ["python", "-m", "zipf.report", str(self.folder.parent.parent)]
+            if self.update < self.config.schedule.window[0]:
+                report += ["--window", "last"]
+            stopped = f"stopped at update {self.update}; the same command resumes"
+            self.display.say(f"finished; {shlex.join(report)}" if self.is_finished else stopped)
+            self._write(f"finished at update {self.update}" if self.is_finished else stopped)
+        if self.learner.is_first:
+            self.logger.close()
+        self.close()
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether there is nothing left to do."""
+        return self.evaluated == self.update == self.config.updates
+
+    def close(self) -> None:
+        """Ends the other threads and processes, if there are any, and closes the worlds."""
+        self.source.close()
+        self.env.close()
+
+    def step(self) -> tuple[Unroll, dict[str, float]]:
+        """Collects an unroll and makes one update with it; returns both the unroll and metrics.
+
+        The unroll is overwritten by the next step.
+        """
+        with self.clock.train():
+            unroll, metrics = self.source.step(self._learn)
+        self.update += 1
+        return unroll, metrics
+
+    def _learn(self, unroll: Unroll) -> dict[str, float]:
+        try:
+            with self.clock.part("learning"):
+                if self.config.learning_rate_decay:
+                    self.agent.scale_learning_rates(self.config.learning_rate_factor(self.update))
+                metrics = self.agent.update(unroll.to(self.device))
+                if self.device.startswith("cuda"):  # to measure the time, and because the unroll
+                    torch.cuda.synchronize(self.device)  # is overwritten by the next
+                return metrics
+        except FloatingPointError as error:
+            raise UserError(
+                f"{self.folder}: learning diverged at update {self.update + 1} ({error}); the "
+                "checkpoint before it is kept; a smaller agent.learning_rate may help"
+            ) from None
+        except ConnectionError as error:
+            raise LearnerLost(str(error)) from None
+        except OSError as error:  # no space for files that the agent keeps
+            raise UserError(str(error)) from None
+
+    def log(self, unroll: Unroll, metrics: dict[str, float]) -> None:
+        """Writes a row of metrics."""
+        self.clock.move(self.source.seconds)
+        then, update = self._logged
+        self._logged = self.clock.training, self.update
+        frames = (self.update - update) * self.frames_per_update
+        row = {
+            "frames": self.update * self.frames_per_update,
+            "seconds": self.clock.total,
+            "frames_per_second": frames / (self.clock.training - then),
+            **{f"time_{part}": seconds for part, seconds in self.clock.parts.items()},
+            **self._learning_rate_factor(),
+            **self.learner.mean(
+                {
+                    **self.source.metrics(),
+                    "exploration_bonus": float(unroll.steps["bonus"][:-1].mean()),
+                    **metrics,
+                }
+            ),
+        }
+        if self.learner.is_first:
+            self.logger.metrics(self.update, row)
+        self.display.show_metrics(row)
+
+    def _learning_rate_factor(self) -> dict[str, float]:
+        if self.config.learning_rate_decay is None:
+            return {}
+        return {"learning_rate_factor": self.config.learning_rate_factor(self.update - 1)}
+
+    @property
+    def evaluation_is_due(self) -> bool:
+        """Whether the agent is to be scored after this update and has not been."""
+        every, last = self.config.evaluation.every, self.config.updates
+        return self.evaluated < self.update and (self.update % every == 0 or self.update == last)
+
+    def evaluate(self) -> None:
+        """Scores the agent and writes the rows; training's random draws stay the same.
+
+        Where the run is to stop the evaluation is given up. It is due again when the run resumes.
+        """
+        visits = self.learner.total(self.source.visits)
+        given_up = False
+        if self.learner.is_first:
+            try:
+                self._evaluate(visits)
+            except Stopped:
+                given_up = True
+        if not self.learner.agree(given_up):
+            self.evaluated = self.update
+
+    def _watch_evaluation(self, ended: int, episodes: int) -> None:
+        self.display.show_evaluation(ended, episodes)
+        if self.stop.requested:
+            raise Stopped
+
+    def _evaluate(self, visits: Visits) -> None:
+        with self.clock.part("evaluation"):
+            results = evaluate_agent(
+                self.config,
+                self.agent,
+                episodes=self.config.evaluation.episodes,
+                num_envs=self.config.evaluation.num_envs,
+                seed=derive_seed(self.config.seed, "evaluation", self.update),
+                watch=self._watch_evaluation,
+            )
+        when = {
+            "update": self.update,
+            "frames": self.update * self.frames_per_update,
+            "seconds": self.clock.total,
+        }
+        self.logger.evaluation(when, results, visits)
+        self.display.show_scores(results)
+        shown = "  ".join(f"{kind} {score:.3f}" for kind, score in scores(results).items())
+        self.logger.text(f"update {self.update}: {shown}")
+
+    def save(self) -> None:
+        """Writes the checkpoint."""
+        self.clock.move(self.source.seconds)
+        agent = self.agent.state_dict()
+        self.learner.check_same("the agent", agent)
+        own = self.learner.gather(
+            {"source": self.source.state_dict(), "torch_rng": torch.get_rng_state()}
+        )
+        if self.learner.is_first:
+            self._save({"agent": agent, **own})
+        self.learner.wait()  # the end of one learner would be that of the first, which still writes
+
+    def _save(self, learned: dict[str, Any]) -> None:
+        state = {
+            "options": self.config.what_is_learned,
+            "update": self.update,
+            "evaluated": self.evaluated,
+            "tables": self.logger.state_dict(),
+            "clock": self.clock.state_dict(),
+            **learned,
+        }
+        if self.is_finished and (weights := self.agent.weights()):
+            learned_last = {"update": self.update, "weights": weights}
+            checkpoint.save(self.folder / "weights.pt", learned_last)
+        checkpoint.save(self.folder / "checkpoint.pt", state)
+        self.logger.write_checksums(self.update)
+
+    def _load(self, saved: dict[str, Any]) -> None:
+        with run_folder.fits(self.folder / "checkpoint.pt"):
+            self.update = saved["update"]
+            self.evaluated = saved["evaluated"]
+            self._tables = saved["tables"]
+            self.clock.load_state_dict(saved["clock"])
+            try:
+                self.agent.load_state_dict(saved["agent"])
+            except OSError as error:  # files that the checkpoint refers to
+                raise UserError(str(error)) from None
+            self.source.load_state_dict(saved["source"])
+            torch.set_rng_state(saved["torch_rng"])
