@@ -29,8 +29,9 @@ from rich.table import Table
 from zipf import envs
 from zipf.experiments.building import run_folder
 from zipf.experiments.building.checkpoint import arrays, tensors
-from zipf.experiments.building.factory import build_agent, build_collector
+from zipf.experiments.building.factory import build_agent
 from zipf.experiments.options import command_line
+from zipf.experiments.training.build_collector import build_collector
 from zipf.experiments.training.runner import Run
 
 EXPERIMENTS = ("gridworld_compact", "gridworld", "playroom_lift")
@@ -137,13 +138,13 @@ def trainings(experiment: str, seconds: float) -> Table:
             with Run(config) as run:
                 for _ in range(3):
                     run.step()
-                run.source.metrics()
+                run.rollouts.metrics()
                 first, learning = run.update, run.clock.parts["learning"]
                 start = time.perf_counter()
                 while time.perf_counter() < start + seconds:
                     run.step()
                 elapsed = time.perf_counter() - start
-                metrics = run.source.metrics()
+                metrics = run.rollouts.metrics()
                 frames = (run.update - first) * run.frames_per_update
                 busy = (run.clock.parts["learning"] - learning) / elapsed
         table.add_row(

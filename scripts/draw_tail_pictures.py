@@ -24,10 +24,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from zipf.envs import distributions, reference, split
-from zipf.envs.splits import PAPER_KINDS
 from zipf.experiments.records.results import Run, load_runs
 from zipf.experiments.records.wording import KIND_NAMES
 from zipf.experiments.reporting.statistics import wilson_interval
+from zipf.protocol import PAPER_KINDS
 
 ROOT = Path(__file__).parent.parent
 

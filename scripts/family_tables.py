@@ -13,7 +13,7 @@ from zipf import envs
 from zipf.envs import floors
 from zipf.envs.labyrinth import FAMILY as _labyrinth
 from zipf.envs.labyrinth.levels import LEVELS
-from zipf.references import says_little
+from zipf.protocol import says_little
 
 LITTLE = "‡"
 LEGEND = [

@@ -30,7 +30,7 @@ from tables import markdown
 from zipf import envs
 from zipf.envs import floors
 from zipf.experiments.building.run_folder import commit
-from zipf.references import says_little
+from zipf.protocol import says_little
 
 TABLE = RESULTS / "floors.csv"
 ROWS = {"gridworld": 512, "playroom": 256, "labyrinth": 64}

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 from tables import code, markdown
 
 from zipf import envs
-from zipf.envs.splits import PAPER_KINDS
 from zipf.experiments.building.run_folder import describe_levels, mean_of_levels
 from zipf.experiments.options import composing
 from zipf.experiments.records.paper import paper_table
@@ -20,7 +19,7 @@ from zipf.experiments.reporting.seed_statistics import (
     success_by_situation,
 )
 from zipf.experiments.reporting.tables import ScoreTable, score_tables
-from zipf.references import REFERENCES
+from zipf.protocol import PAPER_KINDS, REFERENCES
 
 RESULTS = Path(__file__).parent.parent / "results"
 UNTUNED = ("r2d2", "r2d2_uniform_replay", "vmpo")

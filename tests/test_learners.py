@@ -26,7 +26,7 @@ from zipf.agents.memory import LSTMOptions
 from zipf.agents.unroll import Unroll
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint
-from zipf.experiments.cluster import learners
+from zipf.experiments.cluster import runtime_of, torchrun
 from zipf.experiments.evaluation.trained import load_agent
 from zipf.experiments.options import command_line
 from zipf.experiments.sweeping import sweep
@@ -194,7 +194,7 @@ def test_a_gradient_keeps_the_order_of_its_elements_in_ram(monkeypatch):
 # What learners tell each other
 
 
-class Rows(learners.Learner):
+class Rows(torchrun.Learner):
     """The first of learners that have these values."""
 
     rank, is_first = 0, True
@@ -236,7 +236,7 @@ def test_learners_that_start_again_do_not_meet_those_before_them():
 
     def meet(rank):
         time.sleep(0.2 * rank)  # so that the first would find the names of those before
-        return learners.of_these(store, rank, 3)
+        return torchrun.of_these(store, rank, 3)
 
     for attempt in range(2):
         with ThreadPoolExecutor(3) as threads:
@@ -252,15 +252,15 @@ def test_what_is_sent_arrives():
         "array": np.arange(3, dtype=np.uint64),
         "tensor": torch.tensor([2**63], dtype=torch.uint64),
     }
-    assert_equal(*map(checkpoint.arrays, (learners._unpacked(learners._packed(state)), state)))
+    assert_equal(*map(checkpoint.arrays, (torchrun._unpacked(torchrun._packed(state)), state)))
 
 
 def test_learners_that_differ_are_told():
     states = [{"weight": torch.tensor([1.0, 2.0]), "updates": 3} for _ in range(3)]
-    digests = [learners._digest(state) for state in states]
+    digests = [torchrun._digest(state) for state in states]
     Rows(*digests).check_same("the agent", None)
     states[2]["weight"][1] += 1e-6
-    digests[2] = learners._digest(states[2])
+    digests[2] = torchrun._digest(states[2])
     with pytest.raises(UserError, match=r"^runtime=torchrun: the agent of learner 2 of 3 "):
         Rows(*digests).check_same("the agent", None)
 
@@ -311,7 +311,7 @@ def test_what_was_not_started_so_is_told_how_to(overrides, started, told, monkey
         if started:
             monkeypatch.setenv(name, str(value))
     with pytest.raises(UserError, match=f"^{told}"):
-        runner.train(config)
+        runner.train(config, runtime_of(config))
     assert not list(tmp_path.iterdir())
 
 
@@ -321,20 +321,20 @@ def test_what_was_not_started_so_is_told_how_to(overrides, started, told, monkey
         (None, UserError("no space"), 0),
         ("0", UserError("no space"), 0),
         ("1", UserError("no space"), 1),
-        ("0", learners.LearnerLost("gone"), 2),
-        ("1", learners.LearnerLost("gone"), 3),
+        ("0", torchrun.LearnerLost("gone"), 2),
+        ("1", torchrun.LearnerLost("gone"), 3),
     ],
 )
 def test_the_learner_that_is_at_fault_tells_before_the_others(rank, error, late, monkeypatch):
     """And of those that find the same mistake the first; torchrun ends the others meanwhile."""
     waited = []
-    monkeypatch.setattr(learners.time, "sleep", waited.append)
+    monkeypatch.setattr(torchrun.time, "sleep", waited.append)
     monkeypatch.delenv("RANK", raising=False)
     if rank:
         monkeypatch.setenv("RANK", rank)
         monkeypatch.setenv("WORLD_SIZE", "2")
-    learners.let_others_tell(error)
-    assert sum(waited) == late * learners.HEAD_START
+    torchrun.let_others_tell(error)
+    assert sum(waited) == late * torchrun.HEAD_START
 
 
 def test_a_sweep_is_refused(tmp_path):
@@ -387,7 +387,7 @@ def watched_close(run):
     if run.is_finished or run.update:
         weights = {name: part.clone() for name, part in run.agent.network.state_dict().items()}
         record = {"weights": weights, "update": run.update, "worlds": run.env.num_envs}
-        record["image"] = torch.as_tensor(run.source._pending.steps["observation", "image"])
+        record["image"] = torch.as_tensor(run.rollouts._pending.steps["observation", "image"])
         torch.save(record, f"{os.environ['SPY_FOLDER']}/{RANK}.pt")
     close(run)
 

@@ -21,7 +21,7 @@ from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.options import command_line
 from zipf.experiments.training import runner
 from zipf.experiments.training.collector import Abandoned, Collector
-from zipf.experiments.training.overlap import Overlap
+from zipf.experiments.training.rollouts import BackgroundRollouts
 from zipf.experiments.training.visits import Visits
 
 
@@ -103,7 +103,7 @@ def test_it_equals_the_definition_bit_for_bit(overrides, tmp_path):
     with runner.Run(config) as run:
         metrics = [run.step()[1] for _ in range(8)]
         assert_equal(run.agent.state_dict(), agent)
-        state = run.source.collector.state_dict()
+        state = run.rollouts.collector.state_dict()
     for name in ("environment", "memory", "generator", "inputs", "exploration"):
         assert_equal(state[name], collector[name], name)
     torch.testing.assert_close(metrics, rows, rtol=0, atol=0, equal_nan=True)
@@ -141,11 +141,11 @@ def test_episodes_are_counted_in_the_unrolls_that_were_learned_from(tmp_path):
             unroll, _ = run.step()
             over = (unroll.steps["terminated"] | unroll.steps["truncated"])[:-1]
             ended += int(over.sum())
-            assert run.source.visits.state_dict()["episodes"].sum() == ended
+            assert run.rollouts.visits.state_dict()["episodes"].sum() == ended
         assert ended > 20
-        assert len(run.source._episodes["return"]) == ended
-        assert run.source.metrics()["episode_length"] <= 4
-        assert np.isnan(run.source.metrics()["episode_length"])
+        assert len(run.rollouts._episodes["return"]) == ended
+        assert run.rollouts.metrics()["episode_length"] <= 4
+        assert np.isnan(run.rollouts.metrics()["episode_length"])
 
 
 def test_evaluation_uses_what_was_learned(tmp_path):
@@ -235,7 +235,7 @@ class Nobody:
 @pytest.mark.parametrize("error", [FloatingPointError, KeyboardInterrupt])
 def test_an_error_in_learning_stops_collection(error):
     worlds = Worlds()
-    overlap = Overlap(worlds, Nobody())
+    overlap = BackgroundRollouts(worlds, Nobody())
 
     def learn(unroll):
         raise error("from learning")
@@ -250,7 +250,7 @@ def test_an_error_in_collection_is_raised_after_learning():
     def at_step(step):
         raise MemoryError("from collection")
 
-    overlap = Overlap(Worlds(at_step), Nobody())
+    overlap = BackgroundRollouts(Worlds(at_step), Nobody())
     learned_from = []
     with pytest.raises(MemoryError, match="from collection"):
         overlap.step(learned_from.append)
@@ -263,7 +263,7 @@ def test_an_interrupt_while_waiting_stops_collection(request):
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     worlds = Worlds(lambda step: os.kill(os.getpid(), signal.SIGINT) if step == 3 else None)
-    overlap = Overlap(worlds, Nobody())
+    overlap = BackgroundRollouts(worlds, Nobody())
     with pytest.raises(KeyboardInterrupt):
         overlap.step(lambda unroll: None)
     assert worlds.done < worlds.steps
@@ -287,7 +287,7 @@ def test_autocast_in_one_thread_keeps_the_other_ones_casts():
             F.linear(inputs, weight)
 
     worlds = Worlds(at_step, steps=3)
-    overlap = Overlap(worlds, Nobody())
+    overlap = BackgroundRollouts(worlds, Nobody())
 
     def learn(unroll):
         with torch.autocast("cpu", torch.bfloat16):

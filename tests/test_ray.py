@@ -17,10 +17,12 @@ from zipf import envs
 from zipf.agents.agent import agents
 from zipf.errors import UserError
 from zipf.experiments.building import run_folder
-from zipf.experiments.building.factory import build_agent, build_collector
+from zipf.experiments.building.factory import build_agent
+from zipf.experiments.cluster import runtime_of
 from zipf.experiments.cluster.ray_actors import RayActors
 from zipf.experiments.options import command_line, runtime
 from zipf.experiments.training import runner
+from zipf.experiments.training.build_collector import build_collector
 
 OPTIONS = [*TINY, "exploration=none", "schedule.checkpoint_every=2", "name=row"]
 FRAMES = 6 * 5  # of an update
@@ -53,7 +55,7 @@ def test_what_cannot_be_is_refused_in_a_line(overrides, told, tmp_path):
 def test_a_cluster_that_is_not_there_is_told_at_once(address, tmp_path):
     config = load(tmp_path, "runtime=ray", f"runtime.address={address}")
     with pytest.raises(UserError, match=rf"^runtime\.address={address}: no cluster there: "):
-        runner.train(config)
+        runner.train(config, runtime_of(config))
 
 
 def test_without_ray_it_is_said_how_to_get_it(tmp_path, monkeypatch):
@@ -204,7 +206,7 @@ def watched(cluster, patch, tmp_path_factory):
     )
     run_folder.make(config.folder)
     learned_from = Learned(patch)
-    with runner.Run(config) as run:
+    with runner.Run(config, runtime_of(config)) as run:
         yield run, learned_from
 
 
@@ -214,13 +216,13 @@ def step(run, until):
     while not until(rows):
         assert time.monotonic() < end
         run.step()
-        rows.append(run.source.metrics())
+        rows.append(run.rollouts.metrics())
     return rows
 
 
 def check(run, learned_from, rows):
     """Frames counted are frames learned from, each unroll once, none by weights too old."""
-    assert learned_from.frames == run.update * FRAMES == run.source.version * FRAMES
+    assert learned_from.frames == run.update * FRAMES == run.rollouts.version * FRAMES
     assert set(learned_from.unrolls.values()) == {1}
     assert len(learned_from.unrolls) == run.update
     assert max(row["lag_max"] for row in rows) <= run.config.runtime.lag_bound
@@ -228,10 +230,10 @@ def check(run, learned_from, rows):
 
 def both_contribute(run):
     """A condition for `step`: every actor's process has had an unroll learned from."""
-    before = {actor.number: (actor.incarnation, actor.learned) for actor in run.source.actors}
+    before = {actor.number: (actor.incarnation, actor.learned) for actor in run.rollouts.actors}
     return lambda rows: all(
         (actor.incarnation, actor.learned) > before[actor.number] and actor.learned > 0
-        for actor in run.source.actors
+        for actor in run.rollouts.actors
     )
 
 
@@ -248,7 +250,7 @@ def test_actors_play_other_worlds_and_nothing_is_learned_from_twice(watched):
     check(run, learned_from, rows)
     assert any(row["lag_max"] > 0 for row in rows)
     assert all(row["actors_replaced"] == 0 for row in rows)
-    visits = run.source.visits.state_dict()["episodes"].sum()
+    visits = run.rollouts.visits.state_dict()["episodes"].sum()
     assert visits == learned_from.episodes > 0
 
 
@@ -256,7 +258,7 @@ def test_a_slow_actor_holds_nobody_up(watched):
     """Stopped in the midst of an unroll, whose lag is too large when it goes on."""
     run, learned_from = watched
     step(run, both_contribute(run))
-    slow, other = run.source.actors
+    slow, other = run.rollouts.actors
     process = process_of(slow)
     os.kill(process, signal.SIGSTOP)
     try:
@@ -275,7 +277,7 @@ def test_a_slow_actor_holds_nobody_up(watched):
 def test_an_actor_that_dies_is_replaced(watched):
     run, learned_from = watched
     step(run, both_contribute(run))
-    killed = run.source.actors[0]
+    killed = run.rollouts.actors[0]
     incarnation = killed.incarnation
     os.kill(process_of(killed), signal.SIGKILL)
     rows = step(run, lambda rows: killed.incarnation > incarnation and killed.learned > 0)
@@ -288,12 +290,12 @@ def test_an_actor_that_dies_is_replaced(watched):
 def test_actors_of_a_node_that_is_lost_go_on_elsewhere(watched, cluster):
     run, learned_from = watched
     step(run, both_contribute(run))
-    before = [actor.incarnation for actor in run.source.actors]
+    before = [actor.incarnation for actor in run.rollouts.actors]
     cluster.add_node(num_cpus=1, **cluster.memory)
     cluster.remove_node(cluster.extra.pop())
 
     def replaced(rows):
-        now = [(actor.incarnation, actor.learned) for actor in run.source.actors]
+        now = [(actor.incarnation, actor.learned) for actor in run.rollouts.actors]
         return [number for number, _ in now] != before and all(learned for _, learned in now)
 
     rows = step(run, replaced)
@@ -305,10 +307,10 @@ def test_more_actors_than_cores_and_another_cluster_are_refused(watched, cluster
     address = f"runtime.address={cluster.address}"
     config = load(tmp_path, "runtime=ray", "runtime.actors=9", address)
     with pytest.raises(UserError, match=r"^runtime\.actors=9: the cluster has 2 cores, .*most 2$"):
-        runner.train(config)
+        runner.train(config, runtime_of(config))
     config = load(tmp_path, "runtime=ray", "runtime.address=127.0.0.1:1")
     with pytest.raises(UserError, match=rf"^runtime\.address=127\.0\.0\.1:1: .*{cluster.address}"):
-        runner.train(config)
+        runner.train(config, runtime_of(config))
 
 
 # The command, with Ray on this machine

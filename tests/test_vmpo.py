@@ -446,7 +446,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
     assert isinstance(resumed.agent, VMPO)
     assert_equal(everything(whole.agent), everything(resumed.agent))
     for run in (whole, resumed):
-        checkpoint.save(tmp_path / f"{run.is_new}.pt", run.source.collector.state_dict())
+        checkpoint.save(tmp_path / f"{run.is_new}.pt", run.rollouts.collector.state_dict())
         run.close()
     assert_equal(*(checkpoint.load(tmp_path / f"{is_new}.pt") for is_new in (True, False)))
 

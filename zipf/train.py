@@ -16,7 +16,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 import zipf
 from zipf.errors import TOLD, UserError, tell
-from zipf.experiments.cluster import learners
+from zipf.experiments import cluster
+from zipf.experiments.cluster import torchrun
 from zipf.experiments.options import catalogue, command_line, composing
 from zipf.experiments.sweeping import sweep, sweeps
 from zipf.experiments.training import runner
@@ -30,7 +31,7 @@ OmegaConf.register_new_resolver("zipf_choices", catalogue.help_text, replace=Tru
 def _run(_: DictConfig) -> None:
     try:
         config = command_line.load(list(HydraConfig.get().overrides.task))
-        stopped = runner.train(config)
+        stopped = runner.train(config, cluster.runtime_of(config))
     except TOLD as error:
         _tell(error)
         sys.exit(2)
@@ -41,7 +42,7 @@ def _run(_: DictConfig) -> None:
 
 
 def _tell(error: Exception) -> None:
-    learners.let_others_tell(error)
+    torchrun.let_others_tell(error)
     tell(error)
 
 

@@ -31,8 +31,8 @@ from zipf.envs.family import (
     symmetries,
 )
 from zipf.envs.references import ReferenceScore
-from zipf.envs.splits import KINDS, PAPER_KINDS, Normalisation, Split, SplitLevel
-from zipf.references import REFERENCES, Reference
+from zipf.envs.splits import Normalisation, Split, SplitLevel
+from zipf.protocol import KINDS, PAPER_KINDS, REFERENCES, Reference
 
 if TYPE_CHECKING:
     from zipf.envs.episodes import measure_chance

@@ -28,7 +28,7 @@ from zipf.envs.arguments import unknown
 from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Level, Split, SplitLevel, level_name
 from zipf.options import Options
-from zipf.references import REFERENCE_NAMES
+from zipf.protocol import REFERENCE_NAMES
 
 if TYPE_CHECKING:
     from zipf.envs.goals import Goal
@@ -90,7 +90,7 @@ class Family:
         id: the Gymnasium id; None: the family is not registered with Gymnasium.
         check: raises ValueError for a name that is not a level; None: those in `levels` are.
         references: scores of players that do not learn, by the name that the player has in
-            `zipf.references.REFERENCES`: "chance" is of uniformly random actions, "blind" the best
+            `zipf.protocol.REFERENCES`: "chance" is of uniformly random actions, "blind" the best
             that is known of policies that neither read what an episode asks for nor look,
             "generalist" and "expert" of scripted players. Each is a function:
             `function(level, **options)` gives a `ReferenceScore`, or None where it is not known.
@@ -402,7 +402,7 @@ def reference(name: str, level: Level | SplitLevel, /, **kwargs: Any) -> Referen
     """The mean return of a player that does not learn on a level, exact or measured.
 
     Args:
-        name: "chance", "blind", "generalist" or "expert", see `zipf.references.REFERENCES`.
+        name: "chance", "blind", "generalist" or "expert", see `zipf.protocol.REFERENCES`.
         level: a full level name, or what a `Split` may hold in its place. A function that makes a
             level may know references itself: `level.reference(name, **options)`.
         kwargs: constructor options as for `make` and `make_vec`.

@@ -13,14 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from zipf.envs.arguments import mapping, whole
-
-PAPER_KINDS = ("train", "uniform", "rare")
-"""What levels are for: to train on (Zipfian), and to test on, uniformly and on the rarest fifth.
-Every split has these."""
-
-KINDS = (*PAPER_KINDS, "validation", "fresh")
-"""A split may also have levels to choose on (the middle fifth of the ranks, uniformly), and levels
-whose situations nobody trains on, reported and never chosen on."""
+from zipf.protocol import KINDS, PAPER_KINDS
 
 Level = str | Callable[..., Any]
 """A level's full name (`"gridworld/rare"`), or a function that makes a batch of its worlds,

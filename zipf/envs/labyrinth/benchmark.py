@@ -14,7 +14,8 @@ from zipf.envs import distributions
 from zipf.envs.arguments import unknown
 from zipf.envs.labyrinth.levels import LEVELS, by_name
 from zipf.envs.references import ReferenceScore, measured
-from zipf.envs.splits import PAPER_KINDS, Normalisation, Split, SplitLevel
+from zipf.envs.splits import Normalisation, Split, SplitLevel
+from zipf.protocol import PAPER_KINDS
 
 if TYPE_CHECKING:
     from zipf.envs.vector import ZipfVectorEnv

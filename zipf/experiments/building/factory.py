@@ -1,18 +1,12 @@
-"""Building an agent, and what collects for it, from a configuration."""
+"""Building an agent from a configuration."""
 
 from __future__ import annotations
 
-from zipf import envs
 from zipf.agents.agent import Agent, Setting, agents
-from zipf.agents.exploration import build_exploration
-from zipf.agents.reweighting import build_reweighting
-from zipf.envs.players import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building.seeds import derive_seed
-from zipf.experiments.options.augmentation import build_augmentation
 from zipf.experiments.options.schema import Config
-from zipf.experiments.training.collector import Collector
 
 
 def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
@@ -49,41 +43,3 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
     except ValueError as error:
         raise UserError(str(error)) from None
     return agent
-
-
-def build_collector(
-    config: Config, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...] = ()
-) -> Collector:
-    """What collects for an agent in these worlds.
-
-    Args:
-        player: numbers which of several collectors of a run it is, a learner's or an actor's: each
-            draws for itself.
-    """
-    options, device = config.collector, config.torch_device
-    return Collector(
-        env,
-        agent,
-        unroll_length=options.unroll_length,
-        seed=derive_seed(config.seed, "training", *player),
-        device=device,
-        augmentation=build_augmentation(
-            config.augmentation,
-            env.single_observation_space,
-            env.num_envs,
-            seed=derive_seed(config.seed, "augmentation", *player),
-            symmetries=envs.symmetries(config.split, env),
-        ),
-        exploration=build_exploration(
-            config.exploration,
-            env.single_observation_space,
-            derive_seed(config.seed, "exploration", *player),
-        ),
-        goal=envs.family_of_split(config.environment.split).make_goal(env),
-        reweighting=build_reweighting(config.reweighting, env.num_envs),
-        hindsight=config.hindsight,
-        lag=config.lag,
-        bootstrap_at_time_limit=options.bootstrap_at_time_limit,
-        reward_clipping=options.reward_clipping,
-        teacher=Teacher(agent.teacher, config.split, env) if agent.teacher else None,
-    )

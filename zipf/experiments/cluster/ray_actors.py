@@ -45,12 +45,14 @@ from zipf.agents.unroll import Unroll
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import TOLD, UserError
 from zipf.experiments.building.checkpoint import arrays, tensors
-from zipf.experiments.building.factory import build_agent, build_collector
+from zipf.experiments.building.factory import build_agent
 from zipf.experiments.options import composing
 from zipf.experiments.options.runtime import RayOptions
 from zipf.experiments.options.schema import Config, schema
+from zipf.experiments.training.build_collector import build_collector
 from zipf.experiments.training.collector import episode_metrics
 from zipf.experiments.training.rollouts import Learned
+from zipf.experiments.training.runtime import Runtime
 from zipf.experiments.training.visits import Visits
 
 MOST_DEATHS = 3  # ours: of an actor in a row, none of which has played an unroll
@@ -125,6 +127,17 @@ class _Call:
 
     actor: _Actor
     version: int | None
+
+
+class RayRuntime(Runtime):
+    """`runtime=ray`: actors in a Ray cluster collect for one learner."""
+
+    name = "ray"
+
+    def rollouts(self, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...] = ()) -> RayActors:
+        """See the base class."""
+        assert isinstance(self.config.runtime, RayOptions)
+        return RayActors(self.config, self.config.runtime, env, agent)
 
 
 class RayActors:

@@ -9,11 +9,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from zipf.envs.splits import KINDS, PAPER_KINDS
 from zipf.errors import UserError
 from zipf.experiments.records.csv_files import read_bytes
 from zipf.experiments.records.wording import EXTERNAL_MARK
-from zipf.references import REFERENCE_NAMES
+from zipf.protocol import KINDS, PAPER_KINDS, REFERENCE_NAMES
 
 LINE_PATTERN = r"^[^\r\n]*$"
 COLOUR_PATTERN = r"^#[0-9a-fA-F]{6}$"
@@ -73,7 +72,7 @@ class LevelDescription(_Described):
 
     `weight` is its share in the score of its kind, relative to those of the kind's other levels.
     `normalised` says whether its score is a fraction of a human's above random actions.
-    `references` are those of `zipf.references.REFERENCES` that are known, by name.
+    `references` are those of `zipf.protocol.REFERENCES` that are known, by name.
     """
 
     level_kind: Annotated[str, AfterValidator(_kind)]

@@ -15,7 +15,6 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from zipf.envs.splits import KINDS
 from zipf.errors import UserError
 from zipf.experiments.records import checksums
 from zipf.experiments.records.csv_files import Kind, read_bytes, read_header, read_table
@@ -25,6 +24,7 @@ from zipf.experiments.records.descriptions import (
     read_description,
 )
 from zipf.experiments.records.learned_options import NOT_LEARNED, changes_nothing, flatten, is_among
+from zipf.protocol import KINDS
 
 # In which two seeds of a condition may differ.
 BOOKKEEPING = (NOT_LEARNED - {"evaluation"}) | {"seed"}

@@ -19,7 +19,7 @@ from zipf.experiments.records.wording import KIND_NAMES
 from zipf.experiments.reporting.scores import seed_means
 from zipf.experiments.reporting.styles import RARE_COLOUR, set_title
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.references import REFERENCES
+from zipf.protocol import REFERENCES
 
 KIND_STYLES: Mapping[str, Mapping[str, Any]] = {
     "train": {"color": "#0072B2", "marker": "o"},

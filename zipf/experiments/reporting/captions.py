@@ -11,7 +11,7 @@ from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import OwnWindows, ScaledWindow, UpdateWindow, window_text
-from zipf.references import REFERENCES
+from zipf.protocol import REFERENCES
 
 PLAIN_MEAN = "plain mean"
 

@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from zipf.envs.splits import PAPER_KINDS
 from zipf.errors import UserError
 from zipf.experiments.records.paper import PaperTable, paper_table
 from zipf.experiments.records.results import Run
 from zipf.experiments.reporting.differences import differences
 from zipf.experiments.reporting.windows import Asked, used_window
+from zipf.protocol import PAPER_KINDS
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from zipf.experiments.reporting.scores import other_statistic
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import OwnWindows
-from zipf.references import REFERENCES, Reference
+from zipf.protocol import REFERENCES, Reference
 
 MOST_COLUMNS = 5  # of scores, as many as fit a page; more levels than that become lines
 MOST_WITH_LEADING = 9  # columns of all kinds where levels are lines

@@ -22,7 +22,7 @@ from zipf.experiments.reporting.html_panels import (
 )
 from zipf.experiments.reporting.styles import LineStyle
 from zipf.experiments.reporting.tables import Row, ScoreTable
-from zipf.references import REFERENCES
+from zipf.protocol import REFERENCES
 
 _AXES: Mapping[str, str] = {"update": "Updates", "frames": "Frames", "hours": "Hours"}
 

@@ -18,7 +18,7 @@ from plotly import graph_objects as go
 
 from zipf.experiments.reporting.styles import REFERENCE_LINES, LineStyle
 from zipf.experiments.reporting.tables import Row, ScoreTable
-from zipf.references import REFERENCES
+from zipf.protocol import REFERENCES
 
 SYMBOLS = ("circle", "square", "diamond", "cross", "x", "triangle-up", "star", "triangle-down")
 SHADE = "rgba(240, 205, 90, 0.25)"

@@ -37,7 +37,7 @@ from zipf.experiments.reporting.situations import (
 )
 from zipf.experiments.reporting.styles import LineStyle
 from zipf.experiments.reporting.tables import Row, ScoreTable
-from zipf.references import REFERENCES
+from zipf.protocol import REFERENCES
 
 
 def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Panel]:

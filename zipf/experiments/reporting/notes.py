@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from zipf.envs.splits import PAPER_KINDS
 from zipf.experiments.records.results import Run, devices_of
 from zipf.experiments.records.wording import count_text, seeds_list
 from zipf.experiments.reporting.windows import (
@@ -17,7 +16,7 @@ from zipf.experiments.reporting.windows import (
     window_of,
     window_text,
 )
-from zipf.references import REFERENCE_NAMES, says_little
+from zipf.protocol import PAPER_KINDS, REFERENCE_NAMES, says_little
 
 
 def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:

@@ -39,7 +39,7 @@ from zipf.experiments.reporting.statistics import (
     weighted_mean,
 )
 from zipf.experiments.reporting.windows import Window, evaluations_inside, window_of
-from zipf.references import REFERENCE_NAMES
+from zipf.protocol import REFERENCE_NAMES
 
 CSV_COLUMNS = (
     "table",

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from zipf.envs.splits import KINDS
 from zipf.experiments.records.paper import (
     PaperColumn,
     PaperLayout,
@@ -19,7 +18,7 @@ from zipf.experiments.records.paper import (
 from zipf.experiments.reporting.rows import PaperRow, Row
 from zipf.experiments.reporting.scores import other_statistic
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.references import REFERENCE_NAMES
+from zipf.protocol import KINDS, REFERENCE_NAMES
 
 
 @dataclass(frozen=True, eq=False)

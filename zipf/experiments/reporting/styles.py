@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from zipf.experiments.reporting.rows import Row
-from zipf.references import REFERENCES
+from zipf.protocol import REFERENCES
 
 # Okabe and Ito (2008): told apart with any colour vision. Yellow is left out (too light for lines),
 # and so is orange (too near vermilion); olive and wine are from Tol's muted colours (2021). Grey is

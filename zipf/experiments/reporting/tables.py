@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from zipf.envs.splits import KINDS
 from zipf.experiments.records.descriptions import LevelGroup, RunDescription
 from zipf.experiments.records.paper import PaperTable
 from zipf.experiments.records.results import Run
@@ -24,6 +23,7 @@ from zipf.experiments.reporting.windows import (
     evaluations_inside,
     table_window,
 )
+from zipf.protocol import KINDS
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,9 @@ from zipf.agents.critics import CriticOptions
 from zipf.agents.network import Torso
 from zipf.errors import UserError
 from zipf.experiments.building import run_folder
-from zipf.experiments.cluster.learners import OnlyLearner
 from zipf.experiments.evaluation.trained import load_agent
 from zipf.experiments.options.schema import Config
+from zipf.experiments.training.runtime import OnlyLearner
 
 
 def begin(config: Config, agent: Agent, learner: OnlyLearner) -> dict[str, Any] | None:

@@ -12,36 +12,32 @@ import torch
 from rich.console import Console
 
 from zipf import envs
-from zipf.agents.agent import Agent
 from zipf.agents.unroll import Unroll
-from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, run_folder
-from zipf.experiments.building.factory import build_agent, build_collector
+from zipf.experiments.building.factory import build_agent
 from zipf.experiments.building.out_of_ram import enough_ram
 from zipf.experiments.building.seeds import derive_seed
-from zipf.experiments.cluster import learners
-from zipf.experiments.cluster.learners import LearnerLost, OnlyLearner
-from zipf.experiments.cluster.ray_actors import RayActors
 from zipf.experiments.evaluation.evaluator import scores
 from zipf.experiments.evaluation.trained import evaluate_agent
-from zipf.experiments.options.runtime import RayOptions
 from zipf.experiments.options.schema import Config, has_bfloat16
 from zipf.experiments.training import pretrained
 from zipf.experiments.training.allocator import keep_freed_ram
 from zipf.experiments.training.clock import Clock
 from zipf.experiments.training.display import Display
 from zipf.experiments.training.logger import Logger
-from zipf.experiments.training.overlap import Overlap
-from zipf.experiments.training.rollouts import InTurn, Source
+from zipf.experiments.training.runtime import LearnerLost, OnlyLearner, Runtime
 from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_ended
 from zipf.experiments.training.visits import Visits
 
 
-def train(config: Config) -> int:
+def train(config: Config, runtime: Runtime | None = None) -> int:
     """Trains until `config.updates`, or until a signal asks to stop; the same command resumes.
 
     A run that is finished is left as it is.
+
+    Args:
+        runtime: the processes of the run (`zipf.experiments.cluster.runtime_of`); None: this one.
 
     Returns the number of the signal that stopped it, 0 for none.
 
@@ -51,13 +47,14 @@ def train(config: Config) -> int:
     if sweep_has_ended():
         return signal.SIGTERM
     keep_freed_ram()
+    runtime = runtime or Runtime(config)
     schedule = config.schedule
     with ExitStack() as stack:
         stack.enter_context(_as_user_errors(config))
-        learner = stack.enter_context(learners.joined(config))
+        learner = stack.enter_context(runtime.learner())
         if learner.is_first:
             stack.enter_context(run_folder.lock(config.folder))
-        run = Run(config, learner)
+        run = Run(config, runtime, learner)
         if run.is_finished:
             run.close()
             run.display.say(f"{run.name}: is finished at update {run.update}, in {run.folder}")
@@ -103,15 +100,6 @@ def _as_user_errors(config: Config) -> Iterator[None]:
             raise UserError(f"compile=true: {first}; choose compile=false") from None
 
 
-def _build_source(
-    config: Config, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...]
-) -> Source:
-    if isinstance(config.runtime, RayOptions):
-        return RayActors(config, config.runtime, env, agent)
-    collector = build_collector(config, env, agent, player)
-    return Overlap(collector, agent) if config.lag else InTurn(collector, agent)
-
-
 class Run:
     """One training run: its parts, and how many updates were made.
 
@@ -129,9 +117,12 @@ class Run:
         UserError: the run cannot begin, go on or be written.
     """
 
-    def __init__(self, config: Config, learner: OnlyLearner | None = None):
+    def __init__(
+        self, config: Config, runtime: Runtime | None = None, learner: OnlyLearner | None = None
+    ):
         self.config = config
         self.learner = learner or OnlyLearner()
+        runtime = runtime or Runtime(config)
         self.folder = config.folder
         self.device = config.torch_device
         collector = config.collector
@@ -148,7 +139,7 @@ class Run:
         self._pretrained = None
         if self.is_new:
             self._pretrained = pretrained.begin(config, self.agent, self.learner)
-        self.source = _build_source(config, self.env, self.agent, self.learner.player)
+        self.rollouts = runtime.rollouts(self.env, self.agent, self.learner.player)
         self.frames_per_update = collector.num_envs * collector.unroll_length
         self.clock = Clock()
         self.update = 0
@@ -199,7 +190,7 @@ class Run:
             self._tell(pretrained.told(self._pretrained))
         for note in self._notes:
             self._tell(note)
-        self.source.open(self._tell)
+        self.rollouts.open(self._tell)
         self.display.start()
 
     def _begin_files(self) -> None:
@@ -245,7 +236,7 @@ class Run:
 
     def close(self) -> None:
         """Ends the other threads and processes, if there are any, and closes the worlds."""
-        self.source.close()
+        self.rollouts.close()
         self.env.close()
 
     def step(self) -> tuple[Unroll, dict[str, float]]:
@@ -254,7 +245,7 @@ class Run:
         The unroll is overwritten by the next step.
         """
         with self.clock.train():
-            unroll, metrics = self.source.step(self._learn)
+            unroll, metrics = self.rollouts.step(self._learn)
         self.update += 1
         return unroll, metrics
 
@@ -279,7 +270,7 @@ class Run:
 
     def log(self, unroll: Unroll, metrics: dict[str, float]) -> None:
         """Writes a row of metrics."""
-        self.clock.move(self.source.seconds)
+        self.clock.move(self.rollouts.seconds)
         then, update = self._logged
         self._logged = self.clock.training, self.update
         frames = (self.update - update) * self.frames_per_update
@@ -291,7 +282,7 @@ class Run:
             **self._learning_rate_factor(),
             **self.learner.mean(
                 {
-                    **self.source.metrics(),
+                    **self.rollouts.metrics(),
                     "exploration_bonus": float(unroll.steps["bonus"][:-1].mean()),
                     **metrics,
                 }
@@ -317,7 +308,7 @@ class Run:
 
         Where the run is to stop the evaluation is given up. It is due again when the run resumes.
         """
-        visits = self.learner.total(self.source.visits)
+        visits = self.learner.total(self.rollouts.visits)
         given_up = False
         if self.learner.is_first:
             try:
@@ -354,11 +345,11 @@ class Run:
 
     def save(self) -> None:
         """Writes the checkpoint."""
-        self.clock.move(self.source.seconds)
+        self.clock.move(self.rollouts.seconds)
         agent = self.agent.state_dict()
         self.learner.check_same("the agent", agent)
         own = self.learner.gather(
-            {"source": self.source.state_dict(), "torch_rng": torch.get_rng_state()}
+            {"source": self.rollouts.state_dict(), "torch_rng": torch.get_rng_state()}
         )
         if self.learner.is_first:
             self._save({"agent": agent, **own})
@@ -389,5 +380,5 @@ class Run:
                 self.agent.load_state_dict(saved["agent"])
             except OSError as error:  # files that the checkpoint refers to
                 raise UserError(str(error)) from None
-            self.source.load_state_dict(saved["source"])
+            self.rollouts.load_state_dict(saved["source"])
             torch.set_rng_state(saved["torch_rng"])

@@ -1,5 +1,6 @@
-"""References: players that do not learn, whose scores tables show below those of agents.
+"""What every score is taken by: kinds of levels, and references.
 
+References are players that do not learn, whose scores tables show below those of agents.
 `REFERENCES` is the only list of them: a `zipf.envs.Family` states the score of each, and run.json,
 tables, captions, plots and report.csv have those that are known.
 """
@@ -7,6 +8,14 @@ tables, captions, plots and report.csv have those that are known.
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+PAPER_KINDS = ("train", "uniform", "rare")
+"""What levels are for: to train on (Zipfian), and to test on, uniformly and on the rarest fifth.
+Every split has these."""
+
+KINDS = (*PAPER_KINDS, "validation", "fresh")
+"""A split may also have levels to choose on (the middle fifth of the ranks, uniformly), and levels
+whose situations nobody trains on, reported and never chosen on."""
 
 
 @dataclass(frozen=True)

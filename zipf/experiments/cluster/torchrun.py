@@ -1,4 +1,4 @@
-"""The learners of a run: the only one, or those that torchrun started (`runtime=torchrun`).
+"""The learners of a run that torchrun has started (`runtime=torchrun`).
 
 Every learner has a share of the worlds and all of the weights, and they make the same updates
 (`zipf.agents.averaging`). Their ranks count from 0. The first one alone writes files, shows the run
@@ -27,67 +27,17 @@ from zipf.agents import averaging
 from zipf.errors import UserError
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.options.runtime import TorchrunOptions
-from zipf.experiments.options.schema import Config
+from zipf.experiments.training.runtime import (
+    LearnerLost,
+    OnlyLearner,
+    Runtime,
+    started_by_torchrun,
+)
 from zipf.experiments.training.visits import Visits
 
 PATIENCE = timedelta(days=1)  # ours: the others wait for the first while it evaluates
 MEETING = timedelta(minutes=10)  # ours: for the slowest of the machines to start its processes
 HEAD_START = 10.0  # seconds; ours: torchrun ends the others of a machine sooner
-
-
-class LearnerLost(UserError):
-    """Another learner has ended."""
-
-
-class OnlyLearner:
-    """A run's only learner: what several would exchange stays as it is.
-
-    Attributes:
-        rank: its number among the learners.
-        is_first: whether it writes, shows and evaluates.
-        player: what tells the seeds of its worlds from those of other learners.
-    """
-
-    rank = 0
-    is_first = True
-    player: tuple[int, ...] = ()
-
-    def seed(self, seed: int) -> int:
-        """That of the learner's global random generator, from the run's."""
-        return seed
-
-    def agree(self, number: int) -> int:
-        """The largest of the learners' numbers."""
-        return number
-
-    def mean(self, metrics: dict[str, float]) -> dict[str, float]:
-        """For the first, the means over those learners that have a metric and where it is not NaN;
-        for the others their own."""
-        return metrics
-
-    def total(self, visits: Visits) -> Visits:
-        """For the first, the visits of all learners; for the others their own."""
-        return visits
-
-    def gather(self, own: dict[str, Any]) -> dict[str, Any]:
-        """For the first, the entries of a checkpoint that hold what all learners have of their own;
-        for the others nothing."""
-        return own
-
-    def receive(self, saved: dict[str, Any] | None) -> dict[str, Any] | None:
-        """The checkpoint that the first has read, with what it holds of this learner's own; None
-        where there is none."""
-        return saved
-
-    def of_first(self, value: Any) -> Any:
-        """The value that the first has."""
-        return value
-
-    def check_same(self, what: str, state: Any) -> None:
-        """Raises `UserError` where learners differ in `what`."""
-
-    def wait(self) -> None:
-        """Returns when all learners have come here."""
 
 
 class Learner(OnlyLearner):
@@ -170,70 +120,62 @@ class Learner(OnlyLearner):
         return values and [_unpacked(one) for one in values]
 
 
-@contextmanager
-def joined(config: Config) -> Iterator[OnlyLearner]:
-    """This process as the learner that it is, until the end.
+class TorchrunRuntime(Runtime):
+    """`runtime=torchrun`: learners that torchrun has started, each with a share of the worlds."""
 
-    Raises:
-        UserError: torchrun has not started this process, or with another number of learners, or it
-            has started several processes of a run that has one learner; or learners were started
-            with different options or versions.
-    """
-    started = _started_by_torchrun()
-    options = config.runtime
-    if not isinstance(options, TorchrunOptions):
-        if started > 1:
+    name = "torchrun"
+
+    @contextmanager
+    def learner(self) -> Iterator[OnlyLearner]:
+        """This process as the learner that it is, until the end.
+
+        Raises:
+            UserError: torchrun has not started this process, or with another number of learners;
+                or learners were started with different options or versions.
+        """
+        config, options = self.config, self.config.runtime
+        assert isinstance(options, TorchrunOptions)
+        started = started_by_torchrun()
+        command = f"torchrun --nproc-per-node={options.learners} -m zipf.train"
+        if not started:
+            raise UserError(f"runtime=torchrun: start it with {command} ...")
+        if started != options.learners:
             raise UserError(
-                f"runtime={options.name}: is of one learner, and torchrun has started {started} "
-                f"processes; choose runtime=torchrun runtime.learners={started}"
+                f"runtime.learners={options.learners}: torchrun has started {started} processes; "
+                f"should be {started}, or start it with {command} ..."
             )
-        yield OnlyLearner()
-        return
-    command = f"torchrun --nproc-per-node={options.learners} -m zipf.train"
-    if not started:
-        raise UserError(f"runtime=torchrun: start it with {command} ...")
-    if started != options.learners:
-        raise UserError(
-            f"runtime.learners={options.learners}: torchrun has started {started} processes; "
-            f"should be {started}, or start it with {command} ..."
-        )
-    # Tensors in RAM, such as what is written to files, take another way than those on GPUs.
-    cuda = config.torch_device.startswith("cuda")
-    with _with_others():
-        store, rank, count = next(dist.rendezvous("env://", timeout=MEETING))
-        dist.init_process_group(
-            "cpu:gloo,cuda:nccl" if cuda else "gloo",
-            store=of_these(store, rank, count),
-            rank=rank,
-            world_size=count,
-            timeout=PATIENCE,
-        )
-    try:
-        assert dist.group.WORLD is not None
-        averaging.join(dist.group.WORLD)
-        learner = Learner()
-        here = {**config.model_dump(), "version": zipf.__version__}
-        for of_machine in ("run_root", "device"):
-            del here[of_machine]
-        learner.check_same("the version or an option", here)
-        yield learner
-    finally:
-        averaging.leave()
-        dist.destroy_process_group()
+        # Tensors in RAM, such as what is written to files, take another way than those on GPUs.
+        cuda = config.torch_device.startswith("cuda")
+        with _with_others():
+            store, rank, count = next(dist.rendezvous("env://", timeout=MEETING))
+            dist.init_process_group(
+                "cpu:gloo,cuda:nccl" if cuda else "gloo",
+                store=of_these(store, rank, count),
+                rank=rank,
+                world_size=count,
+                timeout=PATIENCE,
+            )
+        try:
+            assert dist.group.WORLD is not None
+            averaging.join(dist.group.WORLD)
+            learner = Learner()
+            here = {**config.model_dump(), "version": zipf.__version__}
+            for of_machine in ("run_root", "device"):
+                del here[of_machine]
+            learner.check_same("the version or an option", here)
+            yield learner
+        finally:
+            averaging.leave()
+            dist.destroy_process_group()
 
 
 def let_others_tell(error: Exception) -> None:
     """Delays this process's error message so that the responsible learner reports first: learner 0
     a mistake that all find, a learner that ends its own end. Torchrun ends the others meanwhile."""
     late = 2 * isinstance(error, LearnerLost)
-    if _started_by_torchrun() and os.environ["RANK"] != "0":
+    if started_by_torchrun() and os.environ["RANK"] != "0":
         late += 1
     time.sleep(late * HEAD_START)
-
-
-def _started_by_torchrun() -> int:
-    """How many processes torchrun has started, this one among them; 0 where it has not."""
-    return int(os.environ["WORLD_SIZE"]) if {"RANK", "WORLD_SIZE"} <= os.environ.keys() else 0
 
 
 def of_these(store: dist.Store, rank: int, count: int) -> dist.Store:

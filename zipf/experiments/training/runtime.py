@@ -1,0 +1,122 @@
+"""The processes of a run: what learns and what collects for it. Here one process does both."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from zipf.agents.agent import Agent
+from zipf.envs.vector import ZipfVectorEnv
+from zipf.errors import UserError
+from zipf.experiments.options.schema import Config
+from zipf.experiments.training.build_collector import build_collector
+from zipf.experiments.training.rollouts import (
+    BackgroundRollouts,
+    RolloutWorker,
+    SynchronousRollouts,
+)
+from zipf.experiments.training.visits import Visits
+
+
+class LearnerLost(UserError):
+    """Another learner has ended."""
+
+
+class OnlyLearner:
+    """A run's only learner: what several would exchange stays as it is.
+
+    Attributes:
+        rank: its number among the learners.
+        is_first: whether it writes, shows and evaluates.
+        player: what tells the seeds of its worlds from those of other learners.
+    """
+
+    rank = 0
+    is_first = True
+    player: tuple[int, ...] = ()
+
+    def seed(self, seed: int) -> int:
+        """That of the learner's global random generator, from the run's."""
+        return seed
+
+    def agree(self, number: int) -> int:
+        """The largest of the learners' numbers."""
+        return number
+
+    def mean(self, metrics: dict[str, float]) -> dict[str, float]:
+        """For the first, the means over those learners that have a metric and where it is not NaN;
+        for the others their own."""
+        return metrics
+
+    def total(self, visits: Visits) -> Visits:
+        """For the first, the visits of all learners; for the others their own."""
+        return visits
+
+    def gather(self, own: dict[str, Any]) -> dict[str, Any]:
+        """For the first, the entries of a checkpoint that hold what all learners have of their own;
+        for the others nothing."""
+        return own
+
+    def receive(self, saved: dict[str, Any] | None) -> dict[str, Any] | None:
+        """The checkpoint that the first has read, with what it holds of this learner's own; None
+        where there is none."""
+        return saved
+
+    def of_first(self, value: Any) -> Any:
+        """The value that the first has."""
+        return value
+
+    def check_same(self, what: str, state: Any) -> None:
+        """Raises `UserError` where learners differ in `what`."""
+
+    def wait(self) -> None:
+        """Returns when all learners have come here."""
+
+
+class Runtime:
+    """`runtime=local`, and the base of other runtimes (`zipf.experiments.cluster`).
+
+    Raises:
+        ValueError: the configuration asks for another runtime.
+    """
+
+    name = "local"
+
+    def __init__(self, config: Config):
+        if config.runtime.name != self.name:
+            raise ValueError(f"{type(self).__name__} is no runtime={config.runtime.name}")
+        self.config = config
+
+    @contextmanager
+    def learner(self) -> Iterator[OnlyLearner]:
+        """This process as the learner that it is, until the end.
+
+        Raises:
+            UserError: torchrun has started several processes of a run that has one learner.
+        """
+        started = started_by_torchrun()
+        if started > 1:
+            raise UserError(
+                f"runtime={self.config.runtime.name}: is of one learner, and torchrun has started "
+                f"{started} processes; choose runtime=torchrun runtime.learners={started}"
+            )
+        yield OnlyLearner()
+
+    def rollouts(
+        self, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...] = ()
+    ) -> RolloutWorker:
+        """What collects for the agent.
+
+        Args:
+            player: see `build_collector`.
+        """
+        collector = build_collector(self.config, env, agent, player)
+        kind = BackgroundRollouts if self.config.lag else SynchronousRollouts
+        return kind(collector, agent)
+
+
+def started_by_torchrun() -> int:
+    """How many processes torchrun has started, this one among them; 0 where it has not."""
+    return int(os.environ["WORLD_SIZE"]) if {"RANK", "WORLD_SIZE"} <= os.environ.keys() else 0
