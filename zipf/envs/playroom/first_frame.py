@@ -37,15 +37,8 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
         self,
         num_envs: int = 1,
         level: str = "supervised/find_shape_zipf3",
-        *,
-        backend: str = "own",
         **options: Any,
     ):
-        if backend != "own":
-            raise ValueError(
-                f"backend={backend!r} does not tell on which side an object is: questions about "
-                "first frames need backend='own'"
-            )
         super().__init__(num_envs, level, **options)
         if not self.level.finding:
             raise ValueError(
