@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from zipf.envs.labyrinth import looks
 from zipf.envs.labyrinth.grids import Cell
-from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.mover import BELOW, WIDE
 from zipf.envs.labyrinth.patterns import SOLID
 from zipf.envs.labyrinth.scenery import METRES, SIDES, Scenery, atlas, faces
 from zipf.envs.labyrinth.screen import Screen
 from zipf.envs.labyrinth.state import (
     CELL,
+    FRAMES_PER_SECOND,
     GRID,
     ITEMS,
     PITCH,
