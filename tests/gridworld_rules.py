@@ -1,8 +1,8 @@
 """The rules of the gridworld in plain Python, written from the paper and the release: an oracle."""
 
-from zipf.envs.gridworld import looks
+from zipf.envs.gridworld import sprites
+from zipf.envs.gridworld.gridworld_env import GridworldEnv
 from zipf.envs.gridworld.maps import MOVES
-from zipf.envs.gridworld.single import GridworldEnv
 
 
 class ByHand(GridworldEnv):
@@ -15,10 +15,10 @@ class ByHand(GridworldEnv):
         cut_off = (
             down != 0
             and right != 0
-            and board[row + down][column] == board[row][column + right] == looks.WALL
+            and board[row + down][column] == board[row][column + right] == sprites.WALL
         )
-        if board[row + down][column + right] != looks.WALL and not cut_off:
+        if board[row + down][column + right] != sprites.WALL and not cut_off:
             row, column = row + down, column + right
             self._world[0, 2:] = row, column
         goal = self.level.maps.cells[map, target].tolist()
-        return [row, column] == goal, board[row][column] >= looks.FIRST_LOOK
+        return [row, column] == goal, board[row][column] >= sprites.FIRST_LOOK

@@ -10,9 +10,9 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from zipf.envs import SingleWorld, ZipfVectorEnv, make, make_vec, pcg64
-from zipf.envs.check import check_vector_env
 from zipf.envs.distributions import zipfian
 from zipf.envs.gridworld.vector import GridworldVectorEnv
+from zipf.envs.testing import check_vector_env
 
 SMALL = {"num_maps": 6, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
 

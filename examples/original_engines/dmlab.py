@@ -18,13 +18,13 @@ from pydantic import Field
 import zipf.envs
 from zipf.envs import EngineError, Family, Split, SplitLevel, ZipfVectorEnv
 from zipf.envs.arguments import pair, whole
+from zipf.envs.gymnasium.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.labyrinth.actions import Action, action_table
 from zipf.envs.labyrinth.benchmark import SPLITS
 from zipf.envs.labyrinth.levels import LEVELS, by_name
 from zipf.envs.labyrinth.state import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.vector import MOST_PIXELS, MOST_REPEAT
 from zipf.envs.labyrinth.words import VOCABULARY
-from zipf.envs.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.vector import Observation
 from zipf.options import Options
 

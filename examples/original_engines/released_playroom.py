@@ -22,11 +22,11 @@ from pydantic import Field
 import zipf.envs
 from zipf.envs import PAPER_KINDS, EngineError, Family, Split, SplitLevel
 from zipf.envs.arguments import pair, whole
+from zipf.envs.gymnasium.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.playroom import FAMILY as PLAYROOM
 from zipf.envs.playroom import levels
 from zipf.envs.playroom.actions import ACTIONS, CONTROL_TABLE, CONTROLS
 from zipf.envs.playroom.constants import MOST_PIXELS, MOST_STEPS
-from zipf.envs.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.vector import Observation
 from zipf.options import Options
 

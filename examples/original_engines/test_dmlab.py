@@ -15,11 +15,12 @@ import torch
 from dmlab import DmlabVectorEnv
 
 from zipf import envs
-from zipf.envs import EngineError, Mixture, SingleWorld, Split, make, make_vec, replayed
-from zipf.envs.check import check_vector_env
+from zipf.envs import EngineError, Mixture, SingleWorld, Split, make, make_vec
+from zipf.envs.gymnasium import replayed
 from zipf.envs.labyrinth.actions import TABLES
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.labyrinth.words import VOCABULARY
+from zipf.envs.testing import check_vector_env
 from zipf.evaluate import score
 from zipf.experiments.building import run_folder
 from zipf.experiments.options import command_line, composing

@@ -15,10 +15,11 @@ import pytest
 from released_playroom import COMMANDS, DockerVectorEnv, encode
 
 from zipf import envs
-from zipf.envs import EngineError, Split, make, make_vec, replayed
-from zipf.envs.check import check_vector_env
+from zipf.envs import EngineError, Split, make, make_vec
+from zipf.envs.gymnasium import replayed
 from zipf.envs.playroom.actions import ACTIONS
 from zipf.envs.playroom.levels import VOCABULARY
+from zipf.envs.testing import check_vector_env
 from zipf.evaluate import score
 
 LIFT = "released_playroom/lift/lift_shape_uniform"

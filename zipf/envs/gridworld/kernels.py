@@ -12,8 +12,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from zipf.compiled import compiled
-from zipf.envs.gridworld.looks import AGENT, CELL, FIRST_LOOK, FLOOR, NUM_CODES, SPRITES, WALL
 from zipf.envs.gridworld.maps import MOVES, PAD, VIEW
+from zipf.envs.gridworld.sprites import AGENT, CELL, FIRST_LOOK, FLOOR, NUM_CODES, SPRITES, WALL
 from zipf.envs.pcg64 import choice
 
 MAP, TARGET, ROW, COLUMN = range(4)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from zipf.envs import distributions
 from zipf.envs.arguments import own_engine, unknown
+from zipf.envs.baselines import ReferenceScore, measured
 from zipf.envs.labyrinth.levels import LEVELS, by_name
-from zipf.envs.references import ReferenceScore, measured
 from zipf.envs.splits import PAPER_KINDS, Normalisation, Split, SplitLevel
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def make_vec(
 
 
 def mean_of_tasks(name: str) -> Callable[..., ReferenceScore | None]:
-    """A reference, as `zipf.envs.references.measured` has it of the tasks; of a level that draws
+    """A reference, as `zipf.envs.baselines.measured` has it of the tasks; of a level that draws
     them their mean, with the score of each by the rank."""
     measured_of = measured("zipf.envs.labyrinth", name)
 

@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from zipf.envs.arguments import own_engine
+from zipf.envs.baselines import measured
 from zipf.envs.family import Family
 from zipf.envs.playroom.constants import EXPONENT_BOUNDS, REACH_BOUNDS
 from zipf.envs.playroom.levels import LEVELS
-from zipf.envs.references import measured
 from zipf.envs.splits import Split
 from zipf.options import Options
 
@@ -79,7 +79,7 @@ FAMILY = Family(
             for split in _PAPER_SPLITS
         ),
     ),
-    make="zipf.envs.playroom.single:PlayroomEnv",
+    make="zipf.envs.playroom.playroom_env:PlayroomEnv",
     make_vec="zipf.envs.playroom.vector:PlayroomVectorEnv",
     references={
         "chance": measured("zipf.envs.playroom", "chance"),

@@ -9,11 +9,11 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from zipf.envs.baselines import ReferenceScore
 from zipf.envs.playroom import levels
 from zipf.envs.playroom.achieved import Achievement
 from zipf.envs.playroom.references import blind
 from zipf.envs.playroom.vector import PlayroomVectorEnv
-from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Split
 from zipf.envs.vector import Observation
 

@@ -3,8 +3,8 @@ references were measured and stand in `references.json`."""
 
 from typing import Any
 
+from zipf.envs.baselines import ReferenceScore, higher_floor
 from zipf.envs.playroom import levels
-from zipf.envs.references import ReferenceScore, higher_floor
 
 POLICY = "guessing expert"  # in `Family.blind_policies`
 

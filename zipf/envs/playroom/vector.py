@@ -19,9 +19,9 @@ from zipf.envs.playroom.constants import (
     MOST_STEPS,
     REACH_BOUNDS,
 )
-from zipf.envs.playroom.looks import LOOKS
 from zipf.envs.playroom.room import Room
 from zipf.envs.playroom.state import GROUND_LAYER, YAW, make_commands, make_worlds
+from zipf.envs.playroom.varied_looks import LOOKS
 from zipf.envs.playroom.view import View, extents_of
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
