@@ -11,8 +11,8 @@ from test_collector import build
 from zipf import envs
 from zipf.agents.hindsight import AchievedOptions
 from zipf.envs.gridworld.maps import MOVES
-from zipf.envs.players import Teacher
 from zipf.envs.playroom.actions import ACTIONS, TURN_LEFT, TURN_RIGHT
+from zipf.envs.policies import Teacher
 from zipf.experiments.options.augmentation import Augmentation, RandomAugmentationOptions
 from zipf.experiments.training.collector import Collector
 

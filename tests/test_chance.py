@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from zipf import envs
-from zipf.envs import ReferenceScore, reference, references
+from zipf.envs import ReferenceScore, baselines, reference
+from zipf.envs.baselines import measured
 from zipf.envs.episodes import measure
-from zipf.envs.references import measured
 
 
 def test_what_was_measured_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -26,7 +26,7 @@ def test_what_was_measured_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     )
     monkeypatch.syspath_prepend(tmp_path)
     assert measured(package.name, "expert")("lift/easy") is None
-    references._figures.cache_clear()
+    baselines._figures.cache_clear()
     figures = [
         {"score": 0.25, "error": 0.02, "episodes": 400, "options": {}},
         {"score": 0.1, "error": 0.01, "episodes": 300, "options": {"max_steps": 90}},

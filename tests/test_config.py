@@ -215,6 +215,14 @@ MISTAKES = [
     (["experiment=demo", "agent.learning_rate=fast"], ["agent.learning_rate=fast", "number"]),
     (["experiment=demo", "precision=half"], ["precision=half", "auto", "bfloat16"]),
     (["experiment=demo", "resume=perhaps"], ["resume=perhaps", "must"]),
+    (
+        ["experiment=playroom_lift", "environment.backend=docker"],
+        ["environment.backend=docker", "released_playroom of examples/original_engines"],
+    ),
+    (
+        ["experiment=labyrinth_forward", "environment.backend=dmlab"],
+        ["environment.backend=dmlab", "dmlab of examples/original_engines"],
+    ),
     (["experiment=demo", "device=gpu"], ["device=gpu"]),
     (["experiment=demo", "device=cuda:99"], ["device=cuda:99", "CUDA", "device=cpu"]),
     (["experiment=demo", "collector.num_envs=0"], ["collector.num_envs=0", "greater"]),

@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gridworld_rules import ByHand
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from zipf.envs import SingleWorld, ZipfVectorEnv, make, make_vec, pcg64
-from zipf.envs.check import check_vector_env
 from zipf.envs.distributions import zipfian
 from zipf.envs.gridworld.vector import GridworldVectorEnv
+from zipf.envs.testing import check_vector_env
 
 SMALL = {"num_maps": 6, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
 
@@ -20,7 +21,7 @@ SMALL = {"num_maps": 6, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
 @pytest.mark.parametrize("observation", ["image", "tiles"])
 def test_gridworld_keeps_the_contract(level: str, observation: str) -> None:
     options = {"observation": observation}
-    check_vector_env(partial(make_vec, level, **options), partial(make, level, **options))
+    check_vector_env(partial(make_vec, level, **options), partial(ByHand, level, **options))
 
 
 @pytest.mark.parametrize(
@@ -34,7 +35,7 @@ def test_gridworld_keeps_the_contract(level: str, observation: str) -> None:
 )
 def test_other_sizes_keep_the_contract(options: dict[str, Any]) -> None:
     level, options = "gridworld/zipf_1", {"observation": "tiles", **options}
-    check_vector_env(partial(make_vec, level, **options), partial(make, level, **options))
+    check_vector_env(partial(make_vec, level, **options), partial(ByHand, level, **options))
 
 
 class Bandit(ZipfVectorEnv):

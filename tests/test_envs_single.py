@@ -12,9 +12,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from zipf.envs import SingleWorld, make
-from zipf.envs.check import check_vector_env
-from zipf.envs.gridworld.single import GridworldEnv
+from zipf.envs.gridworld.gridworld_env import GridworldEnv
 from zipf.envs.gridworld.vector import GridworldVectorEnv
+from zipf.envs.testing import check_vector_env
 
 SMALL: dict[str, Any] = {"num_maps": 3, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 9}
 

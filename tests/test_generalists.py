@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from playroom_worlds import arrange, playroom
 
 from zipf import envs
-from zipf.envs.check_player import check_player
 from zipf.envs.episodes import Player, play_episodes
-from zipf.envs.gridworld import looks
+from zipf.envs.gridworld import sprites
 from zipf.envs.gridworld.generalist import UNSEEN
 from zipf.envs.gridworld.generalist import Generalist as GridworldGeneralist
 from zipf.envs.gridworld.maps import PAD, VIEW
@@ -22,6 +21,7 @@ from zipf.envs.playroom.generalist import Generalist as PlayroomGeneralist
 from zipf.envs.playroom.in_view import look
 from zipf.envs.playroom.state import AX, YAW
 from zipf.envs.playroom.vector import PlayroomVectorEnv
+from zipf.envs.testing import check_player
 
 PLAYERS = [
     (family.name, name)
@@ -139,7 +139,7 @@ def test_in_the_gridworld_it_knows_what_has_been_in_view() -> None:
     begun = 0
     for _ in range(60):
         for i, (row, column) in enumerate(env._worlds[:, 2:]):
-            view = np.where(tiles["tiles"][i] == looks.AGENT, looks.FLOOR, tiles["tiles"][i])
+            view = np.where(tiles["tiles"][i] == sprites.AGENT, sprites.FLOOR, tiles["tiles"][i])
             seen = record[i, row : row + VIEW, column : column + VIEW]
             cued = seen[0, 0]
             seen[:] = view
@@ -175,7 +175,9 @@ def test_in_the_gridworld_what_is_unseen_changes_nothing(memory: bool) -> None:
         codes = made.codes[env._worlds[:, 0]].copy()
         hidden = player._known == UNSEEN
         hidden[np.arange(n), goals[:, 0], goals[:, 1]] = False  # the cue is shown
-        drawn = rng.choice([looks.FLOOR, looks.WALL, looks.FIRST_LOOK + 200], size=codes.shape)
+        drawn = rng.choice(
+            [sprites.FLOOR, sprites.WALL, sprites.FIRST_LOOK + 200], size=codes.shape
+        )
         codes[hidden] = drawn[hidden]
         cells = made.cells[env._worlds[:, 0]]
         maps = dataclasses.replace(made, num_maps=n, codes=codes, cells=cells)

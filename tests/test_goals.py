@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from zipf import envs
-from zipf.envs.check_goal import check_goal
 from zipf.envs.gridworld.goal import Cue
-from zipf.envs.gridworld.looks import FIRST_LOOK
+from zipf.envs.gridworld.sprites import FIRST_LOOK
 from zipf.envs.playroom import levels
+from zipf.envs.testing import check_goal
 
 SMALL = {"gridworld": {"max_steps": 30}, "default": {"image_size": (3, 4), "max_steps": 20}}
 GOALS = [name for name, family in envs.families().items() if family.goal is not None]

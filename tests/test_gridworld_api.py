@@ -15,8 +15,8 @@ from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
 
 import zipf.envs
+from zipf.envs.gridworld.gridworld_env import GridworldEnv
 from zipf.envs.gridworld.render import frame
-from zipf.envs.gridworld.single import GridworldEnv
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 ID = "zipf/Gridworld-v0"

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.stats import chisquare
 
 from zipf.envs import distributions, make, make_vec, reference
-from zipf.envs.gridworld import expert, looks
+from zipf.envs.gridworld import expert, sprites
 from zipf.envs.gridworld.chance import destinations, random_policy
+from zipf.envs.gridworld.gridworld_env import GridworldEnv
 from zipf.envs.gridworld.maps import MOVES, PAD, Maps, build_maps
-from zipf.envs.gridworld.single import GridworldEnv
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 FACTS = json.loads((Path(__file__).parent / "data" / "gridworld_facts.json").read_text())
@@ -37,10 +37,10 @@ def test_moves_by_wall_pattern(name: str, walls: str, moves: bool) -> None:
     cell_of["horizontal_neighbour"] = (0, right)
     codes = np.zeros((1, 5 + 2 * PAD, 5 + 2 * PAD), dtype=np.uint8)
     board = codes[0, PAD:-PAD, PAD:-PAD]
-    board[0, 0] = looks.code("red", "plus")
+    board[0, 0] = sprites.code("red", "plus")
     for wall in walls.split("+"):
         if wall != "none":
-            board[2 + cell_of[wall][0], 2 + cell_of[wall][1]] = looks.WALL
+            board[2 + cell_of[wall][0], 2 + cell_of[wall][1]] = sprites.WALL
     maps = Maps(1, (1, 1), (3, 3), 1, codes, np.array([[[0, 0], [2, 2]]]))
     expected = [2 + down, 2 + right] if moves else [2, 2]
 
@@ -52,9 +52,9 @@ def test_moves_by_wall_pattern(name: str, walls: str, moves: bool) -> None:
     tiles = single.step(ACTIONS.index(name))[0]["tiles"]
     both = batch.step(np.full(2, ACTIONS.index(name)))[0]["tiles"]
     padded = codes[0].copy()
-    padded[expected[0] + PAD, expected[1] + PAD] = looks.AGENT
+    padded[expected[0] + PAD, expected[1] + PAD] = sprites.AGENT
     view = padded[expected[0] : expected[0] + 7, expected[1] : expected[1] + 7]
-    view[0, 0] = looks.FLOOR
+    view[0, 0] = sprites.FLOOR
     np.testing.assert_array_equal(tiles, view)
     np.testing.assert_array_equal(both, [view, view])
 
@@ -143,10 +143,10 @@ def test_touching_another_object_ends_the_episode_without_reward() -> None:
 def test_a_touched_object_hides_the_agent() -> None:
     env = make_vec("gridworld/uniform", 2, observation="tiles")
     maps = env.level.maps
-    assert env.reset(options={"map": 0, "target": 3})[0]["tiles"][0, 3, 3] == looks.AGENT
+    assert env.reset(options={"map": 0, "target": 3})[0]["tiles"][0, 3, 3] == sprites.AGENT
     *_, last = act(env, way(maps, 0, target=3), target=3)
-    assert looks.look(last[3]["final_obs"]["tiles"][0, 3, 3]) == maps.look(0, 3)
-    assert looks.look(last[3]["final_obs"]["cue"][0, 0]) == maps.look(0, 3)
+    assert sprites.look(last[3]["final_obs"]["tiles"][0, 3, 3]) == maps.look(0, 3)
+    assert sprites.look(last[3]["final_obs"]["cue"][0, 0]) == maps.look(0, 3)
 
 
 def dawdle(length: int) -> list[int]:
@@ -157,7 +157,7 @@ def dawdle(length: int) -> list[int]:
 def test_dawdling_comes_back() -> None:
     boards, cells = build_maps().boards, build_maps().cells
     row, column = cells[0, -1]
-    assert boards[0, row, column + 1] == looks.FLOOR
+    assert boards[0, row, column + 1] == sprites.FLOOR
 
 
 @pytest.mark.parametrize("max_steps", [100, 40])
@@ -174,7 +174,7 @@ def test_the_target_on_the_last_step_counts() -> None:
     path = way(env.level.maps, 0, target=0)
     assert len(path) % 2 == 1  # so that 100 - len is odd and the dawdling needs a blocked step
     row, column = env.level.maps.cells[0, -1]
-    assert env.level.maps.boards[0, row, column - 1] == looks.WALL
+    assert env.level.maps.boards[0, row, column - 1] == sprites.WALL
     in_time = [WEST, *dawdle(99 - len(path)), *path]
     assert len(in_time) == 100
     *before, last = act(env, in_time, target=0)
@@ -192,8 +192,8 @@ def test_tiles_show_what_the_image_shows() -> None:
     image, _ = images.reset(seed=1)
     symbols, _ = tiles.reset(seed=1)
     for _ in range(100):
-        drawn = looks.SPRITES[0][symbols["tiles"]]  # [N, 7, 7, 9, 9, 3]
-        drawn[:, 0, 0] = looks.SPRITES[1][symbols["cue"][:, 0]]
+        drawn = sprites.SPRITES[0][symbols["tiles"]]  # [N, 7, 7, 9, 9, 3]
+        drawn[:, 0, 0] = sprites.SPRITES[1][symbols["cue"][:, 0]]
         drawn = drawn.swapaxes(2, 3).reshape(32, 63, 63, 3)
         np.testing.assert_array_equal(drawn, image["image"])
         actions = rng.integers(8, size=32)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from zipf.envs.gridworld import looks
+from zipf.envs.gridworld import sprites
 from zipf.envs.gridworld.chance import destinations
 from zipf.envs.gridworld.maps import Maps, build_maps
 from zipf.envs.gridworld.vector import GridworldVectorEnv
@@ -25,7 +25,7 @@ def sha256(data: str | bytes) -> str:
 
 def rows_of(maps: Maps, i: int) -> list[str]:
     """A map as the release draws it."""
-    rows = [["#" if cell == looks.WALL else " " for cell in row] for row in maps.boards[i]]
+    rows = [["#" if cell == sprites.WALL else " " for cell in row] for row in maps.boards[i]]
     for letter, (row, column) in zip(LETTERS[: maps.num_objects] + "A", maps.cells[i], strict=True):
         rows[row][column] = letter
     return ["".join(row) for row in rows]
@@ -36,19 +36,19 @@ def objects_of(maps: Maps, i: int) -> list[list[str]]:
 
 
 def test_colours_and_shapes() -> None:
-    assert {name: list(rgb) for name, rgb in looks.COLOURS.items()} == FACTS["colours"]
+    assert {name: list(rgb) for name, rgb in sprites.COLOURS.items()} == FACTS["colours"]
     drawn = {
         name: ["".join("#" if on else "." for on in row) for row in mask]
-        for name, mask in looks.SHAPES.items()
+        for name, mask in sprites.SHAPES.items()
     }
     assert drawn == FACTS["shape_masks"]
 
 
 def test_codes_and_looks_are_one_to_one() -> None:
-    pairs = [(colour, shape) for colour in looks.COLOURS for shape in looks.SHAPES]
-    codes = [looks.code(*pair) for pair in pairs]
-    assert codes == list(range(looks.FIRST_LOOK, looks.NUM_CODES))
-    assert [looks.look(code) for code in codes] == pairs
+    pairs = [(colour, shape) for colour in sprites.COLOURS for shape in sprites.SHAPES]
+    codes = [sprites.code(*pair) for pair in pairs]
+    assert codes == list(range(sprites.FIRST_LOOK, sprites.NUM_CODES))
+    assert [sprites.look(code) for code in codes] == pairs
 
 
 @pytest.mark.parametrize("i", range(20))
@@ -128,10 +128,10 @@ def test_maps_of_any_size_can_be_walked(
     assert maps.boards.shape == (num_maps, height, width)
     for i, board in enumerate(maps.boards):
         rim = np.concatenate([board[0], board[-1], board[:, 0], board[:, -1]])
-        assert (rim == looks.WALL).all()
+        assert (rim == sprites.WALL).all()
         assert len({maps.look(i, k) for k in range(num_objects)}) == num_objects
-        assert (board >= looks.FIRST_LOOK).sum() == num_objects
-        assert board[tuple(maps.cells[i, -1])] == looks.FLOOR
+        assert (board >= sprites.FIRST_LOOK).sum() == num_objects
+        assert board[tuple(maps.cells[i, -1])] == sprites.FLOOR
         reached = np.zeros(board.size, dtype=np.bool_)
         queue = deque([int(maps.cells[i, -1] @ [width, 1])])
         leads_to = destinations(maps)[i]
@@ -140,7 +140,7 @@ def test_maps_of_any_size_can_be_walked(
             if not reached[cell]:
                 reached[cell] = True
                 queue.extend(leads_to[cell].tolist())
-        assert (reached == (board.ravel() != looks.WALL)).all()
+        assert (reached == (board.ravel() != sprites.WALL)).all()
 
 
 @pytest.mark.parametrize(

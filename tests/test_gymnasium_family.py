@@ -14,9 +14,9 @@ from scipy.stats import chisquare
 
 import zipf.envs
 from zipf.envs import GymnasiumVectorEnv, family, make_vec, measure_chance
-from zipf.envs.check import check_vector_env
 from zipf.envs.distributions import rare, uniform
 from zipf.envs.distributions import zipfian as law
+from zipf.envs.testing import check_vector_env
 
 
 class Goal(gym.Env[Any, Any]):
@@ -263,7 +263,7 @@ def test_unknown_levels_and_environments_are_named() -> None:
     ],
 )
 def test_a_family_is_named_after_what_its_ids_have_in_common(ids: list[str], name: str) -> None:
-    assert zipf.envs.gymnasium_family._common_name(ids) == name
+    assert zipf.envs.gymnasium.zipfian._common_name(ids) == name
 
 
 def paid(episode_return: float, terminated: bool, info: dict[str, Any]) -> bool:

@@ -13,8 +13,9 @@ import pytest
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from zipf.envs import GymnasiumVectorEnv, Mixture, SingleWorld, gymnasium_worlds, replayed
-from zipf.envs.check import check_vector_env
+from zipf.envs import GymnasiumVectorEnv, Mixture, SingleWorld
+from zipf.envs.gymnasium import replayed, vector
+from zipf.envs.testing import check_vector_env
 
 EVERYTHING = spaces.Dict(
     image=spaces.Box(0, 255, (4, 5, 3), np.uint8),
@@ -182,7 +183,7 @@ def test_values_are_those_of_the_environment() -> None:
 
 
 def test_words_have_stable_codes() -> None:
-    words = gymnasium_worlds.Words(6, 1000)
+    words = vector.Words(6, 1000)
     np.testing.assert_array_equal(words.encode("Open the door."), [70, 925, 587, 354, 0, 0])
     assert words.encode("open the, DOOR")[3] == 587
     with pytest.raises(ValueError, match="'a b c d e f g' has 7 words, more than text_length=6"):

@@ -26,7 +26,7 @@ from zipf.agents.impala import Impala
 from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.reweighting import InverseCountOptions
-from zipf.envs.players import Teacher
+from zipf.envs.policies import Teacher
 from zipf.errors import UserError
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play

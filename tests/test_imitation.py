@@ -15,7 +15,7 @@ from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions
 from zipf.agents.imitation import Imitation, ImitationOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
-from zipf.envs.players import Teacher
+from zipf.envs.policies import Teacher
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.training.collector import Collector

@@ -10,8 +10,8 @@ from scipy import stats
 from zipf import envs
 from zipf.envs import make, make_vec
 from zipf.envs.labyrinth import benchmark
+from zipf.envs.labyrinth.labyrinth_env import LabyrinthEnv
 from zipf.envs.labyrinth.levels import LEVELS
-from zipf.envs.labyrinth.single import LabyrinthEnv
 from zipf.envs.mixture import Mixture
 
 TASKS = [f"labyrinth/{name}" for name in LEVELS]

@@ -13,10 +13,10 @@ from labyrinth_levels import batch
 from numpy.typing import NDArray
 
 from zipf.envs import Mixture, make, make_vec
-from zipf.envs.check import check_vector_env
 from zipf.envs.labyrinth import topdown
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
+from zipf.envs.testing import check_vector_env
 
 ALL = pytest.mark.parametrize("level", LEVELS)
 SMALL = {"image_size": (9, 12)}

@@ -8,11 +8,11 @@ import pytest
 from labyrinth_levels import batch, play_out
 
 from zipf import envs
-from zipf.envs.check_player import check_player
 from zipf.envs.labyrinth import in_view
 from zipf.envs.labyrinth.generalist import Generalist
 from zipf.envs.labyrinth.in_view import NEVER, RAYS
 from zipf.envs.labyrinth.state import CELL, PITCH, YAW, X, Y
+from zipf.envs.testing import check_player
 
 IMAGE = (3, 4)
 """Of the paper's proportions."""

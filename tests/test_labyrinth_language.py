@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from labyrinth_levels import batch
 
-from zipf.envs.labyrinth import looks, patterns
+from zipf.envs.labyrinth import materials, patterns
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.labyrinth.levels.language import LanguageEpisode, Task
 from zipf.envs.labyrinth.scenery import Scenery, atlas
@@ -71,7 +71,7 @@ def test_the_world_shows_the_task(level: str) -> None:
                 assert scenes.pattern[0, item] == -1
                 assert abs(second - patterns.SHADE * first).max() <= 1
             else:
-                assert scenes.pattern[0, item] == looks.index(f"pattern_{one.pattern}")
+                assert scenes.pattern[0, item] == materials.index(f"pattern_{one.pattern}")
                 assert abs(second - patterns.rgb(one.colour2, np.random.default_rng(0))).max() <= 9
             scale = {"car": 0.8, "cassette": 0.95, "chair": 0.84, "cow": 0.81}.get(one.shape, 1)
             assert scenes.scale[0, item] == pytest.approx(scale)
@@ -80,7 +80,7 @@ def test_the_world_shows_the_task(level: str) -> None:
         for cell in np.argwhere(~task.layout.solid):
             letter = task.layout.region[tuple(cell)]
             name = task.theme.floors[letter] if letter else "corridor_floor"
-            assert tiles[tuple(cell)] == looks.index(name)
+            assert tiles[tuple(cell)] == materials.index(name)
         assert (env.worlds.cells[0] == task.layout.solid.shape).all()
         assert scenes.flat_count[0] == 1
         assert episode.world.cell in task.layout.starts
@@ -191,7 +191,7 @@ def test_patterns_can_be_told_apart() -> None:
         scenery.shape[:, 0] = atlas().index(shape)
         scenery.scenes.colours[:, 0] = (255, 0, 0), (0, 0, 255)
         for i, name in enumerate(patterns.PATTERNS[1:], 1):
-            scenery.scenes.pattern[i, 0] = looks.index(f"pattern_{name}")
+            scenery.scenes.pattern[i, 0] = materials.index(f"pattern_{name}")
         worlds.bodies[:, 2] = 24
         images = np.zeros((count, 72, 96, 3), np.uint8)
         scenery.draw(images, np.ones(count, np.bool_))

@@ -10,11 +10,11 @@ from labyrinth_levels import batch
 from psychlab_trials import ALL, BLACK, RECOGNITION, SEARCH, begin
 
 from zipf.envs import Mixture, expert, make, make_vec
-from zipf.envs.check import check_vector_env
 from zipf.envs.labyrinth import pictures
 from zipf.envs.labyrinth.gaze import NOWHERE, gaze
 from zipf.envs.labyrinth.levels.psychlab_search import VisualSearch
 from zipf.envs.labyrinth.state import PITCH, YAW
+from zipf.envs.testing import check_vector_env
 
 # The gaze.
 

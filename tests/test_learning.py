@@ -10,7 +10,7 @@ from networks import compact
 
 from zipf.agents import Setting, agents
 from zipf.agents.memory import MLPOptions
-from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
+from zipf.envs.gymnasium.vector import GymnasiumVectorEnv
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.training.collector import Collector

@@ -23,9 +23,9 @@ from zipf.envs import (
     pcg64,
     split,
 )
-from zipf.envs.check import check_vector_env
 from zipf.envs.distributions import zipfian
 from zipf.envs.gridworld.vector import GridworldVectorEnv
+from zipf.envs.testing import check_vector_env
 
 SMALL: dict[str, Any] = {
     "num_maps": 6,

@@ -22,7 +22,7 @@ from PIL import Image
 
 import zipf.play
 from zipf import envs
-from zipf.envs.gridworld import looks
+from zipf.envs.gridworld import sprites
 from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.envs.keyboard import LEAVE, NEXT, Binding, Keys, Toggle
@@ -113,13 +113,13 @@ def shortest(board: np.ndarray, start: tuple[int, int], goal: tuple[int, int]) -
         row, column = edge.popleft()
         if (row, column) == goal:
             return steps[goal]
-        if board[row, column] >= looks.FIRST_LOOK:
+        if board[row, column] >= sprites.FIRST_LOOK:
             continue
         for down, right in MOVES:
             to = row + down, column + right
             between = board[row + down, column], board[row, column + right]
-            squeezed = down and right and between == (looks.WALL, looks.WALL)
-            if to not in steps and board[to] != looks.WALL and not squeezed:
+            squeezed = down and right and between == (sprites.WALL, sprites.WALL)
+            if to not in steps and board[to] != sprites.WALL and not squeezed:
                 steps[to] = steps[row, column] + 1
                 edge.append(to)
     raise AssertionError("there is no way")

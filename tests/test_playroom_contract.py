@@ -15,10 +15,10 @@ from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
 
 from zipf.envs import Mixture, make, make_vec, split
-from zipf.envs.check import check_vector_env
 from zipf.envs.playroom.levels import LEVELS
-from zipf.envs.playroom.single import PlayroomEnv
+from zipf.envs.playroom.playroom_env import PlayroomEnv
 from zipf.envs.playroom.vector import PlayroomVectorEnv
+from zipf.envs.testing import check_vector_env
 
 ID = "zipf/Playroom-v0"
 SMALL: dict[str, Any] = {"image_size": (6, 8), "max_steps": 18}

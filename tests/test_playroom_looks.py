@@ -9,8 +9,8 @@ from playroom_worlds import TRAY, act, arrange, look_at, playroom
 from zipf.envs import reference
 from zipf.envs.playroom import PlayroomOptions
 from zipf.envs.playroom.constants import FURNITURE_SIZE
-from zipf.envs.playroom.looks import LOOKS, SMALLEST, VARIED_FLOORS, VARIED_WALLS
 from zipf.envs.playroom.state import PITCH, Z
+from zipf.envs.playroom.varied_looks import LOOKS, SMALLEST, VARIED_FLOORS, VARIED_WALLS
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 LEVEL = "put/put_on_bed_tray_all"

@@ -7,7 +7,6 @@ import runpy
 import sys
 from pathlib import Path
 
-import fake_deepmind_lab
 import pytest
 import write_tables
 from pages import DOCS, PAGES, ROOT, TEXT, blocks, commands, files
@@ -112,7 +111,6 @@ def test_train_commands_are_accepted(page, arguments, in_folder, monkeypatch):
     """Those that name a file of their page train, too, for one update: the first job of a sweep."""
     in_folder(page)
     monkeypatch.setattr(feasibility, "_no_pretrained", lambda config: ())  # the reader's own runs
-    monkeypatch.setitem(sys.modules, "deepmind_lab", fake_deepmind_lab)
     overrides = overrides_of(arguments)
     if not overrides:
         return

@@ -22,7 +22,7 @@ from zipf.agents.reweighting import (
     bounded,
     build_reweighting,
 )
-from zipf.envs.players import Teacher
+from zipf.envs.policies import Teacher
 from zipf.errors import UserError
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play

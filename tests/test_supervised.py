@@ -15,13 +15,13 @@ from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.supervised import Supervised, SupervisedOptions
-from zipf.envs.check import check_vector_env
 from zipf.envs.playroom.blind import BlindExpert
 from zipf.envs.playroom.expert import Expert
 from zipf.envs.playroom.first_frame import LEFT, RIGHT, FirstFrameVectorEnv
 from zipf.envs.playroom.generalist import Generalist
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.single import SingleWorld
+from zipf.envs.testing import check_vector_env
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.options.augmentation import Augmentation, RandomAugmentationOptions

@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from zipf.envs.baselines import ReferenceScore
 from zipf.envs.family import (
     SCRIPTED,
     EngineError,
@@ -30,26 +31,25 @@ from zipf.envs.family import (
     split,
     symmetries,
 )
-from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Normalisation, Split, SplitLevel
 from zipf.protocol import KINDS, PAPER_KINDS, REFERENCES, Reference
 
 if TYPE_CHECKING:
     from zipf.envs.episodes import measure_chance
-    from zipf.envs.gymnasium_family import zipfian
-    from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
+    from zipf.envs.gymnasium.vector import GymnasiumVectorEnv
+    from zipf.envs.gymnasium.zipfian import zipfian
     from zipf.envs.mixture import Mixture
     from zipf.envs.single import SingleWorld
     from zipf.envs.vector import ZipfVectorEnv
 
 # Imported when first asked for: these bring numba, and `import zipf` is to be quick.
 _LAZY = {
-    "GymnasiumVectorEnv": "zipf.envs.gymnasium_worlds",
+    "GymnasiumVectorEnv": "zipf.envs.gymnasium.vector",
     "Mixture": "zipf.envs.mixture",
     "SingleWorld": "zipf.envs.single",
     "ZipfVectorEnv": "zipf.envs.vector",
     "measure_chance": "zipf.envs.episodes",
-    "zipfian": "zipf.envs.gymnasium_family",
+    "zipfian": "zipf.envs.gymnasium.zipfian",
 }
 
 __all__ = [

@@ -9,8 +9,8 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import whole
+from zipf.envs.baselines import ReferenceScore
 from zipf.envs.family import Player, make_vec
-from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Level, SplitLevel
 from zipf.envs.vector import Observation, ZipfVectorEnv
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import unknown
-from zipf.envs.references import ReferenceScore
+from zipf.envs.baselines import ReferenceScore
 from zipf.envs.splits import Level, Split, SplitLevel, level_name
 from zipf.options import Options
 from zipf.protocol import REFERENCE_NAMES

@@ -6,7 +6,7 @@ A family names a class of goals in its field `goal`. Options that depend on what
     goal = zipf.envs.goal("playroom/lift/lift_shape_zipf3", env)
     goal.read(observation)  # int64 [N, 6], the codes of the instruction
 
-`zipf.envs.check_goal.check_goal` checks one.
+`zipf.envs.testing.check_goal` checks one.
 """
 
 from __future__ import annotations

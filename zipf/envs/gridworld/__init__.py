@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from zipf.envs.baselines import measured
 from zipf.envs.family import Family
-from zipf.envs.references import measured
 from zipf.envs.splits import Split
 from zipf.options import Options
 
@@ -54,7 +54,7 @@ FAMILY = Family(
             for exponent in (0, 1, 3)
         ),
     ),
-    make="zipf.envs.gridworld.single:GridworldEnv",
+    make="zipf.envs.gridworld.gridworld_env:GridworldEnv",
     make_vec="zipf.envs.gridworld.vector:GridworldVectorEnv",
     references={
         "chance": "zipf.envs.gridworld.chance:chance",

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import whole
-from zipf.envs.gridworld import kernels, looks
+from zipf.envs.baselines import ReferenceScore, higher_floor
+from zipf.envs.gridworld import kernels, sprites
 from zipf.envs.gridworld.level import distribution as of_level
 from zipf.envs.gridworld.level import maps_of
 from zipf.envs.gridworld.maps import MOVES, Maps, check_sizes
-from zipf.envs.references import ReferenceScore, higher_floor
 
 SURVIVAL = 1e-20  # ours: less of an episode is left than a sum of probabilities can show
 
@@ -126,7 +126,7 @@ def destinations(maps: Maps) -> NDArray[np.int64]:
     shape = (num_maps, height, width, len(MOVES))
     map, row, column, action = (index.ravel() for index in np.indices(shape))
     worlds = np.stack([map, np.zeros_like(map), row, column], axis=1)
-    inside = maps.boards[map, row, column] != looks.WALL
+    inside = maps.boards[map, row, column] != sprites.WALL
     moved = worlds[inside]
     n = len(moved)
     kernels.move(

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import whole
+from zipf.envs.baselines import ReferenceScore
 from zipf.envs.gridworld import kernels
 from zipf.envs.gridworld.chance import destinations, mean_success
 from zipf.envs.gridworld.level import maps_of
 from zipf.envs.gridworld.maps import Maps, check_sizes
 from zipf.envs.gridworld.vector import GridworldVectorEnv
-from zipf.envs.references import ReferenceScore
 
 
 class Expert:

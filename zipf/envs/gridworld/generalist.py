@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from zipf.compiled import compiled
 from zipf.envs.gridworld.expert import require_gridworld
 from zipf.envs.gridworld.kernels import COLUMN, MAP, ROW, TARGET
-from zipf.envs.gridworld.looks import FLOOR, WALL
 from zipf.envs.gridworld.maps import MOVES, PAD, VIEW
+from zipf.envs.gridworld.sprites import FLOOR, WALL
 from zipf.envs.gridworld.vector import GridworldVectorEnv
-from zipf.envs.players import Remembering
+from zipf.envs.policies import Remembering
 
 UNSEEN = 255
 """What is known of a cell that has not been in view; no cell code."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.goals import Goal
-from zipf.envs.gridworld.looks import CELL, SPRITES
+from zipf.envs.gridworld.sprites import CELL, SPRITES
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 

@@ -12,8 +12,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from zipf.compiled import compiled
-from zipf.envs.gridworld.looks import AGENT, CELL, FIRST_LOOK, FLOOR, NUM_CODES, SPRITES, WALL
 from zipf.envs.gridworld.maps import MOVES, PAD, VIEW
+from zipf.envs.gridworld.sprites import AGENT, CELL, FIRST_LOOK, FLOOR, NUM_CODES, SPRITES, WALL
 from zipf.envs.pcg64 import choice
 
 MAP, TARGET, ROW, COLUMN = range(4)
@@ -73,6 +73,35 @@ def begin(mask, forced, map_cdf, target_cdf, cells, streams, worlds):
         worlds[i, COLUMN] = cells[map, -1, 1]
 
 
+@compiled(references=False)
+def move_one(world, action, codes, cells):
+    """Steps one environment.
+
+    Args:
+        world: its state, int64 [4], written.
+        action: in 0 .. 7.
+        codes, cells: of `Maps`.
+
+    Returns:
+        Whether the agent touches the target, and whether it touches any object.
+    """
+    map, row, column = world[MAP], world[ROW] + PAD, world[COLUMN] + PAD
+    down, right = _MOVES[action, 0], _MOVES[action, 1]
+    blocked = codes[map, row + down, column + right] == WALL
+    if down != 0 and right != 0:
+        blocked |= codes[map, row + down, column] == WALL and (
+            codes[map, row, column + right] == WALL
+        )
+    if not blocked:
+        row += down
+        column += right
+        world[ROW] = row - PAD
+        world[COLUMN] = column - PAD
+    goal = cells[map, world[TARGET]]
+    touched = codes[map, row, column] >= FIRST_LOOK
+    return goal[0] == row - PAD and goal[1] == column - PAD, touched
+
+
 @compiled()
 def move(mask, actions, codes, cells, max_steps, lengths, worlds, reward, terminated, truncated):
     """Steps the worlds of `mask`.
@@ -88,21 +117,7 @@ def move(mask, actions, codes, cells, max_steps, lengths, worlds, reward, termin
     for i in range(len(worlds)):
         if not mask[i]:
             continue
-        map, row, column = worlds[i, MAP], worlds[i, ROW] + PAD, worlds[i, COLUMN] + PAD
-        down, right = _MOVES[actions[i], 0], _MOVES[actions[i], 1]
-        blocked = codes[map, row + down, column + right] == WALL
-        if down != 0 and right != 0:
-            blocked |= codes[map, row + down, column] == WALL and (
-                codes[map, row, column + right] == WALL
-            )
-        if not blocked:
-            row += down
-            column += right
-            worlds[i, ROW] = row - PAD
-            worlds[i, COLUMN] = column - PAD
-        goal = cells[map, worlds[i, TARGET]]
-        touched = codes[map, row, column] >= FIRST_LOOK
-        reward[i] = goal[0] == row - PAD and goal[1] == column - PAD
+        reward[i], touched = move_one(worlds[i], actions[i], codes, cells)
         terminated[i] = touched
         truncated[i] = not touched and lengths[i] >= max_steps
 

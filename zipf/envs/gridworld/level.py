@@ -11,8 +11,8 @@ from zipf.envs import distributions, pcg64
 from zipf.envs.arguments import whole
 from zipf.envs.distributions import Distribution
 from zipf.envs.gridworld import kernels
-from zipf.envs.gridworld.looks import CELL, NUM_CODES
 from zipf.envs.gridworld.maps import MOVES, VIEW, Maps, build_maps, check_sizes, fresh_from
+from zipf.envs.gridworld.sprites import CELL, NUM_CODES
 
 FRESH = "fresh"
 """The level of the fresh maps, all situations of which are equally likely."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import pair, whole
-from zipf.envs.gridworld import looks
+from zipf.envs.gridworld import sprites
 
 FIRST_SEED = 1234
 FRESH_FROM = 20
@@ -41,7 +41,7 @@ class Maps:
 
     Attributes:
         num_maps, num_rooms, room_size, num_objects, first: the arguments of `build_maps`.
-        codes: uint8 [maps, rows + 6, columns + 6], cell codes (`looks.py`) without the agent,
+        codes: uint8 [maps, rows + 6, columns + 6], cell codes (`sprites.py`) without the agent,
             with three cells of floor around the board so that every view is a slice.
         cells: int64 [maps, objects + 1, 2], (row, column) on the board of each object in order
             of frequency rank, and last the agent's start.
@@ -67,7 +67,7 @@ class Maps:
     def look(self, map: int, target: int) -> tuple[str, str]:
         """The colour and shape of an object."""
         row, column = self.cells[map, target]
-        return looks.look(int(self.boards[map, row, column]))
+        return sprites.look(int(self.boards[map, row, column]))
 
 
 def check_sizes(
@@ -83,10 +83,10 @@ def check_sizes(
     num_rooms = pair("num_rooms", num_rooms)
     room_size = pair("room_size", room_size)
     num_objects = whole("num_objects", num_objects, 1)
-    if num_objects > looks.NUM_LOOKS:
+    if num_objects > sprites.NUM_LOOKS:
         raise ValueError(
-            f"num_objects = {num_objects}, but there are only {looks.NUM_LOOKS} different looks "
-            f"({len(looks.COLOURS)} colours x {len(looks.SHAPES)} shapes)"
+            f"num_objects = {num_objects}, but there are only {sprites.NUM_LOOKS} different looks "
+            f"({len(sprites.COLOURS)} colours x {len(sprites.SHAPES)} shapes)"
         )
     height, width = (n * (size + 1) + 1 for n, size in zip(num_rooms, room_size, strict=True))
     rooms = num_rooms[0] * num_rooms[1]
@@ -134,13 +134,13 @@ def build_maps(
             )
         rng.shuffle(places)
         board = maps.boards[i]
-        board[:: step[0], :] = looks.WALL
-        board[:, :: step[1]] = looks.WALL
+        board[:: step[0], :] = sprites.WALL
+        board[:, :: step[1]] = sprites.WALL
         for door in doors:
-            board[door] = looks.FLOOR
+            board[door] = sprites.FLOOR
         cells[i] = places[: num_objects + 1]
         for place, look in zip(places[:num_objects], _draw_looks(num_objects, rng), strict=True):
-            board[place] = looks.code(*look)
+            board[place] = sprites.code(*look)
     codes.flags.writeable = False
     cells.flags.writeable = False
     return maps
@@ -227,7 +227,7 @@ def _places(rooms: list[Room], doors: list[Cell], step: tuple[int, int]) -> list
 
 def _draw_looks(num_objects: int, rng: np.random.Generator) -> list[tuple[str, str]]:
     """`num_objects` different (colour, shape) pairs, in order of frequency rank."""
-    colours, shapes = list(looks.COLOURS), list(looks.SHAPES)
+    colours, shapes = list(sprites.COLOURS), list(sprites.SHAPES)
     draws = num_objects + 10
     for _ in range(_LOOK_ATTEMPTS):
         drawn_colours = rng.choice(colours, draws, replace=True).tolist()
@@ -238,6 +238,6 @@ def _draw_looks(num_objects: int, rng: np.random.Generator) -> list[tuple[str, s
             return pairs[:num_objects]
     raise ValueError(
         f"num_objects = {num_objects} is too many: the benchmark draws {draws} looks out of "
-        f"{looks.NUM_LOOKS} until {num_objects} of them differ, which {_LOOK_ATTEMPTS} attempts "
+        f"{sprites.NUM_LOOKS} until {num_objects} of them differ, which {_LOOK_ATTEMPTS} attempts "
         "did not achieve; up to about 90 objects are practical"
     )

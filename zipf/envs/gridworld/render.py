@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.gridworld import looks
+from zipf.envs.gridworld import sprites
 from zipf.envs.gridworld.maps import PAD, VIEW, Maps
 
 _SCALE = 3  # screen pixels per sprite pixel
-_CELL = _SCALE * looks.CELL
+_CELL = _SCALE * sprites.CELL
 _LINE = 2  # thickness of outlines in screen pixels
 
 _BACKGROUND = (24, 26, 32)
@@ -15,8 +15,8 @@ _SEEN = (235, 235, 235)
 _TARGET = (255, 190, 60)
 
 # Walls of 40 of 255, as in the agent's image, would be invisible where the map is darkened.
-_SPRITES = looks.SPRITES.copy()
-_SPRITES[0, looks.WALL] = 96
+_SPRITES = sprites.SPRITES.copy()
+_SPRITES[0, sprites.WALL] = 96
 _SPRITES = _SPRITES.repeat(_SCALE, axis=2).repeat(_SCALE, axis=3)
 
 
@@ -37,8 +37,8 @@ def frame(maps: Maps, map: int, target: int, row: int, column: int) -> NDArray[n
     board = maps.boards[map].copy()
     goal_row, goal_column = maps.cells[map, target].tolist()
     cue = board[goal_row, goal_column]
-    if board[row, column] == looks.FLOOR:
-        board[row, column] = looks.AGENT
+    if board[row, column] == sprites.FLOOR:
+        board[row, column] = sprites.AGENT
     height, width = board.shape
     drawn = _SPRITES[0][board].swapaxes(1, 2).reshape(height * _CELL, width * _CELL, 3)
 

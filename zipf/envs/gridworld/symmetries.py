@@ -5,8 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.compiled import compiled
-from zipf.envs.gridworld.looks import CELL
 from zipf.envs.gridworld.maps import MOVES, VIEW
+from zipf.envs.gridworld.sprites import CELL
 
 # The eight turns and reflections of a square, as matrices of (row, column); the first changes
 # nothing.

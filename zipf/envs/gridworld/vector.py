@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs.gridworld import kernels, looks
+from zipf.envs.gridworld import kernels, sprites
 from zipf.envs.gridworld.goal import cues
 from zipf.envs.gridworld.level import Level
 from zipf.envs.gridworld.render import frame
@@ -109,7 +109,7 @@ class GridworldVectorEnv(ZipfVectorEnv):
         """The cue of the object that was touched."""
         map, _, row, column = self._worlds.T
         codes = self.level.maps.boards[map, row, column]
-        has = ended & (codes >= looks.FIRST_LOOK)
+        has = ended & (codes >= sprites.FIRST_LOOK)
         goals = cues(codes, self.level.observation)
         goals[~has] = 0
         return goals, has
@@ -131,6 +131,6 @@ class GridworldVectorEnv(ZipfVectorEnv):
         if (worlds < 0).any() or (worlds >= limits).any():
             raise ValueError("the state is of other maps, or damaged: worlds outside the board")
         map, _, row, column = worlds[state["seeded"]].T
-        if (maps.boards[map, row, column] == looks.WALL).any():
+        if (maps.boards[map, row, column] == sprites.WALL).any():
             raise ValueError("the state is of other maps, or damaged: an agent in a wall")
         self._worlds[:] = worlds

@@ -2,8 +2,9 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
+from zipf.envs.arguments import own_engine
 from zipf.envs.family import Family
 from zipf.envs.labyrinth.benchmark import MIXTURES, SPLITS, mean_of_tasks
 from zipf.envs.labyrinth.levels import LEVELS
@@ -11,12 +12,13 @@ from zipf.options import Options
 
 Size = Annotated[int, Field(ge=1)]
 Pair = Annotated[list[Size], Field(min_length=2, max_length=2)]
+Backend = Annotated[Literal["own"], BeforeValidator(own_engine("dmlab"))]
 
 
 class LabyrinthOptions(Options):
     """Constructor options. Other values than these make other worlds than the paper's."""
 
-    backend: Literal["own", "dmlab"] = "own"  # ours: DeepMind Lab has to be built, see its docs
+    backend: Backend = "own"  # ours; runs of before name it: DeepMind Lab is an example now
     image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
     num_actions: Literal[15, 9] = 15  # ours: with the 9 of IMPALA no agent looks up or down
     action_repeat: Size = 4  # paper
@@ -31,7 +33,7 @@ FAMILY = Family(
     check="zipf.envs.labyrinth.benchmark:check",
     options=LabyrinthOptions,
     splits=SPLITS,
-    make="zipf.envs.labyrinth.single:LabyrinthEnv",
+    make="zipf.envs.labyrinth.labyrinth_env:LabyrinthEnv",
     make_vec="zipf.envs.labyrinth.benchmark:make_vec",
     references={name: mean_of_tasks(name) for name in ("chance", "blind", "generalist", "expert")},
     appearance=frozenset({"image_size"}),

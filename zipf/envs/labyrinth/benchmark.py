@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs import distributions
-from zipf.envs.arguments import unknown
+from zipf.envs.arguments import own_engine, unknown
+from zipf.envs.baselines import ReferenceScore, measured
 from zipf.envs.labyrinth.levels import LEVELS, by_name
-from zipf.envs.references import ReferenceScore, measured
 from zipf.envs.splits import Normalisation, Split, SplitLevel
 from zipf.protocol import PAPER_KINDS
 
@@ -85,41 +85,28 @@ def make_vec(
     Args:
         num_envs: number of worlds N.
         level: with or without `labyrinth/` before it.
-        backend: the engine, "own" or "dmlab".
+        backend: the engine, "own".
         kwargs: options of `LabyrinthVectorEnv`, which all tasks have.
 
     Raises:
-        ValueError: for an unknown level or backend, options out of range, or a backend that is not
-            installed.
+        ValueError: for an unknown level, another engine, or options out of range.
     """
+    from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
     from zipf.envs.mixture import Mixture
 
+    own_engine("dmlab")(backend)
     drawn = law(level)
-    make = _worlds(backend)
     if drawn is None:
-        return make(num_envs, level, **kwargs)
+        return LabyrinthVectorEnv(num_envs, level, **kwargs)
     order, probabilities = drawn
-    tasks = {f"labyrinth/{name}": partial(make, level=name) for name in LEVELS}
+    tasks = {f"labyrinth/{name}": partial(LabyrinthVectorEnv, level=name) for name in LEVELS}
     return Mixture(
         tasks, num_envs, draw="resets", probabilities=probabilities, order=order, **kwargs
     )
 
 
-def _worlds(backend: str) -> Callable[..., ZipfVectorEnv]:
-    """What makes worlds of a task with a backend."""
-    if backend == "own":
-        from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
-
-        return LabyrinthVectorEnv
-    if backend == "dmlab":
-        from zipf.envs.labyrinth.dmlab import DmlabVectorEnv
-
-        return DmlabVectorEnv
-    raise ValueError(f"backend must be 'own' or 'dmlab', got {backend!r}")
-
-
 def mean_of_tasks(name: str) -> Callable[..., ReferenceScore | None]:
-    """A reference, as `zipf.envs.references.measured` has it of the tasks; of a level that draws
+    """A reference, as `zipf.envs.baselines.measured` has it of the tasks; of a level that draws
     them their mean, with the score of each by the rank."""
     measured_of = measured("zipf.envs.labyrinth", name)
 

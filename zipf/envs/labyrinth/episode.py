@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from zipf.envs.labyrinth.grids import Cell
+from zipf.envs.labyrinth.knowledge import Knowledge
 from zipf.envs.labyrinth.world import World
-
-if TYPE_CHECKING:
-    from zipf.envs.labyrinth.knowledge import Knowledge
 
 
 class Episode(ABC):

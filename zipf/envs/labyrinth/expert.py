@@ -11,7 +11,7 @@ from zipf.envs.labyrinth.state import X, Y
 from zipf.envs.labyrinth.steering import BACKWARD, WAIT
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
 from zipf.envs.mixture import Mixture
-from zipf.envs.players import Remembering
+from zipf.envs.policies import Remembering
 
 _STUCK = 12  # steps without moving after which it leaves a place
 _BACK, _ASIDE = 6, 4  # steps back, then aside, with which it does
@@ -28,7 +28,7 @@ class Expert(Remembering):
             do, `Episode.act`.
 
     Raises:
-        ValueError: the batch has another number of actions than fifteen, or another engine.
+        ValueError: the batch has another number of actions than fifteen, or is of another family.
     """
 
     remembered = ("_trail", "_freeing", "_seeds", "_lengths")
@@ -88,8 +88,7 @@ def batch_of(env: LabyrinthVectorEnv | Mixture, player: str) -> LabyrinthVectorE
     batch = env.batches[0] if isinstance(env, Mixture) else env  # they share their worlds
     if not isinstance(batch, LabyrinthVectorEnv):
         raise ValueError(
-            f"the {player} reads the state of labyrinth worlds in our engine (backend='own'), "
-            f"got {type(batch).__name__}"
+            f"the {player} reads the state of labyrinth worlds, got {type(batch).__name__}"
         )
     if env.single_action_space.n != 15:
         raise ValueError(f"the {player} needs num_actions=15, got {env.single_action_space.n}")

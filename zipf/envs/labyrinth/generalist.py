@@ -1,7 +1,6 @@
 """The scripted generalist of all levels: the expert, knowing what has been in view."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,44 +8,16 @@ from numpy.typing import NDArray
 from zipf.envs.labyrinth import in_view
 from zipf.envs.labyrinth.expert import batch_of
 from zipf.envs.labyrinth.in_view import NEVER
-from zipf.envs.labyrinth.knowledge import Seen
+from zipf.envs.labyrinth.knowledge import Knowledge, Memory
 from zipf.envs.labyrinth.scenery import FIELD_OF_VIEW
 from zipf.envs.labyrinth.state import CELL, ITEMS, QUADS, YAW, X, Y
 from zipf.envs.labyrinth.steering import WAIT
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
 from zipf.envs.mixture import Mixture
-from zipf.envs.players import Remembering
+from zipf.envs.policies import Remembering
 
 _MOVED = 5.0  # units a step; a player that moves less is stuck
 _STUCK, _FREEING = 12, 10  # steps without moving, and those that leave such a place
-
-
-@dataclass(frozen=True)
-class Memory:
-    """What the generalist remembers of N worlds.
-
-    Attributes:
-        wide, high: tangents of half the field of view across and upwards.
-        seen_at: int64 [N, QUADS, QUADS], the frame at which a cell was seen last, or NEVER.
-        known: bool [N, ITEMS], items seen since they last appeared, or the map began.
-        ever: bool [N, ITEMS], items seen in the episode.
-        turned: float64 [N], how far it has turned to the right, looking around, radians.
-        turns: int64 [N], how often it has looked around, or points of a tour that were reached.
-        walks: bool [N], whether it walks to a spot to look around from.
-        still: int64 [N], steps in which it has hardly moved.
-        freeing: int64 [N], steps left of leaving a place where it was stuck.
-    """
-
-    wide: float
-    high: float
-    seen_at: NDArray[np.int64]
-    known: NDArray[np.bool_]
-    ever: NDArray[np.bool_]
-    turned: NDArray[np.float64]
-    turns: NDArray[np.int64]
-    walks: NDArray[np.bool_]
-    still: NDArray[np.int64]
-    freeing: NDArray[np.int64]
 
 
 class Generalist(Remembering):
@@ -65,7 +36,7 @@ class Generalist(Remembering):
         env: the batch, also one that draws a task at every reset.
 
     Raises:
-        ValueError: the batch has another number of actions than fifteen, or another engine.
+        ValueError: the batch has another number of actions than fifteen, or is of another family.
     """
 
     remembered = (
@@ -101,7 +72,7 @@ class Generalist(Remembering):
                 continue
             self._follow(i)
             self._look(i)
-            known = Seen(self.memory, episode.world, i)
+            known = Knowledge(self.memory, episode.world, i)
             actions[i] = WAIT if env.worlds.finishing[i] else episode.act(known)
         return actions
 

@@ -1,10 +1,8 @@
 """What a scripted player knows of a labyrinth: everything, or what has been in view."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Protocol
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,108 +10,43 @@ from numpy.typing import NDArray
 from zipf.envs.labyrinth.actions import DEGREES_PER_PIXEL
 from zipf.envs.labyrinth.in_view import NEVER, nearest_unseen
 from zipf.envs.labyrinth.steering import BACKWARD, MARGIN, NAMES, Point, Ways, walk_to
-
-if TYPE_CHECKING:
-    from zipf.envs.labyrinth.generalist import Memory
-    from zipf.envs.labyrinth.world import World
+from zipf.envs.labyrinth.world import World
 
 _LEVEL = math.radians(10 * 4 * DEGREES_PER_PIXEL)  # what a step of four frames looks up or down
 _THERE = 60.0  # units from a spot at which it is reached
 
 
-class Knowledge(Protocol):
-    """What a scripted player knows of one world, beside the rules of its level, the instruction,
-    where it is itself and what it has taken."""
+@dataclass(frozen=True)
+class Memory:
+    """What the generalist remembers of N worlds.
 
-    def knows(self, item: int) -> bool:
-        """Whether an item was seen since it last appeared, or the map began."""
-        ...
+    Attributes:
+        wide, high: tangents of half the field of view across and upwards.
+        seen_at: int64 [N, QUADS, QUADS], the frame at which a cell was seen last, or NEVER.
+        known: bool [N, ITEMS], items seen since they last appeared, or the map began.
+        ever: bool [N, ITEMS], items seen in the episode.
+        turned: float64 [N], how far it has turned to the right, looking around, radians.
+        turns: int64 [N], how often it has looked around, or points of a tour that were reached.
+        walks: bool [N], whether it walks to a spot to look around from.
+        still: int64 [N], steps in which it has hardly moved.
+        freeing: int64 [N], steps left of leaving a place where it was stuck.
+    """
 
-    def has_seen(self, item: int) -> bool:
-        """Whether an item was seen in this episode."""
-        ...
-
-    def seen(self, rows: int, columns: int) -> NDArray[np.bool_]:
-        """Cells of a grid of so many that were seen."""
-        ...
-
-    def faces(self, x: float, y: float) -> bool:
-        """Whether a point is ahead, not beside the view or behind it."""
-        ...
-
-    def explore(self, solid: NDArray[np.bool_], *, size: float, margin: float = MARGIN) -> int:
-        """The action that leads to the nearest cell that was not seen yet; where there is none, to
-        the one that was seen last the longest time ago.
-
-        Args:
-            solid: bool [rows, columns]; what was not seen of it does not count.
-            size: of a cell, units.
-            margin: see `Ways`.
-        """
-        ...
-
-    def search(
-        self,
-        spots: Sequence[Point] = (),
-        walk: Callable[[Point], int] | None = None,
-        pitches: Sequence[float] = (0.0,),
-    ) -> int:
-        """The action that looks around: a full turn at each pitch, then another at the next spot.
-
-        Args:
-            spots: to look around from, one after another and then again.
-            walk: the action that leads to a spot; None: in a straight line.
-            pitches: of the view, radians.
-        """
-        ...
-
-    def tour(self, points: Sequence[Point]) -> int:
-        """The action that walks to one point after another, in straight lines."""
-        ...
-
-    def free(self) -> int | None:
-        """The action that leaves a place where the player is stuck; None where it is not."""
-        ...
+    wide: float
+    high: float
+    seen_at: NDArray[np.int64]
+    known: NDArray[np.bool_]
+    ever: NDArray[np.bool_]
+    turned: NDArray[np.float64]
+    turns: NDArray[np.int64]
+    walks: NDArray[np.bool_]
+    still: NDArray[np.int64]
+    freeing: NDArray[np.int64]
 
 
-class Everything:
-    """The expert's knowledge: nothing has to be looked for."""
-
-    def knows(self, item: int) -> bool:
-        return True
-
-    def has_seen(self, item: int) -> bool:
-        return True
-
-    def seen(self, rows: int, columns: int) -> NDArray[np.bool_]:
-        return np.ones((rows, columns), np.bool_)
-
-    def faces(self, x: float, y: float) -> bool:
-        return True
-
-    def explore(self, solid: NDArray[np.bool_], *, size: float, margin: float = MARGIN) -> int:
-        raise AssertionError("everything is known")
-
-    def search(
-        self,
-        spots: Sequence[Point] = (),
-        walk: Callable[[Point], int] | None = None,
-        pitches: Sequence[float] = (0.0,),
-    ) -> int:
-        raise AssertionError("everything is known")
-
-    def tour(self, points: Sequence[Point]) -> int:
-        raise AssertionError("everything is known")
-
-    def free(self) -> int | None:
-        return None  # see `Expert`
-
-
-EVERYTHING = Everything()
-
-
-class Seen:
-    """The generalist's knowledge of one world: what has been in view.
+class Knowledge:
+    """What a scripted player knows of one world, in addition to the rules of its level, the
+    instruction, where it is itself and what it has taken: what has been in view.
 
     Args:
         memory: of the batch, written by what looks around.
@@ -127,21 +60,33 @@ class Seen:
         self._i = number
 
     def knows(self, item: int) -> bool:
+        """Whether an item was seen since it last appeared, or the map began."""
         return bool(self._memory.known[self._i, item])
 
     def has_seen(self, item: int) -> bool:
+        """Whether an item was seen in this episode."""
         return bool(self._memory.ever[self._i, item])
 
     def seen(self, rows: int, columns: int) -> NDArray[np.bool_]:
+        """Cells of a grid of so many that were seen."""
         seen: NDArray[np.bool_] = self._memory.seen_at[self._i, :rows, :columns] > NEVER
         return seen
 
     def faces(self, x: float, y: float) -> bool:
+        """Whether a point is ahead, not beside the view or behind it."""
         own_x, own_y, yaw, _ = self._world.player
         off = (math.atan2(y - own_y, x - own_x) - yaw + math.pi) % (2 * math.pi) - math.pi
         return math.tan(min(abs(off), 1.5)) <= self._memory.wide
 
     def explore(self, solid: NDArray[np.bool_], *, size: float, margin: float = MARGIN) -> int:
+        """The action that leads to the nearest cell that was not seen yet; where there is none, to
+        the one that was seen last the longest time ago.
+
+        Args:
+            solid: bool [rows, columns]; what was not seen of it does not count.
+            size: of a cell, units.
+            margin: see `Ways`.
+        """
         upright = self._towards(0.0)
         if upright is not None:
             return upright
@@ -160,6 +105,13 @@ class Seen:
         walk: Callable[[Point], int] | None = None,
         pitches: Sequence[float] = (0.0,),
     ) -> int:
+        """The action that looks around: a full turn at each pitch, then another at the next spot.
+
+        Args:
+            spots: to look around from, one after another and then again.
+            walk: the action that leads to a spot; None: in a straight line.
+            pitches: of the view, radians.
+        """
         memory, i = self._memory, self._i
         if memory.turned[i] >= 2 * math.pi:
             memory.turned[i] = 0.0
@@ -176,6 +128,7 @@ class Seen:
         return NAMES["look right"] if upright is None else upright
 
     def tour(self, points: Sequence[Point]) -> int:
+        """The action that walks to one point after another, in straight lines."""
         memory, i = self._memory, self._i
         x, y, *_ = self._world.player
         if math.dist(points[memory.turns[i] % len(points)], (x, y)) < _THERE:
@@ -183,6 +136,7 @@ class Seen:
         return walk_to(self._world, *points[memory.turns[i] % len(points)])
 
     def free(self) -> int | None:
+        """The action that leaves a place where the player is stuck; None where it is not."""
         left = int(self._memory.freeing[self._i])
         if left == 0:
             return None
@@ -194,3 +148,29 @@ class Seen:
         if abs(above) <= 0.51 * _LEVEL:
             return None
         return NAMES["look up" if above > 0 else "look down"]
+
+
+class _Everything(Knowledge):
+    """The expert's: it has to look for nothing, so that it neither explores, searches nor tours,
+    and it frees itself, see `Expert`."""
+
+    def __init__(self) -> None:
+        pass
+
+    def knows(self, item: int) -> bool:
+        return True
+
+    def has_seen(self, item: int) -> bool:
+        return True
+
+    def seen(self, rows: int, columns: int) -> NDArray[np.bool_]:
+        return np.ones((rows, columns), np.bool_)
+
+    def faces(self, x: float, y: float) -> bool:
+        return True
+
+    def free(self) -> None:
+        return None
+
+
+EVERYTHING = _Everything()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth import materials
 from zipf.envs.labyrinth.grids import Cell
 from zipf.envs.labyrinth.world import World
 
@@ -77,7 +77,7 @@ class Theme:
 
 def random_theme(regions: str, rng: np.random.Generator) -> Theme:
     """A floor and walls for each of these regions."""
-    drawn = rng.integers(0, 4 * looks.STYLES, (2, len(regions))).tolist()
+    drawn = rng.integers(0, 4 * materials.STYLES, (2, len(regions))).tolist()
     floors, walls = (
         {letter: f"{kind}_{number}" for letter, number in zip(regions, numbers, strict=True)}
         for kind, numbers in zip(("floor", "wall"), drawn, strict=True)
@@ -87,12 +87,12 @@ def random_theme(regions: str, rng: np.random.Generator) -> Theme:
 
 def build_layout(world: World, layout: Layout, theme: Theme, rng: np.random.Generator) -> None:
     """Builds a layout with pictures on its walls, which are drawn."""
-    floors = np.full(layout.solid.shape, looks.index("corridor_floor"))
-    walls = np.full(layout.solid.shape, looks.index("corridor_wall"))
+    floors = np.full(layout.solid.shape, materials.index("corridor_floor"))
+    walls = np.full(layout.solid.shape, materials.index("corridor_wall"))
     for letter in layout.regions:
         here = layout.region == letter
-        floors[here] = looks.index(theme.floors[letter])
-        walls[here] = looks.index(theme.walls[letter])
+        floors[here] = materials.index(theme.floors[letter])
+        walls[here] = materials.index(theme.walls[letter])
     world.add_text_map(layout.solid, floors, walls)
     world.add_pictures(layout.solid, rng)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.compiled import compiled
-from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth import materials
 from zipf.envs.labyrinth.lasertag import view
 from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Worlds, X, Y, Z
@@ -48,7 +48,7 @@ def atlas() -> MeshAtlas:
 
 @cache
 def _textures() -> NDArray[np.uint32]:
-    return pack_textures(looks.stack())
+    return pack_textures(materials.stack())
 
 
 def _renderer(height: int, width: int) -> Renderer:
@@ -137,7 +137,7 @@ class Scenery:
     def add_walls(
         self, world: int, ends: NDArray[np.floating], heights: tuple[float, float],
         textures: NDArray[np.integer], faces: NDArray[np.integer], flags: int = 0,
-        repeat: tuple[float, float] = (0.0, 0.0), tint: looks.Colour = looks.WHITE,
+        repeat: tuple[float, float] = (0.0, 0.0), tint: materials.Colour = materials.WHITE,
     ) -> int:  # fmt: skip
         """Adds walls with a texture each and returns the first one's number.
 

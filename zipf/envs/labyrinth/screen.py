@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.labyrinth.gaze import gaze
-from zipf.envs.labyrinth.looks import WHITE, Colour
+from zipf.envs.labyrinth.materials import WHITE, Colour
 from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.scenery import SCREEN_PIXELS, Scenery
 from zipf.envs.labyrinth.state import WIDGETS, Worlds, X, Y, Z

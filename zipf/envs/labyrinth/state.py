@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from zipf.envs.labyrinth.lasertag.arena import Combat, make_combat
 from zipf.envs.labyrinth.words import VOCABULARY
 
+FRAMES_PER_SECOND = 60
 CELL = 100.0
 """Side of a cell and height of a wall of a text map."""
 

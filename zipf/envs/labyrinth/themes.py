@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth import materials
 from zipf.envs.labyrinth.mazes import Maze
 from zipf.envs.labyrinth.world import World
 
@@ -19,14 +19,14 @@ def build_maze(world: World, maze: Maze, rng: np.random.Generator, *, alike: boo
         alike: whether all rooms have the same look; corridors always have.
     """
     rooms = int(maze.room.max()) + 1
-    drawn = rng.integers(0, 4 * looks.STYLES, (2, 1 if alike else rooms))
+    drawn = rng.integers(0, 4 * materials.STYLES, (2, 1 if alike else rooms))
     of_room = np.zeros(rooms, np.int64) if alike else np.arange(rooms)
     in_room = maze.room >= 0
     room = of_room[np.maximum(maze.room, 0)]
-    floors = np.where(in_room, looks.index("floor_0") + 2 * drawn[0][room], 0)
-    walls = np.where(in_room, looks.index("wall_0") + 2 * drawn[1][room], 0)
-    floors[~in_room] = looks.index("corridor_floor")
-    walls[~in_room] = looks.index("corridor_wall")
+    floors = np.where(in_room, materials.index("floor_0") + 2 * drawn[0][room], 0)
+    walls = np.where(in_room, materials.index("wall_0") + 2 * drawn[1][room], 0)
+    floors[~in_room] = materials.index("corridor_floor")
+    walls[~in_room] = materials.index("corridor_wall")
     world.add_text_map(maze.solid, floors, walls)
     world.add_pictures(maze.solid, rng)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth import materials
 from zipf.envs.labyrinth.gaze import gaze
 from zipf.envs.labyrinth.lasertag.arena import TAGGED_AT
 from zipf.envs.labyrinth.scenery import METRES, Scenery, atlas
@@ -211,7 +211,7 @@ def _draw_walls(page: _Page, scenery: Scenery, world: int) -> None:
         texture, flags = scenes.wall_looks[world, k].tolist()
         ends = (scenes.walls[world, k, :4] / METRES).tolist()
         colour = _colour(_mixed(texture, scenes.wall_tint[world, k]))
-        if texture == looks.index("riser"):
+        if texture == materials.index("riser"):
             page.line(ends, (16, 20, 30), 1)
         else:
             page.line(ends, colour, 5 if flags & SEE_THROUGH else 3)
@@ -231,7 +231,7 @@ def _draw_items(page: _Page, worlds: Worlds, scenery: Scenery, world: int) -> No
 
 def _mixed(texture: int, tint: NDArray[np.uint8]) -> NDArray[np.float64]:
     """The mean colour of a tinted texture."""
-    mixed: NDArray[np.float64] = looks.mean_colours()[texture] * tint / 255
+    mixed: NDArray[np.float64] = materials.mean_colours()[texture] * tint / 255
     return mixed
 
 

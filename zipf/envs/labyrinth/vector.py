@@ -13,9 +13,9 @@ from zipf.envs.arguments import pair, whole
 from zipf.envs.labyrinth import engine
 from zipf.envs.labyrinth.actions import action_table, commands
 from zipf.envs.labyrinth.episode import Episode
-from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND, LEVELS, Level, by_name
+from zipf.envs.labyrinth.levels import LEVELS, Level, by_name
 from zipf.envs.labyrinth.scenery import Scenery
-from zipf.envs.labyrinth.state import clear, make_worlds
+from zipf.envs.labyrinth.state import FRAMES_PER_SECOND, clear, make_worlds
 from zipf.envs.labyrinth.topdown import draw_map, empty_map
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.labyrinth.world import World

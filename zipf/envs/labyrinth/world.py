@@ -8,15 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth import materials
 from zipf.envs.labyrinth.grids import Cell
-from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.mover import BELOW, WIDE
 from zipf.envs.labyrinth.patterns import SOLID
 from zipf.envs.labyrinth.scenery import METRES, SIDES, Scenery, atlas, faces
 from zipf.envs.labyrinth.screen import Screen
 from zipf.envs.labyrinth.state import (
     CELL,
+    FRAMES_PER_SECOND,
     GRID,
     ITEMS,
     PITCH,
@@ -125,7 +125,7 @@ class World:
             scenes.solid[i] = worlds.solid[i]
             scenes.grid[i] = 0, 0, CELL * METRES
         if isinstance(floors, str):
-            floors = np.full(solid.shape, looks.index(floors))
+            floors = np.full(solid.shape, materials.index(floors))
         rectangle = (0, 0, columns * CELL * METRES, rows * CELL * METRES)
         scenes.add_flat(i, rectangle, 0, 0, tiles=np.where(solid, -1, floors))
 
@@ -163,7 +163,7 @@ class World:
                 beside = row + up, column + right
                 if not there[beside] or heights[beside] < height:
                     sides.append((x + x0 * CELL, y + y0 * CELL, x + x1 * CELL, y + y1 * CELL))
-            riser = np.full(len(sides), looks.index("riser"))
+            riser = np.full(len(sides), materials.index("riser"))
             none = np.full(len(sides), -1)
             if sides:
                 scenery.add_walls(i, np.array(sides), (height - DEEP, height), riser, none)
@@ -174,7 +174,7 @@ class World:
         high: Point,
         texture: str | None,
         *,
-        tint: looks.Colour = looks.WHITE,
+        tint: materials.Colour = materials.WHITE,
         repeat: float = CELL,
     ) -> int:
         """Adds an upright solid block and returns its number as a box.
@@ -193,7 +193,7 @@ class World:
         if texture is not None:
             x, y = (low[0], high[0]), (low[1], high[1])
             ends = np.array([(x[x0], y[y0], x[x1], y[y1]) for _, _, (x0, y0, x1, y1) in SIDES])
-            textures = np.full(4, looks.index(texture))
+            textures = np.full(4, materials.index(texture))
             self._scenery.add_walls(
                 i, ends, (low[2], high[2]), textures, np.full(4, -1),
                 repeat=(repeat, repeat), tint=tint,
@@ -207,7 +207,7 @@ class World:
         height: float,
         texture: str,
         *,
-        tint: looks.Colour = looks.WHITE,
+        tint: materials.Colour = materials.WHITE,
         repeat: float = CELL,
         open_sides: str = "",
     ) -> None:
@@ -232,7 +232,7 @@ class World:
                 self.add_block((*start, 0.0), (*stop, height), texture, tint=tint, repeat=repeat)
 
     def add_ring(
-        self, apothem: float, sides: int, height: float, texture: str, *, tint: looks.Colour
+        self, apothem: float, sides: int, height: float, texture: str, *, tint: materials.Colour
     ) -> None:
         """Adds the walls of a regular room around the origin.
 
@@ -252,7 +252,7 @@ class World:
         points = np.stack([far * np.cos(corners), far * np.sin(corners)], 1)
         ends = np.concatenate([points, np.roll(points, -1, 0)], 1)
         self._scenery.add_walls(
-            i, ends, (0.0, height), np.full(sides, looks.index(texture)), np.full(sides, -1),
+            i, ends, (0.0, height), np.full(sides, materials.index(texture)), np.full(sides, -1),
             repeat=(CELL, CELL), tint=tint,
         )  # fmt: skip
 
@@ -294,14 +294,14 @@ class World:
         texture: str,
         *,
         height: float = 0.0,
-        tint: looks.Colour = looks.WHITE,
+        tint: materials.Colour = materials.WHITE,
         repeat: float = CELL,
         ceiling: bool = False,
     ) -> int:
         """Adds a visible floor, or ceiling, and returns its number."""
         rectangle = np.array([*low, *high]) * METRES
         return self._scenery.scenes.add_flat(
-            self._number, rectangle, height * METRES, looks.index(texture),
+            self._number, rectangle, height * METRES, materials.index(texture),
             flags=FACES_DOWN if ceiling else 0, repeat=repeat * METRES, tint=tint,
         )  # fmt: skip
 
@@ -310,8 +310,8 @@ class World:
         terrain: Terrain,
         texture: str,
         *,
-        tint: looks.Colour,
-        sky: tuple[looks.Colour, looks.Colour],
+        tint: materials.Colour,
+        sky: tuple[materials.Colour, materials.Colour],
     ) -> None:
         """Builds a terrain, with invisible walls at its edges.
 
@@ -327,8 +327,8 @@ class World:
         worlds.plane_count[i] = 4
         worlds.planes[i, :4] = (1, 0, side), (0, 1, side), (-1, 0, 0), (0, -1, 0)
         scenes.set_terrain(
-            i, (0.0, 0.0), terrain.size * METRES, terrain.heights * METRES, looks.index(texture),
-            repeat=2.0, tint=tint,
+            i, (0.0, 0.0), terrain.size * METRES, terrain.heights * METRES,
+            materials.index(texture), repeat=2.0, tint=tint,
         )  # fmt: skip
         scenes.sky[i] = sky
 
@@ -353,13 +353,13 @@ class World:
         return self.add_zone((x - half, y - half, 0.0), (x + half, y + half, CELL))
 
     def add_pictures(
-        self, solid: NDArray[np.bool_], rng: np.random.Generator, most: int = looks.PICTURES
+        self, solid: NDArray[np.bool_], rng: np.random.Generator, most: int = materials.PICTURES
     ) -> None:
         """Hangs pictures on some of a text map's walls: on every tenth, each another picture."""
         ends, _, numbers = faces(solid)
         count = math.floor(min(0.5 + 0.1 * len(ends), most))
         chosen = rng.permutation(len(ends))[:count]
-        pictures = rng.permutation(looks.PICTURES)[:count] + looks.index("picture_0")
+        pictures = rng.permutation(materials.PICTURES)[:count] + materials.index("picture_0")
         ends, (cell, side) = ends[chosen], np.divmod(numbers[chosen], 4)
         columns = solid.shape[1]
         # In the middle of the wall, three quarters as wide, a little in front of it.
@@ -376,7 +376,7 @@ class World:
         self,
         mesh: str,
         *,
-        colours: tuple[looks.Colour, looks.Colour],
+        colours: tuple[materials.Colour, materials.Colour],
         scale: float = 1.0,
         spins: bool = True,
         seen_only: bool = False,
@@ -405,7 +405,7 @@ class World:
         scenery.scenes.scale[i, item] = scale
         scenery.scenes.colours[i, item] = colours
         scenery.scenes.pattern[i, item] = (
-            -1 if pattern == SOLID else looks.index(f"pattern_{pattern}")
+            -1 if pattern == SOLID else materials.index(f"pattern_{pattern}")
         )
         return item
 
@@ -415,7 +415,7 @@ class World:
         *,
         eastwards: bool,
         texture: str = "panel",
-        tint: looks.Colour = looks.WHITE,
+        tint: materials.Colour = materials.WHITE,
     ) -> int:
         """Adds an open door in the middle of a cell, and returns its number.
 
@@ -432,7 +432,7 @@ class World:
         half = np.array([0.0, CELL / 2]) if eastwards else np.array([CELL / 2, 0.0])
         wall = scenery.add_walls(
             i, np.array([[*((x, y) - half), *((x, y) + half)]]), (0.0, CELL),
-            np.array([looks.index(texture)]), np.array([-1]), flags=TWO_SIDED | SEE_THROUGH,
+            np.array([materials.index(texture)]), np.array([-1]), flags=TWO_SIDED | SEE_THROUGH,
             tint=tint,
         )  # fmt: skip
         self._doors[door] = Door(wall, np.array([x, y]), half, cell, texture != BARS)
@@ -511,16 +511,16 @@ class World:
         frames = round(seconds * FRAMES_PER_SECOND)
         self._worlds.timers[self._number, timer] = self._worlds.clock[self._number] + frames
 
-    def tint_floor(self, floor: int, tint: looks.Colour) -> None:
+    def tint_floor(self, floor: int, tint: materials.Colour) -> None:
         """Changes the colour of a floor."""
         self._scenery.scenes.flat_tint[self._number, floor] = tint
 
-    def set_colours(self, item: int, colours: tuple[looks.Colour, looks.Colour]) -> None:
+    def set_colours(self, item: int, colours: tuple[materials.Colour, materials.Colour]) -> None:
         """Changes the colours of an item."""
         self._scenery.scenes.colours[self._number, item] = colours
 
     def show_square(
-        self, place: tuple[float, float, float, float], colour: looks.Colour | None
+        self, place: tuple[float, float, float, float], colour: materials.Colour | None
     ) -> None:
         """Draws a rectangle over the view, or removes it.
 

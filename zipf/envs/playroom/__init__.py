@@ -3,12 +3,13 @@
 from dataclasses import replace
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
+from zipf.envs.arguments import own_engine
+from zipf.envs.baselines import measured
 from zipf.envs.family import Family
 from zipf.envs.playroom.constants import EXPONENT_BOUNDS, REACH_BOUNDS
 from zipf.envs.playroom.levels import LEVELS
-from zipf.envs.references import measured
 from zipf.envs.splits import Split
 from zipf.options import Options
 
@@ -16,12 +17,13 @@ Size = Annotated[int, Field(ge=1)]
 Reach = Annotated[float, Field(ge=REACH_BOUNDS[0], le=REACH_BOUNDS[1])]
 Exponent = Annotated[float, Field(ge=EXPONENT_BOUNDS[0], le=EXPONENT_BOUNDS[1])]
 Pair = Annotated[list[Size], Field(min_length=2, max_length=2)]
+Backend = Annotated[Literal["own"], BeforeValidator(own_engine("released_playroom"))]
 
 
 class PlayroomOptions(Options):
     """Constructor options. Other values than these make other worlds than the paper's."""
 
-    backend: Literal["own", "docker"] = "own"  # ours: the released image may not be downloadable
+    backend: Backend = "own"  # ours; runs of before name it: the released one is an example now
     image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
     object_order: Literal["default", "alternate"] = "default"  # ours: the paper lists no objects
     looks: Literal["plain", "varied"] = "plain"  # ours: the paper does not say that they vary
@@ -77,8 +79,8 @@ FAMILY = Family(
             for split in _PAPER_SPLITS
         ),
     ),
-    make="zipf.envs.playroom.single:PlayroomEnv",
-    make_vec="zipf.envs.playroom.backends:make_vec",
+    make="zipf.envs.playroom.playroom_env:PlayroomEnv",
+    make_vec="zipf.envs.playroom.vector:PlayroomVectorEnv",
     references={
         "chance": measured("zipf.envs.playroom", "chance"),
         "blind": "zipf.envs.playroom.references:floor",

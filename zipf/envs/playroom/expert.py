@@ -75,8 +75,8 @@ def require_playable(env: PlayroomVectorEnv, player: str) -> None:
     """Raises ValueError if a scripted player, named in the message, cannot play these worlds."""
     if not hasattr(env, "worlds"):
         raise ValueError(
-            f"the {player} reads the state of a batch of one playroom level in our engine "
-            f"(backend='own'), got {type(env).__name__}"
+            f"the {player} reads the state of a batch of one playroom level, "
+            f"got {type(env).__name__}"
         )
     count, known = env.single_action_space.n, len(actions.ACTIONS)
     if count != known:
@@ -93,7 +93,7 @@ class Expert:
     which it follows as long as nothing that they depend on has moved.
 
     Raises:
-        ValueError: the batch has another engine, or other actions: its episodes are questions.
+        ValueError: the batch is of another family, or its episodes are questions.
     """
 
     def __init__(self, env: PlayroomVectorEnv) -> None:

@@ -9,11 +9,11 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from zipf.envs.baselines import ReferenceScore
 from zipf.envs.playroom import levels
 from zipf.envs.playroom.achieved import Achievement
 from zipf.envs.playroom.references import blind
 from zipf.envs.playroom.vector import PlayroomVectorEnv
-from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Split
 from zipf.envs.vector import Observation
 
@@ -37,15 +37,8 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
         self,
         num_envs: int = 1,
         level: str = "supervised/find_shape_zipf3",
-        *,
-        backend: str = "own",
         **options: Any,
     ):
-        if backend != "own":
-            raise ValueError(
-                f"backend={backend!r} does not tell on which side an object is: questions about "
-                "first frames need backend='own'"
-            )
         super().__init__(num_envs, level, **options)
         if not self.level.finding:
             raise ValueError(

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.players import Remembering
 from zipf.envs.playroom import actions
 from zipf.envs.playroom.constants import AGENT_RADIUS, FURNITURE_SIZE
 from zipf.envs.playroom.expert import LOOK, Expert, around, require_playable
@@ -18,6 +17,7 @@ from zipf.envs.playroom.levels import LIFT, NEAR, ON
 from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Worlds, X
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.playroom.view import FIELD_OF_VIEW
+from zipf.envs.policies import Remembering
 
 # Ours.
 _NOWHERE = 1000.0

@@ -3,22 +3,19 @@ references were measured and stand in `references.json`."""
 
 from typing import Any
 
+from zipf.envs.baselines import ReferenceScore, higher_floor
 from zipf.envs.playroom import levels
-from zipf.envs.references import ReferenceScore, higher_floor
 
 POLICY = "guessing expert"  # in `Family.blind_policies`
 
 
-def blind(level: str, *, backend: str = "own", **options: Any) -> ReferenceScore | None:
+def blind(level: str, **options: Any) -> ReferenceScore | None:
     """The score of a policy that does what an instruction of the level says about a toy of the
     room, but not the instruction that was given: exact.
 
     All toys of a room are as likely to be the target, and so are the level's tasks. In
-    `supervised/` levels both toys may be the same, and are then both right. None
-    for another engine.
+    `supervised/` levels both toys may be the same, and are then both right.
     """
-    if backend != "own":
-        return None
     found = levels.by_name(level)
     if not found.finding:
         score = 1 / ((found.others + 1) * len(found.tasks))

@@ -9,7 +9,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs.arguments import pair, whole
+from zipf.envs.arguments import own_engine, pair, whole
 from zipf.envs.playroom import chipmunk, hand, judgement, layout, levels
 from zipf.envs.playroom.achieved import Achievement, achieved
 from zipf.envs.playroom.actions import ACTIONS
@@ -19,9 +19,9 @@ from zipf.envs.playroom.constants import (
     MOST_STEPS,
     REACH_BOUNDS,
 )
-from zipf.envs.playroom.looks import LOOKS
 from zipf.envs.playroom.room import Room
 from zipf.envs.playroom.state import GROUND_LAYER, YAW, make_commands, make_worlds
+from zipf.envs.playroom.varied_looks import LOOKS
 from zipf.envs.playroom.view import View, extents_of
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
@@ -45,6 +45,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         num_envs: int = 1,
         level: str = "lift/lift_shape_zipf3",
         *,
+        backend: str = "own",
         image_size: Sequence[int] = (72, 96),
         object_order: str = "default",
         looks: str = "plain",
@@ -56,6 +57,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         copy: bool = True,
         render_mode: str | None = None,
     ) -> None:
+        own_engine("released_playroom")(backend)
         for option, value, (low, high) in (
             ("reach", reach, REACH_BOUNDS),
             ("frequent_exponent", frequent_exponent, EXPONENT_BOUNDS),

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.compiled import compiled
-from zipf.envs.playroom import looks
+from zipf.envs.playroom import varied_looks
 from zipf.envs.playroom.constants import CEILING, EYE, FURNITURE_SIZE, LANDING, ROOM
 from zipf.envs.playroom.geometry import half_width, rectangle_gap
 from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Worlds, X, Y, Z
@@ -47,7 +47,7 @@ class View:
         names: the objects' names by rank.
         worlds: the state of the worlds, read again by every method.
         width, height: of the agent's image, pixels.
-        varied: whether every episode has its own looks, see `looks.py`.
+        varied: whether every episode has its own looks, see `varied_looks.py`.
     """
 
     def __init__(
@@ -92,8 +92,8 @@ class View:
             shadows[..., 6], shadows[..., 7] = 2 * soft, _DARKNESS
             scenes.shadows[mask, count:] = shadows
         if self.varied:
-            looks.vary(
-                mask, worlds.scenery, looks.VARIED_WALLS, looks.VARIED_FLOORS, count,
+            varied_looks.vary(
+                mask, worlds.scenery, varied_looks.VARIED_WALLS, varied_looks.VARIED_FLOORS, count,
                 scenes.wall_looks, scenes.flat_looks, scenes.sun, scenes.lamp, scenes.scale,
             )  # fmt: skip
 
@@ -130,7 +130,7 @@ def _build_room(scenes: Scenes, world: int) -> None:
     """Adds floor, ceiling and four walls with different wallpapers, which show the direction."""
     half = ROOM / 2
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
-    for k, paper in enumerate(looks.WALLS):
+    for k, paper in enumerate(varied_looks.WALLS):
         scenes.add_wall(
             world,
             (*corners[k], *corners[(k + 1) % 4]),
@@ -139,7 +139,7 @@ def _build_room(scenes: Scenes, world: int) -> None:
             repeat=(1.0, 1.0),
         )
     square = (-half, -half, half, half)
-    scenes.add_flat(world, square, 0.0, textures.index(looks.FLOOR), repeat=1.0)
+    scenes.add_flat(world, square, 0.0, textures.index(varied_looks.FLOOR), repeat=1.0)
     scenes.add_flat(world, square, CEILING, textures.index("ceiling"), flags=FACES_DOWN, repeat=2.0)
 
 

@@ -6,7 +6,7 @@ from zipf import envs
 from zipf.agents.agent import Agent
 from zipf.agents.exploration import build_exploration
 from zipf.agents.reweighting import build_reweighting
-from zipf.envs.players import Teacher
+from zipf.envs.policies import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.options.augmentation import build_augmentation

@@ -21,7 +21,7 @@ from zipf.agents.reweighting import GoalWeights
 from zipf.agents.unroll import Unroll
 from zipf.envs.goals import Goal
 from zipf.envs.mixture import Mixture
-from zipf.envs.players import Teacher
+from zipf.envs.policies import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.checkpoint import arrays
 from zipf.experiments.options.augmentation import Augmentation

@@ -35,7 +35,7 @@ from zipf.envs.labyrinth.lasertag.arena import (
     TRACE_GADGET,
     TRACES,
 )
-from zipf.envs.labyrinth.looks import Colour
+from zipf.envs.labyrinth.materials import Colour
 from zipf.envs.labyrinth.mover import BELOW
 from zipf.envs.labyrinth.state import YAW, X, Y, Z
 

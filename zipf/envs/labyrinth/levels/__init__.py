@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from zipf.envs.arguments import unknown
+from zipf.envs.labyrinth.state import FRAMES_PER_SECOND
 
 if TYPE_CHECKING:
     from zipf.envs.labyrinth.episode import Episode
-
-FRAMES_PER_SECOND = 60
 
 
 @dataclass(frozen=True)
@@ -45,120 +44,43 @@ class Level:
         return loaded
 
 
+_TABLE = """
+name                                  rules                                           s random human
+rooms_collect_good_objects_train      rooms_collect:CollectGoodObjects               60  0.073 10
+rooms_exploit_deferred_effects_train  rooms_exploit:ExploitDeferredEffects           60  8.501 85.65
+rooms_select_nonmatching_object       rooms_select:SelectNonmatchingObject           12  0.312 65.9
+rooms_watermaze                       rooms_watermaze:Watermaze                     120  4.065 54
+rooms_keys_doors_puzzle               rooms_keys_doors:KeysDoorsPuzzle               60  4.135 53.8
+language_select_described_object      language_select:SelectDescribedObject          60  -0.07 389.5
+language_select_located_object        language_select:SelectLocatedObject           120  1.929 280.7
+language_execute_random_task          language_execute:ExecuteRandomTask           120 -5.913 254.05
+language_answer_quantitative_question language_answer:AnswerQuantitativeQuestion     60  -0.33 184.5
+lasertag_one_opponent_small           lasertag:OneOpponentSmall                     240 -0.224 12.65
+lasertag_three_opponents_small        lasertag:ThreeOpponentsSmall                  240 -0.214 18.55
+lasertag_one_opponent_large           lasertag:OneOpponentLarge                     240 -0.083 18.6
+lasertag_three_opponents_large        lasertag:ThreeOpponentsLarge                  240 -0.102 31.5
+natlab_fixed_large_map                natlab:FixedLargeMap                          120  2.173 36.9
+natlab_varying_map_regrowth           natlab:VaryingMapRegrowth                     120  2.989 24.45
+natlab_varying_map_randomized         natlab:VaryingMapRandomized                   120  7.346 42.35
+skymaze_irreversible_path_hard        skymaze:IrreversiblePathHard                   60    0.1 100
+skymaze_irreversible_path_varied      skymaze:IrreversiblePathVaried                 60   14.4 100
+psychlab_arbitrary_visuomotor_mapping psychlab_memory:ArbitraryVisuomotorMapping    300  0.163 58.75
+psychlab_continuous_recognition       psychlab_memory:ContinuousRecognition         300  0.224 58.3
+psychlab_sequential_comparison        psychlab_comparison:SequentialComparison      300  0.129 39.5
+psychlab_visual_search                psychlab_search:VisualSearch                  150  0.085 78.5
+explore_object_locations_small        explore_object_locations:ObjectLocationsSmall  90  3.575 74.45
+explore_object_locations_large        explore_object_locations:ObjectLocationsLarge 120  4.673 65.65
+explore_obstructed_goals_small        explore_goals:ObstructedGoalsSmall             90   6.76 206
+explore_obstructed_goals_large        explore_goals:ObstructedGoalsLarge            120   2.61 119.5
+explore_goal_locations_small          explore_goals:GoalLocationsSmall               90   7.66 267.5
+explore_goal_locations_large          explore_goals:GoalLocationsLarge              120   3.14 194.5
+explore_object_rewards_few            explore_object_rewards:ObjectRewardsFew        90  2.073 77.7
+explore_object_rewards_many           explore_object_rewards:ObjectRewardsMany      120  2.438 106.7
+"""
+
 LEVELS: dict[str, Level] = {
-    level.name: level
-    for level in (
-        Level(
-            "rooms_collect_good_objects_train", "rooms_collect:CollectGoodObjects", 60, 0.073, 10
-        ),
-        Level(
-            "rooms_exploit_deferred_effects_train",
-            "rooms_exploit:ExploitDeferredEffects",
-            60,
-            8.501,
-            85.65,
-        ),
-        Level(
-            "rooms_select_nonmatching_object",
-            "rooms_select:SelectNonmatchingObject",
-            12,
-            0.312,
-            65.9,
-        ),
-        Level("rooms_watermaze", "rooms_watermaze:Watermaze", 120, 4.065, 54),
-        Level("rooms_keys_doors_puzzle", "rooms_keys_doors:KeysDoorsPuzzle", 60, 4.135, 53.8),
-        Level(
-            "language_select_described_object",
-            "language_select:SelectDescribedObject",
-            60,
-            -0.07,
-            389.5,
-        ),
-        Level(
-            "language_select_located_object",
-            "language_select:SelectLocatedObject",
-            120,
-            1.929,
-            280.7,
-        ),
-        Level(
-            "language_execute_random_task",
-            "language_execute:ExecuteRandomTask",
-            120,
-            -5.913,
-            254.05,
-        ),
-        Level(
-            "language_answer_quantitative_question",
-            "language_answer:AnswerQuantitativeQuestion",
-            60,
-            -0.33,
-            184.5,
-        ),
-        Level("lasertag_one_opponent_small", "lasertag:OneOpponentSmall", 240, -0.224, 12.65),
-        Level("lasertag_three_opponents_small", "lasertag:ThreeOpponentsSmall", 240, -0.214, 18.55),
-        Level("lasertag_one_opponent_large", "lasertag:OneOpponentLarge", 240, -0.083, 18.6),
-        Level("lasertag_three_opponents_large", "lasertag:ThreeOpponentsLarge", 240, -0.102, 31.5),
-        Level("natlab_fixed_large_map", "natlab:FixedLargeMap", 120, 2.173, 36.9),
-        Level("natlab_varying_map_regrowth", "natlab:VaryingMapRegrowth", 120, 2.989, 24.45),
-        Level("natlab_varying_map_randomized", "natlab:VaryingMapRandomized", 120, 7.346, 42.35),
-        Level("skymaze_irreversible_path_hard", "skymaze:IrreversiblePathHard", 60, 0.1, 100),
-        Level("skymaze_irreversible_path_varied", "skymaze:IrreversiblePathVaried", 60, 14.4, 100),
-        Level(
-            "psychlab_arbitrary_visuomotor_mapping",
-            "psychlab_memory:ArbitraryVisuomotorMapping",
-            300,
-            0.163,
-            58.75,
-        ),
-        Level(
-            "psychlab_continuous_recognition",
-            "psychlab_memory:ContinuousRecognition",
-            300,
-            0.224,
-            58.3,
-        ),
-        Level(
-            "psychlab_sequential_comparison",
-            "psychlab_comparison:SequentialComparison",
-            300,
-            0.129,
-            39.5,
-        ),
-        Level("psychlab_visual_search", "psychlab_search:VisualSearch", 150, 0.085, 78.5),
-        Level(
-            "explore_object_locations_small",
-            "explore_object_locations:ObjectLocationsSmall",
-            90,
-            3.575,
-            74.45,
-        ),
-        Level(
-            "explore_object_locations_large",
-            "explore_object_locations:ObjectLocationsLarge",
-            120,
-            4.673,
-            65.65,
-        ),
-        Level(
-            "explore_obstructed_goals_small", "explore_goals:ObstructedGoalsSmall", 90, 6.76, 206
-        ),
-        Level(
-            "explore_obstructed_goals_large", "explore_goals:ObstructedGoalsLarge", 120, 2.61, 119.5
-        ),
-        Level("explore_goal_locations_small", "explore_goals:GoalLocationsSmall", 90, 7.66, 267.5),
-        Level("explore_goal_locations_large", "explore_goals:GoalLocationsLarge", 120, 3.14, 194.5),
-        Level(
-            "explore_object_rewards_few", "explore_object_rewards:ObjectRewardsFew", 90, 2.073, 77.7
-        ),
-        Level(
-            "explore_object_rewards_many",
-            "explore_object_rewards:ObjectRewardsMany",
-            120,
-            2.438,
-            106.7,
-        ),
-    )
+    name: Level(name, rules, int(seconds), float(random), float(human))
+    for name, rules, seconds, random, human in map(str.split, _TABLE.splitlines()[2:])
 }
 """All levels by name, in the order of the paper: the most frequent first."""
 

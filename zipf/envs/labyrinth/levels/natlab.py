@@ -9,7 +9,7 @@ import numpy as np
 
 from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
-from zipf.envs.labyrinth.looks import Colour
+from zipf.envs.labyrinth.materials import Colour
 from zipf.envs.labyrinth.steering import NAMES, WAIT, Ways, walk_to
 from zipf.envs.labyrinth.terrain import Terrain, make_terrain
 from zipf.envs.labyrinth.world import World

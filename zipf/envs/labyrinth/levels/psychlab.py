@@ -10,9 +10,9 @@ import numpy as np
 
 from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import Knowledge
-from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND
-from zipf.envs.labyrinth.looks import Colour
+from zipf.envs.labyrinth.materials import Colour
 from zipf.envs.labyrinth.screen import Place
+from zipf.envs.labyrinth.state import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.steering import look_at
 from zipf.envs.labyrinth.world import World
 

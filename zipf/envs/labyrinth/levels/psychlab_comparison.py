@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.levels.psychlab import CENTRE, LEFT, RIGHT, Psychlab, Staircase
-from zipf.envs.labyrinth.looks import WHITE, Colour
+from zipf.envs.labyrinth.materials import WHITE, Colour
 from zipf.envs.labyrinth.screen import Place
+from zipf.envs.labyrinth.state import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.world import World
 
 STEP = 8

@@ -6,7 +6,7 @@ import numpy as np
 
 from zipf.envs.labyrinth import pictures
 from zipf.envs.labyrinth.levels.psychlab import CORRECT, LEFT, RIGHT, WRONG, Psychlab
-from zipf.envs.labyrinth.looks import Colour
+from zipf.envs.labyrinth.materials import Colour
 from zipf.envs.labyrinth.screen import Place
 from zipf.envs.labyrinth.world import World
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.labyrinth.levels.psychlab import Psychlab, Staircase
-from zipf.envs.labyrinth.looks import Colour
+from zipf.envs.labyrinth.materials import Colour
 from zipf.envs.labyrinth.screen import Place
 from zipf.envs.labyrinth.world import World
 

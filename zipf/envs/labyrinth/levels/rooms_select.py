@@ -6,7 +6,7 @@ import numpy as np
 
 from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import Knowledge
-from zipf.envs.labyrinth.looks import Colour
+from zipf.envs.labyrinth.materials import Colour
 from zipf.envs.labyrinth.steering import walk_to
 from zipf.envs.labyrinth.world import World
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from zipf.envs.labyrinth import looks
+from zipf.envs.labyrinth import materials
 from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.steering import walk_to
@@ -46,7 +46,7 @@ class Watermaze(Episode):
         world.add_floor((-side, -side), (side, side), "floor_4", tint=(120, 170, 255), repeat=200)
         for k in range(STARTS):
             angle = 2 * math.pi * k / STARTS
-            picture = looks.index("picture_0") + k * 11 % looks.PICTURES
+            picture = materials.index("picture_0") + k * 11 % materials.PICTURES
             world.add_picture(APOTHEM - 3, angle, 96.0, 130.0, picture)
         self.platform = world.add_item(
             "platform", colours=((225, 220, 190), (150, 140, 110)), spins=False, seen_only=True

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.labyrinth import looks, themes
+from zipf.envs.labyrinth import materials, themes
 from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.grids import STEPS, Cell, random_path
 from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
@@ -123,7 +123,7 @@ class IrreversiblePath(Episode):
         heights, self.start, self.goal = random_heights(rng, self.difficulty(rng))
         self.heights = heights
         textures = {
-            int(height): looks.index(f"floor_{rng.integers(4 * looks.STYLES)}")
+            int(height): materials.index(f"floor_{rng.integers(4 * materials.STYLES)}")
             for height in np.unique(heights[heights >= 0])
         }
         world.add_platforms(heights * UNIT, heights >= 0, textures, UNIT)

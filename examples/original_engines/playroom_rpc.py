@@ -43,13 +43,13 @@ def check(address: str | None) -> None:
         import dm_env_rpc.v1.dm_env_adaptor  # noqa: F401
     except ImportError as error:
         raise ValueError(
-            "backend='docker' needs dm_env_rpc, which cannot be imported "
-            f"({error}): pip install \"zipf-rl[docker]\", or use backend='own'"
+            "the family released_playroom needs dm_env_rpc, which cannot be imported "
+            f"({error}): pip install dm-env-rpc, or use the family playroom"
         ) from error
     if address is None and shutil.which("docker") is None:
         raise ValueError(
-            "backend='docker' needs the command docker, which is not there, or "
-            f"{ADDRESS}=host:port of a running server on this machine; or use backend='own'"
+            "the family released_playroom needs the command docker, which is not there, or "
+            f"{ADDRESS}=host:port of a running server on this machine; or use the family playroom"
         )
     if address is not None and not address.rpartition(":")[2].isdigit():
         raise ValueError(f"{ADDRESS} must be host:port, got {address!r}")

@@ -1,24 +1,34 @@
-"""The released Playroom, a Unity environment in a Docker image, for those who have it."""
+"""The released Playroom, a Unity environment in a Docker image, for those who have it.
+
+The family `released_playroom` has the playroom's levels and its splits, as `released_playroom_lift`
+and so on. It registers itself on import.
+"""
 
 import hashlib
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
+import playroom_rpc as rpc
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from pydantic import Field
 
+import zipf.envs
+from zipf.envs import PAPER_KINDS, EngineError, Family, Split, SplitLevel
 from zipf.envs.arguments import pair, whole
-from zipf.envs.family import EngineError
-from zipf.envs.playroom import levels, rpc
+from zipf.envs.gymnasium.replayed import Outcome, ReplayedVectorEnv
+from zipf.envs.playroom import FAMILY as PLAYROOM
+from zipf.envs.playroom import levels
 from zipf.envs.playroom.actions import ACTIONS, CONTROL_TABLE, CONTROLS
 from zipf.envs.playroom.constants import MOST_PIXELS, MOST_STEPS
-from zipf.envs.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.vector import Observation
+from zipf.options import Options
 
 REPEAT = 4  # paper: frames that an action lasts
 TEXT_LENGTH = 16  # ours: the longest of our instructions has 6 words
@@ -74,7 +84,7 @@ class DockerVectorEnv(ReplayedVectorEnv):
 
     Args:
         num_envs: number of worlds N.
-        level: a name of `zipf.envs.playroom.levels.LEVELS`.
+        level: a level of the family, without its name.
         image_size, max_steps: see `PlayroomEnv`.
         address: `host:port` of a running server; None: that of the environment variable
             `ZIPF_PLAYROOM_ADDRESS`, and containers where there is none.
@@ -220,3 +230,39 @@ def _code(word: str) -> int:
         return known.words.index(word) + 1
     digest = hashlib.blake2b(word.encode(), digest_size=8).digest()
     return known.size + int.from_bytes(digest, "little") % (CODES - known.size)
+
+
+class ReleasedPlayroomOptions(Options):
+    """Constructor options: those of the playroom that the released one has, too."""
+
+    image_size: list[int] = Field(default=[72, 96])
+    max_steps: int = 900
+
+
+def _released(split: Split) -> Split:
+    """A split of the playroom with its levels in the released one."""
+
+    def moved(given: Sequence[SplitLevel]) -> tuple[SplitLevel, ...]:
+        return tuple(replace(one, level=f"released_{one.name}") for one in given)
+
+    return replace(
+        split,
+        name=f"released_{split.name}",
+        paper=None,  # until somebody has shown that this plays as the engine does
+        validation=(),  # ours
+        **{kind: moved(split.levels(kind)) for kind in PAPER_KINDS},
+    )
+
+
+zipf.envs.register(
+    Family(
+        name="released_playroom",
+        summary="lift, put or find a toy, in the released Unity environment",
+        levels=tuple(name for name in levels.LEVELS if not name.endswith("_validation")),
+        options=ReleasedPlayroomOptions,
+        make_vec=DockerVectorEnv,
+        splits=tuple(map(_released, PLAYROOM.splits)),
+        keys="zipf.envs.playroom.keys:KEYS",
+        goal="zipf.envs.goals:Instruction",
+    )
+)

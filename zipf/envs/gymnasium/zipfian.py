@@ -9,10 +9,10 @@ from typing import Any
 
 from zipf.envs import distributions
 from zipf.envs.arguments import mapping
+from zipf.envs.baselines import ReferenceScore
 from zipf.envs.family import Family, check_name
-from zipf.envs.gymnasium_worlds import GymnasiumVectorEnv
+from zipf.envs.gymnasium.vector import GymnasiumVectorEnv
 from zipf.envs.mixture import Mixture, ordered
-from zipf.envs.references import ReferenceScore
 from zipf.envs.splits import Split
 from zipf.envs.vector import ZipfVectorEnv, rank_name
 from zipf.options import Options

@@ -1,5 +1,6 @@
 """The labyrinth in DeepMind Lab, with a stand-in that is as strict as its documentation."""
 
+import io
 import pickle
 import sys
 from collections.abc import Iterator
@@ -10,15 +11,16 @@ from typing import Any
 import fake_deepmind_lab
 import numpy as np
 import pytest
-from conftest import assert_equal, learned
+import torch
+from dmlab import DmlabVectorEnv
 
 from zipf import envs
-from zipf.envs import EngineError, Mixture, Split, make, make_vec, replayed
-from zipf.envs.check import check_vector_env
+from zipf.envs import EngineError, Mixture, SingleWorld, Split, make, make_vec
+from zipf.envs.gymnasium import replayed
 from zipf.envs.labyrinth.actions import TABLES
-from zipf.envs.labyrinth.dmlab import DmlabVectorEnv
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.labyrinth.words import VOCABULARY
+from zipf.envs.testing import check_vector_env
 from zipf.evaluate import score
 from zipf.experiments.building import run_folder
 from zipf.experiments.options import command_line, composing
@@ -27,7 +29,7 @@ from zipf.experiments.playing.playing import PlayOptions, play
 from zipf.experiments.training import runner
 
 Lab = fake_deepmind_lab.Lab
-SMALL: dict[str, Any] = {"backend": "dmlab", "image_size": (3, 4)}
+SMALL: dict[str, Any] = {"image_size": (3, 4)}
 
 
 @pytest.fixture(autouse=True)
@@ -43,20 +45,25 @@ def alive() -> list[str]:
     return [lab.name for lab in Lab.opened if lab.status != "closed"]
 
 
-@pytest.mark.parametrize("level", ["language_execute_random_task", "forward_zipf"])
-def test_it_keeps_the_contract(level: str) -> None:
-    name = f"labyrinth/{level}"
+def uniform(num_envs: int, **options: Any) -> Any:
+    """Worlds of all tasks, of which each reset draws one."""
+    return envs.make_train(envs.split("dmlab_uniform"), num_envs, **SMALL, **options)
+
+
+def test_it_keeps_the_contract() -> None:
+    name = "dmlab/language_execute_random_task"
     check_vector_env(
         partial(make_vec, name, **SMALL), partial(make, name, **SMALL), num_envs=3, steps=120
     )
+    check_vector_env(uniform, partial(SingleWorld, uniform), num_envs=3, steps=120)
 
 
 @pytest.mark.parametrize("num_actions", list(TABLES))
 def test_the_spaces_are_those_of_our_engine(num_actions: int) -> None:
     for level in LEVELS:
         ours, theirs = (
-            make_vec(f"labyrinth/{level}", 2, backend=backend, num_actions=num_actions)
-            for backend in ("own", "dmlab")
+            make_vec(f"{family}/{level}", 2, num_actions=num_actions)
+            for family in ("labyrinth", "dmlab")
         )
         assert theirs.single_observation_space == ours.single_observation_space
         assert theirs.single_action_space == ours.single_action_space
@@ -66,7 +73,7 @@ def test_the_spaces_are_those_of_our_engine(num_actions: int) -> None:
 
 
 def test_actions_observations_and_rewards() -> None:
-    env = make_vec("labyrinth/language_select_described_object", 1, **SMALL, num_actions=9)
+    env = make_vec("dmlab/language_select_described_object", 1, **SMALL, num_actions=9)
     observation, info = env.reset(seed=0)
     (lab,) = Lab.opened
     assert (lab.width, lab.height) == (4, 3)
@@ -95,7 +102,7 @@ def test_ends() -> None:
     """At the time limit an episode is truncated, before it terminated; the last observation is the
     one before the end."""
     env = make_vec(
-        "labyrinth/rooms_watermaze", 40, **SMALL, action_repeat=100, autoreset_mode="Disabled"
+        "dmlab/rooms_watermaze", 40, **SMALL, action_repeat=100, autoreset_mode="Disabled"
     )
     before = env.reset(seed=0)[0]["image"].copy()
     stay = np.full(40, 14)
@@ -123,7 +130,7 @@ def test_max_steps_truncate() -> None:
 
 
 def test_a_world_has_one_engine() -> None:
-    env = make_vec("labyrinth/uniform", 4, **SMALL)
+    env = uniform(4)
     assert isinstance(env, Mixture)
     for seed in range(3):
         _, info = env.reset(seed=seed)
@@ -137,7 +144,7 @@ def test_a_world_has_one_engine() -> None:
 
 @pytest.mark.parametrize("draw", ["resets", "worlds"])
 def test_a_world_has_one_engine_in_training(draw: str) -> None:
-    names = [f"labyrinth/{name}" for name in list(LEVELS)[:4]]
+    names = [f"dmlab/{name}" for name in list(LEVELS)[:4]]
     split = Split("some", names, *names[:2], draw=draw)
     env = envs.make_train(split, 4, **SMALL)
     for seed in range(3):
@@ -148,7 +155,7 @@ def test_a_world_has_one_engine_in_training(draw: str) -> None:
 
 
 def test_pickled_and_restored_mixtures_go_on() -> None:
-    env = make_vec("labyrinth/uniform", 3, **SMALL)
+    env = uniform(3)
     env.reset(seed=5)
     for _ in range(4):
         env.step(np.full(3, 14))
@@ -165,7 +172,7 @@ def test_pickled_and_restored_mixtures_go_on() -> None:
 
 def test_an_engine_that_is_not_deterministic_begins_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Lab, "sound", False)
-    env = make_vec("labyrinth/natlab_fixed_large_map", 2, **SMALL)
+    env = make_vec("dmlab/natlab_fixed_large_map", 2, **SMALL)
     env.reset(seed=0)
     env.step(np.full(2, 14))
     with pytest.warns(UserWarning, match="DeepMind Lab's natlab_fixed_large_map is not determ"):
@@ -174,11 +181,8 @@ def test_an_engine_that_is_not_deterministic_begins_again(monkeypatch: pytest.Mo
 
 def test_without_deepmind_lab(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "deepmind_lab", None)
-    for level in ("rooms_watermaze", "forward_zipf"):
-        with pytest.raises(ValueError, match=r"backend='dmlab' needs .* or use backend='own'"):
-            make_vec(f"labyrinth/{level}", 1, backend="dmlab")
-    with pytest.raises(ValueError, match="backend must be 'own' or 'dmlab', got 'quake'"):
-        make_vec("labyrinth/rooms_watermaze", 1, backend="quake")
+    with pytest.raises(ValueError, match=r"dmlab needs .* or use the family labyrinth"):
+        make_vec("dmlab/rooms_watermaze", 1)
 
 
 @pytest.mark.parametrize(
@@ -190,13 +194,13 @@ def test_without_deepmind_lab(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_sizes_that_are_too_large(option: str, value: Any, told: str) -> None:
     with pytest.raises(ValueError, match=told):
-        make_vec("labyrinth/rooms_watermaze", 1, **{**SMALL, option: value})
+        make_vec("dmlab/rooms_watermaze", 1, **{**SMALL, option: value})
 
 
 def test_levels_that_cannot_begin(monkeypatch: pytest.MonkeyPatch) -> None:
     lost = "psychlab_continuous_recognition"
     monkeypatch.setattr(Lab, "lost", frozenset({lost}))
-    env = make_vec(f"labyrinth/{lost}", 1, **SMALL)
+    env = make_vec(f"dmlab/{lost}", 1, **SMALL)
     with pytest.raises(EngineError, match=r"cannot begin .* data/brady_konkle.*no data set"):
         env.reset(seed=0)
     assert alive() == []
@@ -209,80 +213,80 @@ def test_levels_that_cannot_begin(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_words_that_we_do_not_have(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Lab, "words", ("red teapot",))
-    env = make_vec("labyrinth/language_select_described_object", 1, **SMALL)
+    env = make_vec("dmlab/language_select_described_object", 1, **SMALL)
     with pytest.raises(EngineError, match="unknown word 'teapot' in 'red teapot'"):
         env.reset(seed=0)
 
 
 def test_there_are_no_references_and_no_expert() -> None:
-    for level in ("labyrinth/rooms_watermaze", "labyrinth/forward_zipf"):
-        for name in ("chance", "expert"):
-            known = envs.reference(name, level)
-            assert envs.reference(name, level, backend="own") == known is not None
-            assert envs.reference(name, level, backend="dmlab") is None
-        with pytest.raises(ValueError, match="backend='own'"):
-            envs.expert(level, make_vec(level, 1, **SMALL))
+    level = "dmlab/rooms_watermaze"
+    for name in ("chance", "expert"):
+        assert envs.reference(name, level) is None
+    assert envs.expert(level, make_vec(level, 1, **SMALL)) is None
 
 
-EXPERIMENT = """# @package _global_
-defaults:
-  - /environment: labyrinth
-  - override /network: shallow
-  - override /memory: lstm
-  - _self_
-experiment: lab
-updates: 2
-environment: {split: labyrinth_forward, image_size: [24, 32], action_repeat: 600}
-network: {size: 8}
-memory: {size: 8}
-collector: {num_envs: 3, unroll_length: 4}
-evaluation: {every: 2, episodes: 1, num_envs: 1}
-schedule: {window: [2, 2], log_every: 1, checkpoint_every: 1}
-"""
+SHORT = (
+    *("updates=2", "condition=impala", "device=cpu", "collector.num_envs=3"),
+    *("environment.image_size=[24,32]", "environment.action_repeat=600", "network=shallow"),
+    *("network.size=8", "memory.size=8", "collector.unroll_length=4", "schedule.window=[2,2]"),
+    *("schedule.log_every=1", "schedule.checkpoint_every=1", "evaluation.every=2"),
+    *("evaluation.episodes=1", "evaluation.num_envs=1"),
+)
 
 
 def test_runs_are_trained_and_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "experiment").mkdir()
-    (tmp_path / "experiment/lab.yaml").write_text(EXPERIMENT)
-    monkeypatch.setattr(composing, "_user_folders", [tmp_path])
+    monkeypatch.chdir(Path(__file__).parent)
 
-    def load(backend: str, name: str) -> Config:
+    def load(name: str) -> Config:
+        composing.add_folder("configs")
         return command_line.load(
-            [
-                *("experiment=lab", "condition=impala", "device=cpu"),
-                *(f"environment.backend={backend}", f"run_root={tmp_path / name}"),
-            ]
+            ["experiment=dmlab_forward", *SHORT, f"run_root={tmp_path / name}"]
         )
 
-    whole, cut = (load("dmlab", name) for name in ("whole", "cut"))
+    whole, cut = load("whole"), load("cut")
     for config, steps in ((whole, 2), (cut, 1), (cut, 1)):
         run_folder.make(config.folder)
         with runner.Run(config) as run:
             for _ in range(steps):
                 run.step()
             run.save()
-        assert run.update == (1 if run.is_new and config is cut else 2)
-    assert_equal(learned(whole.folder), learned(cut.folder))
+    trained = [weights(config.folder) for config in (whole, cut)]
+    assert trained[0].keys() == trained[1].keys()
+    assert all(torch.equal(one, trained[1][name]) for name, one in trained[0].items())
     film = tmp_path / "film.gif"
-    said: list[str] = []
     play(
-        PlayOptions(
-            run=str(whole.folder), level="labyrinth/rooms_watermaze", seed=0, record=str(film)
-        ),
-        said.append,
+        PlayOptions(run=str(whole.folder), level="dmlab/rooms_watermaze", seed=0, record=str(film)),
+        lambda line: None,
     )
     assert film.stat().st_size > 0
     assert Lab.opened[-1].name == "rooms_watermaze"
     assert alive() == []
     description = run_folder.read_description(whole.folder)
-    assert description["environment"]["backend"] == "dmlab"
     assert description["paper"] is None
     assert [one["references"] for one in description["levels"]] == [{}] * (30 + 30 + 6 + 6)
-    assert load("own", "own").what_is_learned != whole.what_is_learned
+
+
+def weights(folder: Path) -> dict[str, torch.Tensor]:
+    """The tensors of a run's checkpoint, by their places in it."""
+    with (folder / "checkpoint.pt").open("rb") as file:
+        file.readline()
+        state = torch.load(io.BytesIO(file.read()), weights_only=False)
+    found: dict[str, torch.Tensor] = {}
+
+    def collect(place: str, value: Any) -> None:
+        if isinstance(value, torch.Tensor):
+            found[place] = value
+        elif isinstance(value, dict):
+            for key, one in value.items():
+                collect(f"{place}/{key}", one)
+
+    collect("", state["agent"])
+    assert found
+    return found
 
 
 def test_policies_are_scored() -> None:
-    split = Split("one", *["labyrinth/language_select_described_object"] * 3)
+    split = Split("one", *["dmlab/language_select_described_object"] * 3)
     scores = score(
         lambda observation: np.ones(len(observation["image"]), np.int64),
         split,

@@ -2,7 +2,7 @@
 
     from functools import partial
     from zipf.envs import generalist, make_vec
-    from zipf.envs.check_player import check_player
+    from zipf.envs.testing import check_player
 
     level = "gridworld/zipf_2"
     check_player(partial(generalist, level), partial(make_vec, level))
@@ -17,8 +17,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs.check_steps import require
 from zipf.envs.episodes import Player
+from zipf.envs.testing.steps import require
 from zipf.envs.vector import ZipfVectorEnv
 
 

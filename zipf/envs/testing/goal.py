@@ -2,7 +2,7 @@
 
     from functools import partial
     from zipf.envs import goal, make_vec
-    from zipf.envs.check_goal import check_goal
+    from zipf.envs.testing import check_goal
 
     level = "gridworld/zipf_2"
     check_goal(partial(goal, level), partial(make_vec, level))
@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.check_steps import require
 from zipf.envs.goals import Goal
+from zipf.envs.testing.steps import require
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 

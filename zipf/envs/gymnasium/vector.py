@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import mapping, whole
-from zipf.envs.replayed import Outcome, ReplayedVectorEnv
+from zipf.envs.gymnasium.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.vector import Observation
 
 Success = Callable[[float, bool, dict[str, Any]], bool]

@@ -83,8 +83,8 @@ class LabyrinthEnv(SingleWorld):
     ## Arguments
 
     - `level`: one of these names.
-    - `backend`: the engine: `"own"`, or `"dmlab"` for an installed DeepMind Lab, with which all of
-      the above is the original's; see `zipf.envs.labyrinth.dmlab.DmlabVectorEnv`.
+    - `backend`: the engine, `"own"`. DeepMind Lab is the family `dmlab` of
+      `examples/original_engines`.
     - `image_size`: (height, width) of the image.
     - `num_actions`: 15 or 9, which table of actions.
     - `action_repeat`: for how many frames of 1/60 s an action is held.
@@ -99,7 +99,7 @@ class LabyrinthEnv(SingleWorld):
     `gymnasium.make_vec` the same id gives `LabyrinthVectorEnv`, which steps many worlds at once.
 
     Raises:
-        ValueError: for an unknown level, backend or number of actions, or sizes below 1.
+        ValueError: for an unknown level, engine or number of actions, or sizes below 1.
     """
 
     metadata = LabyrinthVectorEnv.metadata

@@ -2,7 +2,7 @@
 
     from functools import partial
     from zipf.envs import make, make_vec
-    from zipf.envs.check import check_vector_env
+    from zipf.envs.testing import check_vector_env
 
     level = "gridworld/zipf_2"
     check_vector_env(partial(make_vec, level), partial(make, level))
@@ -23,7 +23,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from zipf.envs.check_steps import (
+from zipf.envs.testing.steps import (
     are_equal,
     arrays_in,
     copied,

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from zipf.envs.playroom.backends import make_vec
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.single import SingleWorld
 
@@ -106,8 +105,8 @@ class PlayroomEnv(SingleWorld):
     ## Arguments
 
     - `level`: one of these names, with or without `playroom/` before it.
-    - `backend`: the engine: `"own"`, or `"docker"` for the released Playroom, see
-      `zipf.envs.playroom.docker.DockerVectorEnv`.
+    - `backend`: the engine, `"own"`. The released Playroom is the family `released_playroom` of
+      `examples/original_engines`.
     - `image_size`: (height, width) of the image.
     - `object_order`: which toys are how frequent: `"default"`, or `"alternate"` to check that a
       result does not hang on which shapes are rare.
@@ -148,7 +147,7 @@ class PlayroomEnv(SingleWorld):
         render_mode: str | None = None,
     ) -> None:
         super().__init__(
-            make_vec,
+            PlayroomVectorEnv,
             level=level,
             backend=backend,
             image_size=image_size,

@@ -10,7 +10,7 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import reset_options, single_action, whole
-from zipf.envs.gridworld import looks
+from zipf.envs.gridworld import kernels
 from zipf.envs.gridworld.level import OBSERVATIONS, Level
 from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.gridworld.render import frame
@@ -146,9 +146,9 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
         self._window: Window | None = None
         self._closed = False
         self._running = False
-        self._map = self._target = self._row = self._column = self._length = 0
-        self._goal = (0, 0)
-        self._board: list[list[int]] = []
+        self._length = 0
+        self._ranks: dict[str, int] = {}
+        self._world = np.full((1, 4), -1)  # as a row of a batch's; -1 before the first episode
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -178,16 +178,13 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
                 )
         super().reset(seed=seed)
         drawn = {"map": self._draw(self.level.map_cdf), "target": self._draw(self.level.target_cdf)}
-        self._map, self._target = (int(forced.get(name, drawn[name])) for name in drawn)
-        maps = self.level.maps
-        self._board = maps.boards[self._map].tolist()
-        goal_row, goal_column = maps.cells[self._map, self._target].tolist()
-        self._goal = (goal_row, goal_column)
-        self._row, self._column = maps.cells[self._map, -1].tolist()
+        self._ranks = {name: int(forced.get(name, drawn[name])) for name in drawn}
+        map, target = self._ranks.values()
+        self._world[0] = map, target, *self.level.maps.cells[map, -1]
         self._length = 0
         self._running = True
         self._show()
-        return self._observe(), {"map": self._map, "target": self._target}
+        return self._observe(), {**self._ranks}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Moves the agent one cell.
@@ -204,21 +201,11 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
         action = single_action(action, len(MOVES))
         if not 0 <= action < len(MOVES):
             raise ValueError(f"the action must be in 0 .. {len(MOVES) - 1}, got {action}")
-        down, right = MOVES[action]
-        row, column, board = self._row, self._column, self._board
-        cut_off = (
-            down != 0
-            and right != 0
-            and board[row + down][column] == board[row][column + right] == looks.WALL
-        )
-        if board[row + down][column + right] != looks.WALL and not cut_off:
-            row, column = self._row, self._column = row + down, column + right
+        success, terminated = self._move(action)
         self._length += 1
-        success = (row, column) == self._goal
-        terminated = board[row][column] >= looks.FIRST_LOOK
         truncated = not terminated and self._length >= self.level.max_steps
         reward = float(success)
-        info: dict[str, Any] = {"map": self._map, "target": self._target}
+        info: dict[str, Any] = {**self._ranks}
         if terminated or truncated:
             info.update({"success": success, "return": reward, "length": self._length})
             self._running = False
@@ -231,7 +218,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
         Raises:
             ResetNeeded: before the first episode.
         """
-        if not self._board:
+        if self._world[0, 0] < 0:
             raise ResetNeeded("render() needs an episode: call reset() first")
         return self._frame() if self.render_mode == "rgb_array" else None
 
@@ -248,15 +235,19 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
             self._window.show(self._frame())
 
     def _frame(self) -> NDArray[np.uint8]:
-        return frame(self.level.maps, self._map, self._target, self._row, self._column)
+        return frame(self.level.maps, *self._world[0].tolist())
+
+    def _move(self, action: int) -> tuple[bool, bool]:
+        """Moves the agent; whether it touches the target, and whether any object."""
+        maps = self.level.maps
+        return kernels.move_one(self._world[0], action, maps.codes, maps.cells)
 
     def _draw(self, cdf: NDArray[np.float64]) -> int:
         """What `Generator.choice(len(p), p=p)` draws, without its checks."""
         return int(np.searchsorted(cdf, self.np_random.random(), side="right"))
 
     def _observe(self) -> Observation:
-        world = np.array([[self._map, self._target, self._row, self._column]])
         shapes = OBSERVATIONS[self.level.observation]
         batch = {key: np.empty((1, *shape), dtype=np.uint8) for key, shape in shapes.items()}
-        self.level.observe(batch, _ONE, world)
+        self.level.observe(batch, _ONE, self._world)
         return {key: value[0] for key, value in batch.items()}

@@ -8,25 +8,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import fake_playroom_server
 import numpy as np
+import playroom_rpc as rpc
 import pytest
+from released_playroom import COMMANDS, DockerVectorEnv, encode
 
 from zipf import envs
-from zipf.envs import EngineError, Split, make, make_vec, replayed
-from zipf.envs.check import check_vector_env
-from zipf.envs.playroom import rpc
+from zipf.envs import EngineError, Split, make, make_vec
+from zipf.envs.gymnasium import replayed
 from zipf.envs.playroom.actions import ACTIONS
-from zipf.envs.playroom.docker import COMMANDS, DockerVectorEnv, encode
-from zipf.envs.playroom.levels import LEVELS, VOCABULARY
+from zipf.envs.playroom.levels import VOCABULARY
+from zipf.envs.testing import check_vector_env
 from zipf.evaluate import score
 
-pytest.importorskip(
-    "dm_env_rpc", reason='backend=docker needs dm_env_rpc: pip install "zipf-rl[docker]"'
-)
-import fake_playroom_server
-
-LIFT = "playroom/lift/lift_shape_uniform"
-SMALL: dict[str, Any] = {"backend": "docker", "image_size": (3, 4), "max_steps": 8}
+LIFT = "released_playroom/lift/lift_shape_uniform"
+SMALL: dict[str, Any] = {"image_size": (3, 4), "max_steps": 8}
 FORWARD, GRAB = ACTIONS.index("MOVE_FORWARD_FULL"), ACTIONS.index("GRAB")
 
 
@@ -46,8 +43,8 @@ def test_it_keeps_the_contract() -> None:
 
 
 def test_every_level_begins(served: fake_playroom_server.Service) -> None:
-    for level in LEVELS:
-        env = make_vec(f"playroom/{level}", 1, **SMALL)
+    for level in envs.families()["released_playroom"].levels:
+        env = make_vec(f"released_playroom/{level}", 1, **SMALL)
         assert env.reset(seed=0)[0]["image"].shape == (1, 3, 4, 3)
         env.close()
     assert served.worlds == set()
@@ -140,7 +137,10 @@ def test_an_engine_that_is_not_deterministic(served: fake_playroom_server.Servic
 
 
 def test_policies_are_scored_in_shared_worlds(served: fake_playroom_server.Service) -> None:
-    names = ["playroom/put/lift_shape_zipf2", "playroom/put/put_on_bed_tray_frequent"]
+    names = [
+        "released_playroom/put/lift_shape_zipf2",
+        "released_playroom/put/put_on_bed_tray_frequent",
+    ]
     scores = score(
         lambda observation: np.full(len(observation["image"]), FORWARD),
         Split("put", names, names[0], names[1]),
@@ -200,10 +200,8 @@ def test_images_of_another_shape(served: fake_playroom_server.Service) -> None:
 
 
 def test_what_is_missing_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ValueError, match=r"reach must be 2\.0 with backend='docker'"):
+    with pytest.raises(ValueError, match="unknown released_playroom option 'reach'"):
         make_vec(LIFT, 1, **SMALL, reach=3.0)
-    with pytest.raises(ValueError, match="backend must be 'own' or 'docker', got 'unity'"):
-        make_vec(LIFT, 1, backend="unity")
     with pytest.raises(ValueError, match=r"image_size must be at most 4096, got \(5000, 4\)"):
         make_vec(LIFT, 1, **{**SMALL, "image_size": (5000, 4)})
     with pytest.raises(ValueError, match="max_steps must be at most 1000000, got 1000000001"):
@@ -213,18 +211,16 @@ def test_what_is_missing_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(ValueError, match=r"needs the command docker.*ZIPF_PLAYROOM_ADDRESS=host"):
         make_vec(LIFT, 1, **SMALL)
     monkeypatch.setitem(sys.modules, "dm_env_rpc.v1.dm_env_adaptor", None)
-    with pytest.raises(ValueError, match=r"pip install .zipf-rl\[docker\]., or use backend='own'"):
+    with pytest.raises(ValueError, match="pip install dm-env-rpc, or use the family playroom"):
         make_vec(LIFT, 1, **SMALL)
 
 
 def test_there_are_no_references_experts_or_questions() -> None:
     for one in envs.REFERENCES:
-        known = envs.reference(one.name, LIFT)
-        assert envs.reference(one.name, LIFT, backend="own") == known is not None
-        assert envs.reference(one.name, LIFT, backend="docker") is None
+        assert envs.reference(one.name, LIFT) is None
     for name in envs.SCRIPTED:
-        with pytest.raises(ValueError, match="backend='own'"):
-            envs.scripted(name, LIFT, make_vec(LIFT, 1, **SMALL))
-    asked = envs.questions(envs.split("playroom_find")).train[0]
-    with pytest.raises(ValueError, match="need backend='own'"):
-        make_vec(asked, 1, backend="docker")
+        assert envs.scripted(name, LIFT, make_vec(LIFT, 1, **SMALL)) is None
+    with pytest.raises(
+        ValueError, match="no questions about the first frames of released_playroom"
+    ):
+        envs.questions(envs.split("released_playroom_find"))

@@ -1,22 +1,32 @@
-"""The labyrinth's tasks in the original engine, DeepMind Lab, for those who have installed it."""
+"""The labyrinth's tasks in the original engine, DeepMind Lab, for those who have installed it.
+
+The family `dmlab` has the labyrinth's tasks and its splits, as `dmlab_forward` and so on. It
+registers itself on import.
+"""
 
 import importlib
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from pydantic import Field
 
+import zipf.envs
+from zipf.envs import EngineError, Family, Split, SplitLevel, ZipfVectorEnv
 from zipf.envs.arguments import pair, whole
-from zipf.envs.family import EngineError
+from zipf.envs.gymnasium.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.labyrinth.actions import Action, action_table
-from zipf.envs.labyrinth.levels import FRAMES_PER_SECOND, by_name
+from zipf.envs.labyrinth.benchmark import SPLITS
+from zipf.envs.labyrinth.levels import LEVELS, by_name
+from zipf.envs.labyrinth.state import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.vector import MOST_PIXELS, MOST_REPEAT
 from zipf.envs.labyrinth.words import VOCABULARY
-from zipf.envs.replayed import Outcome, ReplayedVectorEnv
-from zipf.envs.vector import Observation, ZipfVectorEnv
+from zipf.envs.vector import Observation
+from zipf.options import Options
 
 FOLDER = "contributed/dmlab30"
 """Folder of the levels' scripts in DeepMind Lab."""
@@ -248,7 +258,49 @@ def _deepmind_lab() -> Any:
         return importlib.import_module("deepmind_lab")
     except ImportError as error:
         raise ValueError(
-            "backend='dmlab' needs the Python package deepmind_lab, which cannot be imported "
+            "the family dmlab needs the Python package deepmind_lab, which cannot be imported "
             f"({error}): build it as github.com/google-deepmind/lab says in "
-            "python/pip_package/README.md, or use backend='own'"
+            "python/pip_package/README.md, or use the family labyrinth"
         ) from error
+
+
+class DmlabOptions(Options):
+    """Constructor options: those of the labyrinth, with its values."""
+
+    image_size: list[int] = Field(default=[72, 96])
+    num_actions: Literal[15, 9] = 15
+    action_repeat: int = 4
+    max_steps: int | None = None
+
+
+def _of_dmlab(split: Split) -> Split:
+    """A split of the labyrinth with its levels in DeepMind Lab."""
+
+    def moved(levels: Sequence[SplitLevel]) -> tuple[SplitLevel, ...]:
+        return tuple(replace(one, level=_renamed(one.name)) for one in levels)
+
+    return replace(
+        split,
+        name=_renamed(split.name),
+        paper=None,  # until somebody has shown that this plays as the engine does
+        **{kind: moved(split.levels(kind)) for kind in split.kinds},
+    )
+
+
+def _renamed(name: str) -> str:
+    return name.replace("labyrinth", "dmlab", 1)
+
+
+zipf.envs.register(
+    Family(
+        name="dmlab",
+        summary="the 30 tasks of DMLab-30 in DeepMind Lab",
+        levels=tuple(LEVELS),
+        check=by_name,
+        options=DmlabOptions,
+        make_vec=DmlabVectorEnv,
+        splits=tuple(map(_of_dmlab, SPLITS)),
+        keys="zipf.envs.labyrinth.keys:KEYS",
+        goal="zipf.envs.goals:Instruction",
+    )
+)

@@ -1,0 +1,1 @@
+"""Other people's environments: a batch of them, and families made of them."""
