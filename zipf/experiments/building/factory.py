@@ -5,6 +5,7 @@ from __future__ import annotations
 from zipf import envs
 from zipf.agents.agent import Agent, Setting, agents
 from zipf.agents.exploration import build_exploration
+from zipf.agents.learner import Learner
 from zipf.agents.reweighting import build_reweighting
 from zipf.envs.players import Teacher
 from zipf.envs.vector import ZipfVectorEnv
@@ -45,6 +46,11 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
     try:
         agent = agents()[config.agent.name](config.agent, setting)
         if config.compile:
+            if not isinstance(agent, Learner):
+                raise ValueError(
+                    f"compile=true: compiles image encoders, and agent={config.agent.name} has no "
+                    "network to learn; choose compile=false"
+                )
             agent.compile()
     except ValueError as error:
         raise UserError(str(error)) from None

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
-from zipf.agents.agent import Agent
 from zipf.agents.unroll import Unroll
 from zipf.experiments.training.collector import Collector
 from zipf.experiments.training.visits import Visits
@@ -50,9 +49,8 @@ class Source(Protocol):
 class InTurn:
     """Collection and learning take turns."""
 
-    def __init__(self, collector: Collector, agent: Agent):
+    def __init__(self, collector: Collector):
         self.collector = collector
-        self.agent = agent
 
     @property
     def seconds(self) -> dict[str, float]:

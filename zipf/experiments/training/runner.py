@@ -13,6 +13,7 @@ from rich.console import Console
 
 from zipf import envs
 from zipf.agents.agent import Agent
+from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
@@ -107,9 +108,13 @@ def _build_source(
     config: Config, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...]
 ) -> Source:
     if isinstance(config.runtime, RayOptions):
+        assert isinstance(agent, Learner)  # it has a `largest_lag`, as with `config.lag` below
         return RayActors(config, config.runtime, env, agent)
     collector = build_collector(config, env, agent, player)
-    return Overlap(collector, agent) if config.lag else InTurn(collector, agent)
+    if config.lag == 0:
+        return InTurn(collector)
+    assert isinstance(agent, Learner)
+    return Overlap(collector, agent)
 
 
 class Run:
@@ -262,6 +267,7 @@ class Run:
         try:
             with self.clock.part("learning"):
                 if self.config.learning_rate_decay:
+                    assert isinstance(self.agent, Learner)
                     self.agent.scale_learning_rates(self.config.learning_rate_factor(self.update))
                 metrics = self.agent.update(unroll.to(self.device))
                 if self.device.startswith("cuda"):  # to measure the time, and because the unroll
@@ -373,8 +379,8 @@ class Run:
             "clock": self.clock.state_dict(),
             **learned,
         }
-        if self.is_finished and (weights := self.agent.weights()):
-            learned_last = {"update": self.update, "weights": weights}
+        if self.is_finished and isinstance(self.agent, Learner):
+            learned_last = {"update": self.update, "weights": self.agent.weights()}
             checkpoint.save(self.folder / "weights.pt", learned_last)
         checkpoint.save(self.folder / "checkpoint.pt", state)
         self.logger.write_checksums(self.update)
