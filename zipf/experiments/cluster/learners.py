@@ -26,9 +26,9 @@ import zipf
 from zipf.agents import averaging
 from zipf.errors import UserError
 from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options.runtime import TorchrunOptions
 from zipf.experiments.options.schema import Config
-from zipf.experiments.training.visits import Visits
 
 PATIENCE = timedelta(days=1)  # ours: the others wait for the first while it evaluates
 MEETING = timedelta(minutes=10)  # ours: for the slowest of the machines to start its processes

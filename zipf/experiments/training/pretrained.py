@@ -8,7 +8,6 @@ from typing import Any
 from torch import Tensor
 
 from zipf.agents.agent import Agent
-from zipf.agents.critics import CriticOptions
 from zipf.agents.learner import Learner
 from zipf.agents.network import Torso
 from zipf.errors import UserError
@@ -16,6 +15,7 @@ from zipf.experiments.building import run_folder
 from zipf.experiments.cluster.learners import OnlyLearner
 from zipf.experiments.evaluation.trained import load_agent
 from zipf.experiments.options.schema import Config
+from zipf.options import Options
 
 
 def begin(config: Config, agent: Agent, learner: OnlyLearner) -> dict[str, Any] | None:
@@ -52,7 +52,7 @@ def told(described: dict[str, Any]) -> str:
     )
 
 
-def _outputs(critic: CriticOptions) -> str:
+def _outputs(critic: Options) -> str:
     """What the outputs of a value's head mean to a critic; a measure of risk is no part of it."""
     options = critic.model_dump(exclude={"name", "risk", "risk_level"})
     return " ".join([critic.name, *(f"{name}={value}" for name, value in options.items())])

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 from zipf.agents.unroll import Unroll
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.training.collector import Collector
-from zipf.experiments.training.visits import Visits
 
 Learned = TypeVar("Learned")
 

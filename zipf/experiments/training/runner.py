@@ -26,6 +26,7 @@ from zipf.experiments.cluster.learners import LearnerLost, OnlyLearner
 from zipf.experiments.cluster.ray_actors import RayActors
 from zipf.experiments.evaluation.evaluator import scores
 from zipf.experiments.evaluation.trained import evaluate_agent
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options.runtime import RayOptions
 from zipf.experiments.options.schema import Config, has_bfloat16
 from zipf.experiments.training import pretrained
@@ -36,7 +37,6 @@ from zipf.experiments.training.logger import Logger
 from zipf.experiments.training.overlap import Overlap
 from zipf.experiments.training.rollouts import InTurn, Source
 from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_ended
-from zipf.experiments.training.visits import Visits
 
 
 def train(config: Config) -> int:
