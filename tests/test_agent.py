@@ -12,7 +12,6 @@ from conftest import assert_equal
 from networks import compact
 from omegaconf import OmegaConf
 
-from zipf.agents import agent as registry
 from zipf.agents.agent import Agent, Setting, agents, register
 from zipf.agents.auxiliary.reconstruction import VisionOptions
 from zipf.agents.episodic import DictionaryOptions
@@ -106,7 +105,7 @@ def test_the_optimiser_has_the_values_of_the_options(name):
     options = options_of(name).model_copy(update=values)
     batch = {"num_envs": WORLDS, "unroll_length": STEPS}
     made = agents()[name](options, Setting(SPACE, ACTION_SPACE, NETWORK, LSTM, **batch))
-    (group,) = made.optimiser.param_groups
+    (group,) = made.optimisers["optimiser"].param_groups
     assert group["lr"] == 0.02
     assert group["betas"] == (0.7, 0.9)
     assert group["eps"] == 0.1
@@ -306,8 +305,7 @@ class Constant(Agent):
         pass
 
 
-def test_an_agent_of_ones_own_needs_four_methods(monkeypatch):
-    monkeypatch.setattr(registry, "_AGENTS", dict(agents()))
+def test_an_agent_of_ones_own_needs_four_methods(own_registries):
     assert register(Constant) is Constant
     options = ConstantOptions(name="constant", action=1)
     spaces = SPACE, ACTION_SPACE
@@ -316,7 +314,6 @@ def test_an_agent_of_ones_own_needs_four_methods(monkeypatch):
     for unroll in unrolls(made, 2):
         assert (unroll.steps["action"][:-1] == 1).all()
         assert made.update(unroll) == {}
-    made.publish()
     with pytest.raises(ValueError, match="agent 'constant' is already registered"):
         register(Constant)
 

@@ -25,16 +25,18 @@ from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions, hindsight_loss,
 from zipf.agents.impala import Impala
 from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
+from zipf.agents.r2d2 import Replayed
 from zipf.agents.reweighting import InverseCountOptions
 from zipf.envs.policies import Teacher
 from zipf.errors import UserError
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.hooks import relabelling
+from zipf.experiments.hooks.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.hooks.goal_memory import GoalMemory
 from zipf.experiments.options import command_line
-from zipf.experiments.options.augmentation import Augmentation, RandomAugmentationOptions
-from zipf.experiments.training import relabelling, runner
+from zipf.experiments.training import runner
 from zipf.experiments.training.collector import Collector
-from zipf.experiments.training.goal_memory import GoalMemory
 
 WORLDS, STEPS = 12, 9
 OPTIONS = AchievedOptions(
@@ -734,7 +736,7 @@ def test_relabelled_episodes_in_replay_have_the_weight_one():
     items, _, _ = made.replay.sample(8)
     inside = (items["steps", "weight"] == 1).sum(1).tolist()
     assert set(inside) == {4, 2}
-    assert np.isfinite(made._learn(items, torch.ones(8))[0]["loss"])
+    assert np.isfinite(made.learn(Replayed(items, torch.ones(8)))[0]["loss"])
 
 
 def test_a_checkpoint_from_before_an_option_was_added_fits():

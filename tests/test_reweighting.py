@@ -14,13 +14,14 @@ from zipf import envs
 from zipf.agents import agents
 from zipf.agents.agent import Setting
 from zipf.agents.memory import MLPOptions
+from zipf.agents.r2d2 import Replayed
 from zipf.agents.reweighting import (
     NO_REWEIGHTING,
+    REWEIGHTINGS,
     EffectiveNumberOptions,
     GoalWeights,
     InverseCountOptions,
     bounded,
-    build_reweighting,
 )
 from zipf.envs.policies import Teacher
 from zipf.errors import UserError
@@ -123,7 +124,7 @@ def gridworld(reweighting, seed=0, worlds=6, **level):
         command_line.load(["experiment=demo"]).agent, Setting(*spaces, compact(), LSTM)
     )
     goal = envs.goal("gridworld/zipf_2", env)
-    weighing = build_reweighting(reweighting, worlds)
+    weighing = REWEIGHTINGS.build(reweighting, worlds)
     return Collector(env, impala, unroll_length=9, seed=seed, goal=goal, reweighting=weighing)
 
 
@@ -247,7 +248,7 @@ def test_the_replays_losses_are_weighted_frame_by_frame():
         for t in range(STEPS):
             weight = items["steps", "weight"][b, made.burn_in + t]
             expected += float(importance[b] * weight * 0.5 * errors[t, b].detach() ** 2)
-    metrics, _ = made._learn(items, importance)
+    metrics, _ = made.learn(Replayed(items, importance))
     assert metrics["loss"] == pytest.approx(expected / (STEPS * len(items)), rel=1e-5)
 
 
@@ -323,7 +324,7 @@ def rare_success(options, seed, updates=60):
         seed=1000 * seed,
         teacher=Teacher("expert", envs.split("gridworld"), env),
         goal=envs.goal(level, env),
-        reweighting=build_reweighting(options, 32),
+        reweighting=REWEIGHTINGS.build(options, 32),
     )
     for _ in range(updates):
         agent.update(collector.collect())

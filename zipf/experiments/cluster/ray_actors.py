@@ -41,11 +41,13 @@ import numpy as np
 import zipf
 from zipf import envs
 from zipf.agents.agent import Agent
+from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import TOLD, UserError
 from zipf.experiments.building.checkpoint import arrays, tensors
 from zipf.experiments.building.factory import build_agent
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options import composing
 from zipf.experiments.options.runtime import RayOptions
 from zipf.experiments.options.schema import Config, schema
@@ -53,7 +55,6 @@ from zipf.experiments.training.build_collector import build_collector
 from zipf.experiments.training.collector import episode_metrics
 from zipf.experiments.training.rollouts import Learned
 from zipf.experiments.training.runtime import Runtime
-from zipf.experiments.training.visits import Visits
 
 MOST_DEATHS = 3  # ours: of an actor in a row, none of which has played an unroll
 PATIENCE = 60.0  # seconds without an unroll before the user is told; ours: starting takes less
@@ -76,8 +77,10 @@ class Player:
         composing.load_plugins(options["plugins"])
         config = schema().model_validate(options)
         env = envs.make_train(config.split, config.collector.num_envs, **config.level_options)
-        self.agent = build_agent(config, env)
-        self.collector = build_collector(config, env, self.agent, (actor, incarnation))
+        agent = build_agent(config, env)
+        assert isinstance(agent, Learner)  # it has a `largest_lag`
+        self.agent = agent
+        self.collector = build_collector(config, env, agent, (actor, incarnation))
         self.played = 0
         return zipf.__version__
 
@@ -137,6 +140,7 @@ class RayRuntime(Runtime):
     def rollouts(self, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...] = ()) -> RayActors:
         """See the base class."""
         assert isinstance(self.config.runtime, RayOptions)
+        assert isinstance(agent, Learner)  # only such an agent has a `largest_lag`
         return RayActors(self.config, self.config.runtime, env, agent)
 
 
@@ -155,7 +159,7 @@ class RayActors:
         agent: learns.
     """
 
-    def __init__(self, config: Config, options: RayOptions, env: ZipfVectorEnv, agent: Agent):
+    def __init__(self, config: Config, options: RayOptions, env: ZipfVectorEnv, agent: Learner):
         self.options = options
         self.agent = agent
         self.version = 0

@@ -8,7 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from zipf.agents.agent import Agent
-from zipf.agents.critics import CriticOptions
+from zipf.agents.learner import Learner
 from zipf.agents.network import Torso
 from zipf.errors import UserError
 from zipf.experiments.building import run_folder
@@ -32,6 +32,8 @@ def begin(config: Config, agent: Agent, learner: OnlyLearner) -> dict[str, Any] 
         return None
     weights, described = learner.of_first(_read(config, run) if learner.is_first else None)
     try:
+        if not isinstance(agent, Learner):
+            raise ValueError("this agent has no network that takes the weights of another")
         agent.begin_with(weights)
     except ValueError as error:
         raise UserError(
@@ -49,7 +51,7 @@ def told(described: dict[str, Any]) -> str:
     )
 
 
-def _outputs(critic: CriticOptions) -> str:
+def _outputs(critic: Any) -> str:
     """What the outputs of a value's head mean to a critic; a measure of risk is no part of it."""
     options = critic.model_dump(exclude={"name", "risk", "risk_level"})
     return " ".join([critic.name, *(f"{name}={value}" for name, value in options.items())])
@@ -59,7 +61,7 @@ def _read(config: Config, run: str) -> tuple[dict[str, dict[str, Tensor]], dict[
     """The weights by part of the network, and where they are from."""
     folder = Path(run).expanduser()
     trained = load_agent(folder, "cpu", config.plugins)
-    actor = getattr(trained.agent, "actor", None)  # agents that learn nothing have none
+    actor = trained.agent.actor if isinstance(trained.agent, Learner) else None
     if isinstance(actor, Torso):
         parts = actor.parts()
     else:
