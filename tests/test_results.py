@@ -12,7 +12,7 @@ from zipf.experiments.evaluation.evaluator import scores
 from zipf.experiments.evaluation.trained import evaluate_agent, load_agent
 from zipf.experiments.options import command_line
 from zipf.experiments.reporting import figures
-from zipf.experiments.reporting.claim_results import CLAIM_COLUMNS
+from zipf.experiments.reporting.claims import CLAIM_COLUMNS
 from zipf.experiments.reporting.scores import CSV_COLUMNS
 from zipf.experiments.reporting.seed_statistics import STATISTICS_COLUMNS
 from zipf.report import report

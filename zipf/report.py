@@ -19,7 +19,7 @@ from zipf.experiments.records.wording import PLOT_FORMATS, VIDEO_FORMATS, PlotFo
 from zipf.output import keep_going
 
 if TYPE_CHECKING:
-    from zipf.experiments.reporting.claim_results import ClaimLine
+    from zipf.experiments.reporting.claims import ClaimLine
     from zipf.experiments.reporting.seed_statistics import SeedStatistics
     from zipf.experiments.reporting.tables import ScoreTable
     from zipf.experiments.reporting.windows import Asked
@@ -78,7 +78,7 @@ def report(
 
     from zipf.experiments.records import results
     from zipf.experiments.reporting import figures, latex, markdown, tables, terminal
-    from zipf.experiments.reporting.claim_results import check_claims, csv_claims
+    from zipf.experiments.reporting.claims import check_claims, csv_claims
     from zipf.experiments.reporting.seed_statistics import (
         csv_statistics,
         seed_statistics,

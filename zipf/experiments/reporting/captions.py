@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from zipf.experiments.records.wording import EXTERNAL_MARK, PROTOCOL_SEEDS, range_text
-from zipf.experiments.reporting.claim_results import ClaimLine
-from zipf.experiments.reporting.claims import LEARNED, published_window
+from zipf.experiments.reporting.claim_checks import LEARNED
+from zipf.experiments.reporting.claims import PUBLISHED_WINDOWS, ClaimLine
 from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
@@ -59,7 +59,7 @@ def side_by_side_caption(beside: SideBySide) -> str:
     ]
     for table in beside.tables:
         assert table.description.paper is not None  # a layout has no others
-        published = UpdateWindow(*published_window(table.description.paper))
+        published = UpdateWindow(*PUBLISHED_WINDOWS[table.description.paper])
         of_paper = (
             "as in the paper"
             if table.window == published

@@ -1,370 +1,358 @@
 """What the paper claims, and whether scores bear it out.
 
-`claims.json` beside this file has every claim with the checks that it comes down to, each of one
-experiment. A check is one of three forms:
-
-- `score`: a score, or how it compares to another, lies between bounds;
-- `curves`: two learning curves differ by so little on average;
-- `window` and `effort`: the scores were taken as the protocol says.
-
-The bounds are ours, as the paper states effects and no bounds; the note of a claim says how they
-were chosen.
+Every claim with the checks that it comes down to, by experiment. The bounds are ours, as the paper
+(Chan, Lampinen, Richemond and Hill 2022) states effects and no bounds; the note of a claim says how
+they were chosen.
 """
 
 from __future__ import annotations
 
-import functools
-import itertools
-import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
-from importlib import resources
-from typing import Annotated, Literal
+from dataclasses import dataclass
 
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from zipf.experiments.records.wording import NONE, PROTOCOL_SEEDS, count_text, updates_text
+from zipf.experiments.reporting.claim_checks import (
+    EVERY,
+    SCORES,
+    UNDECIDED,
+    Check,
+    CurvesCheck,
+    EffortCheck,
+    Outcome,
+    Verdict,
+    WindowCheck,
+    change,
+    published_results,
+    results_of,
+    share,
+    together,
+)
+from zipf.experiments.reporting.tables import ScoreTable
 
-Outcome = Literal["holds", "fails", "not enough data"]
-Measure = Literal["value", "difference", "change", "share"]
-Place = tuple[str, str]  # a condition and a column: a level kind, or a group of levels
-MEASURES: Mapping[Measure, str] = {
-    "value": "",
-    "difference": "difference",
-    "change": "relative change",
-    "share": "share of the improvement",
-}
-EVERY = "*"  # every condition for which the paper has a row
-
-
-class _Form(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    experiment: str
-
-
-class ScoreCheck(_Form):
-    """A score lies between `at_least` and `at_most`, where they are given; both included.
-
-    Attributes:
-        measure: what is between the bounds. With the scores s of `score`, a of `against` and b of
-            `base`: "value", s; "difference", s - a; "change", s / a - 1; "share",
-            (s - b) / (a - b), what s has of a's improvement on b.
-        score: of which condition, and which column. A condition may be a pattern (`r2d2,*`), or `*`
-            for every row of the paper: then the check is made for each.
-        against: where its condition is `*`, the same as that of `score`.
-        without: conditions that `*` leaves out.
-    """
-
-    form: Literal["score"]
-    measure: Measure
-    score: Place
-    against: Place | None = None
-    base: Place | None = None
-    at_least: float = -math.inf
-    at_most: float = math.inf
-    without: tuple[str, ...] = Field((), alias="except")
-
-    @model_validator(mode="after")
-    def _is_complete(self) -> ScoreCheck:
-        if (self.against is None) != (self.measure == "value"):
-            raise ValueError(f"against: not as the measure {self.measure} needs it")
-        if (self.base is None) != (self.measure != "share"):
-            raise ValueError(f"base: not as the measure {self.measure} needs it")
-        return self
+CLAIM_COLUMNS = ("claim", "statement", "table", "bounds", "outcome", "numbers", "paper", "note")
 
 
-class CurvesCheck(_Form):
-    """The median learning curves of two conditions differ by at most so much: the mean absolute
-    difference of the scores at updates at which both were evaluated, but for update 0."""
-
-    form: Literal["curves"]
-    conditions: tuple[str, str]
-    column: str
-    at_most: float
-
-
-class WindowCheck(_Form):
-    """Scores are taken from this window, in updates."""
-
-    form: Literal["window"]
-    window: tuple[int, int]
-
-
-class EffortCheck(_Form):
-    """Every score of every row has at least so many seeds and episodes."""
-
-    form: Literal["effort"]
-    seeds: int
-    episodes: int
-
-
-Check = Annotated[ScoreCheck | CurvesCheck | WindowCheck | EffortCheck, Field(discriminator="form")]
-
-
-class Claim(BaseModel):
+@dataclass(frozen=True)
+class Claim:
     """What the paper claims.
 
     Attributes:
         id: unique.
         source: where the paper does.
-        note: how the bounds were chosen.
-        unchecked: why there are no checks; None where there are some.
-        checks: all of an experiment have to hold.
+        checks: by experiment; all of an experiment have to hold.
+        note: how the bounds were chosen, or why there are no checks.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     id: str
     statement: str
     source: str
-    note: str | None = None
-    unchecked: str | None = None
-    checks: tuple[Check, ...]
+    checks: Mapping[str, Sequence[Check]]
+    note: str = ""
 
 
-LEARNED = 0.05
-"""How far above chance a score is, at least, that tells something about an agent; ours: what the
-checks take for "the same"."""
+def on(experiments: str, *checks: Check) -> dict[str, Sequence[Check]]:
+    """The same checks of several experiments."""
+    return dict.fromkeys(experiments.split(), checks)
 
-ROUNDING = 1e-9  # sums and quotients of published decimals are off by their rounding
+
+PUBLISHED_WINDOWS: Mapping[str, tuple[int, int]] = {
+    "gridworld": (2_000_000, 3_000_000),
+    "playroom_lifting": (300_000, 400_000),
+    "playroom_putting": (300_000, 400_000),
+    "playroom_finding": (2_000_000, 3_000_000),
+    "labyrinth_forward": (200_000, 380_000),
+    "labyrinth_reversed": (200_000, 380_000),
+}
+"""The window, in updates, from which the paper takes the scores of each of its experiments."""
+
+LIFTING, PUTTING, FINDING = "playroom_lifting", "playroom_putting", "playroom_finding"
+LABYRINTH = "labyrinth_forward labyrinth_reversed"
+NOT_FINDING = f"gridworld {LIFTING} {PUTTING} {LABYRINTH}"
+FREQUENT = "Putting (frequent only)"
+VISION, BOTH = "impala_vision", "impala_vision_language"
+SELF_SUPERVISED = "Results, on self-supervised learning"
+REPLAY = "Results, on prioritised replay"
+HALF = "Half of the published effect is enough."
+t = SCORES
+
+CLAIMS = (
+    Claim(
+        "rare_lower",
+        "Scores on rare situations are lower than on all situations alike, for every agent.",
+        "Results, first paragraph",
+        on(" ".join(PUBLISHED_WINDOWS), t[EVERY, "rare"] - t[EVERY, "uniform"] <= -0.005),
+        "Lower by more than tables round away.",
+    ),
+    Claim(
+        "fig_misleading",
+        "IMPALA looks almost perfect on the training distribution, and acts correctly in less than "
+        "60 % of episodes on the rarest objects.",
+        'Figure "misleading"',
+        on(LIFTING, t["impala", "train"] >= 0.95, t["impala", "rare"] <= 0.6),
+    ),
+    Claim(
+        "lab_train_higher",
+        "In the labyrinth, training scores are higher than uniform and rare ones, for every agent.",
+        "Table tab:labyrinth_results, caption",
+        on(
+            LABYRINTH,
+            t[EVERY, "train"] - t[EVERY, "uniform"] >= 0.005,
+            t[EVERY, "train"] - t[EVERY, "rare"] >= 0.005,
+        ),
+        "Higher by more than tables round away.",
+    ),
+    Claim(
+        "playroom_train_range",
+        "Training scores are 0.97 to 1.00 for lifting and 0.97 to 0.99 for putting, except for "
+        "V-MPO and the MLP.",
+        "Table tab:playroom_results, caption",
+        {
+            LIFTING: [(t[EVERY, "train"] >= 0.965).without("vmpo", "impala_mlp")],
+            PUTTING: [
+                (t[EVERY, FREQUENT] >= 0.965).without("vmpo", "impala_mlp", "r2d2_uniform_replay")
+            ],
+        },
+        "A score that rounds to 0.97 counts.",
+    ),
+    Claim(
+        "grid_train",
+        "In the gridworld, training scores are 0.85 for IMPALA and 0.99 with visual "
+        "reconstruction.",
+        "Table tab:gridworld_results, caption",
+        on("gridworld", t["impala", "train"].between(0.8, 0.9), t[VISION, "train"] >= 0.94),
+        "Within 0.05 of the published score.",
+    ),
+    Claim(
+        "vmpo_put",
+        "V-MPO does not learn putting, even in training.",
+        "Results",
+        on(PUTTING, t["vmpo", FREQUENT] <= 0.5),
+        "At most half of the episodes.",
+    ),
+    Claim(
+        "per_putting",
+        "R2D2 without prioritised replay scores 17 % less on putting.",
+        REPLAY,
+        on(
+            PUTTING,
+            change(t["r2d2_uniform_replay", "uniform"], t["r2d2", "uniform"]) <= -0.08,
+            change(t["r2d2_uniform_replay", "rare"], t["r2d2", "rare"]) <= -0.09,
+        ),
+        HALF,
+    ),
+    Claim(
+        "per_exponent",
+        "A larger exponent of the priorities makes little difference.",
+        REPLAY,
+        on(
+            f"{LIFTING} {PUTTING}",
+            change(t["r2d2,*priority_exponent=[1-9]*", "rare"], t["r2d2", "rare"]).between(
+                -0.1, 0.1
+            ),
+        ),
+        "Within 10 %, of exponents from 1 on; the paper prints no number.",
+    ),
+    Claim(
+        "ssl_lift_rare",
+        "Reconstructing vision and language improves rare lifting by 12 %.",
+        SELF_SUPERVISED,
+        on(LIFTING, change(t[BOTH, "rare"], t["impala", "rare"]) >= 0.06),
+        HALF,
+    ),
+    Claim(
+        "ssl_put_rare",
+        "Reconstructing vision and language improves rare putting by 18 %.",
+        SELF_SUPERVISED,
+        on(PUTTING, change(t[BOTH, "rare"], t["impala", "rare"]) >= 0.09),
+        HALF,
+    ),
+    Claim(
+        "ssl_lift_all",
+        "Reconstructing vision and language changes uniform lifting by -1 %.",
+        SELF_SUPERVISED,
+        on(LIFTING, change(t[BOTH, "uniform"], t["impala", "uniform"]).between(-0.06, 0.04)),
+        "Within 5 % of the published change.",
+    ),
+    Claim(
+        "ssl_put_all",
+        "Reconstructing vision and language improves uniform putting by 10 %.",
+        SELF_SUPERVISED,
+        on(PUTTING, change(t[BOTH, "uniform"], t["impala", "uniform"]) >= 0.05),
+        HALF,
+    ),
+    Claim(
+        "ssl_equal_parts",
+        "Vision and language contribute about equally to the improvement on rare objects.",
+        SELF_SUPERVISED,
+        on(
+            f"{LIFTING} {PUTTING}",
+            share(t[VISION, "rare"], t[BOTH, "rare"], t["impala", "rare"]).between(0.25, 0.75),
+        ),
+        "Vision alone makes a quarter to three quarters of the improvement; the paper has no "
+        "condition with language alone.",
+    ),
+    Claim(
+        "ssl_grid_rare",
+        "Visual reconstruction improves the rarest maps and objects of the gridworld by 20 %.",
+        SELF_SUPERVISED,
+        on("gridworld", change(t[VISION, "rare"], t["impala", "rare"]) >= 0.1),
+        HALF,
+    ),
+    Claim(
+        "ssl_grid_all",
+        "Visual reconstruction improves the uniform score in the gridworld by 16 %.",
+        SELF_SUPERVISED,
+        on("gridworld", change(t[VISION, "uniform"], t["impala", "uniform"]) >= 0.08),
+        HALF,
+    ),
+    Claim(
+        "ssl_lab",
+        "In the labyrinth, self-supervised learning brings less: 3 to 6 %.",
+        SELF_SUPERVISED,
+        on(
+            LABYRINTH,
+            (t[VISION, "uniform"] - t["impala", "uniform"]).between(0.015, 0.12),
+            (t[BOTH, "uniform"] - t["impala", "uniform"]).between(0.015, 0.12),
+        ),
+        "Read as points of the uniform score, which is what the paper's table has; half to twice "
+        "the published effect.",
+    ),
+    Claim(
+        "byol_failed",
+        "BYOL, as implemented there, does not help.",
+        SELF_SUPERVISED,
+        on(NOT_FINDING, t["impala_byol", "rare"] - t["impala", "rare"] <= 0.05),
+        "No gain of more than 0.05.",
+    ),
+    Claim(
+        "transformer_no_gain",
+        "A transformer in the place of the LSTM is no better on rare situations.",
+        "Results, on memory",
+        on(NOT_FINDING, t["impala_transformer", "rare"] - t["impala", "rare"] <= 0.05),
+        "No gain of more than 0.05.",
+    ),
+    Claim(
+        "supervised_equal",
+        "On finding, the agent and a supervised classifier score almost the same.",
+        "Table tab:playroom_results:supervised",
+        on(
+            FINDING,
+            (t["impala", "uniform"] - t["supervised", "uniform"]).between(-0.05, 0.05),
+            (t["impala", "rare"] - t["supervised", "rare"]).between(-0.05, 0.05),
+        ),
+        "Within 0.05.",
+    ),
+    Claim(
+        "rl_curve_match",
+        "On finding, the learning curves of the agent and the classifier are very similar.",
+        "Results, on supervised learners",
+        on(
+            FINDING,
+            CurvesCheck(("impala", "supervised"), "uniform", at_most=0.05),
+            CurvesCheck(("impala", "supervised"), "rare", at_most=0.05),
+        ),
+        "The median curves differ by at most 0.05 on average; the paper shows no such figure.",
+    ),
+    Claim(
+        "below_uniform_training",
+        "The best agents on rare situations stay well below an agent trained on uniform "
+        "experience.",
+        "Abstract",
+        {},
+        "needs an agent trained on the uniform levels, which is in none of the paper's tables",
+    ),
+    Claim(
+        "windows",
+        "Scores are taken from updates 300k to 400k (playroom), 200k to 380k (labyrinth) and 2M to "
+        "3M (gridworld, finding).",
+        "Training and evaluation",
+        {one: [WindowCheck(window)] for one, window in PUBLISHED_WINDOWS.items()},
+    ),
+    Claim(
+        "eval_episodes",
+        "Three seeds of a condition, and at least 1000 episodes of a level in each evaluation.",
+        "Appendix, using the benchmarks",
+        on(" ".join(PUBLISHED_WINDOWS), EffortCheck(seeds=3, episodes=1000)),
+    ),
+    Claim(
+        "fps",
+        "Worlds run at about 900 (playroom), 700 to 1000 (labyrinth) and 4,700 (gridworld) frames "
+        "per second.",
+        "Appendix, environment details",
+        {},
+        "result files have the speed of training; the scripts that benchmark worlds measure theirs",
+    ),
+)
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A score.
+class ClaimLine:
+    """A claim about one table.
 
     Attributes:
-        seeds, episodes: over how many it is known; episodes are the fewest of an evaluation.
-        chance: what random actions score there; NaN where that is not known.
-        by_seed: the score of each seed; empty where they are not known.
+        claim: what is claimed.
+        table: the title of the table; empty where no run of the claim's experiments is there.
+        outcome: of all checks of this experiment together.
+        verdicts: of each.
+        paper: the outcome with the paper's own numbers; None where it prints too few of them.
     """
 
-    score: float
-    seeds: int
-    episodes: int
-    chance: float = math.nan
-    by_seed: Mapping[int, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Results:
-    """What is known of an experiment.
-
-    Attributes:
-        scores: by condition and column.
-        every: the conditions that `*` means.
-        titles: of conditions.
-        window: from which the scores are, in updates; None for another kind of window.
-        curves: by condition and column, the median score over seeds by update, and how many seeds.
-    """
-
-    scores: Mapping[Place, Measured]
-    every: Sequence[str]
-    titles: Mapping[str, str] = field(default_factory=dict)
-    window: tuple[int, int] | None = None
-    curves: Mapping[Place, tuple[pd.Series, int]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The outcome of a check.
-
-    Attributes:
-        bounds: when it would hold.
-        numbers: what the outcome rests on, one text each.
-        at_hand: whether any score that it needs is known, however few its seeds.
-    """
-
+    claim: Claim
+    table: str
     outcome: Outcome
-    bounds: str
-    numbers: tuple[str, ...]
-    at_hand: bool
+    verdicts: tuple[Verdict, ...]
+    paper: Outcome | None
+
+    @property
+    def at_hand(self) -> bool:
+        """Whether any score that it needs is known."""
+        return any(verdict.at_hand for verdict in self.verdicts)
+
+    @property
+    def numbers(self) -> str:
+        """What the outcome rests on."""
+        return "; ".join(text for verdict in self.verdicts for text in verdict.numbers)
+
+    @property
+    def bounds(self) -> str:
+        """When it would hold."""
+        return "; ".join(dict.fromkeys(verdict.bounds for verdict in self.verdicts))
 
 
-@functools.cache
-def claims() -> tuple[Claim, ...]:
-    """What the paper claims."""
-    file = resources.files("zipf.experiments.reporting").joinpath("claims.json")
-    return tuple(Claim.model_validate(one) for one in json.loads(file.read_text("utf-8"))["claims"])
+def check_claims(tables: Sequence[ScoreTable]) -> list[ClaimLine]:
+    """Every claim of the paper, a line for each table of an experiment that it is about; one line
+    where there is none."""
+    known = [(table, results_of(table)) for table in tables]
+    lines = []
+    for claim in CLAIMS:
+        found = []
+        for experiment, checks in claim.checks.items():
+            printed = published_results(experiment)
+            paper = together([check.judge(printed).outcome for check in checks])
+            for table, results in known:
+                if table.description.paper == experiment:
+                    verdicts = tuple(check.judge(results) for check in checks)
+                    outcome = together([verdict.outcome for verdict in verdicts])
+                    on_paper = None if paper == UNDECIDED else paper
+                    found.append(ClaimLine(claim, table.title, outcome, verdicts, on_paper))
+        lines += found or [ClaimLine(claim, "", UNDECIDED, (), None)]
+    return lines
 
 
-def published_window(experiment: str) -> tuple[int, int]:
-    """The window, in updates, from which the paper takes the scores of one of its experiments."""
-    (window,) = (
-        check.window
-        for claim in claims()
-        for check in claim.checks
-        if isinstance(check, WindowCheck) and check.experiment == experiment
-    )
-    return window
-
-
-def judge(check: Check, results: Results) -> Verdict:
-    """Whether a check holds.
-
-    A score of fewer seeds than the protocol's three is shown and decides nothing. Nor do scores
-    that are compared and none of which is `LEARNED` above chance: they are of agents that have not
-    learned what the level asks for. A check that is made for every row fails where one row fails
-    it, and holds where every row is known and holds.
-    """
-    match check:
-        case ScoreCheck():
-            return _judge_scores(check, results)
-        case CurvesCheck():
-            return _judge_curves(check, results)
-        case WindowCheck():
-            bounds = f"updates {updates_text(*check.window)}"
-            if not any(one.seeds for one in results.scores.values()):
-                return Verdict("not enough data", bounds, (), False)
-            used = updates_text(*results.window) if results.window else "another kind of window"
-            kept = results.window == check.window
-            return Verdict("holds" if kept else "fails", bounds, (used,), True)
-        case EffortCheck():
-            return _judge_effort(check, results)
-
-
-def together(outcomes: Sequence[Outcome]) -> Outcome:
-    """The outcome of several checks that all have to hold."""
-    if "fails" in outcomes:
-        return "fails"
-    return "not enough data" if "not enough data" in outcomes or not outcomes else "holds"
-
-
-def bounds_text(check: ScoreCheck) -> str:
-    """When a check of scores holds: `relative change at least +6 %`."""
-    low = _text(check.at_least, check.measure)
-    high = _text(check.at_most, check.measure)
-    if math.isinf(check.at_most):
-        bounds = f"at least {low}"
-    elif math.isinf(check.at_least):
-        bounds = f"at most {high}"
-    else:
-        bounds = f"{low} to {high}"
-    return f"{MEASURES[check.measure]} {bounds}".strip()
-
-
-def _judge_scores(check: ScoreCheck, results: Results) -> Verdict:
-    condition = check.score[0]
-    bounds = bounds_text(check)
-    if condition == EVERY:
-        chosen = [one for one in results.every if one not in check.without]
-        parts = [_judge_row(check, one, results) for one in chosen]
-        held = sum(outcome == "holds" for outcome, _ in parts)
-        failing = [f"not {text}" for outcome, text in parts if outcome == "fails"]
-        few = sum(outcome == "not enough data" and text != "" for outcome, text in parts)
-        short = f", {few} undecided" if few else ""
-        numbers = (f"{held} of {len(chosen)} rows hold{short}", *failing)
-        known = any(text for _, text in parts)
-        return Verdict(together([outcome for outcome, _ in parts]), bounds, numbers, known)
-    matching = {one for one, _ in results.scores if fnmatchcase(one, condition)}
-    parts = [_judge_row(check, one, results) for one in sorted(matching) or [condition]]
-    texts = tuple(text for _, text in parts if text)
-    return Verdict(together([outcome for outcome, _ in parts]), bounds, texts, bool(texts))
-
-
-def _judge_row(check: ScoreCheck, condition: str, results: Results) -> tuple[Outcome, str]:
-    """The outcome for one condition and the numbers behind it; no text where none is known."""
-    places: list[Place] = [(condition, check.score[1])]
-    if check.against is not None:
-        name, column = check.against
-        places.append((condition if name == EVERY else name, column))
-    if check.base is not None:
-        places.append(check.base)
-    known = {place: results.scores[place] for place in places if place in results.scores}
-    known = {place: score for place, score in known.items() if score.seeds}
-    texts = [
-        f"{results.titles.get(place[0], place[0])} {place[1]} {score.score:z.2f}"
-        + ("" if score.seeds >= PROTOCOL_SEEDS else f" ({score.seeds}/{PROTOCOL_SEEDS} seeds)")
-        for place, score in known.items()
-    ]
-    text = ", ".join(texts)
-    if len(known) < len(places):
-        return "not enough data", text
-    value = _measure(check.measure, [known[place].score for place in places])
-    if check.measure != "value":
-        text += f": {_text(value, check.measure)}"
-    if math.isnan(value) or any(score.seeds < PROTOCOL_SEEDS for score in known.values()):
-        return "not enough data", text
-    if check.measure != "value":
-        text += _over_seeds(check.measure, places, known)
-        if all(score.score < score.chance + LEARNED - ROUNDING for score in known.values()):
-            return "not enough data", f"{text}; none is {LEARNED} above chance"
-    inside = check.at_least - ROUNDING <= value <= check.at_most + ROUNDING
-    return "holds" if inside else "fails", text
-
-
-def _over_seeds(measure: Measure, places: Sequence[Place], known: Mapping[Place, Measured]) -> str:
-    """The least and largest value over all choices of a seed of each condition, in brackets;
-    nothing where scores of seeds are not known."""
-    conditions = dict.fromkeys(condition for condition, _ in places)
-    of_condition = {
-        condition: set.intersection(*(set(known[p].by_seed) for p in places if p[0] == condition))
-        for condition in conditions
-    }
-    values = []
-    for seeds in itertools.product(*of_condition.values()):
-        chosen = dict(zip(conditions, seeds, strict=True))
-        values.append(_measure(measure, [known[p].by_seed[chosen[p[0]]] for p in places]))
-    if not values or any(map(math.isnan, values)):
-        return ""
-    return f" (by seed {_text(min(values), measure)} to {_text(max(values), measure)})"
-
-
-def _measure(measure: Measure, scores: Sequence[float]) -> float:
-    """NaN where it would be a fraction of nothing, or of less."""
-    if measure == "value":
-        return scores[0]
-    score, against = scores[:2]
-    if measure == "difference":
-        return score - against
-    if measure == "change":
-        return score / against - 1 if against > 0 else math.nan
-    improvement = against - scores[2]
-    return (score - scores[2]) / improvement if improvement > 0 else math.nan
-
-
-def _text(value: float, measure: Measure) -> str:
-    if math.isnan(value):
-        return NONE
-    if measure in ("change", "share"):
-        return f"{100 * value:{'+' if measure == 'change' else ''}z.0f} %"
-    digits = 2 if math.isclose(value, round(value, 2), abs_tol=1e-9) else 3
-    return f"{value:{'+' if measure == 'difference' else ''}z.{digits}f}"
-
-
-def _judge_curves(check: CurvesCheck, results: Results) -> Verdict:
-    bounds = f"mean difference at most {check.at_most:g}"
-    places = [(condition, check.column) for condition in check.conditions]
-    known = [results.curves[place] for place in places if place in results.curves]
-    known = [(curve, seeds) for curve, seeds in known if len(curve)]
-    if len(known) < 2:
-        return Verdict("not enough data", bounds, (), bool(known))
-    (first, _), (second, _) = known
-    common = first.index.intersection(second.index)
-    common = common[common > 0]
-    if not len(common):
-        return Verdict("not enough data", bounds, ("no update in common",), True)
-    value = float((first[common] - second[common]).abs().mean())
-    names = " and ".join(results.titles.get(one, one) for one in check.conditions)
-    text = f"{names}, {check.column}: {value:.2f} over {len(common)} evaluations"
-    fewest = min(seeds for _, seeds in known)
-    if fewest < PROTOCOL_SEEDS:
-        return Verdict(
-            "not enough data", bounds, (f"{text} ({fewest}/{PROTOCOL_SEEDS} seeds)",), True
+def csv_claims(lines: Sequence[ClaimLine]) -> str:
+    """`claims.csv`: every line, whether there are scores for it or not."""
+    cells = [
+        (
+            line.claim.id,
+            line.claim.statement,
+            line.table,
+            line.bounds,
+            line.outcome,
+            line.numbers,
+            line.paper or "",
+            line.claim.note,
         )
-    return Verdict("holds" if value <= check.at_most else "fails", bounds, (text,), True)
-
-
-def _judge_effort(check: EffortCheck, results: Results) -> Verdict:
-    bounds = f"{check.seeds} seeds, {count_text(check.episodes)} episodes"
-    known = [one for one in results.scores.values() if one.seeds]
-    if not known:
-        return Verdict("not enough data", bounds, (), False)
-    seeds, episodes = min(one.seeds for one in known), min(one.episodes for one in known)
-    kept = seeds >= check.seeds and episodes >= check.episodes
-    fewest = f"fewest: {seeds} seed{'s' if seeds > 1 else ''}, {count_text(episodes)} episodes"
-    return Verdict("holds" if kept else "fails", bounds, (fewest,), True)
+        for line in lines
+    ]
+    return pd.DataFrame(cells, columns=list(CLAIM_COLUMNS)).to_csv(index=False, lineterminator="\n")

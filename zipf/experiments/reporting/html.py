@@ -28,7 +28,7 @@ from zipf.experiments.records.wording import (
 )
 from zipf.experiments.reporting import html_learning, html_situations
 from zipf.experiments.reporting.captions import caption, claims_caption, side_by_side_caption
-from zipf.experiments.reporting.claim_results import ClaimLine
+from zipf.experiments.reporting.claims import ClaimLine
 from zipf.experiments.reporting.differences import differences
 from zipf.experiments.reporting.frequencies import episodes_behind
 from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids

@@ -21,7 +21,7 @@ from zipf.experiments.records.wording import (
     score_text,
     seeds_text,
 )
-from zipf.experiments.reporting.claims import LEARNED
+from zipf.experiments.reporting.claim_checks import LEARNED
 from zipf.experiments.reporting.grids import Grid, Line
 from zipf.experiments.reporting.intervals import (
     FEWEST_SEEDS,
