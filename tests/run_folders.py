@@ -10,11 +10,12 @@ from typing import Any
 import pandas as pd
 import pytest
 import yaml
+from matplotlib.figure import Figure
 
 from zipf import envs, report
 from zipf.experiments.options import command_line, composing
 from zipf.experiments.records import checksums, results
-from zipf.experiments.reporting import tables, windows
+from zipf.experiments.reporting import draw_matplotlib, panels, tables, windows
 
 CHANCE = {"train": 0.0324, "uniform": 0.0477, "rare": 0.0859}
 EVALUATIONS = "update,frames,seconds,level_kind,level,episodes,score,success,return,length"
@@ -175,6 +176,13 @@ def only_table(folder: Path, window: str | None = None) -> tables.ScoreTable:
     chosen = windows.parse_window(window) if window else None
     (table,) = tables.score_tables(results.load_runs([folder]), chosen)
     return table
+
+
+def picture_of(table: tables.ScoreTable, kind: str) -> Figure:
+    """The picture of a table of one of `zipf.experiments.reporting.markdown.PLOT_KINDS`."""
+    described = panels.charts(table, panels.line_styles(table.rows))
+    drawn = (one for chart in described for one in draw_matplotlib.pictures(chart))
+    return next(figure for name, figure in drawn if name == kind)
 
 
 def line(table: tables.ScoreTable, row: str, column: str) -> pd.Series:

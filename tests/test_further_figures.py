@@ -7,45 +7,63 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
-from run_folders import SITUATIONS, constant, level, only_table, write_external, write_run
+from run_folders import (
+    SITUATIONS,
+    constant,
+    level,
+    only_table,
+    picture_of,
+    write_external,
+    write_run,
+)
 
-from zipf.experiments.reporting.average_figures import KIND_STYLES, averages
-from zipf.experiments.reporting.figures import learning_curves
-from zipf.experiments.reporting.frequency_figures import by_visits, frequencies
-from zipf.experiments.reporting.html_learning import axes_of
+from zipf.experiments.reporting.panels import (
+    KIND_STYLES,
+    ZERO,
+    Chart,
+    averages,
+    by_visits,
+    frequencies,
+    learning_curves,
+    line_styles,
+)
 from zipf.experiments.reporting.situations import shares
-from zipf.experiments.reporting.styles import line_styles
 from zipf.experiments.reporting.tables import ScoreTable
 
 
-def drawn(figure: Figure | None, panel: int = 0) -> list[list[list[float]]]:
-    """The points of each line of a panel that has several or a marker."""
-    assert figure is not None
-    figure.draw_without_rendering()
-    return [
-        np.asarray(one.get_xydata()).round(6).tolist()
-        for one in figure.axes[panel].lines
-        if len(np.asarray(one.get_xdata()))
-    ]
+def points(chart: Chart | None, panel: int = 0, choice: str = "") -> list[list[list[float]]]:
+    """The points of each line of a panel that has some."""
+    assert chart is not None
+    lines = [one for one in chart.panels[panel].lines if one.is_drawn(choice)]
+    return [np.column_stack([one.x[choice], one.y]).round(6).tolist() for one in lines]
 
 
-def curves(table: ScoreTable, *, in_hours: bool) -> Figure | None:
-    return learning_curves(table, line_styles(table.rows), in_hours=in_hours)
+def curves(table: ScoreTable) -> Chart:
+    chart = learning_curves(table, line_styles(table.rows))
+    assert chart is not None
+    return chart
 
 
 def test_scores_against_time_and_frames(tmp_path: Path) -> None:
     """An update takes 2.5 seconds in these runs and has 4096 frames."""
     write_run(tmp_path, {0: (0.1,) * 3, 240: (0.5,) * 3})
     table = only_table(tmp_path)
-    assert list(axes_of(table)) == ["update", "frames", "hours"]
-    minutes = curves(table, in_hours=True)
-    assert drawn(minutes)[0] == [[0.0, 0.1], [10.0, 0.5]]
-    assert minutes is not None
+    chart = curves(table)
+    assert {key: axis.title for key, axis in chart.panels[0].x.items()} == {
+        "update": "Updates",
+        "frames": "Frames",
+        "time": "Minutes of training and evaluation",
+    }
+    assert points(chart, choice="update")[0] == [[0.0, 0.1], [240.0, 0.5]]
+    assert points(chart, choice="frames")[0] == [[0.0, 0.1], [240.0 * 4096, 0.5]]
+    assert points(chart, choice="time")[0] == [[0.0, 0.1], [10.0, 0.5]]
+    minutes = picture_of(table, "hours")
+    np.testing.assert_array_equal(minutes.axes[0].lines[0].get_xdata(), [0, 10])
     assert minutes.axes[0].get_xlabel() == "Minutes of training and evaluation"
-    updates = curves(table, in_hours=False)
-    assert drawn(updates)[0] == [[0.0, 0.1], [240.0, 0.5]]
-    assert updates is not None
+    assert minutes.get_suptitle() == "gridworld: score against minutes"
+    updates = picture_of(table, "learning")
+    np.testing.assert_array_equal(updates.axes[0].lines[0].get_xdata(), [0, 240])
+    updates.draw_without_rendering()
     (above,) = updates.axes[0].child_axes
     assert above.get_xlabel() == "Frames"
     assert above.get_xlim() == pytest.approx([4096 * end for end in updates.axes[0].get_xlim()])
@@ -55,27 +73,27 @@ def test_times_on_different_devices_are_not_compared(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5))
     write_run(tmp_path, constant(0.5), seed=1, device="a GPU")
     table = only_table(tmp_path)
-    assert curves(table, in_hours=True) is None
-    assert curves(table, in_hours=False) is not None
-    assert "hours" not in axes_of(table)
+    assert [*curves(table).panels[0].x] == ["update", "frames"]
     (note,) = (note for note in table.notes if "times are not compared" in note)
     assert note.startswith("Runs were on cpu; a GPU: ")
 
 
 def test_a_run_that_went_on_elsewhere_was_on_both_devices(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5), resumed=[{"update": 100, "device": "a GPU"}])
-    assert curves(only_table(tmp_path), in_hours=True) is None
+    assert "time" not in curves(only_table(tmp_path)).panels[0].x
 
 
 def test_long_runs_are_drawn_in_hours_without_external_agents(tmp_path: Path) -> None:
     write_run(tmp_path, {0: (0.1,) * 3, 14400: (0.5,) * 3})
     write_external(tmp_path, {7: (0.3, 0.2, 0.1)})
-    hours = curves(only_table(tmp_path), in_hours=True)
-    assert drawn(hours)[0] == [[0.0, 0.1], [10.0, 0.5]]
-    assert hours is not None
+    table = only_table(tmp_path)
+    assert points(curves(table), choice="time")[0] == [[0.0, 0.1], [10.0, 0.5]]
+    hours = picture_of(table, "hours")
     assert hours.axes[0].get_xlabel() == "Hours of training and evaluation"
     texts = [text.get_text() for text in hours.legends[0].get_texts()]
     assert not any("†" in text for text in texts)
+    texts = [text.get_text() for text in picture_of(table, "learning").legends[0].get_texts()]
+    assert any("†" in text for text in texts)
 
 
 def test_averages_are_the_scores_of_the_table(tmp_path: Path) -> None:
@@ -83,14 +101,13 @@ def test_averages_are_the_scores_of_the_table(tmp_path: Path) -> None:
         scores = {update: (0.9, 0.6, rare) for update in (100, 200, 300)}
         write_run(tmp_path, scores, seed=seed)
     write_run(tmp_path, {}, condition="r2d2")  # without a score
-    figure = averages(only_table(tmp_path))
-    points = drawn(figure)
-    assert [[0.1, 0.0], [0.9, 0.0]] not in points  # the rare score is the median of the seeds
-    assert [[0.2, 0.0], [0.9, 0.0]] in points
-    assert [[0.1, 0.0], [0.4, 0.0]] in points  # lowest to highest seed
+    found = points(averages(only_table(tmp_path)))
+    assert [[0.1, 0.0], [0.9, 0.0]] not in found  # the rare score is the median of the seeds
+    assert [[0.2, 0.0], [0.9, 0.0]] in found
+    assert [[0.1, 0.0], [0.4, 0.0]] in found  # lowest to highest seed
     for place in (0.9, 0.6, 0.2):
-        assert [[place, 0.0]] in points
-    assert figure is not None
+        assert [[place, 0.0]] in found
+    figure = picture_of(only_table(tmp_path), "averages")
     names = [text.get_text() for text in figure.axes[0].get_yticklabels()]
     assert names == ["IMPALA", "Chance", "Blind"]
     assert averages(only_table(tmp_path, "1:2")) is None
@@ -102,8 +119,7 @@ def test_averages_explain_ranges_of_seeds_only_where_there_are_some(
 ) -> None:
     for seed in range(seeds):
         write_run(tmp_path, constant(0.1 * seed), seed=seed)
-    figure = averages(only_table(tmp_path))
-    assert figure is not None
+    figure = picture_of(only_table(tmp_path), "averages")
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert ("Lowest to highest seed" in texts) == (seeds > 1)
 
@@ -113,8 +129,7 @@ def test_long_titles_of_averages_have_room(tmp_path: Path) -> None:
     for number, title in enumerate(["A", "B" + 3 * options, "C" + 2 * options, "D", "E" + options]):
         row = {"title": title, "order": number, "colour": None, "line": "solid"}
         write_run(tmp_path, constant(0.5), condition=title[0], row=row)
-    figure = averages(only_table(tmp_path))
-    assert figure is not None
+    figure = picture_of(only_table(tmp_path), "averages")
     figure.draw_without_rendering()
     labels = figure.axes[0].get_yticklabels()
     assert max(label.get_text().count("\n") for label in labels) > 4
@@ -134,7 +149,7 @@ def test_frequencies_are_shares_of_episodes(tmp_path: Path) -> None:
     )
     write_run(tmp_path, constant(0.5), situations=rows)
     table = only_table(tmp_path)
-    found = drawn(frequencies(table))
+    found = points(frequencies(table))
     assert found[list(KIND_STYLES).index("train")] == [[1.0, 0.75], [2.0, 0.25]]
     assert found[list(KIND_STYLES).index("uniform")] == [[1.0, 0.5], [2.0, 0.5]]
 
@@ -171,9 +186,13 @@ def test_success_against_visits(tmp_path: Path) -> None:
     )
     write_run(tmp_path, constant(0.5), situations=rows)
     table = only_table(tmp_path)
-    figure = by_visits(table, line_styles(table.rows))
-    assert drawn(figure) == [[[0.0, 0.4], [2.0, 0.25], [50_000.0, 0.9]]]
-    assert figure is not None
+    chart = by_visits(table, line_styles(table.rows))
+    assert points(chart) == [[[ZERO, 0.4], [2.0, 0.25], [50_000.0, 0.9]]]
+    assert chart is not None
+    axis = chart.panels[0].x[""]
+    assert axis.ticks == ([ZERO, 1, 10, 100, 1000, 10_000], ["0", "1", "10", "100", "1k", "10k"])
+    assert chart.panels[0].lines[0].numbers == [[0, 5], [2, 4], [50_000, 10]]
+    figure = picture_of(table, "visits")
     assert [axis.get_title() for axis in figure.axes] == ["Situation", "Map", "Target"]
     figure.draw_without_rendering()
     for axis in figure.axes:

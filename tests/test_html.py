@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -16,10 +14,10 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from plotly import graph_objects as go
 from run_folders import (
     SITUATIONS,
     constant,
-    only_table,
     refusal,
     row_of,
     seal,
@@ -32,11 +30,7 @@ from zipf.errors import UserError
 from zipf.experiments.records import results, video_files
 from zipf.experiments.reporting import (
     differences,
-    frequencies,
     grids,
-    html_learning,
-    html_situations,
-    styles,
     tables,
 )
 from zipf.experiments.reporting.html import Cells, Section, Text, page, report_sections
@@ -52,7 +46,6 @@ ROWS = (
     "300,uniform,1,1,50,10,10.0",
     "300,rare,1,1,50,5,5.0",
 )
-METRICS = "update,frames,seconds,episode_length\n100,4000,250,40\n200,8000,500,\n300,12000,750,20\n"
 
 
 class Page(HTMLParser):
@@ -106,9 +99,7 @@ class Page(HTMLParser):
 def write_runs(root: Path) -> None:
     """Two conditions and an external agent, with situations and a failed seed."""
     write_run(root, {100: (0.1, 0.2, 0.3), 200: (0.4, 0.5, 0.6), 300: (0.7, 0.8, 0.9)})
-    other = write_run(root, constant(0.5), seed=1, situations=ROWS)
-    (other / "metrics.csv").write_text(METRICS)
-    seal(other)
+    write_run(root, constant(0.5), seed=1, situations=ROWS)
     write_run(
         root,
         constant(0.25),
@@ -233,12 +224,12 @@ def test_values_as_on_a_command_line(value: Any, text: str) -> None:
 
 
 def test_figures_have_the_data_of_the_runs(written: tuple[Path, str]) -> None:
-    root, text = written
+    _, text = written
     parsed = Page(text)
     assert sorted(parsed.data) == sorted(parsed.attributes("data-specification"))
-    table = only_table(root)
-    assert set(parsed.data) == {panel.name for panels in every_panel(table) for panel in panels}
-    curves = parsed.data["gridworld-learning-uniform"]
+    of_rows = [f"gridworld-{kind}-{k}" for kind in ("ranks", "frequency") for k in (0, 1)]
+    assert sorted(parsed.data) == sorted([*(f"gridworld-learning-{k}" for k in range(3)), *of_rows])
+    curves = parsed.data["gridworld-learning-1"]
     seed, other, median = (
         trace for trace in curves["data"] if trace["legendgroup"] == "row impala"
     )
@@ -249,62 +240,37 @@ def test_figures_have_the_data_of_the_runs(written: tuple[Path, str]) -> None:
     axes = curves["axes"]
     assert axes["update"]["x"][place] == [100, 200, 300]
     assert axes["frames"]["x"][place] == [409600, 819200, 1228800]
-    assert axes["hours"]["x"][place] == pytest.approx([250 / 3600, 500 / 3600, 750 / 3600])
+    assert axes["time"]["x"][place] == pytest.approx([250 / 60, 500 / 60, 750 / 60])
     assert axes["update"]["shapes"][0]["x0"] == 100
-    assert axes["hours"]["shapes"] == []
+    assert axes["time"]["shapes"] == []
     assert all(len(axis["x"]) == len(curves["data"]) for axis in axes.values())
-    # An external agent's updates are not ours.
-    assert parsed.data["gridworld-learning-rare"]["data"][0]["x"] == axes["frames"]["x"][0]
+    # An external agent's updates are not ours, and its time is not known.
+    rare = parsed.data["gridworld-learning-2"]
+    assert rare["data"][0]["x"] == rare["axes"]["frames"]["x"][0]
+    (external,) = (k for k, one in enumerate(rare["data"]) if one["name"].startswith("PPO"))
+    assert rare["axes"]["time"]["x"][external] == [None]
 
     success = parsed.data["gridworld-ranks-0"]["data"]
     (line,) = (trace for trace in success if trace.get("customdata"))
     assert (line["x"], line["y"], line["customdata"]) == ([0, 1], [0.8, 0.2], [50, 50])
+    (met,) = (
+        trace
+        for trace in parsed.data["gridworld-frequency-0"]["data"]
+        if trace["legendgroup"] == "train"
+    )
+    assert (met["x"], met["y"]) == ([1, 2], [0.9, 0.1])
 
 
-def every_panel(table: tables.ScoreTable) -> Iterator[list[Any]]:
-    drawn = styles.line_styles(table.rows)
-    yield html_learning.learning_curves(table, drawn)
-    yield html_situations.by_rank(table, drawn)
-    yield html_situations.frequencies(table)
-    yield html_situations.by_times_met(table, drawn)
+def test_plotly_knows_all_that_figures_say(written: tuple[Path, str], tmp_path: Path) -> None:
+    header = f"{SITUATIONS},visits,visits_map,visits_target"
+    write_run(tmp_path, constant(0.5), situations=(header, "300,uniform,1,1,50,10,10.0,0,3,50"))
+    for text in (written[1], made(tmp_path)):
+        for specification in Page(text).data.values():
+            figure = go.Figure(specification["data"], specification["layout"])  # raises ValueError
+            assert len(figure.data) == len(specification["data"])
 
 
-def test_the_times_that_situations_were_met_by_hand(tmp_path: Path) -> None:
-    """100, 100 and 200 episodes: where none ended, episodes are as long as on the line before."""
-    folder = write_run(tmp_path, constant(0.5), situations=ROWS)
-    (folder / "metrics.csv").write_text(METRICS)
-    seal(folder)
-    table = only_table(tmp_path)
-    (run,) = table.runs
-    assert frequencies.training_episodes(run, table) == 400
-    assert frequencies.rank_shares(table, "map").to_dict() == {
-        **dict.fromkeys(range(20), 0.0),
-        0: pytest.approx(0.9),
-        1: pytest.approx(0.1),
-    }
-    met = frequencies.times_met(table, "map")["impala"]
-    assert met[:2].tolist() == pytest.approx([360, 40])
-    (panel, _) = html_situations.by_times_met(table, styles.line_styles(table.rows))
-    (trace,) = panel.data
-    assert trace["x"] == pytest.approx([40, 360])
-    assert trace["y"] == [0.2, 0.8]
-    assert trace["customdata"] == [[1, pytest.approx(40)], [0, pytest.approx(360)]]
-    assert "ticktext" not in panel.layout["xaxis"]
-    assert "estimated" in html_situations.counting_text(table)
-
-
-def test_counted_visits_are_taken_where_there_are_any(tmp_path: Path) -> None:
-    write_run(tmp_path, constant(0.5), situations=ROWS)
-    table = only_table(tmp_path)
-    (run,) = table.runs
-    counted = run.situations.assign(visits_map=run.situations["map"].map({0: 1000, 1: 7}))
-    row = dataclasses.replace(table.rows[0], runs=(dataclasses.replace(run, situations=counted),))
-    changed = dataclasses.replace(table, rows=(row,))
-    met = frequencies.times_met(changed, "map")["impala"]
-    assert met.to_dict() == {0: 1000, 1: 7}
-
-
-def test_a_rank_that_training_never_met_is_at_0(tmp_path: Path) -> None:
+def test_a_situation_that_training_never_met_is_at_0(tmp_path: Path) -> None:
     header = f"{SITUATIONS},visits,visits_map,visits_target"
     rows = (
         header,
@@ -312,32 +278,15 @@ def test_a_rank_that_training_never_met_is_at_0(tmp_path: Path) -> None:
         "300,uniform,1,1,50,10,10.0,0,0,0",
     )
     write_run(tmp_path, constant(0.5), situations=rows)
-    table = only_table(tmp_path)
-    (panel, _) = html_situations.by_times_met(table, styles.line_styles(table.rows))
-    (trace,) = panel.data
-    assert (trace["x"], trace["y"]) == ([0.1, 2000], [0.2, 0.8])
-    assert trace["customdata"] == [[1, 0], [0, 2000]]
-    axis = panel.layout["xaxis"]
-    assert axis["tickvals"] == [0.1, 1, 10, 100, 1000, 10_000]
-    assert axis["ticktext"] == ["0", "1", "10", "100", "1k", "10k"]
-    assert html_situations.counting_text(table) == "counted in training."
-
-
-def test_levels_drawn_at_resets_are_as_frequent_as_their_weights(tmp_path: Path) -> None:
-    """They are all evaluated equally often."""
-    from run_folders import level
-
-    levels = [
-        level("train", "common", weight=3.0),
-        level("train", "seldom", weight=1.0),
-        level("uniform", "common"),
-        level("rare", "seldom"),
-    ]
-    header = "update,level_kind,level,episodes,successes,return_sum"
-    rows = (header, "300,train,0,50,5,5.0", "300,train,1,50,5,5.0")
-    write_run(tmp_path, constant(0.5, 4), levels=levels, situations=rows, situation={"level": 2})
-    shares = frequencies.rank_shares(only_table(tmp_path), "level")
-    assert shares.tolist() == pytest.approx([0.75, 0.25])
+    drawn = Page(made(tmp_path)).data["gridworld-visits-0"]
+    band, line = drawn["data"]
+    assert (line["x"], line["y"]) == ([0.1, 2000], [0.2, 0.8])
+    assert line["customdata"] == [[0, 50], [2000, 50]]
+    assert band["x"] == [0.1, 2000, 2000, 0.1]
+    axis = drawn["layout"]["xaxis"]
+    assert (axis["type"], axis["range"][0] < -1, axis["range"][1] > 3.3) == ("log", True, True)
+    assert axis["tickvals"] == [0.1, 1, 10, 100, 1000]
+    assert axis["ticktext"] == ["0", "1", "10", "100", "1k"]
 
 
 def test_levels_drawn_inside_one_train_level_are_as_frequent_as_they_were(tmp_path: Path) -> None:
@@ -345,8 +294,8 @@ def test_levels_drawn_inside_one_train_level_are_as_frequent_as_they_were(tmp_pa
     header = "update,level_kind,level,episodes,successes,return_sum"
     rows = (header, "300,train,0,60,5,5.0", "300,train,1,30,5,5.0", "300,train,2,10,5,5.0")
     write_run(tmp_path, constant(0.5), situations=rows, situation={"level": 3})
-    shares = frequencies.rank_shares(only_table(tmp_path), "level")
-    assert shares.tolist() == pytest.approx([0.6, 0.3, 0.1])
+    drawn = Page(made(tmp_path)).data["gridworld-frequency-0"]["data"]
+    assert drawn[0]["y"] == pytest.approx([0.6, 0.3, 0.1])
 
 
 def test_a_run_without_evaluations_has_a_page(tmp_path: Path) -> None:

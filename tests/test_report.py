@@ -43,8 +43,8 @@ from zipf.experiments.records import paper, results, wording
 from zipf.experiments.reporting import (
     captions,
     comparable,
-    figures,
     markdown,
+    panels,
     scores,
     statistics,
     tables,
@@ -392,7 +392,7 @@ def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:
     assert captions.caption(table).startswith(
         "Median over the evaluations at the updates in the column Window of the median seed, ±"
     )
-    assert figures.window_ends(table, "update") is None
+    assert panels.window_ends(table, "update") is None
 
 
 def test_where_all_runs_have_the_same_own_window_nothing_changes(runs: Path) -> None:

@@ -18,6 +18,7 @@ from run_folders import (
     constant,
     level,
     only_table,
+    picture_of,
     row_of,
     seal,
     write_external,
@@ -25,30 +26,23 @@ from run_folders import (
 )
 
 from zipf import report
-from zipf.experiments.reporting import markdown, situation_figures, statistics
-from zipf.experiments.reporting.figures import learning_curves
+from zipf.experiments.reporting import markdown, statistics
+from zipf.experiments.reporting.draw_matplotlib import STYLE
+from zipf.experiments.reporting.panels import COLOURS, LineStyle, line_styles
 from zipf.experiments.reporting.situations import (
     measure_of,
     rare_ranks,
     rates,
     reference_by_rank,
     reference_on_uniform,
+    spans,
 )
-from zipf.experiments.reporting.styles import COLOURS, STYLE, LineStyle, line_styles
 from zipf.experiments.reporting.tables import ScoreTable
 
 
 def drawn(table: ScoreTable) -> list[Figure]:
-    """All figures of a table with two ranks."""
-    styles = line_styles(table.rows)
-    figures = [
-        learning_curves(table, styles),
-        situation_figures.by_rank(table, styles),
-        situation_figures.by_situation(table),
-    ]
-    found = [figure for figure in figures if figure is not None]
-    assert len(found) == 3
-    return found
+    """The figures of learning curves, of ranks and of situations."""
+    return [picture_of(table, kind) for kind in ("learning", "ranks", "situations")]
 
 
 def legend(figure: Figure) -> list[str]:
@@ -142,8 +136,7 @@ def test_chance_is_drawn_where_it_has_the_same_unit(
     for reference in ("chance", "blind"):
         known = table.reference(reference)["uniform"] if drawn else None
         assert reference_on_uniform(table, "return", reference) == known
-    figure = situation_figures.by_rank(table, line_styles(table.rows))
-    assert figure is not None
+    figure = picture_of(table, "ranks")
     assert ("Chance (random actions), mean over ranks" in legend(figure)) == drawn
     assert ("Blind (neither reads nor looks), mean over ranks" in legend(figure)) == drawn
 
@@ -160,8 +153,7 @@ def test_chance_is_drawn_at_each_rank_where_it_is_known(tmp_path: Path) -> None:
     table = only_table(tmp_path)
     assert reference_by_rank(table, "success", "chance") == {"target": (0.1, 0.3)}
     assert reference_by_rank(table, "success", "blind") == {}
-    figure = situation_figures.by_rank(table, line_styles(table.rows))
-    assert figure is not None
+    figure = picture_of(table, "ranks")
     of_map, of_target = (axis.lines[-1] for axis in figure.axes)
     np.testing.assert_array_equal(of_map.get_ydata(), [0.2, 0.2])
     np.testing.assert_array_equal(of_target.get_xdata(), [0, 1])
@@ -190,9 +182,8 @@ def test_rare_ranks_are_those_of_the_rare_level_whichever_they_are(tmp_path: Pat
     write_run(tmp_path, constant(0.5), situations=rows, situation=sizes)
     table = only_table(tmp_path)
     assert rare_ranks(table, "map") == [1, 2, 3, 7]
-    assert situation_figures.spans([1, 2, 3, 7]) == [(1, 3), (7, 7)]
-    figure = situation_figures.by_rank(table, line_styles(table.rows))
-    assert figure is not None
+    assert spans([1, 2, 3, 7]) == [(1, 3), (7, 7)]
+    figure = picture_of(table, "ranks")
     shaded = [patch for patch in figure.axes[0].patches if isinstance(patch, Rectangle)]
     assert [(one.get_x(), one.get_width()) for one in shaded] == [(0.5, 3), (6.5, 1)]
 
@@ -220,8 +211,7 @@ def test_rows_of_other_budgets_are_drawn_against_frames(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5))
     path = write_run(tmp_path, constant(0.5), condition="r2d2") / "evaluations.csv"
     table = only_table(tmp_path)
-    figure = learning_curves(table, line_styles(table.rows))
-    assert figure is not None
+    figure = picture_of(table, "learning")
     assert figure.axes[0].get_xlabel() == "Updates"
     text = path.read_text()
     for update in (100, 200, 300):
@@ -229,8 +219,7 @@ def test_rows_of_other_budgets_are_drawn_against_frames(tmp_path: Path) -> None:
     path.write_text(text)
     seal(path.parent)
     table = only_table(tmp_path)
-    figure = learning_curves(table, line_styles(table.rows))
-    assert figure is not None
+    figure = picture_of(table, "learning")
     assert figure.axes[0].get_xlabel() == "Frames"
     np.testing.assert_array_equal(figure.axes[0].lines[1].get_xdata(), [102_400, 204_800, 307_200])
 
@@ -238,8 +227,7 @@ def test_rows_of_other_budgets_are_drawn_against_frames(tmp_path: Path) -> None:
 def test_few_updates_have_whole_ticks(tmp_path: Path) -> None:
     write_run(tmp_path, {0: (0.1, 0.1, 0.1), 1: (0.2, 0.2, 0.2)}, window=[0, 1], num_updates=1)
     table = only_table(tmp_path)
-    figure = learning_curves(table, line_styles(table.rows))
-    assert figure is not None
+    figure = picture_of(table, "learning")
     figure.draw_without_rendering()
     axis = figure.axes[0].xaxis
     ticks = [tick for tick in axis.get_ticklocs() if tick <= 1]
@@ -256,8 +244,7 @@ def test_a_curve_is_the_weighted_mean_of_levels(tmp_path: Path) -> None:
     scores = {100: (0.4, 0.8, 0.1, 0.1), 200: (0.8, 0.0, 0.1, 0.1)}
     write_run(tmp_path, scores, levels=levels)
     table = only_table(tmp_path)
-    figure = learning_curves(table, line_styles(table.rows))
-    assert figure is not None
+    figure = picture_of(table, "learning")
     curve = figure.axes[0].lines[0]
     np.testing.assert_allclose(curve.get_xdata(), [100, 200])
     np.testing.assert_allclose(curve.get_ydata(), [0.5, 0.6])
@@ -268,7 +255,7 @@ def test_an_external_agent_is_drawn_against_frames(tmp_path: Path) -> None:
     write_external(tmp_path, {3: (0.9, 0.9, 0.9), 7: (0.3, 0.2, 0.1)})
     table = only_table(tmp_path)
     with matplotlib.rc_context(STYLE):
-        figure = learning_curves(table, line_styles(table.rows))
+        figure = picture_of(table, "learning")
         assert_text_is_inside(figure)
     assert figure is not None
     axis = figure.axes[0]
@@ -284,8 +271,7 @@ def test_an_external_agent_is_drawn_against_frames(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace(",409600,", ",4096,"))
     seal(path.parent)
     table = only_table(tmp_path)
-    figure = learning_curves(table, line_styles(table.rows))
-    assert figure is not None
+    figure = picture_of(table, "learning")
     assert "Window of the table" not in legend(figure)
 
 
@@ -294,8 +280,7 @@ def test_the_median_of_seeds_that_were_recorded_at_other_frames(tmp_path: Path) 
         scores = {count * 10 + seed: (score,) * 3 for count in (1, 2, 3)}
         write_external(tmp_path, scores, seed=seed)
     table = only_table(tmp_path)
-    figure = learning_curves(table, line_styles(table.rows))
-    assert figure is not None
+    figure = picture_of(table, "learning")
     median = figure.axes[0].lines[0]
     np.testing.assert_array_equal(median.get_ydata(), [0.5] * 3)
     np.testing.assert_array_equal(median.get_xdata(), [11 * 4096, 21 * 4096, 31 * 4096])
@@ -313,17 +298,17 @@ def styles_of(root: Path, conditions: Sequence[str]) -> dict[str, LineStyle]:
 def test_a_condition_looks_the_same_in_any_company(tmp_path: Path) -> None:
     alone = styles_of(tmp_path / "alone", ["impala_mlp"])
     many = styles_of(tmp_path / "many", [*ROWS, "a", "b", "impala_mlp,agent.discount=0.9"])
-    assert alone["impala_mlp"] == many["impala_mlp"] == LineStyle(ROWS["impala_mlp"]["colour"], "-")
+    assert alone["impala_mlp"] == many["impala_mlp"] == LineStyle(ROWS["impala_mlp"]["colour"], ())
     assert len(set(many.values())) == len(many)
     # Those with no colour of their own get what is left.
-    assert many["a"].color in COLOURS
-    assert many["r2d2_uniform_replay"].linestyle == (0, (5, 1.5))
+    assert many["a"].colour in COLOURS
+    assert many["r2d2_uniform_replay"].dash == (5, 1.5)
 
 
 def test_a_row_without_a_colour_keeps_its_line(tmp_path: Path) -> None:
     row = row_of("mine") | {"line": "dashed"}
     write_run(tmp_path, constant(0.5), condition="mine", row=row)
-    assert line_styles(only_table(tmp_path).rows)["mine"] == LineStyle(COLOURS[0], (0, (5, 1.5)))
+    assert line_styles(only_table(tmp_path).rows)["mine"] == LineStyle(COLOURS[0], (5, 1.5))
 
 
 def test_more_rows_than_styles(tmp_path: Path) -> None:
@@ -359,15 +344,14 @@ def test_a_heat_map_makes_room_for_its_titles(tmp_path: Path, count: int) -> Non
             situation={"map": 5, "target": 5},
         )
     with matplotlib.rc_context(STYLE):
-        figure = situation_figures.by_situation(only_table(tmp_path))
+        figure = picture_of(only_table(tmp_path), "situations")
         assert_text_is_inside(figure)
     assert figure is not None
     panel = figure.axes[0].get_window_extent()
     assert 0.7 < panel.width / panel.height < 1.4
 
 
-def assert_text_is_inside(figure: Figure | None) -> None:
-    assert figure is not None
+def assert_text_is_inside(figure: Figure) -> None:
     figure.draw_without_rendering()
     inside = figure.get_tightbbox().padded(-0.01)
     assert inside.x0 >= 0

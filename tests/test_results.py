@@ -11,7 +11,7 @@ from zipf.experiments.building import run_folder
 from zipf.experiments.evaluation.evaluator import scores
 from zipf.experiments.evaluation.trained import evaluate_agent, load_agent
 from zipf.experiments.options import command_line
-from zipf.experiments.reporting import figures
+from zipf.experiments.reporting import draw_matplotlib
 from zipf.experiments.reporting.claims import CLAIM_COLUMNS
 from zipf.experiments.reporting.scores import CSV_COLUMNS
 from zipf.experiments.reporting.seed_statistics import STATISTICS_COLUMNS
@@ -31,7 +31,7 @@ def documented(heading: str) -> list[str]:
 
 def test_the_record_is_up_to_date(tmp_path, monkeypatch):
     monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(figures, "draw", lambda *_: {})  # the record has none
+    monkeypatch.setattr(draw_matplotlib, "draw", lambda *_: {})  # the record has none
     record = tmp_path / "RESULTS.md"
     report([Path("results")], output=tmp_path / "report", window="own", record=record)
     ours = (ROOT / "RESULTS.md").read_text().splitlines()

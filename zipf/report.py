@@ -77,7 +77,7 @@ def report(
     from rich.console import Console
 
     from zipf.experiments.records import results
-    from zipf.experiments.reporting import figures, latex, markdown, tables, terminal
+    from zipf.experiments.reporting import draw_matplotlib, latex, markdown, tables, terminal
     from zipf.experiments.reporting.claims import check_claims, csv_claims
     from zipf.experiments.reporting.seed_statistics import (
         csv_statistics,
@@ -108,7 +108,7 @@ def report(
     try:
         target.mkdir(parents=True, exist_ok=True)
         _remove_earlier_plots(target)
-        drawn = figures.draw(found, target, format)
+        drawn = draw_matplotlib.draw(found, target, format)
         texts = {
             target / "report.md": markdown.markdown_report(found, drawn, claims, statistics),
             target / "report.tex": latex.latex_report(found, statistics),

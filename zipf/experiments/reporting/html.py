@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -26,25 +26,23 @@ from zipf.experiments.records.wording import (
     duration_text,
     seeds_list,
 )
-from zipf.experiments.reporting import html_learning, html_situations
 from zipf.experiments.reporting.captions import caption, claims_caption, side_by_side_caption
 from zipf.experiments.reporting.claims import ClaimLine
 from zipf.experiments.reporting.differences import differences
-from zipf.experiments.reporting.frequencies import episodes_behind
+from zipf.experiments.reporting.draw_plotly import dash, specification
 from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
-from zipf.experiments.reporting.html_panels import LegendEntry, Panel, legend
 from zipf.experiments.reporting.markdown import (
     CLAIM_HEADER,
     RUN_COLUMNS,
     claim_cells,
     run_cells,
 )
+from zipf.experiments.reporting.panels import Chart, LineStyle, charts, legend, line_styles
 from zipf.experiments.reporting.seed_statistics import SeedStatistics, without_statistics
 from zipf.experiments.reporting.side_by_side import side_by_side
-from zipf.experiments.reporting.situation_figures import NAMES
-from zipf.experiments.reporting.situations import measure_of
-from zipf.experiments.reporting.styles import LineStyle, line_styles
 from zipf.experiments.reporting.tables import Row, ScoreTable
+
+SHOWN = ("learning", "ranks", "frequency", "visits")  # the figures of a page
 
 
 @dataclass(frozen=True)
@@ -93,16 +91,17 @@ class Figures:
 
     Attributes:
         name: unique in a page.
-        groups: a title, a caption and panels each.
-        legend: its lines; a reader can hide them one by one.
+        groups: a title, a caption and panels each; of a panel its name, unique in a page, what it
+            shows, for those who do not see it, and what is drawn.
+        legend: key, title, colour and dashes of its lines; a reader can hide them one by one.
         axes: the choices of the horizontal axis by their key; empty where there is none.
         axis: the one chosen first.
     """
 
     kind: ClassVar[str] = "figures"
     name: str
-    groups: Sequence[tuple[str, str, Sequence[Panel]]]
-    legend: Sequence[LegendEntry]
+    groups: Sequence[tuple[str, str, Sequence[tuple[str, str, Mapping[str, Any]]]]]
+    legend: Sequence[tuple[str, str, str, str]]
     axes: Mapping[str, str]
     axis: str
 
@@ -242,36 +241,26 @@ def cells_of(grid: Grid, title: str = "", folded: bool = False) -> Cells:
 
 
 def _figures(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Figures]:
-    measure = NAMES[measure_of(table)]
-    several = any(len(row.runs) > 1 for row in table.rows)
-    found = []
-    if curves := html_learning.learning_curves(table, styles):
-        text = "Thick: median over seeds; thin: each seed." if several else "One seed."
-        if any(panel.layout.get("shapes") for panel in curves):
-            text += " Shaded: the window of the table."
-        found.append(("Learning curves", text, curves))
-    if ranks := html_situations.by_rank(table, styles):
-        text = f"On the uniform levels. Band: {html_situations.band_text(table)}."
-        if any(panel.layout.get("shapes") for panel in ranks):
-            text += " Shaded: the ranks of the rare levels."
-        found.append((f"{measure} against rank", text, ranks))
-    if shares := html_situations.frequencies(table):
-        count = count_text(episodes_behind(table))
-        text = f"As met in {count} evaluation episodes on the train levels, over all runs here."
-        found.append(("Frequency of situations in training", text, shares))
-    if met := html_situations.by_times_met(table, styles):
-        text = (
-            f"A point is a rank: {measure.lower()} on the uniform levels against the training "
-            f"episodes at this rank until the last evaluation, "
-            f"{html_situations.counting_text(table)} Bars: "
-            f"{html_situations.band_text(table)}."
-        )
-        found.append((f"{measure} against the number of times met", text, met))
-    if not found:
+    known = {chart.kind: chart for chart in charts(table, styles) if isinstance(chart, Chart)}
+    shown = [known[kind] for kind in SHOWN if kind in known]
+    if not shown:
         return []
-    axes = html_learning.axes_of(table) if curves else {}
-    axis = html_learning.default_axis(table)
-    return [Figures(f"{table.name}-axis", found, legend(table, styles), axes, axis)]
+    groups = []
+    for chart in shown:
+        panels = [
+            (
+                f"{table.name}-{chart.kind}-{number}",
+                f"{table.title}: {chart.subject}, {panel.title}",
+                specification(panel, chart.choice),
+            )
+            for number, panel in enumerate(chart.panels)
+        ]
+        groups.append((f"{chart.subject[0].upper()}{chart.subject[1:]}", chart.note, panels))
+    lines = legend([panel for chart in shown for panel in chart.panels])
+    entries = [(line.key, line.title, line.colour, dash(line.dash)) for line in lines]
+    first = shown[0]
+    axes = {key: axis.title for key, axis in first.panels[0].x.items() if key}
+    return [Figures(f"{table.name}-axis", groups, entries, axes, first.choice)]
 
 
 def _differences(runs: Sequence[Run], title: str, with_experiment: bool) -> list[Block]:
