@@ -13,7 +13,7 @@ from zipf.experiments.options import composing
 from zipf.experiments.records.paper import paper_table
 from zipf.experiments.records.results import load_runs
 from zipf.experiments.records.wording import KIND_NAMES, NONE, count_text, score_text
-from zipf.experiments.reporting.rows import Row
+from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.seed_statistics import (
     bootstrap_of_situations,
     success_by_situation,

@@ -29,7 +29,7 @@ from zipf import report
 from zipf.errors import UserError
 from zipf.experiments.records import results, video_files
 from zipf.experiments.reporting import (
-    differences,
+    comparable,
     grids,
     tables,
 )
@@ -189,7 +189,7 @@ def test_every_run_is_described(written: tuple[Path, str]) -> None:
 
 def test_the_options_that_differ_are_listed_and_no_others(written: tuple[Path, str]) -> None:
     root, text = written
-    found = differences.differences(results.load_runs([root]))
+    found = comparable.differences(results.load_runs([root]))
     assert found.lines == (
         ("agent.learning_rate", ("0.001", "0.002")),
         ("agent.steps", ("–", "3")),
@@ -205,7 +205,7 @@ def test_an_option_that_older_runs_lack_differs_where_it_changes_something(tmp_p
     for seed, matcher in enumerate(("learned", "fixed"), 1):
         settings = f"network: {{name: matching, matcher: {matcher}}}\nlearning_rate_decay: null\n"
         write_run(tmp_path, constant(0.1), seed=seed, settings=settings)
-    found = differences.differences(results.load_runs([tmp_path]))
+    found = comparable.differences(results.load_runs([tmp_path]))
     assert found.lines == (("network.matcher", ("–", "fixed")),)
 
 
@@ -220,7 +220,7 @@ def test_an_option_that_older_runs_lack_differs_where_it_changes_something(tmp_p
     ],
 )
 def test_values_as_on_a_command_line(value: Any, text: str) -> None:
-    assert differences.value_text(value) == text
+    assert comparable.value_text(value) == text
 
 
 def test_figures_have_the_data_of_the_runs(written: tuple[Path, str]) -> None:

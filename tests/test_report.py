@@ -41,8 +41,8 @@ from zipf.errors import UserError
 from zipf.experiments.options import command_line
 from zipf.experiments.records import paper, results, wording
 from zipf.experiments.reporting import (
-    captions,
     comparable,
+    grids,
     markdown,
     panels,
     scores,
@@ -170,7 +170,7 @@ def test_the_caption_tells_how_many_episodes_of_any_run(tmp_path: Path) -> None:
     path = write_run(tmp_path, constant(0.5), seed=1) / "evaluations.csv"
     path.write_text(path.read_text().replace(",1000,", ",7,"))
     seal(path.parent)
-    assert "Episodes per estimate: 7 to 1,000." in captions.caption(only_table(tmp_path))
+    assert "Episodes per estimate: 7 to 1,000." in grids.caption(only_table(tmp_path))
 
 
 def test_rows_are_in_the_order_of_their_conditions(tmp_path: Path) -> None:
@@ -261,7 +261,7 @@ def test_the_last_evaluations_on_request(runs: Path) -> None:
     last = only_table(runs / "gridworld", "last")
     assert line(last, "impala_byol", "train")["score"] == 0.5
     assert line(last, "impala", "train")["score"] == pytest.approx(0.99)  # 0.99, 0.99, 0.91
-    assert captions.caption(last).startswith(
+    assert grids.caption(last).startswith(
         "The last evaluation of the median seed (not the experiment's own window), ± median"
     )
     last_two = only_table(runs / "gridworld", "last:2")
@@ -297,7 +297,7 @@ def test_a_given_window_includes_both_ends(runs: Path) -> None:
     table = only_table(runs / "gridworld", "40:80")
     assert line(table, "impala_byol", "train")["score"] == pytest.approx(0.45)
     assert line(table, "impala", "train")["seeds"] == 2  # seed 2 has nothing at update 50
-    assert captions.caption(table).startswith(
+    assert grids.caption(table).startswith(
         "Median over the evaluations at updates 40 to 80 of the median seed "
         "(not the experiment's own window), ± median"
     )
@@ -346,7 +346,7 @@ def test_a_scaled_window_has_the_same_fractions_of_a_shorter_run(tmp_path: Path)
         f"{folder.as_posix()}: ends at update 120, before update 300: scored over updates 80 to "
         f"120, a scaled window.",
     )
-    assert captions.caption(table).startswith(
+    assert grids.caption(table).startswith(
         "Median over the evaluations at 66.7 to 100 % of each run, which are the fractions of "
         "updates 200 to 300 of the median seed (not the experiment's own window)"
     )
@@ -389,7 +389,7 @@ def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:
     assert "| Condition | Seeds | Frames | Window |" in shown
     assert "| 100 to 300 |" in shown
     assert "| 50 to 100, 200 to 200 |" in shown
-    assert captions.caption(table).startswith(
+    assert grids.caption(table).startswith(
         "Median over the evaluations at the updates in the column Window of the median seed, ±"
     )
     assert panels.window_ends(table, "update") is None
@@ -553,7 +553,7 @@ def test_an_external_agent_is_a_marked_row_of_its_own(tmp_path: Path) -> None:
     assert np.isnan(external["paper_value"])
     assert table.notes == ()
     assert "†: recorded from outside this package and scored at its last evaluation." in (
-        captions.caption(table)
+        grids.caption(table)
     )
     for name in ("out/report.md", "RESULTS.md"):
         text = (tmp_path / name).read_text(encoding="utf-8")
@@ -597,7 +597,7 @@ def test_external_agents_alone_have_a_table(tmp_path: Path) -> None:
         write_external(tmp_path, scores, seed=seed, environment={"num_maps": 5})
     table = only_table(tmp_path, "1:2")
     assert line(table, "PPO †", "train")["score"] == 0.4
-    caption = captions.caption(table)
+    caption = grids.caption(table)
     assert caption.startswith("The last evaluation of the median seed, ± median absolute")
     assert "Updates reached" not in caption
     assert "Frames: 28,672." in caption

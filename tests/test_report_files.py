@@ -32,7 +32,7 @@ from run_folders import (
 from zipf import envs
 from zipf.errors import UserError
 from zipf.experiments.records import checksums, results
-from zipf.experiments.reporting import captions, markdown, tables
+from zipf.experiments.reporting import grids, markdown, tables
 
 
 def test_a_torn_last_line_is_left_out_and_noted(tmp_path: Path) -> None:
@@ -260,7 +260,7 @@ def test_a_run_without_evaluations_is_noted(tmp_path: Path) -> None:
     table = only_table(tmp_path)
     assert line(table, "impala", "train")["seeds"] == 1
     assert table.notes == (f"{folder.as_posix()}: no evaluation yet; not counted.",)
-    assert "Updates reached: 10 to 300; frames: 40,960 to 1,228,800." in captions.caption(table)
+    assert "Updates reached: 10 to 300; frames: 40,960 to 1,228,800." in grids.caption(table)
 
 
 def test_a_missing_level_is_noted(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from run_folders import (
 
 from zipf import envs, report
 from zipf.experiments.records import results
-from zipf.experiments.reporting import captions, markdown, statistics, tables
+from zipf.experiments.reporting import grids, markdown, statistics, tables
 
 PUTTING = envs.split("playroom_put")
 LIFTING = envs.split("playroom_lift")
@@ -70,10 +70,10 @@ def test_the_train_score_is_the_mean_over_train_levels(tmp_path: Path) -> None:
     assert train["score"] == pytest.approx(0.6)  # of 0.6, 0.4, 0.9
     assert train["episodes"] == 3000
     assert train["chance"] == pytest.approx(0.11)
-    assert "Episodes per estimate: 1,000." in captions.caption(table)
+    assert "Episodes per estimate: 1,000." in grids.caption(table)
     assert (
         "Chance: uniformly random actions, measured over 5,000 episodes of each level."
-        in captions.caption(table)
+        in grids.caption(table)
     )
     scores = table.group_scores.set_index("level")
     near, on = (level.name for level in PUTTING.train[1:])
@@ -400,7 +400,7 @@ def test_scores_in_different_units_do_not_share_a_table(tmp_path: Path) -> None:
 
 def test_the_caption_says_what_the_error_is(tmp_path: Path) -> None:
     write_tasks(tmp_path, np.random.default_rng(0), spread="tasks")
-    assert captions.caption(only_table(tmp_path)).startswith(
+    assert grids.caption(only_table(tmp_path)).startswith(
         "Median over the evaluations at updates 100 to 300 of the median seed for each level, then "
         "the weighted mean over the levels of a kind, ± standard error across these levels (tasks)."
     )

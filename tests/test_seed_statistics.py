@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from run_folders import SITUATIONS, constant, only_table, write_external, write_run
 
-from zipf.experiments.reporting import intervals, latex, markdown, seed_statistics
+from zipf.experiments.reporting import latex, markdown, seed_statistics, statistics
 from zipf.experiments.reporting.html import Text, report_sections
 from zipf.experiments.reporting.situations import rates_by_visits, shares
 
@@ -45,27 +45,27 @@ def better(scores: np.ndarray, others: np.ndarray) -> float:
 @pytest.mark.parametrize("levels", [1, 4])
 def test_the_interquartile_mean_against_an_oracle(levels: int) -> None:
     scores = np.random.default_rng(levels).normal(size=(5, levels))
-    found = intervals.interquartile_mean(scores)
+    found = statistics.interquartile_mean(scores)
     assert found.value == pytest.approx(middle(scores))
     low, high = np.quantile([middle(one) for one in draws(scores, 4000)], [0.025, 0.975])
     # Both ends are quantiles of a few thousand draws.
     assert (found.low, found.high) == pytest.approx((low, high), abs=0.12)
     assert found.low < found.value < found.high
-    assert intervals.interquartile_mean(scores) == found
+    assert statistics.interquartile_mean(scores) == found
 
 
 def test_the_interquartile_mean_leaves_a_quarter_out_at_either_end() -> None:
     scores = np.array([[0.0, 100.0], [1.0, 2.0], [3.0, 4.0], [5.0, -50.0]])
-    assert intervals.interquartile_mean(scores).value == pytest.approx((1 + 2 + 3 + 4) / 4)
+    assert statistics.interquartile_mean(scores).value == pytest.approx((1 + 2 + 3 + 4) / 4)
 
 
 @pytest.mark.parametrize("levels", [1, 3])
 def test_the_probability_of_improvement_against_an_oracle(levels: int) -> None:
     rng = np.random.default_rng(levels)
     scores, others = rng.integers(0, 5, (4, levels)) / 1.0, rng.integers(0, 4, (3, levels)) / 1.0
-    found = intervals.improvement(scores, others)
+    found = statistics.improvement(scores, others)
     assert found.value == pytest.approx(better(scores, others))
-    assert intervals.improvement(others, scores).value == pytest.approx(1 - found.value)
+    assert statistics.improvement(others, scores).value == pytest.approx(1 - found.value)
     drawn = zip(draws(scores, 3000), draws(others[::-1], 3000), strict=True)
     low, high = np.quantile([better(*one) for one in drawn], [0.025, 0.975])
     assert (found.low, found.high) == pytest.approx((low, high), abs=0.09)
@@ -73,13 +73,13 @@ def test_the_probability_of_improvement_against_an_oracle(levels: int) -> None:
 
 def test_known_probabilities_of_improvement() -> None:
     low, high = np.array([[0.1], [0.2]]), np.array([[0.3], [0.4]])
-    assert intervals.improvement(high, low) == intervals.Interval(1.0, 1.0, 1.0)
-    assert intervals.improvement(low, low).value == 0.5
+    assert statistics.improvement(high, low) == statistics.Interval(1.0, 1.0, 1.0)
+    assert statistics.improvement(low, low).value == 0.5
     for few in (np.zeros((1, 2)), np.zeros((0, 2))):
         with pytest.raises(ValueError, match="needs 2 seeds"):
-            intervals.improvement(few, few)
+            statistics.improvement(few, few)
         with pytest.raises(ValueError, match="needs 2 seeds"):
-            intervals.interquartile_mean(few)
+            statistics.interquartile_mean(few)
 
 
 def shown(folder: Path) -> str:

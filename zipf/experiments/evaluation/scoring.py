@@ -10,7 +10,6 @@ from typing import Any, Literal, overload
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy import stats
 
 from zipf import envs
 from zipf.envs.arguments import whole
@@ -24,10 +23,9 @@ from zipf.experiments.evaluation.evaluator import (
     situations,
 )
 from zipf.experiments.evaluation.policies import as_policy, own_torch_draws
-from zipf.experiments.reporting.statistics import wilson_interval
+from zipf.experiments.reporting.statistics import RESAMPLES, bootstrap, wilson_interval
 
 FEWEST_MET = 5  # times, on average, that a situation is met where situations are drawn
-RESAMPLES = 2000  # of the bootstrap: percentiles that repeat to about a tenth of the width
 
 NOT_GEOMETRY = {"autoreset_mode", "copy", "render_mode"}
 
@@ -354,11 +352,5 @@ def _bootstrap(returns: NDArray) -> tuple[float, float]:
     """The interval of the mean of any numbers [n]; always the same for the same numbers."""
     if len(returns) < 2:
         return np.nan, np.nan
-    found = stats.bootstrap(
-        (returns,),
-        np.mean,
-        n_resamples=RESAMPLES,
-        method="percentile",
-        rng=np.random.default_rng(0),
-    ).confidence_interval
-    return float(found.low), float(found.high)
+    found = bootstrap(np.mean, [returns])
+    return found.low, found.high

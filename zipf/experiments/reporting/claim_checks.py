@@ -13,7 +13,7 @@ import pandas as pd
 
 from zipf.experiments.records.paper import paper_table
 from zipf.experiments.records.wording import NONE, PROTOCOL_SEEDS, count_text, updates_text
-from zipf.experiments.reporting.rows import Row
+from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.scores import seed_means
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import UpdateWindow

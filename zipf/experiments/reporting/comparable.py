@@ -1,4 +1,4 @@
-"""Which runs share a table.
+"""Which runs share a table, and which of them a row; in which options runs differ.
 
 Runs are pooled only if they can be compared: same experiment, worlds, window and published
 counterpart. Others of the same experiment get a table of their own, whose title says what differs.
@@ -19,9 +19,117 @@ from typing import Any
 from zipf.errors import UserError
 from zipf.experiments.records.paper import PaperTable, paper_table
 from zipf.experiments.records.results import Run
-from zipf.experiments.reporting.differences import differences
+from zipf.experiments.records.wording import EXTERNAL_MARK, NONE
 from zipf.experiments.reporting.windows import Asked, used_window
 from zipf.protocol import PAPER_KINDS
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A row of a table: the runs of a condition, or of an external agent.
+
+    Attributes:
+        key: unique among the rows of a report.
+        title: as tables and plots show it; an external agent's ends in a mark.
+        external: whether it was recorded from outside this package.
+        colour: as #rrggbb; None if it is to be assigned.
+        line: "solid" or "dashed".
+        runs: its seeds.
+    """
+
+    key: str
+    title: str
+    external: bool
+    colour: str | None
+    line: str
+    runs: tuple[Run, ...]
+
+    @property
+    def condition(self) -> str:
+        """The condition's name, or the external agent's."""
+        return self.runs[0].description.condition
+
+
+@dataclass(frozen=True)
+class PaperRow:
+    """A row of one of the paper's tables of which there is no run.
+
+    Attributes:
+        key: unique among the rows of a report: the condition.
+        title: as tables show it.
+    """
+
+    key: str
+    title: str
+
+
+def rows_of(runs: Sequence[Run]) -> tuple[Row, ...]:
+    """The rows of a table of these runs, in their order."""
+    by_key: dict[str, list[Run]] = {}
+    for run in sorted(runs, key=lambda run: run.description.row_order):
+        by_key.setdefault(run.description.row_key, []).append(run)
+    rows = []
+    for key, of_row in by_key.items():
+        description = of_row[0].description
+        external = description.external is not None
+        rows.append(
+            Row(
+                key=key,
+                title=description.row.title + (f" {EXTERNAL_MARK}" if external else ""),
+                external=external,
+                colour=description.row.colour,
+                line=description.row.line,
+                runs=tuple(of_row),
+            )
+        )
+    return tuple(rows)
+
+
+@dataclass(frozen=True)
+class Differences:
+    """The options in which runs differ.
+
+    Attributes:
+        columns: for each set of options that several runs may share, its runs.
+        lines: for each option that differs its name and its value in every column, those of a
+            group together.
+    """
+
+    columns: tuple[tuple[Run, ...], ...]
+    lines: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def differences(runs: Sequence[Run]) -> Differences:
+    """The options in which these runs differ, without those that cannot change what is learned.
+
+    External agents, which have no options, are left out.
+    """
+    shared: dict[str, list[Run]] = {}
+    for run in runs:
+        if not run.description.external:
+            shared.setdefault(json.dumps(run.settings, sort_keys=True, default=str), []).append(run)
+    columns = tuple(tuple(of_column) for of_column in shared.values())
+    names = list(dict.fromkeys(name for column in columns for name in column[0].settings))
+    groups = list(dict.fromkeys(name.split(".")[0] for name in names))
+    lines = []
+    for name in sorted(names, key=lambda name: groups.index(name.split(".")[0])):
+        texts = tuple(_text(column[0], name) for column in columns)
+        if len(set(texts)) > 1:
+            lines.append((name, texts))
+    return Differences(columns, tuple(lines))
+
+
+def _text(run: Run, name: str) -> str:
+    return value_text(run.settings[name]) if name in run.settings else NONE
+
+
+def value_text(value: Any) -> str:
+    """An option's value as a command line has it."""
+    if isinstance(value, bool) or value is None:
+        return json.dumps(value)
+    if isinstance(value, list | tuple):
+        return f"[{','.join(value_text(item) for item in value)}]"
+    return str(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +238,7 @@ def _identity(run: Run, window: Asked | None) -> dict[str, Any]:
 
 
 def _key(run: Run, window: Asked | None) -> str:
-    return _text([run.description.experiment, _identity(run, window)])
+    return _json([run.description.experiment, _identity(run, window)])
 
 
 def _with_numbers(text: str) -> list[str | float]:
@@ -139,7 +247,7 @@ def _with_numbers(text: str) -> list[str | float]:
     return [float(part) if place % 2 else part for place, part in enumerate(parts)]
 
 
-def _text(value: Any) -> str:
+def _json(value: Any) -> str:
     return json.dumps(value, sort_keys=True)
 
 
@@ -172,7 +280,7 @@ def _differing(names: Sequence[str], siblings: Sequence[dict[str, Any]]) -> list
 
 def _tell_apart(names: Sequence[str], siblings: Sequence[dict[str, Any]]) -> bool:
     """Whether no two have the same values of all these names."""
-    values = {_text([sibling.get(name) for name in names]) for sibling in siblings}
+    values = {_json([sibling.get(name) for name in names]) for sibling in siblings}
     return len(values) == len(siblings)
 
 

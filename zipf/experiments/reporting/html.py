@@ -26,11 +26,18 @@ from zipf.experiments.records.wording import (
     duration_text,
     seeds_list,
 )
-from zipf.experiments.reporting.captions import caption, claims_caption, side_by_side_caption
 from zipf.experiments.reporting.claims import ClaimLine
-from zipf.experiments.reporting.differences import differences
+from zipf.experiments.reporting.comparable import differences
 from zipf.experiments.reporting.draw_plotly import dash, specification
-from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
+from zipf.experiments.reporting.grids import (
+    Grid,
+    caption,
+    claims_caption,
+    lower_grids,
+    main_grid,
+    side_by_side_caption,
+    side_by_side_grids,
+)
 from zipf.experiments.reporting.markdown import (
     CLAIM_HEADER,
     RUN_COLUMNS,

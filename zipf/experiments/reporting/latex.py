@@ -6,8 +6,14 @@ import re
 import textwrap
 from collections.abc import Sequence
 
-from zipf.experiments.reporting.captions import caption, side_by_side_caption
-from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
+from zipf.experiments.reporting.grids import (
+    Grid,
+    caption,
+    lower_grids,
+    main_grid,
+    side_by_side_caption,
+    side_by_side_grids,
+)
 from zipf.experiments.reporting.seed_statistics import SeedStatistics
 from zipf.experiments.reporting.side_by_side import side_by_side
 from zipf.experiments.reporting.tables import ScoreTable

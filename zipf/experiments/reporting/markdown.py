@@ -11,10 +11,17 @@ from pathlib import Path
 
 from zipf.experiments.records.results import Run
 from zipf.experiments.records.wording import NONE, PLOT_FORMATS, count_text, duration_text
-from zipf.experiments.reporting.captions import caption, claims_caption, side_by_side_caption
 from zipf.experiments.reporting.claims import ClaimLine
-from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
-from zipf.experiments.reporting.rows import Row
+from zipf.experiments.reporting.comparable import Row
+from zipf.experiments.reporting.grids import (
+    Grid,
+    caption,
+    claims_caption,
+    lower_grids,
+    main_grid,
+    side_by_side_caption,
+    side_by_side_grids,
+)
 from zipf.experiments.reporting.seed_statistics import SeedStatistics, without_statistics
 from zipf.experiments.reporting.side_by_side import SideBySide, side_by_side
 from zipf.experiments.reporting.tables import ScoreTable

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from zipf.experiments.records.descriptions import LevelGroup
 from zipf.experiments.records.results import Run, aligned, devices_of
 from zipf.experiments.records.wording import KIND_NAMES, spoken
-from zipf.experiments.reporting.rows import Row
+from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.scores import seed_means
 from zipf.experiments.reporting.situations import (
     Measure,

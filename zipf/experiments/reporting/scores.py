@@ -32,7 +32,7 @@ import pandas as pd
 from zipf.experiments.records.descriptions import LevelGroup, ReferenceDescription
 from zipf.experiments.records.paper import PaperTable
 from zipf.experiments.records.results import Run
-from zipf.experiments.reporting.rows import Row
+from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.statistics import (
     median_absolute_deviation,
     standard_error,

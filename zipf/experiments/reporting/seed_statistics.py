@@ -22,8 +22,9 @@ from zipf.experiments.records.wording import (
     seeds_text,
 )
 from zipf.experiments.reporting.claim_checks import LEARNED
+from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.grids import Grid, Line
-from zipf.experiments.reporting.intervals import (
+from zipf.experiments.reporting.statistics import (
     FEWEST_SEEDS,
     RESAMPLES,
     SEED,
@@ -31,7 +32,6 @@ from zipf.experiments.reporting.intervals import (
     improvement,
     interquartile_mean,
 )
-from zipf.experiments.reporting.rows import Row
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside, situations_inside
 

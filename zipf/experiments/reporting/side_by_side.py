@@ -15,7 +15,7 @@ from zipf.experiments.records.paper import (
     paper_table,
     paper_titles,
 )
-from zipf.experiments.reporting.rows import PaperRow, Row
+from zipf.experiments.reporting.comparable import PaperRow, Row
 from zipf.experiments.reporting.scores import other_statistic
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.protocol import KINDS, REFERENCE_NAMES

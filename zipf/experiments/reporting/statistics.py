@@ -1,10 +1,21 @@
-"""Statistics of tables and figures: functions of numbers, with no notion of runs."""
+"""Statistics of tables and figures: functions of numbers, with no notion of runs.
+
+Those of a few seeds have their uncertainty (Agarwal et al. 2021, "Deep reinforcement learning at
+the edge of the statistical precipice", NeurIPS): scores are a matrix [seeds, levels], and an
+interval is the percentile interval of a stratified bootstrap, which draws seeds with replacement
+for each level by itself.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 
 Z_95 = 1.959964  # 97.5 % quantile of the normal distribution
 
@@ -51,3 +62,82 @@ def wilson_interval(successes: pd.Series, episodes: pd.Series) -> tuple[pd.Serie
         * np.sqrt(rate * (1 - rate) / episodes + Z_95**2 / (4 * episodes**2))
     )
     return (centre - half).clip(lower=0), (centre + half).clip(upper=1)
+
+
+FEWEST_SEEDS = 2  # one has no spread
+RESAMPLES = 2000  # of the authors' 50,000: ends of intervals are shown with two decimals
+SEED = 0  # the same scores give the same interval
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and the ends of its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def interquartile_mean(scores: NDArray[np.float64]) -> Interval:
+    """The mean of the middle half of all scores [seeds, levels], every level alike.
+
+    A quarter of the scores, rounded down, is left out at either end: of fewer than four, none is.
+
+    Raises:
+        ValueError: fewer than two seeds.
+    """
+    return bootstrap(_middle, [*scores.T])
+
+
+def improvement(scores: NDArray[np.float64], others: NDArray[np.float64]) -> Interval:
+    """The probability that a seed of `scores` [seeds, levels] is better than one of `others`
+    [other seeds, levels] on a level drawn at random; a tie counts half.
+
+    Raises:
+        ValueError: fewer than two seeds of either, or not as many levels.
+    """
+    if scores.shape[1] != others.shape[1]:
+        raise ValueError(f"{scores.shape[1]} levels against {others.shape[1]}")
+    return bootstrap(_better, [*scores.T, *others.T])
+
+
+def _middle(*levels: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    return stats.trim_mean(np.concatenate(levels, axis), 0.25, axis)
+
+
+def _better(*levels: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """The first half of `levels` against the second; seeds are on the last axis."""
+    assert axis == -1
+    half = len(levels) // 2
+    of_levels = []
+    for mine, theirs in zip(levels[:half], levels[half:], strict=True):
+        difference = np.sign(mine[..., :, None] - theirs[..., None, :])
+        of_levels.append(0.5 + 0.5 * difference.mean((-2, -1)))
+    return np.mean(of_levels, axis=0)
+
+
+def bootstrap(
+    statistic: Callable[..., NDArray[np.float64]], samples: list[NDArray[np.float64]]
+) -> Interval:
+    """A statistic of several samples [n] and its percentile interval; the same for the same
+    numbers.
+
+    Args:
+        statistic: of arrays as arguments, along `axis`.
+
+    Raises:
+        ValueError: fewer than two of a sample.
+    """
+    if min(len(sample) for sample in samples) < FEWEST_SEEDS:
+        raise ValueError(f"an interval needs {FEWEST_SEEDS} seeds")
+    drawn: Any = stats.bootstrap(
+        samples,
+        statistic,
+        n_resamples=RESAMPLES,
+        method="percentile",
+        vectorized=True,
+        axis=-1,
+        rng=np.random.default_rng(SEED),
+    )
+    ends = drawn.confidence_interval
+    return Interval(float(statistic(*samples, axis=-1)), float(ends.low), float(ends.high))

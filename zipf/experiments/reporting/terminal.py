@@ -9,10 +9,17 @@ from rich.markup import escape
 from rich.table import Table
 
 from zipf.experiments.records.wording import KIND_NAMES, NONE
-from zipf.experiments.reporting.captions import caption, claims_caption, side_by_side_caption
 from zipf.experiments.reporting.claim_checks import Outcome
 from zipf.experiments.reporting.claims import ClaimLine
-from zipf.experiments.reporting.grids import Grid, lower_grids, main_grid, side_by_side_grids
+from zipf.experiments.reporting.grids import (
+    Grid,
+    caption,
+    claims_caption,
+    lower_grids,
+    main_grid,
+    side_by_side_caption,
+    side_by_side_grids,
+)
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
 
