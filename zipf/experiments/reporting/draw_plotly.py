@@ -75,7 +75,7 @@ def _traces(line: Line) -> Iterator[tuple[dict[str, Any], dict[str, list[Any]]]]
     for member in line.members:
         yield from _traces(member)
     common = {"type": "scatter", "name": plain(line.title), "legendgroup": line.key}
-    stroke = {"color": line.colour, "dash": dash(line.dash), "width": 1.1 * line.width}
+    stroke = {"color": line.colour, "dash": dash(line.dash), "width": round(1.1 * line.width, 1)}
     if line.low is not None and line.high is not None and not line.members:
         low, high = (
             pd.Series(line.low).reset_index(drop=True),

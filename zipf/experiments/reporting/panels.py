@@ -634,7 +634,7 @@ def _reference_line(name: str, x: Mapping[str, Numbers], y: Numbers, addition: s
     """The line of a player that does not learn."""
     (one,) = (one for one in REFERENCES if one.name == name)
     title = f"{one.title} ({one.hint}){addition}"
-    hover = f"{one.title}: %{{y:.3f}}"
+    hover = f"{one.title}: %{{y:.3f}}<extra></extra>"
     return Line(x, y, key=name, title=title, behind=True, hover=hover, **REFERENCE_LINES[name])
 
 
