@@ -297,7 +297,10 @@ MISTAKES = [
         ["experiment=demo", "evaluation.num_envs=1000000000", "evaluation.episodes=1000000000"],
         ["evaluation.num_envs=1000000000", "TB of RAM"],
     ),
-    (["experiment=demo", "environment.num_maps=1000000000"], ["num_maps must be at most 10000"]),
+    (
+        ["experiment=demo", "environment.num_maps=1000000000"],
+        ["environment.num_maps=1000000000", "less than or equal to 10000"],
+    ),
     (["experiment=demo", "environment.max_steps=99999999999999999999"], ["max_steps must be at"]),
     (["experiment=demo", "schedule.window=3"], ["schedule.window=3: should be a list in square"]),
     (

@@ -1,16 +1,15 @@
 """The looks of the playroom: shadows below its objects, and what varies from episode to episode."""
 
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
 from playroom_worlds import TRAY, act, arrange, look_at, playroom
 
 from zipf.envs import reference
-from zipf.envs.playroom import PlayroomOptions
 from zipf.envs.playroom.constants import FURNITURE_SIZE
 from zipf.envs.playroom.state import PITCH, Z
-from zipf.envs.playroom.varied_looks import LOOKS, SMALLEST, VARIED_FLOORS, VARIED_WALLS
+from zipf.envs.playroom.varied_looks import SMALLEST, VARIED_FLOORS, VARIED_WALLS
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 LEVEL = "put/put_on_bed_tray_all"
@@ -90,14 +89,12 @@ def test_chance_does_not_depend_on_looks() -> None:
     assert reference("chance", name, looks="varied", max_steps=900) == reference("chance", name)
 
 
-def test_the_options_name_all_looks() -> None:
-    assert get_args(PlayroomOptions.model_fields["looks"].annotation) == LOOKS
-
-
 @pytest.mark.parametrize("level", ["lift/lift_shape_zipf3", LEVEL, "supervised/find_shape_uniform"])
 def test_looks_change_the_images_and_nothing_else(level: str) -> None:
     options: dict[str, Any] = {"image_size": (18, 24), "max_steps": 25}
-    plain, varied = (PlayroomVectorEnv(5, level, looks=looks, **options) for looks in LOOKS)
+    plain, varied = (
+        PlayroomVectorEnv(5, level, looks=looks, **options) for looks in ("plain", "varied")
+    )
     results = [env.reset(seed=3) for env in (plain, varied)]
     rng = np.random.default_rng(0)
     different = 0

@@ -17,16 +17,16 @@ from pydantic import Field
 
 import zipf.envs
 from zipf.envs import EngineError, Family, Split, SplitLevel, ZipfVectorEnv
-from zipf.envs.arguments import pair, whole
+from zipf.envs.arguments import ImageSize, checked
 from zipf.envs.gymnasium.replayed import Outcome, ReplayedVectorEnv
-from zipf.envs.labyrinth.actions import Action, action_table
+from zipf.envs.labyrinth import Repeat
+from zipf.envs.labyrinth.actions import TABLES, Action
 from zipf.envs.labyrinth.benchmark import SPLITS
 from zipf.envs.labyrinth.levels import LEVELS, by_name
 from zipf.envs.labyrinth.state import FRAMES_PER_SECOND
-from zipf.envs.labyrinth.vector import MOST_PIXELS, MOST_REPEAT
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.vector import Observation
-from zipf.options import Options
+from zipf.options import Options, Size
 
 FOLDER = "contributed/dmlab30"
 """Folder of the levels' scripts in DeepMind Lab."""
@@ -76,6 +76,15 @@ class Labs:
         return {"_open": [None] * len(self._open)}
 
 
+class DmlabOptions(Options):
+    """Constructor options: those of the labyrinth, with its values."""
+
+    image_size: ImageSize = Field(default=[72, 96])
+    num_actions: Literal[15, 9] = 15
+    action_repeat: Repeat = 4
+    max_steps: Size | None = None
+
+
 class DmlabVectorEnv(ReplayedVectorEnv):
     """`N` worlds of a task in DeepMind Lab, with the interface of `LabyrinthVectorEnv`.
 
@@ -100,11 +109,9 @@ class DmlabVectorEnv(ReplayedVectorEnv):
     Args:
         num_envs: number of worlds N.
         level: a name of `zipf.envs.labyrinth.levels.LEVELS`.
-        image_size: height and width.
-        num_actions, action_repeat: see `LabyrinthEnv`.
-        max_steps: an episode is truncated after so many steps, if the level does not end before.
         autoreset_mode, copy: see `ZipfVectorEnv`.
         render_mode: "rgb_array", the image four times as large, or None.
+        options: of `DmlabOptions`, see `LabyrinthEnv`.
 
     Raises:
         ValueError: for an unknown level, options out of range, or without `deepmind_lab`.
@@ -119,20 +126,18 @@ class DmlabVectorEnv(ReplayedVectorEnv):
         num_envs: int = 1,
         level: str = "explore_goal_locations_small",
         *,
-        image_size: Sequence[int] = (72, 96),
-        num_actions: int = 15,
-        action_repeat: int = 4,
-        max_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
         self.level = by_name(level)
-        self._height, self._width = pair("image_size", image_size, MOST_PIXELS)
-        table = action_table(num_actions)
-        self.action_repeat = whole("action_repeat", action_repeat, 1, MOST_REPEAT)
+        chosen = checked(DmlabOptions, options)
+        self._height, self._width = chosen.image_size
+        table = TABLES[chosen.num_actions]
+        self.action_repeat = chosen.action_repeat
         self.metadata = {**self.metadata, "render_fps": FRAMES_PER_SECOND / self.action_repeat}
-        self.max_steps = None if max_steps is None else whole("max_steps", max_steps, 1)
+        self.max_steps = chosen.max_steps
         self.replayed_name = f"DeepMind Lab's {self.level.name}"
         _deepmind_lab()
         super().__init__(
@@ -262,15 +267,6 @@ def _deepmind_lab() -> Any:
             f"({error}): build it as github.com/google-deepmind/lab says in "
             "python/pip_package/README.md, or use the family labyrinth"
         ) from error
-
-
-class DmlabOptions(Options):
-    """Constructor options: those of the labyrinth, with its values."""
-
-    image_size: list[int] = Field(default=[72, 96])
-    num_actions: Literal[15, 9] = 15
-    action_repeat: int = 4
-    max_steps: int | None = None
 
 
 def _of_dmlab(split: Split) -> Split:

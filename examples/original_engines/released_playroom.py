@@ -21,12 +21,11 @@ from pydantic import Field
 
 import zipf.envs
 from zipf.envs import PAPER_KINDS, EngineError, Family, Split, SplitLevel
-from zipf.envs.arguments import pair, whole
+from zipf.envs.arguments import ImageSize, checked
 from zipf.envs.gymnasium.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.playroom import FAMILY as PLAYROOM
-from zipf.envs.playroom import levels
+from zipf.envs.playroom import Steps, levels
 from zipf.envs.playroom.actions import ACTIONS, CONTROL_TABLE, CONTROLS
-from zipf.envs.playroom.constants import MOST_PIXELS, MOST_STEPS
 from zipf.envs.vector import Observation
 from zipf.options import Options
 
@@ -59,6 +58,13 @@ COMMANDS = tuple(
 """The release's controls of each of the 46 actions: all of them, since they keep their values."""
 
 
+class ReleasedPlayroomOptions(Options):
+    """Constructor options: those of the playroom that the released one has, too."""
+
+    image_size: ImageSize = Field(default=[72, 96])
+    max_steps: Steps = 900
+
+
 class DockerVectorEnv(ReplayedVectorEnv):
     """`N` worlds of a level of the released Playroom, with the interface of `PlayroomVectorEnv`.
 
@@ -85,11 +91,11 @@ class DockerVectorEnv(ReplayedVectorEnv):
     Args:
         num_envs: number of worlds N.
         level: a level of the family, without its name.
-        image_size, max_steps: see `PlayroomEnv`.
         address: `host:port` of a running server; None: that of the environment variable
             `ZIPF_PLAYROOM_ADDRESS`, and containers where there is none.
         autoreset_mode, copy: see `ZipfVectorEnv`.
         render_mode: "rgb_array", the image four times as large, or None.
+        options: of `ReleasedPlayroomOptions`, see `PlayroomEnv`.
 
     Raises:
         ValueError: for an unknown level, options out of range, or without dm_env_rpc or docker.
@@ -103,16 +109,16 @@ class DockerVectorEnv(ReplayedVectorEnv):
         num_envs: int = 1,
         level: str = "lift/lift_shape_zipf3",
         *,
-        image_size: Sequence[int] = (72, 96),
-        max_steps: int = 900,
         address: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
         self.level = levels.by_name(level)
-        height, width = pair("image_size", image_size, MOST_PIXELS)
-        self.max_steps = whole("max_steps", max_steps, 1, MOST_STEPS)
+        chosen = checked(ReleasedPlayroomOptions, options)
+        height, width = chosen.image_size
+        self.max_steps = chosen.max_steps
         self.address = address or os.environ.get(rpc.ADDRESS) or None
         rpc.check(self.address)
         self.replayed_name = f"the released Playroom's {self.level.name}"
@@ -230,13 +236,6 @@ def _code(word: str) -> int:
         return known.words.index(word) + 1
     digest = hashlib.blake2b(word.encode(), digest_size=8).digest()
     return known.size + int.from_bytes(digest, "little") % (CODES - known.size)
-
-
-class ReleasedPlayroomOptions(Options):
-    """Constructor options: those of the playroom that the released one has, too."""
-
-    image_size: list[int] = Field(default=[72, 96])
-    max_steps: int = 900
 
 
 def _released(split: Split) -> Split:

@@ -3,40 +3,78 @@
 import difflib
 import operator
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from pydantic import Field, ValidationError
+
+from zipf.options import Options
+
+ImageSize = Annotated[
+    list[Annotated[int, Field(ge=1, le=4096)]],  # ours: at most 4096
+    Field(min_length=2, max_length=2),
+]
+"""(height, width) in pixels."""
+
+AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 
-def whole(name: str, value: Any, least: int, most: int | None = None, *, given: Any = None) -> int:
+def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
     """An argument that has to be a whole number, as an int.
-
-    Args:
-        given: what the message shows, where the number is part of something.
 
     Raises:
         ValueError: it is none, or not in `least .. most`.
     """
-    got = repr(value) if given is None else repr(given)
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
-        raise ValueError(f"{name} must be a whole number, got {got}")
+        raise ValueError(f"{name} must be a whole number, got {value!r}")
     if value < least:
-        raise ValueError(f"{name} must be at least {least}, got {got}")
+        raise ValueError(f"{name} must be at least {least}, got {value!r}")
     if most is not None and value > most:
-        raise ValueError(f"{name} must be at most {most}, got {got}")
+        raise ValueError(f"{name} must be at most {most}, got {value!r}")
     return int(value)
 
 
-def pair(name: str, value: Any, most: int | None = None) -> tuple[int, int]:
-    """An argument that has to be (rows, columns), whole numbers from 1 on.
+def checked(options: type[AnyOptions], given: Mapping[str, Any]) -> AnyOptions:
+    """Constructor options as their class has them. Sequences are taken for lists, and NumPy's
+    numbers for Python's.
 
     Raises:
-        ValueError: it is something else, or one is above `most`.
+        ValueError: with a line for each mistake.
     """
-    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:
-        raise ValueError(f"{name} must be (rows, columns), got {value!r}")
-    rows, columns = (whole(name, number, 1, most, given=value) for number in value)
-    return rows, columns
+    try:
+        return options(**{name: _plain(value) for name, value in given.items()})
+    except ValidationError as error:
+        lines = [_explained(problem, options, given) for problem in error.errors()]
+        raise ValueError("\n".join(dict.fromkeys(lines))) from None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return [_plain(one) for one in value]
+    return value
+
+
+_MUST_BE = {
+    "int_type": "a whole number",
+    "float_type": "a number",
+    "finite_number": "a number",
+    "bool_type": "True or False",
+    "literal_error": "{expected}",
+    "greater_than_equal": "at least {ge}",
+    "less_than_equal": "at most {le}",
+    **dict.fromkeys(("list_type", "too_short", "too_long"), "(rows, columns)"),
+}
+
+
+def _explained(problem: Any, options: type[Options], given: Mapping[str, Any]) -> str:
+    name, kind, context = problem["loc"][0], problem["type"], problem.get("ctx", {})
+    if kind == "extra_forbidden":
+        return str(unknown("option", name, options.model_fields))
+    if kind == "value_error":
+        return str(context["error"])
+    return f"{name} must be {_MUST_BE[kind].format(**context)}, got {given[name]!r}"
 
 
 def mapping(name: str, value: Any) -> Mapping[str, Any]:

@@ -7,20 +7,22 @@ from pydantic import Field
 from zipf.envs.baselines import measured
 from zipf.envs.family import Family
 from zipf.envs.splits import Split
-from zipf.options import Options
+from zipf.options import Options, Pair, Size
 
-Size = Annotated[int, Field(ge=1)]
-Pair = Annotated[list[Size], Field(min_length=2, max_length=2)]
+# Ours: more maps take more than about ten seconds to build, whenever a program starts.
+Maps = Annotated[int, Field(ge=1, le=10_000)]
+# Ours: no episode is as long, and the count stays exact as float64.
+Steps = Annotated[int, Field(ge=1, le=10**9)]
 
 
 class GridworldOptions(Options):
     """Constructor options. Other values than these make other worlds than the paper's."""
 
-    num_maps: Size = 20  # paper
+    num_maps: Maps = 20  # paper
     num_rooms: Pair = Field(default=[3, 3])  # paper: 3 x 3 rooms
     room_size: Pair = Field(default=[3, 3])  # paper: of 3 x 3 squares
     num_objects: Size = 20  # paper
-    max_steps: Size = 100  # paper
+    max_steps: Steps = 100  # paper
     observation: Literal["image", "tiles"] = "image"  # paper: 63 x 63 pixels; tiles: 7 x 7 codes
 
 

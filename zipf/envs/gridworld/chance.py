@@ -1,6 +1,5 @@
 """How well uniformly random actions do, and a policy that cannot see the cue, exactly."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -8,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.arguments import whole
+from zipf.envs.arguments import checked
 from zipf.envs.baselines import ReferenceScore, higher_floor
-from zipf.envs.gridworld import kernels, sprites
+from zipf.envs.gridworld import GridworldOptions, kernels, sprites
 from zipf.envs.gridworld.level import distribution as of_level
 from zipf.envs.gridworld.level import maps_of
-from zipf.envs.gridworld.maps import MOVES, Maps, check_sizes
+from zipf.envs.gridworld.maps import MOVES, Maps
 
 SURVIVAL = 1e-20  # ours: less of an episode is left than a sum of probabilities can show
 
@@ -34,34 +33,21 @@ class RandomPolicy:
     length: NDArray[np.float64]
 
 
-def chance(
-    level: str,
-    *,
-    num_maps: int = 20,
-    num_rooms: Sequence[int] = (3, 3),
-    room_size: Sequence[int] = (3, 3),
-    num_objects: int = 20,
-    max_steps: int = 100,
-) -> ReferenceScore:
+def chance(level: str, **options: Any) -> ReferenceScore:
     """The score of uniformly random actions on a level, exact, also by map and by target.
 
     On the released maps 0.0324 (`zipf_2`), 0.0477 (`uniform`) and 0.0859 (`rare`).
+
+    Args:
+        level: its name.
+        options: of `GridworldOptions`.
     """
-    sizes = check_sizes(num_maps, num_rooms, room_size, num_objects)
-    return _chance(level, *sizes, whole("max_steps", max_steps, 1))
+    chosen = checked(GridworldOptions, options)
+    return _chance(level, maps_of(level.removeprefix("gridworld/"), chosen), chosen.max_steps)
 
 
 @lru_cache(maxsize=16)
-def _chance(
-    level: str,
-    num_maps: int,
-    num_rooms: tuple[int, int],
-    room_size: tuple[int, int],
-    num_objects: int,
-    max_steps: int,
-) -> ReferenceScore:
-    name = level.removeprefix("gridworld/")
-    maps = maps_of(name, (num_maps, num_rooms, room_size, num_objects))
+def _chance(level: str, maps: Maps, max_steps: int) -> ReferenceScore:
     return mean_success(level, random_policy(maps, max_steps).success)
 
 
@@ -79,15 +65,14 @@ def mean_success(level: str, success: NDArray) -> ReferenceScore:
     return ReferenceScore(float(distribution(num_maps) @ by_map), by_rank=by_rank)
 
 
-def blind(
-    level: str, *, num_maps: int = 20, num_objects: int = 20, **options: Any
-) -> ReferenceScore:
+def blind(level: str, **options: Any) -> ReferenceScore:
     """The score of a policy that reaches any object but cannot see the cue, and goes to that which
     is the target most often in training: exact."""
+    chosen = checked(GridworldOptions, options)
     distribution = of_level(level.removeprefix("gridworld/"))
-    score = float(distribution(num_objects)[0])
-    by_target = (1.0, *(0.0,) * (num_objects - 1))
-    by_rank = {"map": (score,) * num_maps, "target": by_target}
+    score = float(distribution(chosen.num_objects)[0])
+    by_target = (1.0, *(0.0,) * (chosen.num_objects - 1))
+    by_rank = {"map": (score,) * chosen.num_maps, "target": by_target}
     return ReferenceScore(score, by_rank=by_rank, policy="expert of the most frequent target")
 
 

@@ -1,17 +1,17 @@
 """A scripted expert: the shortest way to the target that touches no other object."""
 
-from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.arguments import whole
+from zipf.envs.arguments import checked
 from zipf.envs.baselines import ReferenceScore
-from zipf.envs.gridworld import kernels
+from zipf.envs.gridworld import GridworldOptions, kernels
 from zipf.envs.gridworld.chance import destinations, mean_success
 from zipf.envs.gridworld.level import maps_of
-from zipf.envs.gridworld.maps import Maps, check_sizes
+from zipf.envs.gridworld.maps import Maps
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 
@@ -43,20 +43,16 @@ def require_gridworld(env: object, player: str) -> None:
         )
 
 
-def score(
-    level: str,
-    *,
-    num_maps: int = 20,
-    num_rooms: Sequence[int] = (3, 3),
-    room_size: Sequence[int] = (3, 3),
-    num_objects: int = 20,
-    max_steps: int = 100,
-) -> ReferenceScore:
-    """The expert's score on a level, exact, also by map and by target."""
-    sizes = check_sizes(num_maps, num_rooms, room_size, num_objects)
-    maps = maps_of(level.removeprefix("gridworld/"), sizes)
-    max_steps = whole("max_steps", max_steps, 1)
-    return mean_success(level, reached(maps, max_steps).astype(np.float64))
+def score(level: str, **options: Any) -> ReferenceScore:
+    """The expert's score on a level, exact, also by map and by target.
+
+    Args:
+        level: its name.
+        options: of `GridworldOptions`.
+    """
+    chosen = checked(GridworldOptions, options)
+    maps = maps_of(level.removeprefix("gridworld/"), chosen)
+    return mean_success(level, reached(maps, chosen.max_steps).astype(np.float64))
 
 
 def reached(maps: Maps, max_steps: int) -> NDArray[np.bool_]:

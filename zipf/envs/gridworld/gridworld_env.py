@@ -1,6 +1,5 @@
 """Zipf's Gridworld, one world."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -9,8 +8,8 @@ from gymnasium import spaces
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from numpy.typing import NDArray
 
-from zipf.envs.arguments import reset_options, single_action, whole
-from zipf.envs.gridworld import kernels
+from zipf.envs.arguments import checked, reset_options, single_action, whole
+from zipf.envs.gridworld import GridworldOptions, kernels
 from zipf.envs.gridworld.level import OBSERVATIONS, Level
 from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.gridworld.render import frame
@@ -117,28 +116,15 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
         self,
         level: str = "zipf_2",
         *,
-        num_maps: int = 20,
-        num_rooms: Sequence[int] = (3, 3),
-        room_size: Sequence[int] = (3, 3),
-        num_objects: int = 20,
-        max_steps: int = 100,
-        observation: str = "image",
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(
                 f"render_mode must be one of {self.metadata['render_modes']} or None, "
                 f"got {render_mode!r}"
             )
-        self.level = Level.make(
-            level,
-            num_maps=num_maps,
-            num_rooms=num_rooms,
-            room_size=room_size,
-            num_objects=num_objects,
-            max_steps=max_steps,
-            observation=observation,
-        )
+        self.level = Level.make(level, checked(GridworldOptions, options))
         self.observation_space = self.level.observation_space
         self.action_space = self.level.action_space
         self.situation = self.level.situation

@@ -1,6 +1,5 @@
 """What a gridworld level is: its maps, its distributions, its spaces; one world's or many's."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,16 +7,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from zipf.envs import distributions, pcg64
-from zipf.envs.arguments import whole
 from zipf.envs.distributions import Distribution
-from zipf.envs.gridworld import kernels
-from zipf.envs.gridworld.maps import MOVES, VIEW, Maps, build_maps, check_sizes, fresh_from
+from zipf.envs.gridworld import GridworldOptions, kernels
+from zipf.envs.gridworld.maps import MOVES, VIEW, Maps, build_maps, fresh_from
 from zipf.envs.gridworld.sprites import CELL, NUM_CODES
 
 FRESH = "fresh"
 """The level of the fresh maps, all situations of which are equally likely."""
-
-MOST_STEPS = 10**9  # ours: no episode is as long, and the count stays exact as float64
 
 OBSERVATIONS: dict[str, dict[str, tuple[int, ...]]] = {
     "image": {"image": (VIEW * CELL, VIEW * CELL, 3)},
@@ -43,9 +39,15 @@ def distribution(name: str) -> Distribution:
         raise ValueError(f"{error}, or '{FRESH}'") from None
 
 
-def maps_of(name: str, sizes: tuple[int, tuple[int, int], tuple[int, int], int]) -> Maps:
-    """The maps of the level of a name, of the sizes that `check_sizes` returned."""
-    return build_maps(*sizes, fresh_from(sizes[0]) if name == FRESH else 0)
+def maps_of(name: str, options: GridworldOptions) -> Maps:
+    """The maps of the level of a name."""
+    return build_maps(
+        options.num_maps,
+        (options.num_rooms[0], options.num_rooms[1]),
+        (options.room_size[0], options.room_size[1]),
+        options.num_objects,
+        fresh_from(options.num_maps) if name == FRESH else 0,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,44 +70,29 @@ class Level:
     observation: str
 
     @classmethod
-    def make(
-        cls,
-        name: str,
-        *,
-        num_maps: int,
-        num_rooms: Sequence[int],
-        room_size: Sequence[int],
-        num_objects: int,
-        max_steps: int,
-        observation: str,
-    ) -> "Level":
+    def make(cls, name: str, options: GridworldOptions) -> "Level":
         """Resolves the arguments of an environment.
 
         Raises:
-            ValueError: for an unknown level or observation, or sizes that make no map.
+            ValueError: for an unknown level, or sizes that make no map.
         """
         if not isinstance(name, str):
             raise ValueError(f"level must be a level's name, got {name!r}")
         name = name.removeprefix("gridworld/")
         of_ranks = distribution(name)
-        if not isinstance(observation, str) or observation not in OBSERVATIONS:
-            raise ValueError(
-                f"observation must be {' or '.join(map(repr, OBSERVATIONS))}, got {observation!r}"
-            )
-        max_steps = whole("max_steps", max_steps, 1, MOST_STEPS)
-        sizes = check_sizes(num_maps, num_rooms, room_size, num_objects)
-        for option, size in (("num_maps", num_maps), ("num_objects", num_objects)):
+        sizes = {"num_maps": options.num_maps, "num_objects": options.num_objects}
+        for option, size in sizes.items():
             if of_ranks in (distributions.rare, distributions.validation) and size < 5:
                 raise ValueError(
                     f"{option} must be at least 5 for level {name!r}, a fifth; got {size}"
                 )
         return cls(
             name=name,
-            maps=maps_of(name, sizes),
-            map_cdf=pcg64.cumulative(of_ranks(num_maps)),
-            target_cdf=pcg64.cumulative(of_ranks(num_objects)),
-            max_steps=max_steps,
-            observation=observation,
+            maps=maps_of(name, options),
+            map_cdf=pcg64.cumulative(of_ranks(options.num_maps)),
+            target_cdf=pcg64.cumulative(of_ranks(options.num_objects)),
+            max_steps=options.max_steps,
+            observation=options.observation,
         )
 
     @property

@@ -7,13 +7,12 @@ all draws must not change. In some places it depends on the order in which Pytho
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.arguments import pair, whole
-from zipf.envs.gridworld import sprites
+from zipf.envs.arguments import checked
+from zipf.envs.gridworld import GridworldOptions, sprites
 
 FIRST_SEED = 1234
 FRESH_FROM = 20
@@ -25,7 +24,6 @@ MOVES = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
 """(row, column) steps of the actions N, NE, E, SE, S, SW, W, NW."""
 
 # Ours: more take more than about ten seconds to build, whenever a program starts.
-MOST_MAPS = 10_000
 MOST_CELLS = 10_000_000  # of all maps
 MOST_CUBES = 500_000_000  # rooms ** 3 of all maps: the time that joining the rooms takes
 
@@ -70,19 +68,13 @@ class Maps:
         return sprites.look(int(self.boards[map, row, column]))
 
 
-def check_sizes(
-    num_maps: Any, num_rooms: Any, room_size: Any, num_objects: Any
-) -> tuple[int, tuple[int, int], tuple[int, int], int]:
-    """The arguments of `build_maps`, as whole numbers.
-
-    Raises:
-        ValueError: one is none, or below 1; they would take minutes to build; or there are fewer
-            looks than objects.
-    """
-    num_maps = whole("num_maps", num_maps, 1, MOST_MAPS)
-    num_rooms = pair("num_rooms", num_rooms)
-    room_size = pair("room_size", room_size)
-    num_objects = whole("num_objects", num_objects, 1)
+def _check_sizes(
+    num_maps: int, num_rooms: tuple[int, int], room_size: tuple[int, int], num_objects: int
+) -> None:
+    """Raises ValueError for arguments of `build_maps` that `GridworldOptions` does not take, that
+    would take minutes to build, or where there are fewer looks than objects."""
+    sizes = {"num_maps": num_maps, "num_rooms": num_rooms, "room_size": room_size}
+    checked(GridworldOptions, {**sizes, "num_objects": num_objects})
     if num_objects > sprites.NUM_LOOKS:
         raise ValueError(
             f"num_objects = {num_objects}, but there are only {sprites.NUM_LOOKS} different looks "
@@ -97,7 +89,6 @@ def check_sizes(
             f"{MOST_CELLS:,} cells, and num_maps * rooms ** 3 of at most {MOST_CUBES:,}, can be "
             "built in seconds"
         )
-    return num_maps, num_rooms, room_size, num_objects
 
 
 @lru_cache(maxsize=16)
@@ -112,9 +103,9 @@ def build_maps(
     `room_size` cells.
 
     Raises:
-        ValueError: as `check_sizes`, or a map has fewer places than objects.
+        ValueError: sizes out of range, or a map has fewer places than objects.
     """
-    check_sizes(num_maps, num_rooms, room_size, num_objects)
+    _check_sizes(num_maps, num_rooms, room_size, num_objects)
     height, width = (n * (size + 1) + 1 for n, size in zip(num_rooms, room_size, strict=True))
     codes = np.zeros((num_maps, height + 2 * PAD, width + 2 * PAD), dtype=np.uint8)
     cells = np.zeros((num_maps, num_objects + 1, 2), dtype=np.int64)

@@ -1,13 +1,14 @@
 """Zipf's Gridworld, many worlds at once."""
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from typing import Any, Self
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs.gridworld import kernels, sprites
+from zipf.envs.arguments import checked
+from zipf.envs.gridworld import GridworldOptions, kernels, sprites
 from zipf.envs.gridworld.goal import cues
 from zipf.envs.gridworld.level import Level
 from zipf.envs.gridworld.render import frame
@@ -29,25 +30,12 @@ class GridworldVectorEnv(ZipfVectorEnv):
         num_envs: int = 1,
         level: str = "zipf_2",
         *,
-        num_maps: int = 20,
-        num_rooms: Sequence[int] = (3, 3),
-        room_size: Sequence[int] = (3, 3),
-        num_objects: int = 20,
-        max_steps: int = 100,
-        observation: str = "image",
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
-        self.level = Level.make(
-            level,
-            num_maps=num_maps,
-            num_rooms=num_rooms,
-            room_size=room_size,
-            num_objects=num_objects,
-            max_steps=max_steps,
-            observation=observation,
-        )
+        self.level = Level.make(level, checked(GridworldOptions, options))
         super().__init__(
             num_envs,
             single_observation_space=self.level.observation_space,

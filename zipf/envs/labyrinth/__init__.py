@@ -4,14 +4,13 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from zipf.envs.arguments import own_engine
+from zipf.envs.arguments import ImageSize, own_engine
 from zipf.envs.family import Family
 from zipf.envs.labyrinth.benchmark import MIXTURES, SPLITS, mean_of_tasks
 from zipf.envs.labyrinth.levels import LEVELS
-from zipf.options import Options
+from zipf.options import Options, Size
 
-Size = Annotated[int, Field(ge=1)]
-Pair = Annotated[list[Size], Field(min_length=2, max_length=2)]
+Repeat = Annotated[int, Field(ge=1, le=1_000_000)]  # ours: no episode has as many frames
 Backend = Annotated[Literal["own"], BeforeValidator(own_engine("dmlab"))]
 
 
@@ -19,9 +18,9 @@ class LabyrinthOptions(Options):
     """Constructor options. Other values than these make other worlds than the paper's."""
 
     backend: Backend = "own"  # ours; runs of before name it: DeepMind Lab is an example now
-    image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
+    image_size: ImageSize = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
     num_actions: Literal[15, 9] = 15  # ours: with the 9 of IMPALA no agent looks up or down
-    action_repeat: Size = 4  # paper
+    action_repeat: Repeat = 4  # paper
     max_steps: Size | None = None  # released loader: the level's own length
 
 

@@ -4,7 +4,7 @@ An action is held for all frames of a step. Sources: scalable_agent, `environmen
 actions); sample-factory, `dmlab_env.py` (fifteen, after later DeepMind papers).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,18 +57,6 @@ IMPALA = (
 
 TABLES = {15: EXTENDED, 9: IMPALA}
 """The action tables by their number of actions."""
-
-
-def action_table(num_actions: Any) -> tuple[Action, ...]:
-    """The table of so many actions.
-
-    Raises:
-        ValueError: there is none.
-    """
-    if not isinstance(num_actions, int) or num_actions not in TABLES:
-        known = " or ".join(map(str, TABLES))
-        raise ValueError(f"num_actions must be {known}, got {num_actions!r}")
-    return TABLES[num_actions]
 
 
 def commands(num_actions: int) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs import distributions
-from zipf.envs.arguments import own_engine, unknown
+from zipf.envs.arguments import unknown
 from zipf.envs.baselines import ReferenceScore, measured
 from zipf.envs.labyrinth.levels import LEVELS, by_name
 from zipf.envs.splits import Normalisation, Split, SplitLevel
@@ -74,34 +74,28 @@ def check(name: str) -> None:
 
 
 def make_vec(
-    num_envs: int,
-    level: str = "explore_goal_locations_small",
-    *,
-    backend: str = "own",
-    **kwargs: Any,
+    num_envs: int, level: str = "explore_goal_locations_small", **options: Any
 ) -> ZipfVectorEnv:
     """`num_envs` worlds of a level: of one task, or of tasks drawn at every reset.
 
     Args:
         num_envs: number of worlds N.
         level: with or without `labyrinth/` before it.
-        backend: the engine, "own".
-        kwargs: options of `LabyrinthVectorEnv`, which all tasks have.
+        options: of `LabyrinthVectorEnv`, which all tasks have.
 
     Raises:
-        ValueError: for an unknown level, another engine, or options out of range.
+        ValueError: for an unknown level, or options out of range.
     """
     from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
     from zipf.envs.mixture import Mixture
 
-    own_engine("dmlab")(backend)
     drawn = law(level)
     if drawn is None:
-        return LabyrinthVectorEnv(num_envs, level, **kwargs)
+        return LabyrinthVectorEnv(num_envs, level, **options)
     order, probabilities = drawn
     tasks = {f"labyrinth/{name}": partial(LabyrinthVectorEnv, level=name) for name in LEVELS}
     return Mixture(
-        tasks, num_envs, draw="resets", probabilities=probabilities, order=order, **kwargs
+        tasks, num_envs, draw="resets", probabilities=probabilities, order=order, **options
     )
 
 

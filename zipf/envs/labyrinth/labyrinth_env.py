@@ -1,6 +1,6 @@
 """Zipf's Labyrinth, one world."""
 
-from collections.abc import Sequence
+from typing import Any
 
 from zipf.envs.labyrinth.benchmark import make_vec
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
@@ -108,20 +108,7 @@ class LabyrinthEnv(SingleWorld):
         self,
         level: str = "explore_goal_locations_small",
         *,
-        backend: str = "own",
-        image_size: Sequence[int] = (72, 96),
-        num_actions: int = 15,
-        action_repeat: int = 4,
-        max_steps: int | None = None,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
-        super().__init__(
-            make_vec,
-            level=level,
-            backend=backend,
-            image_size=image_size,
-            num_actions=num_actions,
-            action_repeat=action_repeat,
-            max_steps=max_steps,
-            render_mode=render_mode,
-        )
+        super().__init__(make_vec, level=level, render_mode=render_mode, **options)

@@ -1,6 +1,6 @@
 """Zipf's Labyrinth, many worlds at once."""
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from typing import Any, Self
 
 import numpy as np
@@ -9,9 +9,9 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs import pcg64
-from zipf.envs.arguments import pair, whole
-from zipf.envs.labyrinth import engine
-from zipf.envs.labyrinth.actions import action_table, commands
+from zipf.envs.arguments import checked
+from zipf.envs.labyrinth import LabyrinthOptions, engine
+from zipf.envs.labyrinth.actions import commands
 from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.levels import LEVELS, Level, by_name
 from zipf.envs.labyrinth.scenery import Scenery
@@ -20,9 +20,6 @@ from zipf.envs.labyrinth.topdown import draw_map, empty_map
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.labyrinth.world import World
 from zipf.envs.vector import Observation, ZipfVectorEnv
-
-MOST_PIXELS = 4096  # of a side of the image; ours
-MOST_REPEAT = 1_000_000  # ours: no episode has as many frames
 
 
 class LabyrinthVectorEnv(ZipfVectorEnv):
@@ -41,21 +38,18 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         num_envs: int = 1,
         level: str = "explore_goal_locations_small",
         *,
-        image_size: Sequence[int] = (72, 96),
-        num_actions: int = 15,
-        action_repeat: int = 4,
-        max_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
+        chosen = checked(LabyrinthOptions, options)
         self.level = by_name(level)
         self._rules = self.level.load()
-        height, width = pair("image_size", image_size, MOST_PIXELS)
-        table = action_table(num_actions)
-        self.action_repeat = whole("action_repeat", action_repeat, 1, MOST_REPEAT)
+        height, width = chosen.image_size
+        self.action_repeat = chosen.action_repeat
         self.metadata = {**self.metadata, "render_fps": FRAMES_PER_SECOND / self.action_repeat}
-        self.max_steps = None if max_steps is None else whole("max_steps", max_steps, 1)
+        self.max_steps = chosen.max_steps
         super().__init__(
             num_envs,
             single_observation_space=spaces.Dict(
@@ -64,7 +58,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
                     "instruction": VOCABULARY.space(),
                 }
             ),
-            single_action_space=spaces.Discrete(len(table)),
+            single_action_space=spaces.Discrete(chosen.num_actions),
             situation={},
             autoreset_mode=autoreset_mode,
             copy=copy,
@@ -80,7 +74,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self.episodes: list[Episode | None] = [None] * n
         self.maps = np.zeros(n, np.int64)  # 1 for the layout, and one more for each map
         self._scenery = Scenery(self.worlds, width, height)
-        self._commands = commands(num_actions)
+        self._commands = commands(chosen.num_actions)
         self._rewards = np.zeros(n)
         self._left, self._part = np.zeros((2, n), np.int64)
         self._event, self._index = np.zeros((2, n), np.int64)

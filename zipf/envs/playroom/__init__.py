@@ -5,18 +5,18 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from zipf.envs.arguments import own_engine
+from zipf.envs.arguments import ImageSize, own_engine
 from zipf.envs.baselines import measured
 from zipf.envs.family import Family
-from zipf.envs.playroom.constants import EXPONENT_BOUNDS, REACH_BOUNDS
 from zipf.envs.playroom.levels import LEVELS
 from zipf.envs.splits import Split
 from zipf.options import Options
 
-Size = Annotated[int, Field(ge=1)]
-Reach = Annotated[float, Field(ge=REACH_BOUNDS[0], le=REACH_BOUNDS[1])]
-Exponent = Annotated[float, Field(ge=EXPONENT_BOUNDS[0], le=EXPONENT_BOUNDS[1])]
-Pair = Annotated[list[Size], Field(min_length=2, max_length=2)]
+# Ours: an episode of at most 37 hours, of which an environment keeps the actions, a byte each.
+Steps = Annotated[int, Field(ge=1, le=1_000_000)]
+# From the eye; the floor just before the agent is 1.2 m away.
+Reach = Annotated[float, Field(ge=1.5, le=4.0, allow_inf_nan=False)]
+Exponent = Annotated[float, Field(ge=0.0, le=10.0, allow_inf_nan=False)]
 Backend = Annotated[Literal["own"], BeforeValidator(own_engine("released_playroom"))]
 
 
@@ -24,10 +24,10 @@ class PlayroomOptions(Options):
     """Constructor options. Other values than these make other worlds than the paper's."""
 
     backend: Backend = "own"  # ours; runs of before name it: the released one is an example now
-    image_size: Pair = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
+    image_size: ImageSize = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
     object_order: Literal["default", "alternate"] = "default"  # ours: the paper lists no objects
     looks: Literal["plain", "varied"] = "plain"  # ours: the paper does not say that they vary
-    max_steps: Size = 900  # released loader: 120 s; paper: 7.5 actions a second
+    max_steps: Steps = 900  # released loader: 120 s; paper: 7.5 actions a second
     reach: Reach = 2.0  # ours: the paper does not say how far the hand reaches, metres
     frequent_exponent: Exponent = 0.0  # ours: the paper's "most frequent 20%", drawn uniformly
     near_failure: bool = False  # paper: "reward is also given if the correct object is placed near"

@@ -17,16 +17,6 @@ FRAME = 1 / 30
 """Duration of a physics frame: the paper."""
 STEP = FRAMES * FRAME
 
-MOST_PIXELS = 4096
-"""Largest height or width of the image; ours."""
-MOST_STEPS = 1_000_000
-"""Largest length of an episode; ours: 37 hours. A world keeps its actions, a byte each."""
-
-REACH_BOUNDS = 1.5, 4.0
-"""Bounds of the option `reach`, from the eye; the floor just before the agent is 1.2 away."""
-EXPONENT_BOUNDS = 0.0, 10.0
-"""Bounds of the option `frequent_exponent`."""
-
 AGENT_RADIUS = 0.25
 AGENT_MASS = 20.0
 """Kilograms."""

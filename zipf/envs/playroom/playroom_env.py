@@ -1,6 +1,6 @@
 """Zipf's Playroom, one world."""
 
-from collections.abc import Sequence
+from typing import Any
 
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.single import SingleWorld
@@ -136,26 +136,7 @@ class PlayroomEnv(SingleWorld):
         self,
         level: str = "lift/lift_shape_zipf3",
         *,
-        backend: str = "own",
-        image_size: Sequence[int] = (72, 96),
-        object_order: str = "default",
-        looks: str = "plain",
-        max_steps: int = 900,
-        reach: float = 2.0,
-        frequent_exponent: float = 0.0,
-        near_failure: bool = False,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
-        super().__init__(
-            PlayroomVectorEnv,
-            level=level,
-            backend=backend,
-            image_size=image_size,
-            object_order=object_order,
-            looks=looks,
-            max_steps=max_steps,
-            reach=reach,
-            frequent_exponent=frequent_exponent,
-            near_failure=near_failure,
-            render_mode=render_mode,
-        )
+        super().__init__(PlayroomVectorEnv, level=level, render_mode=render_mode, **options)

@@ -12,8 +12,6 @@ from zipf.compiled import compiled
 from zipf.envs.pcg64 import below, between
 from zipf.envs.render3d import textures
 
-LOOKS = ("plain", "varied")
-
 WALLS = ("wallpaper", "wallpaper_blue", "stripes", "stripes_green")
 """The textures of the four walls of a plain room, counter-clockwise from the south: they differ, so
 that they show the direction."""

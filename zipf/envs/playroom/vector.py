@@ -1,7 +1,6 @@
 """Zipf's Playroom, many worlds at once."""
 
-from collections.abc import Hashable, Mapping, Sequence
-from numbers import Real
+from collections.abc import Hashable, Mapping
 from typing import Any, Self
 
 import numpy as np
@@ -9,19 +8,12 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs.arguments import own_engine, pair, whole
-from zipf.envs.playroom import chipmunk, hand, judgement, layout, levels
+from zipf.envs.arguments import checked
+from zipf.envs.playroom import PlayroomOptions, chipmunk, hand, judgement, layout, levels
 from zipf.envs.playroom.achieved import Achievement, achieved
 from zipf.envs.playroom.actions import ACTIONS
-from zipf.envs.playroom.constants import (
-    EXPONENT_BOUNDS,
-    MOST_PIXELS,
-    MOST_STEPS,
-    REACH_BOUNDS,
-)
 from zipf.envs.playroom.room import Room
 from zipf.envs.playroom.state import GROUND_LAYER, YAW, make_commands, make_worlds
-from zipf.envs.playroom.varied_looks import LOOKS
 from zipf.envs.playroom.view import View, extents_of
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
@@ -45,39 +37,17 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         num_envs: int = 1,
         level: str = "lift/lift_shape_zipf3",
         *,
-        backend: str = "own",
-        image_size: Sequence[int] = (72, 96),
-        object_order: str = "default",
-        looks: str = "plain",
-        max_steps: int = 900,
-        reach: float = 2.0,
-        frequent_exponent: float = 0.0,
-        near_failure: bool = False,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
-        own_engine("released_playroom")(backend)
-        for option, value, (low, high) in (
-            ("reach", reach, REACH_BOUNDS),
-            ("frequent_exponent", frequent_exponent, EXPONENT_BOUNDS),
-        ):
-            if not isinstance(value, Real) or not low <= value <= high:
-                raise ValueError(f"{option} must be a number of {low:g} to {high:g}, got {value!r}")
-        if not isinstance(near_failure, bool):
-            raise ValueError(f"near_failure must be True or False, got {near_failure!r}")
-        self.level = levels.by_name(level, frequent_exponent)
-        height, width = pair("image_size", image_size, MOST_PIXELS)
-        if object_order not in tuple(levels.ORDERS):
-            raise ValueError(
-                f"object_order must be {' or '.join(map(repr, levels.ORDERS))}, "
-                f"got {object_order!r}"
-            )
-        if looks not in tuple(LOOKS):
-            raise ValueError(f"looks must be {' or '.join(map(repr, LOOKS))}, got {looks!r}")
-        self.object_names = levels.ORDERS[object_order]
-        self.looks = looks
-        self.max_steps = whole("max_steps", max_steps, 1, MOST_STEPS)
+        chosen = checked(PlayroomOptions, options)
+        self.level = levels.by_name(level, chosen.frequent_exponent)
+        height, width = chosen.image_size
+        self.object_names = levels.ORDERS[chosen.object_order]
+        self.looks = chosen.looks
+        self.max_steps = chosen.max_steps
         super().__init__(
             num_envs,
             single_observation_space=spaces.Dict(
@@ -103,8 +73,8 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             count,
             finding=self.level.finding,
             furnished=self.level.furnished,
-            near_failure=near_failure,
-            reach=float(reach),
+            near_failure=chosen.near_failure,
+            reach=float(chosen.reach),
             extents=extents_of(self.object_names),
         )
         self.rooms: list[Room | None] = [None] * n
@@ -114,7 +84,9 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._instructions = np.zeros((n, levels.VOCABULARY.length), np.int64)
         self._texts = np.full(n, "", "<U40")
         self._side = np.zeros(n, np.int64)
-        self._view = View(self.object_names, self.worlds, width, height, varied=looks == "varied")
+        self._view = View(
+            self.object_names, self.worlds, width, height, varied=chosen.looks == "varied"
+        )
         self._commands = make_commands(n, count)
 
     @property

@@ -69,12 +69,12 @@ def check_vector_env(
     require(num_envs >= 2, "check at least two worlds: one cannot show that worlds differ")
     check = _Check(make_vec, make_single, num_envs, steps, seed)
     check.spaces()
-    check.same_step_against_singles()
-    check.next_step_against_singles()
-    check.disabled_against_singles()
+    modes = AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED
+    for mode in modes:
+        check.against_singles(mode)
     check.determinism()
     check.buffers()
-    for mode in AutoresetMode:
+    for mode in modes:
         check.state(mode)
         check.pickling(mode)
     check.forcing()
@@ -155,125 +155,76 @@ class _Check:
                 f"{where}: info[{name!r}] must be in 0 .. {size - 1}, got {info[name]}",
             )
 
-    def same_step_against_singles(self) -> None:
-        """A batch that resets by itself equals N worlds, each reset when its episode ends."""
-        env = self.make_vec(self.n, autoreset_mode=AutoresetMode.SAME_STEP)
+    def against_singles(self, mode: AutoresetMode) -> None:
+        """A batch equals N single environments: each reset when its episode ends (SAME_STEP), or in
+        the step after (NEXT_STEP), or by a mask, at which some have waited (DISABLED)."""
+        env = self.make_vec(self.n, autoreset_mode=mode)
+        require_same(env.metadata["autoreset_mode"], mode, "autoreset_mode")
         singles = self._singles()
-        ended = 0
         observation, info = env.reset(seed=self.seed)
         starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
         require_same((observation, info), stacked(starts), f"reset(seed={self.seed})")
         told = set(info)
+        begins = done = np.zeros(self.n, np.bool_)  # those that the next step resets
+        ended = 0
         for t, actions in enumerate(self.actions):
-            where = f"step {t} (SAME_STEP)"
-            given = env.step(actions)
-            results = [single.step(a) for single, a in zip(singles, actions, strict=True)]
-            done = np.array([result[2] or result[3] for result in results])
-            require_same(
-                given[1:4], stacked([r[1:4] for r in results]), f"{where}: reward and ends"
-            )
-            keys = set(told)
-            if done.any():
-                keys |= {"final_info", "_final_info", "final_obs", "_final_obs"}
-            require_same(set(given[4]), keys, f"{where}: keys of info")
-            running = [(result[0], result[4]) for result in results]
-            for i in np.flatnonzero(done):
-                ended += 1
-                final = {"final_obs": results[i][0], "final_info": results[i][4]}
-                for key, value in final.items():
-                    require(given[4][f"_{key}"][i], f"{where}: world {i} ended, _{key} is not set")
-                    row = {name: array[i] for name, array in given[4][key].items()}
-                    require_same(row, value, f"{where}: {key} of world {i}")
-                running[i] = singles[i].reset()
-            if done.any():
-                require_same(given[4]["_final_info"], done, f"{where}: _final_info")
-                require_same(given[4]["_final_obs"], done, f"{where}: _final_obs")
-            now = {name: given[4][name] for name in told}
-            require_same((given[0], now), stacked(running), f"{where}: after autoreset")
-        require(ended > self.n, f"only {ended} episodes ended: check with more steps")
-        _close(env, *singles)
-
-    def next_step_against_singles(self) -> None:
-        """A batch equals N worlds, each reset in the step after its episode's end."""
-        env = self.make_vec(self.n, autoreset_mode=AutoresetMode.NEXT_STEP)
-        require_same(env.metadata["autoreset_mode"], AutoresetMode.NEXT_STEP, "autoreset_mode")
-        singles = self._singles()
-        observation, info = env.reset(seed=self.seed)
-        starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
-        require_same((observation, info), stacked(starts), f"reset(seed={self.seed}) (NEXT_STEP)")
-        told = set(info)
-        done = np.zeros(self.n, np.bool_)
-        for t, actions in enumerate(self.actions):
-            # Actions of worlds that begin an episode are ignored, even one out of range.
-            given = env.step(np.where(done, -1, actions))
+            where = f"step {t} ({mode.name})"
+            # Actions of those that begin an episode are ignored, even one out of range.
+            given = env.step(np.where(begins, -1, actions))
             results = [
-                first_step(single.reset()) if done[i] else single.step(actions[i])
+                first_step(single.reset()) if begins[i] else single.step(actions[i])
                 for i, single in enumerate(singles)
             ]
-            done = self._compare_step(given, results, told, f"step {t} (NEXT_STEP)")
-            # A world whose episode is running or has just ended is reset now and then, too.
-            if t % 7 == 0:
-                mask = np.arange(self.n) == t % self.n
-                observation, info = env.reset(options={"reset_mask": mask})
-                i = t % self.n
-                start = stacked([singles[i].reset()])
-                rows = {name: info[name][mask] for name in told}
-                row = {key: value[mask] for key, value in observation.items()}
-                require_same((row, rows), start, f"step {t} (NEXT_STEP): reset of world {i}")
-                done[i] = False
-        _close(env, *singles)
-
-    def disabled_against_singles(self) -> None:
-        """A batch reset by mask equals N worlds, some of which wait before they are reset."""
-        env = self.make_vec(self.n, autoreset_mode=AutoresetMode.DISABLED)
-        require_same(env.metadata["autoreset_mode"], AutoresetMode.DISABLED, "autoreset_mode")
-        singles = self._singles()
-        observation, info = env.reset(seed=self.seed)
-        starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
-        require_same((observation, info), stacked(starts), f"reset(seed={self.seed}) (DISABLED)")
-        told = set(info)
-        refused = False
-        for t, actions in enumerate(self.actions):
-            where = f"step {t} (DISABLED)"
-            given = env.step(actions)
-            results = [single.step(a) for single, a in zip(singles, actions, strict=True)]
-            done = self._compare_step(given, results, told, where)
-            if not done.any():
-                continue
-            if not refused:
+            done = np.array([result[2] or result[3] for result in results])
+            ended += done.sum()
+            ends = stacked([result[1:4] for result in results])
+            require_same(given[1:4], ends, f"{where}: reward and ends")
+            current = [(r[0], {name: r[4][name] for name in told}) for r in results]
+            self._compare_ends(given[4], results, done, told, mode, where)
+            if mode is AutoresetMode.SAME_STEP:
+                for i in np.flatnonzero(done):
+                    current[i] = singles[i].reset()
+            now = given[0], {name: given[4][name] for name in told}
+            require_same(now, stacked(current), f"{where}: observation and info")
+            if mode is AutoresetMode.DISABLED and done.any() and ended == done.sum():
                 with must_raise(ResetNeeded, f"{where}: stepping a world whose episode has ended"):
                     env.step(actions)
-                refused = True
-            # A world whose episode is still running is reset now and then, too.
-            mask = done.copy()
-            mask[t % self.n] = True
-            current = [(r[0], {name: r[4][name] for name in told}) for r in results]
-            observation, info = env.reset(options={"reset_mask": mask})
-            for i in np.flatnonzero(mask):
-                current[i] = singles[i].reset()
-            require_same((observation, info), stacked(current), f"{where}: reset of worlds {mask}")
-        require(refused, "no episode ended: check with more steps")
+            begins = done & (mode is AutoresetMode.NEXT_STEP)
+            # Now and then one whose episode is running or has just ended is reset, too.
+            mask = done & (mode is AutoresetMode.DISABLED)
+            if mode is not AutoresetMode.SAME_STEP and (mask.any() or t % 7 == 0):
+                mask[t % self.n] = True
+                for i in np.flatnonzero(mask):
+                    current[i] = singles[i].reset()
+                now = env.reset(options={"reset_mask": mask})
+                require_same(now, stacked(current), f"{where}: reset of worlds {mask}")
+                begins &= ~mask
+        enough = self.n if mode is AutoresetMode.SAME_STEP else 0
+        require(ended > enough, f"only {ended} episodes ended: check with more steps")
         _close(env, *singles)
 
-    def _compare_step(
-        self, given: Any, results: list[Any], told: set[str], where: str
-    ) -> NDArray[np.bool_]:
-        """Compares a step without autoreset in it; returns which worlds' episodes ended, [N]."""
-        done = np.array([result[2] or result[3] for result in results])
-        current = [(r[0], {name: r[4][name] for name in told}) for r in results]
-        now = {name: given[4][name] for name in told}
-        require_same((given[0], now), stacked(current), f"{where}: observation and info")
-        require_same(given[1:4], stacked([r[1:4] for r in results]), f"{where}: reward and ends")
-        keys = set(told)
-        if done.any():
-            keys |= {*self.outcome, *(f"_{name}" for name in self.outcome)}
-        require_same(set(given[4]), keys, f"{where}: keys of info")
-        for name in self.outcome if done.any() else ():
-            require_same(given[4][f"_{name}"], done, f"{where}: info['_{name}']")
+    def _compare_ends(
+        self,
+        info: dict[str, Any],
+        results: list[Any],
+        done: NDArray[np.bool_],
+        told: set[str],
+        mode: AutoresetMode,
+        where: str,
+    ) -> None:
+        """Compares what a step says of the episodes that it has ended, those of `done`."""
+        if mode is AutoresetMode.SAME_STEP:
+            names = ["final_info", "final_obs"]
+            last = [{"final_obs": result[0], "final_info": result[4]} for result in results]
+        else:
+            names = list(self.outcome)
+            last = [result[4] for result in results]
+        keys = {*names, *(f"_{name}" for name in names)} if done.any() else set()
+        require_same(set(info), told | keys, f"{where}: keys of info")
+        for name in names if done.any() else ():
+            require_same(info[f"_{name}"], done, f"{where}: info['_{name}']")
             for i in np.flatnonzero(done):
-                value = results[i][4][name]
-                require_same(given[4][name][i], value, f"{where}: {name} of world {i}")
-        return done
+                require_same(row_of(info[name], i), last[i][name], f"{where}: {name} of world {i}")
 
     def _singles(self) -> list[gym.Env]:
         return [self.make_single() for _ in range(self.n)]
