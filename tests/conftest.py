@@ -3,7 +3,9 @@
 import os
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,6 +17,15 @@ from zipf.agents.unroll import Unroll
 from zipf.experiments.building import checkpoint
 
 PACKAGE = Path(__file__).parent.parent
+
+
+def slow_but(values: Iterable[Any], *quick: Any) -> list[Any]:
+    """The parameters of a test: these stay in the quick tier, all others are marked `slow`."""
+    values = list(values)
+    assert all(one in values for one in quick), (quick, values)
+    return [one if one in quick else pytest.param(one, marks=pytest.mark.slow) for one in values]
+
+
 ANNOUNCED = "zipf: compiling the environments: a minute or so, once\n"
 
 
