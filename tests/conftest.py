@@ -3,7 +3,8 @@
 import os
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,16 @@ def slow_but(values: Iterable[Any], *quick: Any) -> list[Any]:
     values = list(values)
     assert all(one in values for one in quick), (quick, values)
     return [one if one in quick else pytest.param(one, marks=pytest.mark.slow) for one in values]
+
+
+@contextmanager
+def naming(one: object) -> Iterator[None]:
+    """What fails within tells which element of a list it is about."""
+    try:
+        yield
+    except (Exception, pytest.fail.Exception) as error:
+        error.add_note(f"this is about {one}")
+        raise
 
 
 ANNOUNCED = "zipf: compiling the environments: a minute or so, once\n"
