@@ -1,10 +1,12 @@
 """What the tests share: commands as users type them, runs compared, unrolls drawn at random."""
 
+import contextlib
+import importlib
+import io
 import os
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +29,7 @@ def slow_but(values: Iterable[Any], *quick: Any) -> list[Any]:
     return [one if one in quick else pytest.param(one, marks=pytest.mark.slow) for one in values]
 
 
-@contextmanager
+@contextlib.contextmanager
 def naming(one: object) -> Iterator[None]:
     """What fails within tells which element of a list it is about."""
     try:
@@ -79,6 +81,26 @@ def run(
         text=True,
         timeout=300,
     )
+
+
+def call(
+    *arguments: str, module: str = "zipf.train", folder: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """The same in this process, which takes a tenth of the time: it has imported everything."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        patch.setattr(sys, "argv", [module, *arguments])
+        patch.syspath_prepend(str(folder or "."))
+        patch.chdir(folder or ".")
+        try:
+            code = importlib.import_module(module).main()
+        except SystemExit as ended:
+            code = ended.code
+    return subprocess.CompletedProcess(arguments, code or 0, out.getvalue(), err.getvalue())
 
 
 def assert_equal(one, other, where=""):
