@@ -79,6 +79,7 @@ class AnyToyInReach(PlayroomVectorEnv):
         return np.where(success, 1.0, reward), terminated, success
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "cheats"), [(AnyToyInReach, True), (PlayroomVectorEnv, False)])
 def test_the_search_finds_a_rule_that_can_be_cheated(make: Any, cheats: bool) -> None:
     known = envs.reference("blind", f"playroom/{FIND}")

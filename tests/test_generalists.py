@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import slow_but
 from numpy.typing import NDArray
 from playroom_worlds import arrange, playroom
 
@@ -229,10 +230,13 @@ def test_in_the_gridworld_another_episode_is_not_remembered() -> None:
 
 @pytest.mark.parametrize(
     "level",
-    [
-        *("lift/lift_shape_uniform", "put/lift_shape_many_zipf1", "put/put_on_bed_tray_all"),
-        *("put/put_near_bed_tray_frequent", "supervised/find_shape_uniform"),
-    ],
+    slow_but(
+        [
+            *("lift/lift_shape_uniform", "put/lift_shape_many_zipf1", "put/put_on_bed_tray_all"),
+            *("put/put_near_bed_tray_frequent", "supervised/find_shape_uniform"),
+        ],
+        "put/put_on_bed_tray_all",
+    ),
 )
 def test_playroom_scores(level: str) -> None:
     env = PlayroomVectorEnv(20, level, image_size=(3, 4), max_steps=250)

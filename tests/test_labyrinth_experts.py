@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import slow_but
 from labyrinth_levels import REWARDS, batch, play_out, record_rewards
 
 from zipf.envs import expert, reference
@@ -48,7 +49,7 @@ FLOORS = {
 """Mean returns of three episodes."""
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", slow_but(LEVELS, "rooms_select_nonmatching_object"))
 def test_an_expert_reaches_its_floor(level: str, monkeypatch: pytest.MonkeyPatch) -> None:
     rewards = record_rewards(monkeypatch)
     env = batch(level, 3)
@@ -61,6 +62,7 @@ def test_an_expert_reaches_its_floor(level: str, monkeypatch: pytest.MonkeyPatch
     assert set(rewards) <= REWARDS[level]
 
 
+@pytest.mark.slow
 def test_deferred_effects_are_exploited() -> None:
     env = batch("rooms_exploit_deferred_effects_train", 8)
     env.reset(seed=0)
@@ -72,6 +74,7 @@ def test_deferred_effects_are_exploited() -> None:
     assert (returns >= 0.8 * best).all()  # an apple before the door cannot be avoided
 
 
+@pytest.mark.slow
 def test_keys_and_doors_are_solved_as_well_as_possible() -> None:
     env = batch("rooms_keys_doors_puzzle", 12)
     env.reset(seed=0)
@@ -82,7 +85,10 @@ def test_keys_and_doors_are_solved_as_well_as_possible() -> None:
     assert (returns == best).mean() >= 0.9
 
 
-@pytest.mark.parametrize("level", [name for name in LEVELS if name.startswith("natlab")])
+@pytest.mark.parametrize(
+    "level",
+    slow_but((x for x in LEVELS if x.startswith("natlab")), "natlab_fixed_large_map"),
+)
 def test_leaving_a_place_is_remembered_and_saved(level: str) -> None:
     """Asked again without a step the expert says the same, and a second one goes on from its
     state, while another policy holds some of the players in their places for a while."""

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from conftest import slow_but
 from labyrinth_levels import batch, play_out
 
 from zipf import envs
@@ -39,7 +40,7 @@ FLOORS = {
 """Mean returns of three episodes, a level for each kind of rules."""
 
 
-@pytest.mark.parametrize("level", FLOORS)
+@pytest.mark.parametrize("level", slow_but(FLOORS, "explore_goal_locations_large"))
 def test_it_reaches_its_floor(level: str) -> None:
     env = batch(level, 3, image_size=IMAGE)
     env.reset(seed=11)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import naming
 from surfaces import assert_closed_and_outward, assert_no_shared_plane, inside, mesh_of
 
 import zipf.envs
@@ -61,29 +62,33 @@ def test_the_atlas_has_every_object_in_order():
     assert load_meshes().names[0] == "duck"
 
 
-@pytest.mark.parametrize("name", SIZES)
-def test_a_mesh_stands_on_its_origin_at_its_size(name):
+def test_a_mesh_stands_on_its_origin_at_its_size():
     """An object faces +x, so its two horizontal sizes may stand in the other order."""
-    vertices, triangles, _ = mesh_of(ATLAS, name)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    assert low[2] == 0
-    np.testing.assert_allclose((low + high)[:2], 0, atol=2e-5)
-    x, y, z = (high - low) * 100
-    length, width, height = (max(side, THINNEST) for side in SIZES[name])
-    np.testing.assert_allclose(sorted((x, y)), sorted((length, width)), rtol=0.1)
-    assert z == pytest.approx(height, rel=0.1)
-    assert sorted(set(triangles.ravel())) == list(range(len(vertices)))
-    assert len(triangles) <= 250
+    for name in SIZES:
+        with naming(name):
+            vertices, triangles, _ = mesh_of(ATLAS, name)
+            low, high = vertices.min(axis=0), vertices.max(axis=0)
+            assert low[2] == 0
+            np.testing.assert_allclose((low + high)[:2], 0, atol=2e-5)
+            x, y, z = (high - low) * 100
+            length, width, height = (max(side, THINNEST) for side in SIZES[name])
+            np.testing.assert_allclose(sorted((x, y)), sorted((length, width)), rtol=0.1)
+            assert z == pytest.approx(height, rel=0.1)
+            assert sorted(set(triangles.ravel())) == list(range(len(vertices)))
+            assert len(triangles) <= 250
 
 
-@pytest.mark.parametrize("name", SIZES)
-def test_a_mesh_is_made_of_closed_surfaces_that_face_outwards(name):
-    assert_closed_and_outward(*mesh_of(ATLAS, name)[:2])
+def test_a_mesh_is_made_of_closed_surfaces_that_face_outwards():
+    for name in SIZES:
+        with naming(name):
+            assert_closed_and_outward(*mesh_of(ATLAS, name)[:2])
 
 
-@pytest.mark.parametrize("name", SIZES)
-def test_no_two_colours_lie_in_one_plane(name):
-    assert_no_shared_plane(*mesh_of(ATLAS, name))
+@pytest.mark.slow
+def test_no_two_colours_lie_in_one_plane():
+    for name in SIZES:
+        with naming(name):
+            assert_no_shared_plane(*mesh_of(ATLAS, name))
 
 
 @pytest.fixture(scope="module")
@@ -112,14 +117,16 @@ def shares() -> dict[str, np.ndarray]:
     return dict(zip(ATLAS.names, (counts / pixels[:, None]).reshape(-1, 8, 2), strict=True))
 
 
-@pytest.mark.parametrize("name", SIZES)
-def test_both_colours_are_visible_from_every_side(name, shares):
+@pytest.mark.slow
+def test_both_colours_are_visible_from_every_side(shares):
     """Tasks name the forty objects by two colours, so those show much of both."""
-    least_main, least_accent = (0.35, 0.25) if name in SHAPES else (0.1, 0.1)
-    main, accent = shares[name].T
-    assert main.mean() > least_main
-    assert accent.mean() > least_accent
-    assert min(main.min(), accent.min()) > 0.1
+    for name in SIZES:
+        with naming(name):
+            least_main, least_accent = (0.35, 0.25) if name in SHAPES else (0.1, 0.1)
+            main, accent = shares[name].T
+            assert main.mean() > least_main
+            assert accent.mean() > least_accent
+            assert min(main.min(), accent.min()) > 0.1
 
 
 def outlines(name: str, yaws: np.ndarray) -> np.ndarray:
@@ -138,6 +145,7 @@ def outlines(name: str, yaws: np.ndarray) -> np.ndarray:
     return np.array(views)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [list(SHAPES), [f"{form}_0" for form in FORMS]])
 def test_no_two_outlines_are_alike(names):
     """Even at the same size. As for the toys: one minus the ratio of the outlines' intersection to
@@ -151,19 +159,21 @@ def test_no_two_outlines_are_alike(names):
         assert told > 0.15, (one, other, told)
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_the_patterns_of_a_form_have_one_shape_and_differ_in_their_colours(form):
-    (v0, t0, p0), (v1, t1, p1), (v2, t2, p2) = (
-        mesh_of(ATLAS, f"{form}_{pattern}") for pattern in range(3)
-    )
-    for vertices, triangles in ((v1, t1), (v2, t2)):
-        np.testing.assert_array_equal(vertices, v0)
-        np.testing.assert_array_equal(triangles, t0)
-    for a, b in ((p0, p1), (p0, p2), (p1, p2)):
-        # Neither alike nor alike with the colours swapped.
-        assert 0.15 < (a != b).mean() < 0.85
+def test_the_patterns_of_a_form_have_one_shape_and_differ_in_their_colours():
+    for form in FORMS:
+        with naming(form):
+            (v0, t0, p0), (v1, t1, p1), (v2, t2, p2) = (
+                mesh_of(ATLAS, f"{form}_{pattern}") for pattern in range(3)
+            )
+            for vertices, triangles in ((v1, t1), (v2, t2)):
+                np.testing.assert_array_equal(vertices, v0)
+                np.testing.assert_array_equal(triangles, t0)
+            for a, b in ((p0, p1), (p0, p2), (p1, p2)):
+                # Neither alike nor alike with the colours swapped.
+                assert 0.15 < (a != b).mean() < 0.85
 
 
+@pytest.mark.slow
 def test_the_file_is_what_the_command_builds(monkeypatch):
     monkeypatch.syspath_prepend(SCRIPTS)
     command = importlib.import_module("build_meshes")

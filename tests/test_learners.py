@@ -467,6 +467,7 @@ def whole(runs):
     return runs.torchrun("whole")
 
 
+@pytest.mark.slow
 def test_two_processes_train_one_run(whole, runs):
     config = runs.config("whole")
     assert whole.returncode == 0, whole.stderr
@@ -488,6 +489,7 @@ def test_two_processes_train_one_run(whole, runs):
     assert_equal(dict(trained.agent.network.state_dict()), first["weights"])
 
 
+@pytest.mark.slow
 def test_a_checkpoint_holds_what_each_learner_has_of_its_own(whole, runs):
     config = runs.config("whole")
     state = checkpoint.load(config.folder / "checkpoint.pt")
@@ -499,6 +501,7 @@ def test_a_checkpoint_holds_what_each_learner_has_of_its_own(whole, runs):
     assert 0 < last["visits"].sum() <= sum(int(part.sum()) for part in visits)
 
 
+@pytest.mark.slow
 def test_learners_agree_that_the_last_evaluation_is_given_up(runs):
     config = runs.config("given_up")
     ended = runs.processes("given_up", "updates=1", spy=f"{signal.SIGTERM:d} 0 1 evaluation")
@@ -508,6 +511,7 @@ def test_learners_agree_that_the_last_evaluation_is_given_up(runs):
     assert checkpoint.load(config.folder / "checkpoint.pt")["evaluated"] == 0
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_and_then_lost_a_learner_ends_as_one_that_was_not(whole, runs):
     """A SIGTERM of one learner stops both after the same update. Then one is killed; torchrun ends
     the other and starts both again."""
@@ -530,6 +534,7 @@ def test_a_run_that_was_stopped_and_then_lost_a_learner_ends_as_one_that_was_not
         pd.testing.assert_frame_equal(one, other)
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_left_as_it_is(whole, runs):
     (first, shown, _), (second, hidden, _) = runs.processes("whole", spy="0 0 0")
     assert (first, second) == (0, 0)

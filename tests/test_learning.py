@@ -15,6 +15,8 @@ from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.training.collector import Collector
 
+pytestmark = pytest.mark.slow
+
 ADAM = {"adam_beta1": 0.9, "adam_beta2": 0.999, "adam_epsilon": 1e-8}
 OPTIONS = {
     "impala": {

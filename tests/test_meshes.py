@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import naming
 from surfaces import assert_closed_and_outward, assert_no_shared_plane, inside, mesh_of
 
 from zipf.envs.playroom.constants import EYE, FURNITURE_SIZE
@@ -50,15 +51,16 @@ def test_the_atlas_is_loaded_once_and_its_arrays_are_as_documented():
     assert ATLAS.parts.max() <= 5
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_mesh_stands_on_its_origin(name):
-    vertices, triangles, _ = mesh(name)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    assert low[2] == 0
-    np.testing.assert_allclose((low + high)[:2], 0, atol=2e-5)
-    np.testing.assert_allclose(ATLAS.extent[ATLAS.index(name)], high - low, atol=1e-6)
-    assert sorted(set(triangles.ravel())) == list(range(len(vertices)))
-    assert 60 <= len(triangles) <= 260
+def test_a_mesh_stands_on_its_origin():
+    for name in NAMES:
+        with naming(name):
+            vertices, triangles, _ = mesh(name)
+            low, high = vertices.min(axis=0), vertices.max(axis=0)
+            assert low[2] == 0
+            np.testing.assert_allclose((low + high)[:2], 0, atol=2e-5)
+            np.testing.assert_allclose(ATLAS.extent[ATLAS.index(name)], high - low, atol=1e-6)
+            assert sorted(set(triangles.ravel())) == list(range(len(vertices)))
+            assert 60 <= len(triangles) <= 260
 
 
 def test_a_toy_is_larger_than_another_where_the_thing_it_stands_for_is():
@@ -70,25 +72,29 @@ def test_a_toy_is_larger_than_another_where_the_thing_it_stands_for_is():
         assert longest[smaller] < 0.99 * longest[larger], (smaller, larger)
 
 
-@pytest.mark.parametrize("name", OBJECTS)
-def test_a_toy_is_large_enough_to_see_and_small_enough_for_the_tray(name):
-    width, depth, height = ATLAS.extent[ATLAS.index(name)].tolist()
-    focal = 96 / 2 / math.tan(math.radians(FIELD_OF_VIEW) / 2)
-    pixels = max(width, depth, height) * focal / math.hypot(2.0, EYE)  # from 2 m away
-    assert pixels > 6.5
-    assert min(width, depth) < 2 * FURNITURE_SIZE[1, 1]
-    assert max(width, depth) < 2 * FURNITURE_SIZE[1, 0]
+def test_a_toy_is_large_enough_to_see_and_small_enough_for_the_tray():
+    for name in OBJECTS:
+        with naming(name):
+            width, depth, height = ATLAS.extent[ATLAS.index(name)].tolist()
+            focal = 96 / 2 / math.tan(math.radians(FIELD_OF_VIEW) / 2)
+            pixels = max(width, depth, height) * focal / math.hypot(2.0, EYE)  # from 2 m away
+            assert pixels > 6.5
+            assert min(width, depth) < 2 * FURNITURE_SIZE[1, 1]
+            assert max(width, depth) < 2 * FURNITURE_SIZE[1, 0]
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_mesh_is_made_of_closed_surfaces_that_face_outwards(name):
-    assert_closed_and_outward(*mesh(name)[:2])
+def test_a_mesh_is_made_of_closed_surfaces_that_face_outwards():
+    for name in NAMES:
+        with naming(name):
+            assert_closed_and_outward(*mesh(name)[:2])
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_no_two_colours_lie_in_one_plane(name):
+@pytest.mark.slow
+def test_no_two_colours_lie_in_one_plane():
     """The depth buffer could not decide between them."""
-    assert_no_shared_plane(*mesh(name))
+    for name in NAMES:
+        with naming(name):
+            assert_no_shared_plane(*mesh(name))
 
 
 def heights(name: str, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
@@ -134,6 +140,7 @@ def silhouettes(name: str, yaws: np.ndarray) -> np.ndarray:
     return np.array(views)
 
 
+@pytest.mark.slow
 def test_no_two_toys_are_alike():
     """From most sides, the outline of a toy differs from all outlines of the other toys.
 
@@ -150,6 +157,7 @@ def test_no_two_toys_are_alike():
         assert told > 0.15, (one, other, told)
 
 
+@pytest.mark.slow
 def test_the_file_is_what_the_command_builds(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "scripts")
     command = importlib.import_module("build_meshes")

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import slow_but
 from numpy.typing import NDArray
 
 from zipf.envs.playroom.expert import Expert
@@ -30,7 +31,7 @@ def solved(
     return success, lengths
 
 
-@pytest.mark.parametrize("level", list(LEVELS))
+@pytest.mark.parametrize("level", slow_but(LEVELS, "put/put_on_bed_tray_all"))
 def test_the_expert_solves_every_level(level: str) -> None:
     """`scripts/check_expert.py` plays many more episodes."""
     success, lengths = solved(level, list(range(1000, 1040)))
@@ -43,6 +44,7 @@ def test_the_expert_pushes_aside_what_shuts_it_in() -> None:
     assert solved("put/put_on_bed_tray_all", [500165])[0].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [{"object_order": "alternate"}, {"reach": 1.5}, {"reach": 3.0}, {"looks": "varied"}]
 )

@@ -1,12 +1,14 @@
 """Worlds, agents and experiments from outside the package, by `plugins` and `--config-dir`."""
 
 import json
+import sys
 import textwrap
 
 import pandas as pd
 import pytest
-from conftest import run
+from conftest import call, run
 
+from zipf.envs import family
 from zipf.errors import UserError
 from zipf.experiments.options import catalogue, command_line, composing
 
@@ -121,13 +123,22 @@ def folder(tmp_path):
     return tmp_path
 
 
+@pytest.fixture
+def forgotten(monkeypatch):
+    """The family that this process has imported is not there for other tests."""
+    monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
+    monkeypatch.setattr(composing, "_user_folders", [])
+    yield
+    sys.modules.pop("my_worlds", None)
+
+
 TRAIN = ("--config-dir", "my_configs", "plugins=[my_worlds]", "experiment=counting")
 
 
-def test_a_family_of_ones_own_is_trained_resumed_scored_and_reported(folder):
+def test_a_family_of_ones_own_is_trained_resumed_scored_and_reported(folder, forgotten):
     first = run(*TRAIN, "condition=eager", "updates=2", folder=folder)
     assert first.returncode == 0, first.stderr
-    again = run(*TRAIN, "condition=eager", folder=folder)
+    again = call(*TRAIN, "condition=eager", folder=folder)
     assert again.returncode == 0, again.stderr
     assert "resumes at update 2" in again.stdout
     kept = folder / "runs" / "counting" / "eager" / "seed0"
@@ -145,11 +156,12 @@ def test_a_family_of_ones_own_is_trained_resumed_scored_and_reported(folder):
     place = f"run={kept}"
     scored = run(place, "plugins=my_worlds", "episodes=5", module="zipf.evaluate", folder=folder)
     assert scored.returncode == 0, scored.stderr
-    reported = run("runs", module="zipf.report", folder=folder)
+    reported = call("runs", module="zipf.report", folder=folder)
     assert reported.returncode == 0, reported.stderr
     assert "Eager IMPALA" in reported.stdout
 
 
+@pytest.mark.slow
 def test_a_runs_folder_never_has_modules_imported(folder):
     assert run(*TRAIN, "updates=2", folder=folder).returncode == 0
     place = f"run={folder}/runs/counting/impala_mlp/seed0"
@@ -162,6 +174,7 @@ def test_a_runs_folder_never_has_modules_imported(folder):
     assert not (folder / "imported").exists()
 
 
+@pytest.mark.slow
 def test_a_sweep_finds_plugins_and_configurations(folder):
     swept = run(*TRAIN, "-m", "seed=0,1", "updates=2", folder=folder)
     assert swept.returncode == 0, swept.stderr
@@ -177,15 +190,20 @@ def test_a_sweep_finds_plugins_and_configurations(folder):
         (["plugins=3", "experiment=demo"], "should be a list of modules"),
         (["--config-dir", "nowhere", "experiment=demo"], "--config-dir nowhere: there is no such"),
         (["plugins=[my_worlds]", "experiment=counting"], "no such experiment"),
-        (["--config-dir", "my_configs", "experiment=counting"], "plugins=[<module>]"),
     ],
 )
-def test_mistakes_are_one_clear_line(folder, arguments, message):
+def test_mistakes_are_one_clear_line(folder, forgotten, arguments, message):
     (folder / "broken.py").write_text("1 / 0")
-    refused = run(*arguments, folder=folder)
+    refused = call(*arguments, folder=folder)
     assert refused.returncode == 2, refused.stdout
     assert message in refused.stderr
     assert "Traceback" not in refused.stderr
+
+
+def test_worlds_that_no_plugin_has_registered_are_told_how_to(folder):
+    refused = run("--config-dir", "my_configs", "experiment=counting", folder=folder)
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    assert "plugins=[<module>]" in refused.stderr
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,7 @@ def test_what_cannot_be_is_refused_in_a_line(overrides, told, tmp_path):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nonsense"])
 def test_a_cluster_that_is_not_there_is_told_at_once(address, tmp_path):
     config = load(tmp_path, "runtime=ray", f"runtime.address={address}")
@@ -86,6 +87,7 @@ def test_a_run_in_a_cluster_is_a_row_of_its_own(tmp_path):
     assert local != cluster == elsewhere
 
 
+@pytest.mark.slow
 def test_an_actor_that_never_plays_ends_the_run(tmp_path, monkeypatch):
     """But not one that dies now and then after it has played."""
     config = load(tmp_path, "runtime=ray", "runtime.actors=1")
@@ -243,6 +245,7 @@ def process_of(actor):
     return ray.get(actor.handle.__ray_call__.remote(lambda player: os.getpid()))
 
 
+@pytest.mark.slow
 def test_actors_play_other_worlds_and_nothing_is_learned_from_twice(watched):
     run, learned_from = watched
     rows = step(run, both_contribute(run))
@@ -254,6 +257,7 @@ def test_actors_play_other_worlds_and_nothing_is_learned_from_twice(watched):
     assert visits == learned_from.episodes > 0
 
 
+@pytest.mark.slow
 def test_a_slow_actor_holds_nobody_up(watched):
     """Stopped in the midst of an unroll, whose lag is too large when it goes on."""
     run, learned_from = watched
@@ -274,6 +278,7 @@ def test_a_slow_actor_holds_nobody_up(watched):
     assert all(row["actors_replaced"] == 0 for row in rows)
 
 
+@pytest.mark.slow
 def test_an_actor_that_dies_is_replaced(watched):
     run, learned_from = watched
     step(run, both_contribute(run))
@@ -287,6 +292,7 @@ def test_an_actor_that_dies_is_replaced(watched):
     assert len(re.findall(r"actor 0 is lost and replaced: ", text)) == 1
 
 
+@pytest.mark.slow
 def test_actors_of_a_node_that_is_lost_go_on_elsewhere(watched, cluster):
     run, learned_from = watched
     step(run, both_contribute(run))
@@ -303,6 +309,7 @@ def test_actors_of_a_node_that_is_lost_go_on_elsewhere(watched, cluster):
     assert sum(row["actors_replaced"] for row in rows) == 1
 
 
+@pytest.mark.slow
 def test_more_actors_than_cores_and_another_cluster_are_refused(watched, cluster, tmp_path):
     address = f"runtime.address={cluster.address}"
     config = load(tmp_path, "runtime=ray", "runtime.actors=9", address)
@@ -358,6 +365,7 @@ def rows_of(folder):
     return len(path.read_text().splitlines()) - 1 if path.exists() else 0
 
 
+@pytest.mark.slow
 def test_the_driver_is_killed_and_the_same_command_goes_on(tmp_path, monkeypatch):
     """From its last checkpoint, until Ctrl-C. Neither leaves a process, and Ray says nothing."""
     monkeypatch.setenv("ZIPF_TEST_MARKER", marker := f"zipf-{os.getpid()}-driver")

@@ -13,6 +13,8 @@ from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.training.collector import Collector
 
+pytestmark = pytest.mark.slow
+
 DELAY = 10
 IMPALA = ImpalaOptions(
     name="impala",

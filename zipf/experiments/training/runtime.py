@@ -1,4 +1,4 @@
-"""The processes of a run: what learns and what collects for it. Here one process does both."""
+"""The processes of a run: learners and those that collect for them. Here one process does both."""
 
 from __future__ import annotations
 
