@@ -106,7 +106,7 @@ def test_the_optimiser_has_the_values_of_the_options(name):
     options = options_of(name).model_copy(update=values)
     batch = {"num_envs": WORLDS, "unroll_length": STEPS}
     made = agents()[name](options, Setting(SPACE, ACTION_SPACE, NETWORK, LSTM, **batch))
-    (group,) = made.optimiser.param_groups
+    (group,) = made.optimisers["optimiser"].param_groups
     assert group["lr"] == 0.02
     assert group["betas"] == (0.7, 0.9)
     assert group["eps"] == 0.1
@@ -316,7 +316,6 @@ def test_an_agent_of_ones_own_needs_four_methods(monkeypatch):
     for unroll in unrolls(made, 2):
         assert (unroll.steps["action"][:-1] == 1).all()
         assert made.update(unroll) == {}
-    made.publish()
     with pytest.raises(ValueError, match="agent 'constant' is already registered"):
         register(Constant)
 

@@ -25,6 +25,7 @@ from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions, hindsight_loss,
 from zipf.agents.impala import Impala
 from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
+from zipf.agents.r2d2 import Replayed
 from zipf.agents.reweighting import InverseCountOptions
 from zipf.envs.policies import Teacher
 from zipf.errors import UserError
@@ -734,7 +735,7 @@ def test_relabelled_episodes_in_replay_have_the_weight_one():
     items, _, _ = made.replay.sample(8)
     inside = (items["steps", "weight"] == 1).sum(1).tolist()
     assert set(inside) == {4, 2}
-    assert np.isfinite(made._learn(items, torch.ones(8))[0]["loss"])
+    assert np.isfinite(made.learn(Replayed(items, torch.ones(8)))[0]["loss"])
 
 
 def test_a_checkpoint_from_before_an_option_was_added_fits():

@@ -70,6 +70,12 @@ MEMORIES = {
 }
 
 
+def learn(made, items, weights):
+    """One optimiser step on sequences: the metrics, and their new priorities."""
+    metrics, kept = made.learn(r2d2.Replayed(items, weights))
+    return metrics, kept["priorities"]
+
+
 def agent(memory=LSTM, worlds=WORLDS, seed=0, **changes):
     setting = Setting(
         gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
@@ -315,13 +321,13 @@ def test_the_update_equals_the_definition(places, memory, seed):
     loss, expected, cut = by_hand(made, items, weights)
     assert (cut["known"] > 0, cut["unknown"] > 0) == (places > 0, places < 2)
     if memory == "gtrxl":  # no gradient flows from step to step, as it does in an unroll
-        metrics, priorities = made._learn(items, weights)
+        metrics, priorities = learn(made, items, weights)
         assert metrics["loss"] == pytest.approx(loss.item(), rel=1e-4)
         np.testing.assert_allclose(priorities, expected, rtol=1e-4)
         return
     gradients = torch.autograd.grad(loss, list(made.network.parameters()))
     before = deepcopy(made.network.state_dict())
-    metrics, priorities = made._learn(items, weights)
+    metrics, priorities = learn(made, items, weights)
     assert metrics["loss"] == pytest.approx(loss.item(), rel=1e-4)
     np.testing.assert_allclose(priorities, expected, rtol=1e-4)
     norm = torch.stack([g.norm() for g in gradients]).norm().item()
@@ -337,13 +343,13 @@ def test_the_update_equals_the_definition(places, memory, seed):
 
 def test_repeated_updates_reduce_the_loss():
     made, items = agent(learning_rate=3e-3, target_period=1000), sequences(5)
-    losses = [made._learn(items, torch.ones(5))[0]["loss"] for _ in range(100)]
+    losses = [learn(made, items, torch.ones(5))[0]["loss"] for _ in range(100)]
     assert losses[-1] < 0.1 * losses[0]
 
 
 def test_gradients_are_clipped():
     made = agent(max_gradient_norm=1e-3)
-    metrics, _ = made._learn(sequences(3), torch.ones(3))
+    metrics, _ = learn(made, sequences(3), torch.ones(3))
     norms = [p.grad.norm() for p in made.network.parameters()]
     assert metrics["gradient_norm"] > 1e-3
     assert torch.stack(norms).norm().item() == pytest.approx(1e-3, rel=1e-3)
@@ -358,10 +364,10 @@ def test_training_on_means_equals_training_on_sums_over_time():
     unscaled = agent(max_gradient_norm=bound, adam_epsilon=epsilon)
     for seed in range(20):
         items, weights = sequences(5, seed), torch.rand(5)
-        metrics, _ = summed._learn(items, STEPS * weights)
+        metrics, _ = learn(summed, items, STEPS * weights)
         assert metrics["gradient_norm"] > bound
-        mean._learn(items, weights)
-        unscaled._learn(items, weights)
+        learn(mean, items, weights)
+        learn(unscaled, items, weights)
 
     def parameters(made):
         return torch.cat([p.detach().flatten() for p in made.network.parameters()])
@@ -376,7 +382,7 @@ def test_divergence_changes_no_weights():
     items["steps"]["reward"][0, BURN_IN] = float("inf")
     before = {name: p.detach().clone() for name, p in made.network.named_parameters()}
     with pytest.raises(FloatingPointError):
-        made._learn(items, torch.ones(3))
+        learn(made, items, torch.ones(3))
     for name, parameter in made.network.named_parameters():
         assert torch.equal(parameter, before[name])
 
@@ -390,7 +396,7 @@ def test_the_target_network_is_copied_every_target_period():
 
     followed = []
     for seed in range(7):
-        made._learn(sequences(2, seed), torch.ones(2))
+        learn(made, sequences(2, seed), torch.ones(2))
         followed.append(same())
     assert followed == [False, False, True, False, False, True, False]
 
@@ -453,7 +459,7 @@ def test_no_step_is_taken_before_replay_min_sequences():
         sizes.append(metrics["replay_sequences"])
         inserted.append(metrics["replay_inserted"])
         assert list(metrics) == [*r2d2.METRICS, "replay_sequences", "replay_inserted"]
-        assert made.steps == sum(learned)
+        assert made.updates == sum(learned)
     assert sizes == [0, 4, 8, 12, 16, 16]
     assert inserted == [0, 4, 4, 4, 4, 4]
     assert learned == [False, False, True, True, True, True]
@@ -490,11 +496,12 @@ def test_priorities_are_those_of_the_learned_sequences():
         made.update(unroll)
     before = made.replay._buffer.sampler.tree.leaves.copy()
     batches = []
-    sample, learn = made.replay.sample, made._learn
+    sample, learned = made.replay.sample, made.learn
     made.replay.sample = lambda size: batches.append(sample(size)) or batches[-1]
-    made._learn = lambda *batch: batches.append(learn(*batch)) or batches[-1]
+    made.learn = lambda batch: batches.append(learned(batch)) or batches[-1]
     made.update(next(unrolls(1, seed=1)))
-    (_, index, _), (_, priorities) = batches
+    (_, index, _), (_, kept) = batches
+    priorities = kept["priorities"]
     assert len(index) == 2
     after = made.replay._buffer.sampler.tree.leaves
     np.testing.assert_allclose(after[index], priorities.numpy() ** 0.9, rtol=1e-5)
@@ -508,7 +515,7 @@ def test_a_fresh_sequence_has_the_priority_of_its_errors_or_the_largest():
         made.update(unroll)
         other.update(unroll)
     items = made.replay._buffer.storage[:8]
-    _, priorities = made._learn(items, torch.ones(8))
+    _, priorities = learn(made, items, torch.ones(8))
     leaves = made.replay._buffer.sampler.tree.leaves
     np.testing.assert_allclose(leaves[:8], priorities.numpy() ** 0.9, rtol=1e-4)
     assert len(set(leaves[:8])) == 8

@@ -14,6 +14,7 @@ from zipf import envs
 from zipf.agents import agents
 from zipf.agents.agent import Setting
 from zipf.agents.memory import MLPOptions
+from zipf.agents.r2d2 import Replayed
 from zipf.agents.reweighting import (
     NO_REWEIGHTING,
     EffectiveNumberOptions,
@@ -247,7 +248,7 @@ def test_the_replays_losses_are_weighted_frame_by_frame():
         for t in range(STEPS):
             weight = items["steps", "weight"][b, made.burn_in + t]
             expected += float(importance[b] * weight * 0.5 * errors[t, b].detach() ** 2)
-    metrics, _ = made._learn(items, importance)
+    metrics, _ = made.learn(Replayed(items, importance))
     assert metrics["loss"] == pytest.approx(expected / (STEPS * len(items)), rel=1e-5)
 
 

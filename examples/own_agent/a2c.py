@@ -11,49 +11,45 @@ from typing import Literal
 
 import torch
 
-from zipf.agents import Agent, register
+from zipf.agents import register
+from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.network import ActorCritic, Inputs
 from zipf.agents.returns import bootstrapped_returns
-from zipf.options import Options
 
 
-class A2COptions(Options):
+class A2COptions(LearnerOptions):
     """The options, `agent.learning_rate` and so on. With defaults they need no file."""
 
     name: Literal["a2c"]
     learning_rate: float = 1e-3
+    adam_beta1: float = 0.9
+    adam_beta2: float = 0.999
+    adam_epsilon: float = 1e-8
+    max_gradient_norm: float = 1.0
     discount: float = 0.99
     baseline_cost: float = 0.5
     entropy_cost: float = 0.01
 
 
 @register
-class A2C(Agent):
+class A2C(Learner):
     Options = A2COptions
 
-    def __init__(self, options, setting):
-        super().__init__(options, setting)
-        torch.manual_seed(setting.seed)
-        self.network = self.actor = ActorCritic(
-            setting.observation_space, setting.action_space, setting.network, setting.memory
-        ).to(self.device)
-        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=options.learning_rate)
-
-    def initial_memory(self, batch):
-        return self.network.memory.initial_state(batch)
+    def make_network(self):
+        return ActorCritic(*self.setting.torso)
 
     @torch.no_grad()
     def act(self, inputs, memory, generator, *, training=True):
         outputs = self.actor(inputs.unsqueeze(), memory)  # one frame is an unroll of length 1
         probabilities = outputs.logits[0].softmax(-1)
         actions = probabilities.cpu().multinomial(1, generator=generator).squeeze(-1)
-        return actions, outputs.state, {}  # `update` needs nothing that is known only here
+        return actions, outputs.state, {}  # `loss` needs nothing that is known only here
 
     @torch.no_grad()
     def value(self, inputs, memory):
         return self.actor(inputs.unsqueeze(), memory).value[0]
 
-    def update(self, unroll):
+    def loss(self, unroll):
         outputs = self.network(Inputs.of(unroll.steps), unroll.memory)
         steps = unroll.steps[:-1]  # the last row belongs to the next unroll
         values, log_policy = outputs.value[:-1], outputs.logits[:-1].log_softmax(-1)
@@ -74,15 +70,4 @@ class A2C(Agent):
             + self.options.baseline_cost * baseline_loss
             - self.options.entropy_cost * entropy
         )
-        self.optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
-        self.optimiser.step()
-        return {"loss": loss.item(), "entropy": entropy.item()}
-
-    def state_dict(self):
-        return {"network": self.network.state_dict(), "optimiser": self.optimiser.state_dict()}
-
-    def load_state_dict(self, state):
-        self.network.load_state_dict(state["network"])
-        self.optimiser.load_state_dict(state["optimiser"])
+        return Loss(loss, {"entropy": entropy})

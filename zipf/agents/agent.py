@@ -32,15 +32,15 @@ from typing import Any, ClassVar, Literal, TypeVar
 
 import gymnasium as gym
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 import zipf.options
-from zipf.agents.auxiliary import NO_AUXILIARY, Auxiliary, AuxiliaryOptions
+from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions
 from zipf.agents.critics import SCALAR, CriticOptions
-from zipf.agents.episodic import NO_EPISODIC, Dictionary, EpisodicOptions
+from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions
 from zipf.agents.hindsight import NO_HINDSIGHT, HindsightOptions
 from zipf.agents.memory import MemoryOptions, State
-from zipf.agents.network import Inputs, Torso, frozen_copy
+from zipf.agents.network import Inputs
 from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import NO_REWEIGHTING, ReweightingOptions
 from zipf.agents.unroll import Unroll
@@ -82,6 +82,11 @@ class Setting:
     reweighting: ReweightingOptions = NO_REWEIGHTING
     hindsight: HindsightOptions = NO_HINDSIGHT
 
+    @property
+    def torso(self) -> tuple[gym.spaces.Dict, gym.Space, NetworkOptions, MemoryOptions]:
+        """The arguments of a `zipf.agents.network.Torso`."""
+        return self.observation_space, self.action_space, self.network, self.memory
+
 
 class Agent(ABC):
     """The base of all agents.
@@ -97,7 +102,8 @@ class Agent(ABC):
             (`zipf.agents.averaging`), so that its state stays the same in all of them.
         largest_lag: how many unrolls collection may run ahead of learning on one machine. With 0
             an agent is on-policy: it learns only from unrolls of its newest weights. With more it
-            can also learn from actors in a cluster, whose weights are older by some updates.
+            can also learn from actors in a cluster, whose weights are older by some updates; such
+            an agent is a `zipf.agents.learner.Learner`, which has weights to publish.
         answers_questions: whether it is a classifier, which answers a question about an episode's
             first frame and takes no other action.
         learns_from_rewards: whether rewards enter its loss; if not, it takes no exploration bonus.
@@ -109,7 +115,6 @@ class Agent(ABC):
         teacher: name of the scripted player of the worlds that labels every step of an unroll with
             the action that it would take (`zipf.envs.SCRIPTED`); None: no labels.
         teacher_share: the probability that the teacher acts in a step in the agent's place.
-        actor: the network that `act` and `value` compute with. Constructors set it.
 
     Raises:
         ValueError: options that do not go together, a line for each problem.
@@ -129,7 +134,6 @@ class Agent(ABC):
     final_observations: int = 0
     teacher: Literal["expert", "generalist"] | None = None
     teacher_share: float = 0.0
-    actor: nn.Module
 
     def __init__(self, options: Any, setting: Setting):
         wrong = list(self.problems(options, setting.num_envs, setting.unroll_length))
@@ -139,9 +143,6 @@ class Agent(ABC):
         self.options = options
         self.setting = setting
         self.device = setting.device
-        self.precision = setting.precision
-        self._published: nn.Module | None = None  # the network that `actor` is a copy of
-        self._is_compiled = False
 
     @classmethod
     def problems(cls, options: Any, num_envs: int, unroll_length: int) -> Iterator[str]:
@@ -203,53 +204,6 @@ class Agent(ABC):
         an agent that does not bootstrap from them."""
         return torch.zeros(len(inputs.is_first), device=self.device)
 
-    def begin_with(self, weights: Mapping[str, Mapping[str, Tensor]]) -> None:
-        """Loads parts of another agent's network; called before any other method.
-
-        All attributes that are a `Torso` load them, and the auxiliary loss follows their encoder.
-        Agents whose network is no `Torso` override this method.
-
-        Args:
-            weights: a state dictionary for each part to take, by the part's name in both networks
-                (`Torso.parts`), such as `encoder` or `memory`.
-
-        Raises:
-            ValueError: the network has no such part, or one of another shape.
-        """
-        networks = self._torsos()
-        if not networks:
-            raise ValueError("this agent has no network that takes the weights of another")
-        for network in networks:
-            parts = network.parts()
-            for name, state in weights.items():
-                if name not in parts:
-                    raise ValueError(f"no part {name!r}: the network has {', '.join(parts)}")
-                part = parts[name]
-                _check_fits(name, part.state_dict(), state)
-                part.load_state_dict(state)
-                if isinstance(part, Dictionary):
-                    part.become_old()
-        for own in vars(self).values():
-            if isinstance(own, Auxiliary):
-                own.begin_with(networks[0].encoder)
-
-    def fixed_parts(self) -> list[str]:
-        """Names of the parts of its network that do not learn, such as a fixed matcher."""
-        networks = self._torsos()  # the one that learns is the first
-        return networks[0].fixed_parts() if networks else []
-
-    def scale_learning_rates(self, factor: float) -> None:
-        """Sets the learning rates of all attributes that are optimisers, for the updates that
-        follow.
-
-        Args:
-            factor: of the learning rates that they were built with; from 0 to 1.
-        """
-        for part in vars(self).values():
-            if isinstance(part, torch.optim.Optimizer):
-                for group in part.param_groups:
-                    group["lr"] = factor * group.setdefault("initial_lr", group["lr"])
-
     def begin_learning(self) -> list[str]:
         """Allocates what learning alone needs; called once before the first `update` or
         `load_state_dict` of a run, and not for an agent that only acts.
@@ -279,72 +233,6 @@ class Agent(ABC):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
 
-    def weights(self) -> dict[str, Tensor]:
-        """The weights that `actor` has, or is to have at the next `publish`, by name: all that an
-        agent needs to act as it has learned. Empty for an agent without an `actor`. An agent whose
-        actions depend on more overrides this method and `load_weights`."""
-        learned = getattr(self, "actor", None) if self._published is None else self._published
-        return {} if learned is None else learned.state_dict()
-
-    def load_weights(self, weights: Mapping[str, Tensor]) -> None:
-        """From now on the agent acts as the one that `weights` are from.
-
-        Raises:
-            RuntimeError: they do not fit its network.
-        """
-        self.actor.load_state_dict(weights)
-
-    def carried(self) -> dict[str, Any]:
-        """State that the last update keeps for the next unroll of the same worlds, such as R2D2's
-        burn-in rows; later updates do not change its tensors. Empty for most agents."""
-        return {}
-
-    def carry(self, carried: dict[str, Any]) -> None:
-        """Restores what `carried()` was after the previous unroll of the worlds that the next
-        update learns from; empty if that unroll was not learned from."""
-        return
-
-    def separate_acting(self) -> None:
-        """From now on `act` and `value` compute with a copy of the weights, which `publish` alone
-        refreshes: they may then run in one thread while `update` runs in another. `state_dict()` is
-        without the copy; `actor.state_dict()` has it."""
-        self._published = self.actor
-        self.actor = frozen_copy(self.actor)
-        if self._is_compiled:  # a copy is not
-            self.compile()
-
-    def publish(self) -> None:
-        """Copies the learned weights to those that act; without `separate_acting` they are the
-        same and nothing is copied. What actions depend on beside `actor` is not copied: an agent
-        with such state overrides `separate_acting` and this method, or has `largest_lag = 0`."""
-        if self._published is not None:
-            self.actor.load_state_dict(self._published.state_dict())
-
-    def compile(self) -> None:
-        """Compiles the image encoders of all attributes that are a `Torso` (`torch.compile`).
-
-        Raises:
-            ValueError: there are none.
-        """
-        self._is_compiled = True
-        if sum(network.encoder.compile_images() for network in self._torsos()) == 0:
-            raise ValueError(
-                "compile=true: compiles image encoders, and this agent has none; "
-                "choose compile=false"
-            )
-
-    def _torsos(self) -> list[Torso]:
-        """The networks among the attributes, each once: `actor` is often one of the others."""
-        return list(dict.fromkeys(part for part in vars(self).values() if isinstance(part, Torso)))
-
-
-def _check_fits(part: str, own: Mapping[str, Tensor], other: Mapping[str, Tensor]) -> None:
-    """Raises `ValueError` where two state dictionaries differ in names or shapes."""
-    for name in sorted(own.keys() | other.keys()):
-        shapes = [list(state[name].shape) if name in state else "none" for state in (own, other)]
-        if shapes[0] != shapes[1]:
-            raise ValueError(f"{part}: {name} is {shapes[0]} here and {shapes[1]} there")
-
 
 _AGENTS: dict[str, type[Agent]] = {}
 AnyAgent = TypeVar("AnyAgent", bound=type[Agent])
@@ -354,9 +242,15 @@ def register(agent: AnyAgent) -> AnyAgent:
     """Adds a class of agents to the registry, under the name in its options; a class decorator.
 
     Raises:
-        ValueError: its options have no `name: Literal["..."]`, or the name is taken.
+        ValueError: its options have no `name: Literal["..."]`, the name is taken, or it has a
+            `largest_lag` and nothing to publish.
     """
     name = zipf.options.name_of(agent.Options)
+    if agent.largest_lag and not hasattr(agent, "publish"):
+        raise ValueError(
+            f"agent {name!r}: largest_lag={agent.largest_lag} is for agents whose weights are "
+            "published, as those of a zipf.agents.learner.Learner are"
+        )
     if name in _AGENTS:
         raise ValueError(f"agent {name!r} is already registered: {_AGENTS[name]}")
     _AGENTS[name] = agent

@@ -17,38 +17,29 @@ state that is reached, so that states with varied returns are avoided (averse) o
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from zipf.agents.agent import Agent, Setting, register
-from zipf.agents.auxiliary import build_auxiliary
-from zipf.agents.averaging import average_gradients
-from zipf.agents.episodic import build_recorder
+from zipf.agents.agent import register
 from zipf.agents.hindsight import hindsight_loss
+from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
-from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast, sampled
+from zipf.agents.network import ActorCritic, Inputs, action_log_probability, sampled
 from zipf.agents.returns import vtrace
 from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
-from zipf.options import Options
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 
-class ImpalaOptions(Options):
+class ImpalaOptions(LearnerOptions):
     """The options; `configs/agent/impala.yaml` has the sources of their values."""
 
     name: Literal["impala"]
-    learning_rate: Positive
-    adam_beta1: Fraction
-    adam_beta2: Fraction
-    adam_epsilon: Positive
-    max_gradient_norm: Positive
     discount: Annotated[float, Field(ge=0, le=1)]
     baseline_cost: NotNegative
     entropy_cost: NotNegative
@@ -59,7 +50,7 @@ class ImpalaOptions(Options):
 
 
 @register
-class Impala(Agent):
+class Impala(Learner):
     """The agent: samples actions from the policy and learns from unrolls."""
 
     Options = ImpalaOptions
@@ -67,56 +58,15 @@ class Impala(Agent):
     any_critic = True
     episodic_memory = True
     weighted_losses = True
-    averages_gradients = True
     learns_from_hindsight = True
     largest_lag = 1  # V-trace corrects for it
     options: ImpalaOptions
+    network: ActorCritic
     actor: ActorCritic
 
-    def __init__(self, options: ImpalaOptions, setting: Setting):
-        super().__init__(options, setting)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(setting.seed)
-            self.network = ActorCritic(
-                setting.observation_space,
-                setting.action_space,
-                setting.network,
-                setting.memory,
-                setting.critic,
-                setting.episodic,
-            )
-            self.auxiliary = build_auxiliary(
-                setting.auxiliary,
-                setting.observation_space,
-                setting.network,
-                self.network,
-                setting.seed,
-            )
-        self.recorder = build_recorder(
-            setting.episodic,
-            setting.observation_space,
-            setting.num_envs,
-            self.network.memory.size,
-            self.network.actions,
-            setting.seed,
-        )
-        self.network.to(self.device)
-        self.auxiliary.to(self.device)
-        self.recorder.to(self.device)
-        self.actor = self.network
-        self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
-        self.optimiser = torch.optim.Adam(
-            self.learned,
-            lr=options.learning_rate,
-            betas=(options.adam_beta1, options.adam_beta2),
-            eps=options.adam_epsilon,
-            fused=True,
-        )
-        self.updates = 0
-
-    def initial_memory(self, batch: int) -> State:
-        """The memory before the first frame of `batch` worlds."""
-        return self.network.memory.initial_state(batch)
+    def make_network(self) -> ActorCritic:
+        setting = self.setting
+        return ActorCritic(*setting.torso, setting.critic, setting.episodic)
 
     @torch.no_grad()
     def act(
@@ -127,7 +77,7 @@ class Impala(Agent):
         Returns actions int64 [B], the memory after this frame, and the behaviour policy's `logits`
         float32 [B, actions], which `update` needs.
         """
-        with autocast(self.device, self.precision):
+        with self.autocast():
             outputs = self.actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
         return sampled(logits, generator), outputs.state, {"logits": logits}
@@ -135,19 +85,14 @@ class Impala(Agent):
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
         """V of each of B worlds, float32 [B]."""
-        with autocast(self.device, self.precision):
+        with self.autocast():
             return self.actor(inputs.unsqueeze(), memory).value[0]
 
-    def update(self, unroll: Unroll) -> dict[str, float]:
-        """One optimiser step; returns the losses and other metrics.
-
-        Raises:
-            FloatingPointError: learning has diverged; no weights were changed.
-        """
+    def loss(self, unroll: Unroll) -> Loss:
         o = self.options
         steps = unroll.steps
         inputs = Inputs.of(steps)
-        with autocast(self.device, self.precision):
+        with self.autocast():
             outputs = self.network(inputs, unroll.memory)
             auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, outputs.core)
             episodic_loss, episodic_metrics = self.recorder(self.network.encoder)
@@ -184,54 +129,15 @@ class Impala(Agent):
         )
         loss = loss + auxiliary_loss + episodic_loss + relabelled_loss
 
-        self.optimiser.zero_grad()
-        loss.backward()
-        average_gradients(self.learned)
-        gradient_norm = torch.nn.utils.clip_grad_norm_(self.learned, o.max_gradient_norm)
-        if not gradient_norm.isfinite():
-            raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")
-        self.optimiser.step()
-        self.updates += 1
-        self.auxiliary.after_update(self.network.encoder)
-        self.recorder.record(
-            self.network.dictionary, unroll.steps, outputs.core, unroll.steps["action"]
-        )
         metrics = {
-            "loss": loss,
             "policy_loss": policy_loss,
             "baseline_loss": baseline_loss,
             "entropy": entropy,
-            "gradient_norm": gradient_norm,
             "value": outputs.value.mean(),
             "importance_ratio": (log_pi - log_mu).exp().mean(),
             **auxiliary_metrics,
             **episodic_metrics,
             **relabelled_metrics,
         }
-        return {name: metric.item() for name, metric in metrics.items()}
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that `update` changes."""
-        return {
-            "network": self.network.state_dict(),
-            "auxiliary": self.auxiliary.state_dict(),
-            "recorder": self.recorder.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "updates": self.updates,
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict()`."""
-        self.network.load_state_dict(state["network"])
-        self.auxiliary.load_state_dict(state["auxiliary"])
-        self.recorder.load_state_dict(state["recorder"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.updates = state["updates"]
-
-    def carried(self) -> dict[str, Any]:
-        """What the recorder keeps of the episodes that the worlds are in."""
-        return self.recorder.carried()
-
-    def carry(self, carried: dict[str, Any]) -> None:
-        """Goes on with other worlds."""
-        self.recorder.carry(carried)
+        kept = {"core": outputs.core, "action": unroll.steps["action"]}
+        return Loss(loss, metrics, kept)

@@ -31,51 +31,45 @@ frame on. The memory before a sequence is that of the network as it is when they
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import gymnasium as gym
 import torch
 from pydantic import Field
 from tensordict import TensorDict
-from torch import Tensor
+from torch import Tensor, nn
 
-from zipf.agents.agent import Agent, Setting, register
+from zipf.agents.agent import Setting, register
 from zipf.agents.critics import SCALAR, CriticOptions, build_critic
 from zipf.agents.hindsight import AchievedOptions
+from zipf.agents.learner import Learner, LearnerOptions, Loss, adam
 from zipf.agents.memory import MemoryOptions, State
-from zipf.agents.network import Inputs, Torso, autocast, frozen_copy, head, in_full
+from zipf.agents.network import Inputs, Torso, frozen_copy, head, in_full
 from zipf.agents.network_options import NetworkOptions
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.reweighting import NO_REWEIGHTING, weighted
 from zipf.agents.sequences import Sequences
 from zipf.agents.truncations import Finals
 from zipf.agents.unroll import Unroll
-from zipf.options import Options
 
 if TYPE_CHECKING:  # imported where learning begins: it brings TorchRL, which takes a second
     from zipf.agents.replay import Replay
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0, lt=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
 PositiveInt = Annotated[int, Field(ge=1)]
 
 LADDER = 7.0  # alpha of Horgan et al. 2018
 
-METRICS = ("loss", "td_error", "gradient_norm", "value", "priority", "importance_weight")
+METRICS = ("loss", "gradient_norm", "td_error", "value", "priority", "importance_weight")
 
 
-class R2D2Options(Options):
+class R2D2Options(LearnerOptions):
     """The options; `configs/agent/r2d2.yaml` has the sources of their values."""
 
     name: Literal["r2d2"]
-    learning_rate: Positive
-    adam_beta1: Fraction
-    adam_beta2: Fraction
-    adam_epsilon: Positive
     weight_decay: NotNegative
-    max_gradient_norm: Positive
     discount: Share
     trace_lambda: Share
     target_period: PositiveInt
@@ -129,8 +123,15 @@ class DuelingQ(Torso):
         return self.critic.value(outputs), state
 
 
+class Replayed(NamedTuple):
+    """What an update learns from: sequences [B], and their importance weights, float32 [B]."""
+
+    items: TensorDict
+    weights: Tensor
+
+
 @register
-class R2D2(Agent):
+class R2D2(Learner):
     """The agent: acts epsilon-greedily and learns from replayed sequences.
 
     Until replay holds `replay_min` sequences, an update inserts its unroll and takes no optimiser
@@ -149,8 +150,10 @@ class R2D2(Agent):
     any_critic = True
     weighted_losses = True
     learns_from_hindsight = True
+    averages_gradients = False  # each learner would draw from a replay of its own
     largest_lag = 1  # replay is off-policy anyway
     options: R2D2Options
+    network: DuelingQ
     actor: DuelingQ
 
     @classmethod
@@ -214,26 +217,8 @@ class R2D2(Agent):
         self.burn_in = options.burn_in
         self.final_observations = options.final_observations
         self.replay_folder = setting.folder and setting.folder / "replay"
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(setting.seed)
-            self.network = DuelingQ(
-                setting.observation_space,
-                setting.action_space,
-                setting.network,
-                setting.memory,
-                setting.critic,
-            )
-        self.network.to(self.device)
-        self.actor = self.network
         self.target = frozen_copy(self.network)
-        self.optimiser = torch.optim.AdamW(
-            self.network.parameters(),
-            lr=options.learning_rate,
-            betas=(options.adam_beta1, options.adam_beta2),
-            eps=options.adam_epsilon,
-            weight_decay=options.weight_decay,
-            fused=True,
-        )
+        self.parts["target"] = self.target
         self.epsilon = torch.full((self.num_envs,), options.epsilon, dtype=torch.float64)
         if options.epsilon_ladder and self.num_envs > 1:
             # At random, since several levels have a row of worlds each, and should explore alike.
@@ -256,12 +241,14 @@ class R2D2(Agent):
             final_observations=options.final_observations,
             weighted=setting.reweighting != NO_REWEIGHTING,
         )
-        self.steps = 0  # of the optimiser
         self.replay: Replay | None = None
 
-    def initial_memory(self, batch: int) -> State:
-        """The memory before the first frame of `batch` worlds."""
-        return self.network.memory.initial_state(batch)
+    def make_network(self) -> DuelingQ:
+        return DuelingQ(*self.setting.torso, self.setting.critic)
+
+    def make_optimiser(self, parameters: list[nn.Parameter]) -> torch.optim.Optimizer:
+        decay = self.options.weight_decay
+        return torch.optim.AdamW(parameters, **adam(self.options), weight_decay=decay)
 
     @torch.no_grad()
     def act(
@@ -275,7 +262,7 @@ class R2D2(Agent):
 
         Returns actions int64 [B], the memory after this frame, and an empty dictionary.
         """
-        with autocast(self.device, self.precision):
+        with self.autocast():
             q, memory = self.actor(inputs.unsqueeze(), memory)
         action = q[0].argmax(-1)
         if training:
@@ -329,8 +316,9 @@ class R2D2(Agent):
         metrics = dict.fromkeys(METRICS, float("nan"))
         if len(self.replay) >= self.options.replay_min:
             items, index, weights = self.replay.sample(self.batch_size)
-            metrics, priorities = self._learn(items.to(self.device), weights.to(self.device))
-            self.replay.update_priorities(index, priorities)
+            replayed = Replayed(items.to(self.device), weights.to(self.device))
+            metrics, kept = self.learn(replayed)
+            self.replay.update_priorities(index, kept["priorities"].cpu())
         return metrics | {"replay_sequences": len(self.replay), "replay_inserted": inserted}
 
     def _insert(self, unroll: Unroll) -> int:
@@ -360,45 +348,35 @@ class R2D2(Agent):
         if self.options.fresh_priority == "error":
             with torch.no_grad():
                 _, errors, _ = self._losses(items.to(self.device))
-            self.replay.update_priorities(index, self._priorities(errors))
+            self.replay.update_priorities(index, self._priorities(errors).cpu())
 
     @torch.no_grad()
     def _advance(self, steps: TensorDict, memory: State) -> State:
         """The memory after steps [rows, E], from that before them."""
-        with autocast(self.device, self.precision):
+        with self.autocast():
             _, memory = self.network(Inputs.of(steps.to(self.device)), memory)
         return memory
 
-    def _learn(self, items: TensorDict, weights: Tensor) -> tuple[dict[str, float], Tensor]:
-        """One optimiser step on sequences [B]; the metrics, and new priorities float32 [B]."""
-        o = self.options
+    def loss(self, replayed: Replayed) -> Loss:
+        """The loss of sequences from replay; keeps their new `priorities`, float32 [B]."""
+        items, weights = replayed
         losses, errors, values = self._losses(items)
         steps = items["steps"].transpose(0, 1)[self.burn_in : -1]
         loss = weighted(weights * losses, steps).mean()
-
-        self.optimiser.zero_grad()
-        loss.backward()
-        gradient_norm = torch.nn.utils.clip_grad_norm_(
-            self.network.parameters(), o.max_gradient_norm
-        )
-        if not gradient_norm.isfinite():
-            raise FloatingPointError(f"the gradient's norm is {gradient_norm.item()}")
-        self.optimiser.step()
-        self.steps += 1
-        if self.steps % o.target_period == 0:
-            self.target.load_state_dict(self.network.state_dict())
-
         priorities = self._priorities(errors)
-        metrics = (
-            loss,
-            errors.abs().mean(),
-            gradient_norm,
-            values.mean(),
-            priorities.mean(),
-            weights.mean(),
-        )
-        named = zip(METRICS, metrics, strict=True)
-        return {name: metric.item() for name, metric in named}, priorities
+        metrics = {
+            "td_error": errors.abs().mean(),
+            "value": values.mean(),
+            "priority": priorities.mean(),
+            "importance_weight": weights.mean(),
+        }
+        return Loss(loss, metrics, {"priorities": priorities})
+
+    def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
+        """Lets the target network follow."""
+        super().after_step(batch, kept)
+        if self.updates % self.options.target_period == 0:
+            self.target.load_state_dict(self.network.state_dict())
 
     def _losses(self, items: TensorDict) -> tuple[Tensor, Tensor, Tensor]:
         """Of sequences [B], float32: the critic's loss of h(G_t) [T, B]; and, without gradient,
@@ -412,12 +390,12 @@ class R2D2(Agent):
             finals = Finals(items["final"].transpose(0, 1), len(steps))
             inputs = finals.insert(inputs)
         target_memory = memory
-        with torch.no_grad(), autocast(self.device, self.precision):
+        with torch.no_grad(), self.autocast():
             if self.burn_in:
                 _, target_memory = self.target(Inputs.of(prefix), memory)
                 _, memory = self.network(Inputs.of(prefix), memory)
             target_outputs, _ = self.target.outputs(inputs, target_memory)
-        with autocast(self.device, self.precision):
+        with self.autocast():
             outputs, _ = self.network.outputs(inputs, memory)
 
         chosen = critic.value(outputs.detach()).argmax(-1)
@@ -445,22 +423,18 @@ class R2D2(Agent):
         return losses.masked_fill(unknown, 0.0), errors.masked_fill(unknown, 0.0), values
 
     def _priorities(self, errors: Tensor) -> Tensor:
-        """The priorities, float32 [B] on the CPU, of sequences with errors [T, B]."""
+        """The priorities, float32 [B], of sequences with errors [T, B]."""
         sizes, eta = errors.abs(), self.options.priority_max_weight
-        return (eta * sizes.amax(0) + (1 - eta) * sizes.mean(0)).cpu()
+        return eta * sizes.amax(0) + (1 - eta) * sizes.mean(0)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that `update` changes; with `storage=memmap` without the sequences, which are
         in the replay's files beside the checkpoint."""
         assert self.replay is not None, "begin_learning() comes first"
-        return {
-            "network": self.network.state_dict(),
-            "target": self.target.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "steps": self.steps,
-            "prefix": self.carried(),
-            "replay": self.replay.state_dict(),
-        }
+        state = super().state_dict()
+        steps = state.pop("updates")  # of the optimiser: none until replay holds `replay_min`
+        replay = self.replay.state_dict()
+        return state | {"steps": steps, "prefix": self.carried(), "replay": replay}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`; without the replay where `begin_learning` was not called.
@@ -468,10 +442,7 @@ class R2D2(Agent):
         Raises:
             OSError: the files of the replay are missing, or are not those of this state.
         """
-        self.network.load_state_dict(state["network"])
-        self.target.load_state_dict(state["target"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.steps = state["steps"]
+        super().load_state_dict(state | {"updates": state["steps"]})
         if self.replay is None:
             return
         self.carry(state["prefix"])

@@ -29,40 +29,31 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.agent import Agent, Setting, register
-from zipf.agents.auxiliary import build_auxiliary
-from zipf.agents.averaging import average_gradients
+from zipf.agents.agent import Setting, register
 from zipf.agents.hindsight import hindsight_loss
+from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
 from zipf.agents.network import (
     ActorCritic,
     Inputs,
     action_log_probability,
-    autocast,
     frozen_copy,
     sampled,
 )
 from zipf.agents.returns import bootstrapped_returns
-from zipf.agents.reweighting import NO_REWEIGHTING, weighted
+from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
-from zipf.options import Options
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 SMALLEST_DUAL = 1e-8  # Song et al. 2020
 
 
-class VMPOOptions(Options):
+class VMPOOptions(LearnerOptions):
     """The options; `configs/agent/vmpo.yaml` has the sources of their values."""
 
     name: Literal["vmpo"]
-    learning_rate: Positive
     dual_learning_rate: Positive
-    adam_beta1: Fraction
-    adam_beta2: Fraction
-    adam_epsilon: Positive
-    max_gradient_norm: Positive
     discount: Annotated[float, Field(ge=0, le=1)]
     target_period: Annotated[int, Field(ge=1)]
     top_fraction: Annotated[float, Field(gt=0, le=1)]
@@ -73,7 +64,7 @@ class VMPOOptions(Options):
 
 
 @register
-class VMPO(Agent):
+class VMPO(Learner):
     """The agent: samples actions from the target policy and learns from unrolls.
 
     Its losses do not correct for a behaviour policy that is not the target policy, so that
@@ -84,53 +75,25 @@ class VMPO(Agent):
     auxiliary_losses = True
     any_critic = True
     weighted_losses = True
-    averages_gradients = True
     learns_from_hindsight = True
     options: VMPOOptions
+    network: ActorCritic
     actor: ActorCritic
 
     def __init__(self, options: VMPOOptions, setting: Setting):
         super().__init__(options, setting)
-        self.updates = 0
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(setting.seed)
-            self.network = ActorCritic(
-                setting.observation_space,
-                setting.action_space,
-                setting.network,
-                setting.memory,
-                setting.critic,
-            )
-            self.auxiliary = build_auxiliary(
-                setting.auxiliary,
-                setting.observation_space,
-                setting.network,
-                self.network,
-                setting.seed,
-            )
-        self.network.to(self.device)
-        self.auxiliary.to(self.device)
-        self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
         self.target = frozen_copy(self.network)
         self.actor = self.target
         initial = {"eta": options.initial_eta, "alpha": options.initial_alpha}
         self.duals = nn.ParameterDict(
             {name: nn.Parameter(torch.tensor(value)) for name, value in initial.items()}
         ).to(self.device)
-        self.optimiser = torch.optim.Adam(
-            self.learned,
-            lr=options.learning_rate,
-            betas=(options.adam_beta1, options.adam_beta2),
-            eps=options.adam_epsilon,
-            fused=True,
-        )
-        self.dual_optimiser = torch.optim.Adam(
-            self.duals.parameters(), lr=options.dual_learning_rate
-        )
+        duals = torch.optim.Adam(self.duals.parameters(), lr=options.dual_learning_rate)
+        self.optimisers["dual_optimiser"] = duals
+        self.parts |= {"target": self.target, "duals": self.duals, "dual_optimiser": duals}
 
-    def initial_memory(self, batch: int) -> State:
-        """The memory before the first frame of `batch` worlds."""
-        return self.target.memory.initial_state(batch)
+    def make_network(self) -> ActorCritic:
+        return ActorCritic(*self.setting.torso, self.setting.critic)
 
     @torch.no_grad()
     def act(
@@ -142,7 +105,7 @@ class VMPO(Agent):
         Returns actions int64 [B], the memory after this frame, and the target policy's `logits`
         float32 [B, actions], which `update` needs.
         """
-        with autocast(self.device, self.precision):
+        with self.autocast():
             outputs = self.actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
         return sampled(logits, generator), outputs.state, {"logits": logits}
@@ -150,19 +113,14 @@ class VMPO(Agent):
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
         """The target network's V of each of B worlds, float32 [B]; the memory is the target's."""
-        with autocast(self.device, self.precision):
+        with self.autocast():
             return self.actor(inputs.unsqueeze(), memory).value[0]
 
-    def update(self, unroll: Unroll) -> dict[str, float]:
-        """One step of both optimisers; returns the losses and other metrics.
-
-        Raises:
-            FloatingPointError: learning has diverged; no weights were changed.
-        """
+    def loss(self, unroll: Unroll) -> Loss:
         o = self.options
         steps = unroll.steps
         inputs = Inputs.of(steps)
-        with autocast(self.device, self.precision):
+        with self.autocast():
             outputs = self.network(inputs, unroll.memory)
             auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, outputs.core)
 
@@ -175,15 +133,13 @@ class VMPO(Agent):
             truncation_values=steps["truncation_value"],
             discount=o.discount,
         )
-        if not (returns.isfinite().all() and outputs.value.isfinite().all()):
-            raise FloatingPointError("a value or a return is not finite")
         losses = vmpo_losses(
             log_policy=outputs.logits[:-1].log_softmax(-1),
             log_target=steps["logits"].log_softmax(-1),
             actions=steps["action"],
             values=outputs.value[:-1].detach(),
             returns=returns,
-            weights=steps["weight"] if self.setting.reweighting != NO_REWEIGHTING else None,
+            weights=steps.get("weight", None),
             eta=self.duals["eta"],
             alpha=self.duals["alpha"],
             epsilon_eta=o.epsilon_eta,
@@ -203,63 +159,29 @@ class VMPO(Agent):
         loss = losses.policy + losses.eta + losses.alpha + baseline_loss + auxiliary_loss
         loss = loss + relabelled_loss
 
-        self.optimiser.zero_grad()
-        self.dual_optimiser.zero_grad()
-        loss.backward()
-        average_gradients([*self.learned, *self.duals.parameters()])
-        gradient_norm = nn.utils.clip_grad_norm_(self.learned, o.max_gradient_norm)
-        for name, number in (("loss", loss), ("gradient's norm", gradient_norm)):
-            if not number.isfinite():
-                raise FloatingPointError(f"the {name} is {number.item()}")
         metrics = {
-            "loss": loss,
             "policy_loss": losses.policy,
             "eta_loss": losses.eta,
             "alpha_loss": losses.alpha,
             "baseline_loss": baseline_loss,
             "kl": losses.kl,
             "entropy": losses.entropy,
-            "eta": self.duals["eta"],
-            "alpha": self.duals["alpha"],
-            "gradient_norm": gradient_norm,
+            "eta": self.duals["eta"].detach().clone(),
+            "alpha": self.duals["alpha"].detach().clone(),
             "value": outputs.value.mean(),
             **auxiliary_metrics,
             **relabelled_metrics,
         }
-        numbers = {name: metric.item() for name, metric in metrics.items()}
+        return Loss(loss, metrics)
 
-        self.optimiser.step()
-        self.dual_optimiser.step()
-        self.auxiliary.after_update(self.network.encoder)
+    def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
+        """Projects the duals, and lets the target network follow."""
+        super().after_step(batch, kept)
         with torch.no_grad():
             for dual in self.duals.parameters():
                 dual.clamp_(min=SMALLEST_DUAL)
-        self.updates += 1
-        if self.updates % o.target_period == 0:
+        if self.updates % self.options.target_period == 0:
             self.target.load_state_dict(self.network.state_dict())
-        return numbers
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that `update` changes."""
-        return {
-            "network": self.network.state_dict(),
-            "target": self.target.state_dict(),
-            "auxiliary": self.auxiliary.state_dict(),
-            "duals": self.duals.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "dual_optimiser": self.dual_optimiser.state_dict(),
-            "updates": self.updates,
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict()`."""
-        self.network.load_state_dict(state["network"])
-        self.target.load_state_dict(state["target"])
-        self.auxiliary.load_state_dict(state["auxiliary"])
-        self.duals.load_state_dict(state["duals"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.dual_optimiser.load_state_dict(state["dual_optimiser"])
-        self.updates = state["updates"]
 
 
 class VMPOLosses(NamedTuple):
@@ -309,11 +231,13 @@ def vmpo_losses(
     best = advantages[top]
     # Subtracting the maximum keeps the exponentials finite and eta's gradient exact, however
     # small eta is: eta log mean exp(A / eta) = max A + eta log mean exp((A - max A) / eta).
-    scaled, total = (best - best.max()) / eta, float(len(best))
+    scaled = (best - best.max()) / eta
+    log_total: Tensor | float = math.log(len(best))
     if weights is not None:
-        scaled, total = scaled + weights[top].log(), weights[top].sum().item()
+        scaled = scaled + weights[top].log()
+        log_total = weights[top].sum().double().log().float()
     psi = scaled.detach().softmax(0)
-    log_mean = scaled.logsumexp(0) - math.log(total)
+    log_mean = scaled.logsumexp(0) - log_total
 
     log_pi = action_log_probability(log_policy, actions)
     kl = mean((log_target.exp() * (log_target - log_policy)).sum(-1))
@@ -327,7 +251,8 @@ def vmpo_losses(
 
 
 def is_top(advantages: Tensor, fraction: float) -> Tensor:
-    """Mask, bool, of the largest `fraction` of all advantages: at least one, and all ties."""
+    """Mask, bool, of the largest `fraction` of all advantages: at least one, and all ties; with
+    any NaN among them, all that are not below the last, so that the loss is NaN, too."""
     count = math.ceil(fraction * advantages.numel())
     last = advantages.flatten().kthvalue(advantages.numel() - count + 1).values
-    return advantages >= last
+    return ~(advantages < last)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from zipf.agents.agent import Agent, Setting, agents
+from zipf.agents.learner import Learner
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building.seeds import derive_seed
@@ -39,6 +40,11 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
     try:
         agent = agents()[config.agent.name](config.agent, setting)
         if config.compile:
+            if not isinstance(agent, Learner):
+                raise ValueError(
+                    f"compile=true: compiles image encoders, and agent={config.agent.name} has no "
+                    "network to learn; choose compile=false"
+                )
             agent.compile()
     except ValueError as error:
         raise UserError(str(error)) from None

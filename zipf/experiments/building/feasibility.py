@@ -14,6 +14,7 @@ from zipf.agents.agent import Agent, agents
 from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.hindsight import AchievedOptions
+from zipf.agents.learner import Learner
 from zipf.agents.network import ActorCritic
 from zipf.agents.network_options import MatchingOptions
 from zipf.errors import UserError
@@ -47,6 +48,11 @@ def problems(config: Config) -> Iterator[str]:
             f"{len(train) * config.learners}, a world for each train level of {split.name}{of_each}"
         )
     agent, collector = agents()[config.agent.name], config.collector
+    if config.learning_rate_decay and not issubclass(agent, Learner):
+        yield (
+            f"learning_rate_decay={config.learning_rate_decay}: agent={config.agent.name} has no "
+            "learning rate; choose null"
+        )
     told = list(agent.problems(config.agent, config.num_envs, collector.unroll_length))
     told += agent.lacks(config.agent.name, config)
     yield from told
@@ -303,7 +309,7 @@ def _try_to_build(config: Config) -> Iterator[str]:
 def _left_random(config: Config, agent: Agent) -> Iterator[str]:
     """Parts of a network that learn nothing and are not taken from another run."""
     chosen = config.pretrained.parts
-    if config.pretrained.run is None:
+    if config.pretrained.run is None or not isinstance(agent, Learner):
         return
     left = [
         name

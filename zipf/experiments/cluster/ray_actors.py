@@ -41,6 +41,7 @@ import numpy as np
 import zipf
 from zipf import envs
 from zipf.agents.agent import Agent
+from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import TOLD, UserError
@@ -76,8 +77,10 @@ class Player:
         composing.load_plugins(options["plugins"])
         config = schema().model_validate(options)
         env = envs.make_train(config.split, config.collector.num_envs, **config.level_options)
-        self.agent = build_agent(config, env)
-        self.collector = build_collector(config, env, self.agent, (actor, incarnation))
+        agent = build_agent(config, env)
+        assert isinstance(agent, Learner)  # it has a `largest_lag`
+        self.agent = agent
+        self.collector = build_collector(config, env, agent, (actor, incarnation))
         self.played = 0
         return zipf.__version__
 
@@ -137,6 +140,7 @@ class RayRuntime(Runtime):
     def rollouts(self, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...] = ()) -> RayActors:
         """See the base class."""
         assert isinstance(self.config.runtime, RayOptions)
+        assert isinstance(agent, Learner)  # it has a `largest_lag`
         return RayActors(self.config, self.config.runtime, env, agent)
 
 
@@ -155,7 +159,7 @@ class RayActors:
         agent: learns.
     """
 
-    def __init__(self, config: Config, options: RayOptions, env: ZipfVectorEnv, agent: Agent):
+    def __init__(self, config: Config, options: RayOptions, env: ZipfVectorEnv, agent: Learner):
         self.options = options
         self.agent = agent
         self.version = 0

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from zipf import envs
 from zipf.agents.agent import Agent
+from zipf.agents.learner import Learner
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, feasibility, run_folder
 from zipf.experiments.building.factory import build_agent
@@ -63,6 +64,7 @@ def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Traine
         if of_checkpoint:
             agent.load_state_dict(saved["agent"])
         else:
+            assert isinstance(agent, Learner)  # others have no such file
             agent.load_weights(saved["weights"])
         return Trained(config, agent, saved["update"])
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent
 from zipf.agents.critics import CriticOptions
+from zipf.agents.learner import Learner
 from zipf.agents.network import Torso
 from zipf.errors import UserError
 from zipf.experiments.building import run_folder
@@ -32,6 +33,8 @@ def begin(config: Config, agent: Agent, learner: OnlyLearner) -> dict[str, Any] 
         return None
     weights, described = learner.of_first(_read(config, run) if learner.is_first else None)
     try:
+        if not isinstance(agent, Learner):
+            raise ValueError("this agent has no network that takes the weights of another")
         agent.begin_with(weights)
     except ValueError as error:
         raise UserError(
@@ -59,7 +62,7 @@ def _read(config: Config, run: str) -> tuple[dict[str, dict[str, Tensor]], dict[
     """The weights by part of the network, and where they are from."""
     folder = Path(run).expanduser()
     trained = load_agent(folder, "cpu", config.plugins)
-    actor = getattr(trained.agent, "actor", None)  # agents that learn nothing have none
+    actor = trained.agent.actor if isinstance(trained.agent, Learner) else None
     if isinstance(actor, Torso):
         parts = actor.parts()
     else:

@@ -22,7 +22,7 @@ from typing import Any, Protocol, TypeVar
 
 import torch
 
-from zipf.agents.agent import Agent
+from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
 from zipf.experiments.building.checkpoint import arrays
 from zipf.experiments.training.collector import Collector, episode_metrics
@@ -68,9 +68,8 @@ class RolloutWorker(Protocol):
 class SynchronousRollouts:
     """Collection and learning take turns."""
 
-    def __init__(self, collector: Collector, agent: Agent):
+    def __init__(self, collector: Collector):
         self.collector = collector
-        self.agent = agent
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -116,8 +115,9 @@ class BackgroundRollouts(SynchronousRollouts):
         agent: acts in the second thread and learns in the calling one.
     """
 
-    def __init__(self, collector: Collector, agent: Agent):
-        super().__init__(collector, agent)
+    def __init__(self, collector: Collector, agent: Learner):
+        super().__init__(collector)
+        self.agent = agent
         agent.separate_acting()
         # Of the unrolls that were learned from; the collector's are of the pending one.
         self._visits = Visits(collector.visits.ranks)

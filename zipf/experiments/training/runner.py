@@ -12,6 +12,7 @@ import torch
 from rich.console import Console
 
 from zipf import envs
+from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, run_folder
@@ -253,6 +254,7 @@ class Run:
         try:
             with self.clock.part("learning"):
                 if self.config.learning_rate_decay:
+                    assert isinstance(self.agent, Learner)
                     self.agent.scale_learning_rates(self.config.learning_rate_factor(self.update))
                 metrics = self.agent.update(unroll.to(self.device))
                 if self.device.startswith("cuda"):  # to measure the time, and because the unroll
@@ -364,8 +366,8 @@ class Run:
             "clock": self.clock.state_dict(),
             **learned,
         }
-        if self.is_finished and (weights := self.agent.weights()):
-            learned_last = {"update": self.update, "weights": weights}
+        if self.is_finished and isinstance(self.agent, Learner):
+            learned_last = {"update": self.update, "weights": self.agent.weights()}
             checkpoint.save(self.folder / "weights.pt", learned_last)
         checkpoint.save(self.folder / "checkpoint.pt", state)
         self.logger.write_checksums(self.update)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from zipf.agents.agent import Agent
+from zipf.agents.learner import Learner
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.options.schema import Config
@@ -113,8 +114,10 @@ class Runtime:
             player: see `build_collector`.
         """
         collector = build_collector(self.config, env, agent, player)
-        kind = BackgroundRollouts if self.config.lag else SynchronousRollouts
-        return kind(collector, agent)
+        if self.config.lag == 0:
+            return SynchronousRollouts(collector)
+        assert isinstance(agent, Learner)  # it has a `largest_lag`
+        return BackgroundRollouts(collector, agent)
 
 
 def started_by_torchrun() -> int:

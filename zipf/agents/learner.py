@@ -1,0 +1,317 @@
+"""What all agents that learn by gradients share: networks, optimiser, one step, state, publishing.
+
+An algorithm is its options, the network that it needs, `act` and `loss`:
+
+    @register
+    class Mine(Learner):
+        Options = MyOptions  # derived from `LearnerOptions`
+
+        def make_network(self):
+            return ActorCritic(*self.setting.torso)
+
+        def act(self, inputs, memory, generator, *, training=True): ...
+
+        def loss(self, unroll):
+            ...
+            return Loss(loss, {"entropy": entropy})
+
+`act` and `loss` are functions of tensors: what surrounds them is here. An update is one optimiser
+step, in which
+
+    the loss is computed, and its gradients;
+    gradients are averaged over learners (`zipf.agents.averaging`), and their norm is bounded;
+    a loss or a norm that is not finite ends the run, before any weight has changed;
+    the optimisers step, and what follows them is brought up to date (`after_step`).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, NamedTuple
+
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+
+from zipf.agents.agent import Agent, Setting
+from zipf.agents.auxiliary import build_auxiliary
+from zipf.agents.averaging import average_gradients
+from zipf.agents.episodic import Dictionary, build_recorder
+from zipf.agents.memory import State
+from zipf.agents.network import Torso, autocast, frozen_copy
+from zipf.options import Options
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, lt=1)]
+
+
+class LearnerOptions(Options):
+    """Options that all of these agents have: those of Adam, and a bound on the gradient's norm."""
+
+    name: str
+    learning_rate: Positive
+    adam_beta1: Fraction
+    adam_beta2: Fraction
+    adam_epsilon: Positive
+    max_gradient_norm: Positive
+
+
+class Loss(NamedTuple):
+    """What an update descends, and what it leaves.
+
+    Attributes:
+        loss: float32 [], a mean over time and batch.
+        metrics: to log, [] each; with `loss` and `gradient_norm` those of an update.
+        kept: tensors that `after_step` reads.
+    """
+
+    loss: Tensor
+    metrics: dict[str, Tensor]
+    kept: dict[str, Tensor] = {}  # noqa: RUF012  (nobody writes to it)
+
+
+class Learner(Agent):
+    """The base of agents that learn by gradients.
+
+    Attributes:
+        network: what is learned.
+        actor: the network that `act` and `value` compute with; the same until `separate_acting`,
+            or one that constructors set.
+        auxiliary: the auxiliary loss, the base class where the agent adds none.
+        recorder: writes the dictionary of `network`, where the agent has episodic memory.
+        learned: the parameters whose gradients' norm is bounded.
+        optimisers: by the names that they are saved by.
+        parts: all that is saved, by name; and `updates`, the number of updates made.
+    """
+
+    averages_gradients = True
+    options: Any
+    network: Any
+    actor: Any
+
+    def __init__(self, options: Any, setting: Setting):
+        super().__init__(options, setting)
+        self.precision = setting.precision
+        self.updates = 0
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(setting.seed)
+            self.network = self.make_network()
+            self.auxiliary = build_auxiliary(
+                setting.auxiliary,
+                setting.observation_space,
+                setting.network,
+                self.network,
+                setting.seed,
+            )
+        self.recorder = build_recorder(
+            setting.episodic,
+            setting.observation_space,
+            setting.num_envs,
+            self.network.memory.size,
+            self.network.actions,
+            setting.seed,
+        )
+        for module in (self.network, self.auxiliary, self.recorder):
+            module.to(self.device)
+        self.actor = self.network
+        self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
+        self.optimisers = {"optimiser": self.make_optimiser(self.learned)}
+        self.parts: dict[str, Any] = {"network": self.network, **self.optimisers}
+        if self.auxiliary_losses:
+            self.parts["auxiliary"] = self.auxiliary
+        if self.episodic_memory:
+            self.parts["recorder"] = self.recorder
+        self._published: nn.Module | None = None  # the network that `actor` is a copy of
+        self._is_compiled = False
+
+    @abstractmethod
+    def make_network(self) -> Torso:
+        """The network that is learned, with weights from PyTorch's generator; called once, before
+        anything but `options`, `setting` and `device` is known."""
+
+    @abstractmethod
+    def loss(self, batch: Any) -> Loss:
+        """The loss of an unroll, or of what else `learn` was given: of the tensors alone, and
+        without side effects."""
+
+    def make_optimiser(self, parameters: list[nn.Parameter]) -> torch.optim.Optimizer:
+        """The optimiser of `learned`."""
+        return torch.optim.Adam(parameters, **adam(self.options))
+
+    def autocast(self) -> torch.autocast:
+        """Automatic mixed precision, as `setting.precision` says."""
+        return autocast(self.device, self.precision)
+
+    def initial_memory(self, batch: int) -> State:
+        return self.network.memory.initial_state(batch)
+
+    def update(self, unroll: Any) -> dict[str, float]:
+        metrics, _ = self.learn(unroll)
+        return metrics
+
+    def learn(self, batch: Any) -> tuple[dict[str, float], dict[str, Tensor]]:
+        """One optimiser step on the loss of a batch; returns metrics, and what the loss kept.
+
+        Raises:
+            FloatingPointError: learning has diverged; no weights were changed.
+        """
+        loss, metrics, kept = self.loss(batch)
+        norm = self._descend(loss)
+        self.updates += 1
+        self.after_step(batch, kept)
+        metrics = {"loss": loss, "gradient_norm": norm, **metrics}
+        return {name: metric.item() for name, metric in metrics.items()}, kept
+
+    def _descend(self, loss: Tensor) -> Tensor:
+        """One step of all optimisers; returns the norm of the gradients of `learned`."""
+        for optimiser in self.optimisers.values():
+            optimiser.zero_grad()
+        loss.backward()
+        average_gradients(_parameters(self.optimisers.values()))
+        norm = nn.utils.clip_grad_norm_(self.learned, self.options.max_gradient_norm)
+        for name, number in (("gradient's norm", norm), ("loss", loss)):
+            if not number.isfinite():
+                raise FloatingPointError(f"the {name} is {number.item()}")
+        for optimiser in self.optimisers.values():
+            optimiser.step()
+        return norm
+
+    def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
+        """Follows an optimiser step: the targets of the auxiliary loss, and the dictionary, whose
+        rows are made of the memory's outputs `core` [T + 1, B, size] and of `action` [T + 1, B]."""
+        self.auxiliary.after_update(self.network.encoder)
+        if self.episodic_memory:
+            self.recorder.record(self.network.dictionary, batch.steps, kept["core"], kept["action"])
+
+    def state_dict(self) -> dict[str, Any]:
+        return {name: part.state_dict() for name, part in self.parts.items()} | {
+            "updates": self.updates
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        for name, part in self.parts.items():
+            part.load_state_dict(state[name])
+        self.updates = state["updates"]
+
+    def carried(self) -> dict[str, Any]:
+        """State that the last update keeps for the next unroll of the same worlds, such as R2D2's
+        burn-in rows; later updates do not change its tensors."""
+        return self.recorder.carried()
+
+    def carry(self, carried: dict[str, Any]) -> None:
+        """Restores what `carried()` was after the previous unroll of the worlds that the next
+        update learns from; empty if that unroll was not learned from."""
+        self.recorder.carry(carried)
+
+    def begin_with(self, weights: Mapping[str, Mapping[str, Tensor]]) -> None:
+        """Loads parts of another agent's network; called before any other method.
+
+        All attributes that are a `Torso` load them, and the auxiliary loss follows their encoder.
+
+        Args:
+            weights: a state dictionary for each part to take, by the part's name in both networks
+                (`Torso.parts`), such as `encoder` or `memory`.
+
+        Raises:
+            ValueError: the network has no such part, or one of another shape.
+        """
+        for network in self._torsos():
+            parts = network.parts()
+            for name, state in weights.items():
+                if name not in parts:
+                    raise ValueError(f"no part {name!r}: the network has {', '.join(parts)}")
+                part = parts[name]
+                _check_fits(name, part.state_dict(), state)
+                part.load_state_dict(state)
+                if isinstance(part, Dictionary):
+                    part.become_old()
+        self.auxiliary.begin_with(self.network.encoder)
+
+    def fixed_parts(self) -> list[str]:
+        """Names of the parts of its network that do not learn, such as a fixed matcher."""
+        return self.network.fixed_parts()
+
+    def scale_learning_rates(self, factor: float) -> None:
+        """Sets the learning rates of all optimisers, for the updates that follow.
+
+        Args:
+            factor: of the learning rates that they were built with; from 0 to 1.
+        """
+        for optimiser in self.optimisers.values():
+            for group in optimiser.param_groups:
+                group["lr"] = factor * group.setdefault("initial_lr", group["lr"])
+
+    def weights(self) -> dict[str, Tensor]:
+        """The weights that `actor` has, or is to have at the next `publish`, by name: all that an
+        agent needs to act as it has learned."""
+        learned = self.actor if self._published is None else self._published
+        return learned.state_dict()
+
+    def load_weights(self, weights: Mapping[str, Tensor]) -> None:
+        """From now on the agent acts as the one that `weights` are from.
+
+        Raises:
+            RuntimeError: they do not fit its network.
+        """
+        self.actor.load_state_dict(weights)
+
+    def separate_acting(self) -> None:
+        """From now on `act` and `value` compute with a copy of the weights, which `publish` alone
+        refreshes: they may then run in one thread while `update` runs in another. `state_dict()` is
+        without the copy; `actor.state_dict()` has it."""
+        self._published = self.actor
+        self.actor = frozen_copy(self.actor)
+        if self._is_compiled:  # a copy is not
+            self.compile()
+
+    def publish(self) -> None:
+        """Copies the learned weights to those that act; without `separate_acting` they are the
+        same and nothing is copied."""
+        if self._published is not None:
+            self.actor.load_state_dict(self._published.state_dict())
+
+    def compile(self) -> None:
+        """Compiles the image encoders of all attributes that are a `Torso` (`torch.compile`).
+
+        Raises:
+            ValueError: there are none.
+        """
+        self._is_compiled = True
+        if sum(network.encoder.compile_images() for network in self._torsos()) == 0:
+            raise ValueError(
+                "compile=true: compiles image encoders, and this agent has none; "
+                "choose compile=false"
+            )
+
+    def _torsos(self) -> list[Torso]:
+        """The networks among the attributes, each once: `actor` is often one of the others."""
+        return list(dict.fromkeys(part for part in vars(self).values() if isinstance(part, Torso)))
+
+
+def adam(options: LearnerOptions) -> dict[str, Any]:
+    """The arguments of `torch.optim.Adam` and of its relatives, but for the parameters."""
+    return {
+        "lr": options.learning_rate,
+        "betas": (options.adam_beta1, options.adam_beta2),
+        "eps": options.adam_epsilon,
+        "fused": True,
+    }
+
+
+def _parameters(optimisers: Iterable[torch.optim.Optimizer]) -> list[nn.Parameter]:
+    """All parameters of optimisers, in their order."""
+    return [
+        parameter
+        for optimiser in optimisers
+        for group in optimiser.param_groups
+        for parameter in group["params"]
+    ]
+
+
+def _check_fits(part: str, own: Mapping[str, Tensor], other: Mapping[str, Tensor]) -> None:
+    """Raises `ValueError` where two state dictionaries differ in names or shapes."""
+    for name in sorted(own.keys() | other.keys()):
+        shapes = [list(state[name].shape) if name in state else "none" for state in (own, other)]
+        if shapes[0] != shapes[1]:
+            raise ValueError(f"{part}: {name} is {shapes[0]} here and {shapes[1]} there")
