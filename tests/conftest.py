@@ -13,6 +13,7 @@ from tensordict import TensorDict
 
 from zipf.agents.unroll import Unroll
 from zipf.experiments.building import checkpoint
+from zipf.registry import registries
 
 PACKAGE = Path(__file__).parent.parent
 ANNOUNCED = "zipf: compiling the environments: a minute or so, once\n"
@@ -57,6 +58,14 @@ def run(
         text=True,
         timeout=300,
     )
+
+
+@pytest.fixture
+def own_registries(monkeypatch):
+    """What code registers is forgotten after the test."""
+    for registry in registries().values():
+        for name in ("_options", "_builds"):
+            monkeypatch.setattr(registry, name, dict(getattr(registry, name)))
 
 
 def assert_equal(one, other, where=""):

@@ -12,7 +12,6 @@ from conftest import assert_equal
 from networks import compact
 from omegaconf import OmegaConf
 
-from zipf.agents import agent as registry
 from zipf.agents.agent import Agent, Setting, agents, register
 from zipf.agents.auxiliary.reconstruction import VisionOptions
 from zipf.agents.episodic import DictionaryOptions
@@ -306,8 +305,7 @@ class Constant(Agent):
         pass
 
 
-def test_an_agent_of_ones_own_needs_four_methods(monkeypatch):
-    monkeypatch.setattr(registry, "_AGENTS", dict(agents()))
+def test_an_agent_of_ones_own_needs_four_methods(own_registries):
     assert register(Constant) is Constant
     options = ConstantOptions(name="constant", action=1)
     spaces = SPACE, ACTION_SPACE

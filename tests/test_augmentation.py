@@ -13,7 +13,7 @@ from zipf.agents.hindsight import AchievedOptions
 from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.playroom.actions import ACTIONS, TURN_LEFT, TURN_RIGHT
 from zipf.envs.policies import Teacher
-from zipf.experiments.options.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.hooks.augmentation import Augmentation, RandomAugmentationOptions
 from zipf.experiments.training.collector import Collector
 
 IMAGE = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (6, 8, 3), np.uint8))

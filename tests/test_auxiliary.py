@@ -16,13 +16,11 @@ from worlds_of import needs
 from zipf import envs
 from zipf.agents.agent import Setting
 from zipf.agents.auxiliary import (
+    AUXILIARIES,
     NO_AUXILIARY,
     Auxiliary,
     AuxiliaryOptions,
-    auxiliaries,
-    base,
     build_auxiliary,
-    register,
 )
 from zipf.agents.auxiliary.byol import (
     BYOLFrameOptions,
@@ -607,19 +605,16 @@ class Speed(Auxiliary):
         return self.weight * size, {"auxiliary_speed": size.detach()}
 
 
-def test_an_auxiliary_loss_of_ones_own(monkeypatch):
-    monkeypatch.setattr(base, "_OPTIONS", dict(base._OPTIONS))
-    monkeypatch.setattr(base, "_BUILDS", dict(base._BUILDS))
-
+def test_an_auxiliary_loss_of_ones_own(own_registries):
     def build(options, space, network, torso, seed):
         assert set(space) == {"image", "instruction"}
         assert torso.memory.size == 16
         return Speed(options, seed)
 
-    register(SpeedOptions, build)
-    assert auxiliaries()["speed"] is SpeedOptions
-    with pytest.raises(ValueError, match="auxiliary loss 'speed' is already registered"):
-        register(SpeedOptions, build)
+    AUXILIARIES.register(SpeedOptions, build)
+    assert AUXILIARIES.options["speed"] is SpeedOptions
+    with pytest.raises(ValueError, match="auxiliary 'speed' is already registered"):
+        AUXILIARIES.register(SpeedOptions, build)
     with_it = agent("impala", SpeedOptions(name="speed", weight=100.0))
     without = agent("impala", SpeedOptions(name="speed", weight=0.0))
     for _ in range(20):
@@ -628,8 +623,8 @@ def test_an_auxiliary_loss_of_ones_own(monkeypatch):
 
 
 def test_the_registry_has_the_losses_by_the_names_of_their_options():
-    assert set(auxiliaries()) >= {"none", *OPTIONS}
-    assert sorted(command_line.choices("auxiliary")) == sorted(auxiliaries())
+    assert set(AUXILIARIES.options) >= {"none", *OPTIONS}
+    assert sorted(command_line.choices("auxiliary")) == sorted(AUXILIARIES.options)
 
 
 @pytest.mark.parametrize("experiment", command_line.choices("experiment"))

@@ -10,13 +10,13 @@ from networks import compact
 from test_impala import OPTIONS as IMPALA
 from test_rnd import OPTIONS as RND
 
+from zipf.agents import exploration as bonuses
 from zipf.agents.agent import Setting
 from zipf.agents.exploration import (
     CountBonus,
     CountOptions,
     FirstVisitBonus,
     FirstVisitOptions,
-    build_exploration,
 )
 from zipf.agents.impala import Impala
 from zipf.agents.memory import MLPOptions
@@ -167,7 +167,7 @@ def explore(exploration, seed, learns=True):
     agent = Impala(options, Setting(*spaces, compact(), memory, seed=seed))
     for parameter in agent.network.policy.parameters():
         torch.nn.init.zeros_(parameter)  # it begins with random actions
-    bonus = exploration and build_exploration(exploration, spaces[0], seed)
+    bonus = exploration and bonuses.BONUSES.build(exploration, spaces[0], seed)
     collector = Collector(env, agent, unroll_length=20, seed=seed, exploration=bonus)
     for _ in range(60):
         unroll = collector.collect()

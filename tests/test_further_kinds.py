@@ -12,9 +12,9 @@ from zipf import envs, evaluate
 from zipf.envs.gridworld.maps import build_maps
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation import evaluator, scoring
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options import command_line
 from zipf.experiments.reporting import markdown
-from zipf.experiments.training.visits import Visits
 
 SMALL = {"num_rooms": (2, 2), "num_objects": 5}
 

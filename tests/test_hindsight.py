@@ -31,11 +31,12 @@ from zipf.envs.policies import Teacher
 from zipf.errors import UserError
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.hooks import relabelling
+from zipf.experiments.hooks.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.hooks.goal_memory import GoalMemory
 from zipf.experiments.options import command_line
-from zipf.experiments.options.augmentation import Augmentation, RandomAugmentationOptions
-from zipf.experiments.training import relabelling, runner
+from zipf.experiments.training import runner
 from zipf.experiments.training.collector import Collector
-from zipf.experiments.training.goal_memory import GoalMemory
 
 WORLDS, STEPS = 12, 9
 OPTIONS = AchievedOptions(

@@ -21,17 +21,17 @@ from networks import compact
 
 from zipf.agents import averaging
 from zipf.agents.agent import Setting, agents
-from zipf.agents.auxiliary import auxiliaries
+from zipf.agents.auxiliary import AUXILIARIES
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.unroll import Unroll
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint
 from zipf.experiments.cluster import runtime_of, torchrun
 from zipf.experiments.evaluation.trained import load_agent
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options import command_line
 from zipf.experiments.sweeping import sweep
 from zipf.experiments.training import runner
-from zipf.experiments.training.visits import Visits
 
 STEPS, BATCH, WORDS = 6, 4, 5
 TORCHRUN = ["runtime=torchrun", "runtime.learners=2"]
@@ -149,7 +149,7 @@ def test_two_learners_learn_what_one_learns_from_both_batches(of, monkeypatch):
     "of",
     [
         *([name] for name in ABLE),
-        *(["impala", f"auxiliary={one}"] for one in auxiliaries() if one != "none"),
+        *(["impala", f"auxiliary={one}"] for one in AUXILIARIES.options if one != "none"),
     ],
     ids=" ".join,
 )

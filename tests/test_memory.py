@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from zipf.agents import memory as memories
 from zipf.agents.gtrxl import Gate, GTrXLOptions
-from zipf.agents.memory import LSTMOptions, MLPOptions, build_memory
+from zipf.agents.memory import LSTMOptions, MLPOptions
 
 FEATURES, STEPS, BATCH, SIZE = 3, 20, 4, 6
 GTRXL = GTrXLOptions(
@@ -28,7 +29,7 @@ REMEMBERING = [name for name in MEMORIES if not name.startswith("mlp")]
 def build(options, seed=0):
     """A memory with random parameters, also those that are constants at first."""
     torch.manual_seed(seed)
-    memory = build_memory(FEATURES, options)
+    memory = memories.MEMORIES.build(options, FEATURES)
     with torch.no_grad():
         for parameter in memory.parameters():
             parameter += 0.3 * torch.randn_like(parameter)
@@ -311,12 +312,12 @@ def test_a_gate_is_near_the_identity_at_first():
 
 def test_heads_that_do_not_divide_the_size_are_refused():
     with pytest.raises(ValueError, match=r"memory.heads=4 do not divide memory.size=6"):
-        build_memory(FEATURES, GTRXL.model_copy(update={"heads": 4}))
+        memories.MEMORIES.build(GTRXL.model_copy(update={"heads": 4}), FEATURES)
 
 
 def test_an_lstm_begins_with_open_forget_gates():
     torch.manual_seed(0)
-    memory = build_memory(7, LSTMOptions(name="lstm", size=64, layers=2))
+    memory = memories.MEMORIES.build(LSTMOptions(name="lstm", size=64, layers=2), 7)
     for layer in (memory, memory.above):
         enter, forget, candidate, leave = layer.input_gates.bias.chunk(4)
         for bias, middle in ((enter, 0), (forget, 1), (candidate, 0), (leave, 0)):

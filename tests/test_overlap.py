@@ -12,17 +12,17 @@ import torch.nn.functional as F
 from conftest import TINY, assert_equal, learned, untimed
 
 from zipf import envs
-from zipf.agents.exploration import build_exploration
+from zipf.agents.exploration import BONUSES
 from zipf.agents.unroll import Unroll
 from zipf.errors import UserError
 from zipf.experiments.building import run_folder
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options import command_line
 from zipf.experiments.training import runner
 from zipf.experiments.training.collector import Abandoned, Collector
 from zipf.experiments.training.rollouts import BackgroundRollouts
-from zipf.experiments.training.visits import Visits
 
 
 @pytest.fixture(autouse=True)
@@ -62,7 +62,7 @@ def in_turn(config, updates):
         actor,
         unroll_length=config.collector.unroll_length,
         seed=derive_seed(config.seed, "training"),
-        exploration=build_exploration(
+        exploration=BONUSES.build(
             config.exploration,
             env.single_observation_space,
             derive_seed(config.seed, "exploration"),

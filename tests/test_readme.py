@@ -13,8 +13,6 @@ from pages import DOCS, PAGES, ROOT, TEXT, blocks, commands, files
 
 import zipf.report
 from zipf import compiled, envs, plugins
-from zipf.agents import agent
-from zipf.agents.auxiliary import base
 from zipf.envs import family
 from zipf.experiments.building import feasibility
 from zipf.experiments.options import command_line, composing
@@ -41,16 +39,9 @@ def section(page: str, heading: str) -> str:
 
 
 @pytest.fixture(autouse=True)
-def own_registries(monkeypatch):
+def forgotten(own_registries, monkeypatch):
     """What code registers is forgotten after the test."""
-    registries = (
-        (family, "_FAMILIES"),
-        (agent, "_AGENTS"),
-        (base, "_OPTIONS"),
-        (base, "_BUILDS"),
-    )
-    for module, name in registries:
-        monkeypatch.setattr(module, name, dict(getattr(module, name)))
+    monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
     monkeypatch.setattr(composing, "_user_folders", [])
     monkeypatch.setattr(plugins, "_config_folders", [])
 

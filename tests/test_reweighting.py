@@ -17,11 +17,11 @@ from zipf.agents.memory import MLPOptions
 from zipf.agents.r2d2 import Replayed
 from zipf.agents.reweighting import (
     NO_REWEIGHTING,
+    REWEIGHTINGS,
     EffectiveNumberOptions,
     GoalWeights,
     InverseCountOptions,
     bounded,
-    build_reweighting,
 )
 from zipf.envs.policies import Teacher
 from zipf.errors import UserError
@@ -124,7 +124,7 @@ def gridworld(reweighting, seed=0, worlds=6, **level):
         command_line.load(["experiment=demo"]).agent, Setting(*spaces, compact(), LSTM)
     )
     goal = envs.goal("gridworld/zipf_2", env)
-    weighing = build_reweighting(reweighting, worlds)
+    weighing = REWEIGHTINGS.build(reweighting, worlds)
     return Collector(env, impala, unroll_length=9, seed=seed, goal=goal, reweighting=weighing)
 
 
@@ -324,7 +324,7 @@ def rare_success(options, seed, updates=60):
         seed=1000 * seed,
         teacher=Teacher("expert", envs.split("gridworld"), env),
         goal=envs.goal(level, env),
-        reweighting=build_reweighting(options, 32),
+        reweighting=REWEIGHTINGS.build(options, 32),
     )
     for _ in range(updates):
         agent.update(collector.collect())

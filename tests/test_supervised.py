@@ -24,7 +24,7 @@ from zipf.envs.single import SingleWorld
 from zipf.envs.testing import check_vector_env
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
-from zipf.experiments.options.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.hooks.augmentation import Augmentation, RandomAugmentationOptions
 from zipf.experiments.training.collector import Collector
 
 OPTIONS = SupervisedOptions(

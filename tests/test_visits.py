@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from test_collector import build
 
-from zipf.experiments.training.visits import Visits
+from zipf.experiments.hooks.visits import Visits
 
 
 def random_episodes(rng, steps=50, worlds=7):

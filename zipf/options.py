@@ -2,9 +2,29 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, get_args
 
 from pydantic import BaseModel, ConfigDict
+
+
+@dataclass(frozen=True)
+class Context:
+    """What options are used with, for their own checks (`Options.problems`).
+
+    Attributes:
+        family: the name of the worlds' family.
+        has_goals: whether its worlds say what an episode asks for.
+        num_envs, unroll_length: B and T of the unrolls that an agent learns from.
+        chosen: the options of other groups, by the groups' names.
+    """
+
+    family: str
+    has_goals: bool
+    num_envs: int
+    unroll_length: int
+    chosen: Mapping[str, Any]
 
 
 class Options(BaseModel):
@@ -15,6 +35,11 @@ class Options(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    def problems(self, context: Context) -> Iterator[str]:
+        """What is wrong with these options there, a line for each problem; shown with all others
+        before a run begins."""
+        yield from ()
 
 
 def name_of(options: type[Options]) -> str:

@@ -1,4 +1,4 @@
-"""Plugins: modules whose import registers families, agents, auxiliary losses and configurations.
+"""Plugins: modules whose import registers families, agents, their parts and configurations.
 
 A module becomes a plugin by an entry point of the group `zipf.plugins` in its package's metadata,
 
@@ -6,8 +6,8 @@ A module becomes a plugin by an entry point of the group `zipf.plugins` in its p
     my_worlds = "my_package.worlds"
 
 or, without packaging, by being named on the command line: `plugins=[my_module]`. It registers by
-calling `zipf.envs.register`, `zipf.agents.register`, `zipf.agents.auxiliary.register` and
-`register_configs`.
+calling `zipf.envs.register`, `zipf.agents.register`, `register_configs`, and the `register` of a
+group's registry (`zipf.registry`), such as `zipf.agents.memory.MEMORIES.register`.
 """
 
 from __future__ import annotations

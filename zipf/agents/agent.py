@@ -27,23 +27,23 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, ClassVar, Literal, TypeVar
 
 import gymnasium as gym
 import torch
 from torch import Tensor
 
-import zipf.options
 from zipf.agents.auxiliary import NO_AUXILIARY, AuxiliaryOptions
-from zipf.agents.critics import SCALAR, CriticOptions
+from zipf.agents.critics import SCALAR
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions
 from zipf.agents.hindsight import NO_HINDSIGHT, HindsightOptions
-from zipf.agents.memory import MemoryOptions, State
+from zipf.agents.memory import State
 from zipf.agents.network import Inputs
 from zipf.agents.network_options import NetworkOptions
-from zipf.agents.reweighting import NO_REWEIGHTING, ReweightingOptions
+from zipf.agents.reweighting import NO_REWEIGHTING
 from zipf.agents.unroll import Unroll
+from zipf.options import Context, Options, name_of
+from zipf.registry import Registry
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,9 @@ class Setting:
     observation_space: gym.spaces.Dict
     action_space: gym.Space
     network: NetworkOptions
-    memory: MemoryOptions
+    memory: Options
     auxiliary: AuxiliaryOptions = NO_AUXILIARY
-    critic: CriticOptions = SCALAR
+    critic: Options = SCALAR
     episodic: EpisodicOptions = NO_EPISODIC
     num_envs: int = 1
     unroll_length: int = 1
@@ -79,13 +79,23 @@ class Setting:
     precision: Literal["float32", "bfloat16"] = "float32"
     folder: Path | None = None
     updates_between_checkpoints: int = 0
-    reweighting: ReweightingOptions = NO_REWEIGHTING
+    reweighting: Options = NO_REWEIGHTING
     hindsight: HindsightOptions = NO_HINDSIGHT
 
     @property
-    def torso(self) -> tuple[gym.spaces.Dict, gym.Space, NetworkOptions, MemoryOptions]:
+    def torso(self) -> tuple[gym.spaces.Dict, gym.Space, NetworkOptions, Options]:
         """The arguments of a `zipf.agents.network.Torso`."""
         return self.observation_space, self.action_space, self.network, self.memory
+
+    @property
+    def context(self) -> Context:
+        """What an agent's options check themselves against; of the worlds only the spaces are
+        known."""
+        chosen = {name: getattr(self, name) for name in _PARTS}
+        return Context("", True, self.num_envs, self.unroll_length, chosen)
+
+
+_PARTS = ("network", "memory", "auxiliary", "critic", "episodic", "reweighting", "hindsight")
 
 
 class Agent(ABC):
@@ -120,7 +130,7 @@ class Agent(ABC):
         ValueError: options that do not go together, a line for each problem.
     """
 
-    Options: ClassVar[type[zipf.options.Options]]
+    Options: ClassVar[type[Options]]
     auxiliary_losses: ClassVar[bool] = False
     any_critic: ClassVar[bool] = False
     episodic_memory: ClassVar[bool] = False
@@ -136,23 +146,12 @@ class Agent(ABC):
     teacher_share: float = 0.0
 
     def __init__(self, options: Any, setting: Setting):
-        wrong = list(self.problems(options, setting.num_envs, setting.unroll_length))
-        wrong += self.lacks(options.name, setting)
+        wrong = [*options.problems(setting.context), *self.lacks(options.name, setting)]
         if wrong:
             raise ValueError("\n".join(wrong))
         self.options = options
         self.setting = setting
         self.device = setting.device
-
-    @classmethod
-    def problems(cls, options: Any, num_envs: int, unroll_length: int) -> Iterator[str]:
-        """What is wrong with a combination of options, a line for each problem.
-
-        Args:
-            options: of the class `Options`.
-            num_envs, unroll_length: B and T of the unrolls that the agent would learn from.
-        """
-        yield from ()
 
     @classmethod
     def lacks(cls, name: str, chosen: Any) -> Iterator[str]:
@@ -234,7 +233,8 @@ class Agent(ABC):
         """Continues from `state_dict()`."""
 
 
-_AGENTS: dict[str, type[Agent]] = {}
+AGENTS: Registry[Agent] = Registry("agent")
+"""Each is built from its options and an agent's `Setting`."""
 AnyAgent = TypeVar("AnyAgent", bound=type[Agent])
 
 
@@ -245,18 +245,15 @@ def register(agent: AnyAgent) -> AnyAgent:
         ValueError: its options have no `name: Literal["..."]`, the name is taken, or it has a
             `largest_lag` and nothing to publish.
     """
-    name = zipf.options.name_of(agent.Options)
     if agent.largest_lag and not hasattr(agent, "publish"):
         raise ValueError(
-            f"agent {name!r}: largest_lag={agent.largest_lag} is for agents whose weights are "
-            "published, as those of a zipf.agents.learner.Learner are"
+            f"agent {name_of(agent.Options)!r}: largest_lag={agent.largest_lag} is for agents that "
+            "publish their weights, as a zipf.agents.learner.Learner does"
         )
-    if name in _AGENTS:
-        raise ValueError(f"agent {name!r} is already registered: {_AGENTS[name]}")
-    _AGENTS[name] = agent
+    AGENTS.register(agent.Options, agent)
     return agent
 
 
 def agents() -> Mapping[str, type[Agent]]:
     """All registered agents by name; `agents()[options.name](options, setting)` builds one."""
-    return MappingProxyType(_AGENTS)
+    return AGENTS.builds()  # type: ignore[return-value]  # what builds an agent is its class

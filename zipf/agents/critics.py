@@ -25,6 +25,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.options import Options
+from zipf.registry import Registry
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -69,18 +70,33 @@ class QuantileOptions(Options):
     risk_level: Level
 
 
-CriticOptions = Annotated[
-    ScalarOptions | HLGaussOptions | QuantileOptions, Field(discriminator="name")
-]
 SCALAR = ScalarOptions(name="scalar")
 
 
-class Scalar(nn.Module):
-    """The mean of the returns; it has no weights.
+class Critic(nn.Module):
+    """The base of critics.
 
     Attributes:
         size: outputs of the head for each value.
     """
+
+    size: int
+
+    def mean(self, outputs: Tensor) -> Tensor:
+        """The mean of the returns: float32 [..., size] -> [...]."""
+        raise NotImplementedError
+
+    def value(self, outputs: Tensor) -> Tensor:
+        """The risk measure of the returns, by default the mean: [..., size] -> [...]."""
+        return self.mean(outputs)
+
+    def loss(self, outputs: Tensor, targets: Tensor) -> Tensor:
+        """The loss against returns: [..., size], [...] -> [...]."""
+        raise NotImplementedError
+
+
+class Scalar(Critic):
+    """The mean of the returns; it has no weights."""
 
     size = 1
 
@@ -88,19 +104,13 @@ class Scalar(nn.Module):
         """The mean of the returns: float32 [..., size] -> [...]."""
         return outputs.squeeze(-1)
 
-    def value(self, outputs: Tensor) -> Tensor:
-        """The risk measure of the returns, here the mean: [..., size] -> [...]."""
-        return self.mean(outputs)
-
     def loss(self, outputs: Tensor, targets: Tensor) -> Tensor:
         """Half the squared error: [..., size], [...] -> [...]."""
         return 0.5 * (targets - self.mean(outputs)).square()
 
 
-class Distribution(nn.Module):
+class Distribution(Critic):
     """The base of critics that learn a distribution."""
-
-    size: int
 
     def __init__(self, risk: Risk, risk_level: float):
         super().__init__()
@@ -241,13 +251,9 @@ class Quantile(Distribution):
         return (weights * huber / kappa).mean(-1)
 
 
-Critic = Scalar | HLGauss | Quantile
+CRITICS: Registry[Critic] = Registry("critic")
+"""Each is built from its options alone."""
 
-
-def build_critic(options: CriticOptions) -> Critic:
-    """The critic that the options name."""
-    if isinstance(options, HLGaussOptions):
-        return HLGauss(options)
-    if isinstance(options, QuantileOptions):
-        return Quantile(options)
-    return Scalar()
+CRITICS.register(ScalarOptions, lambda options: Scalar())
+CRITICS.register(HLGaussOptions, HLGauss)
+CRITICS.register(QuantileOptions, Quantile)

@@ -15,6 +15,8 @@ What they compute is concatenated.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -39,13 +41,14 @@ from zipf.agents.network_options import (
     AttentionOptions,
     CompactOptions,
     ComparingOptions,
-    EncoderOptions,
     FiLMOptions,
+    InstructedOptions,
     MatchingOptions,
     NetworkOptions,
     ResNetOptions,
     ShallowOptions,
 )
+from zipf.registry import Registry
 
 LARGEST_VOCABULARY = 2**16  # ours: integers beyond that are quantities rather than words
 LARGEST_RANGE = 1e4  # ours: wider bounds stand for none, as float32's largest number does
@@ -59,7 +62,7 @@ class CodeEncoder(nn.Module):
 
     offsets: Tensor
 
-    def __init__(self, parts: list[gym.Space], options: EncoderOptions):
+    def __init__(self, parts: list[gym.Space], options: NetworkOptions):
         super().__init__()
         counts, offsets = zip(*(_codes(space) for space in parts), strict=True)
         offsets = np.concatenate(offsets)
@@ -95,7 +98,7 @@ class VectorEncoder(nn.Module):
     width: Tensor
     bounded: Tensor
 
-    def __init__(self, parts: list[gym.Space], options: EncoderOptions):
+    def __init__(self, parts: list[gym.Space], options: NetworkOptions):
         super().__init__()
         bounds = [_bounds(space) for space in parts]
         low = np.concatenate([one for one, _ in bounds])
@@ -156,48 +159,39 @@ class InstructionEncoder(nn.Module):
         return outputs[torch.arange(len(outputs), device=outputs.device), last]
 
 
-ImageNetwork = ResNet | ShallowNet | InstructedNet | PatchEncoder
+NETWORKS: Registry[nn.Module] = Registry("network")
+"""Each is built from its options, the shape [H, W, C] of the images that it reads, and the size of
+the encoded instruction, 0 for none. It has the `size` of its outputs, and computes uint8
+[N, H, W, C] -> [N, size]; an `InstructedNet` reads the encoded instruction [N, instruction], too.
+It raises ValueError for images that it cannot read."""
 
 
-InstructedOptions = FiLMOptions | AttentionOptions | MatchingOptions
+def _plain(network: Callable[..., nn.Module]) -> Callable[..., nn.Module]:
+    """What builds a network that does not read the instruction."""
+    return lambda options, shape, instruction: network(shape, options)
 
 
-def image_network(
-    shape: tuple[int, ...], options: NetworkOptions, instruction: int = 0
-) -> ImageNetwork:
-    """The network that the options name, for images [H, W, C].
+def _instructed(network: Callable[..., nn.Module]) -> Callable[..., nn.Module]:
+    """What builds a network that reads the instruction."""
 
-    Args:
-        shape: of the images.
-        options: which network.
-        instruction: size of the encoded instruction, 0 for none.
+    def build(options: InstructedOptions, shape: tuple[int, ...], instruction: int) -> nn.Module:
+        if not instruction:
+            raise ValueError(
+                f"network={options.name} reads images by an instruction, and the observations have "
+                "none; choose network=shallow"
+            )
+        return network(shape, options, instruction)
 
-    Raises:
-        ValueError: it cannot read images of that size, or needs an instruction.
-    """
-    if isinstance(options, InstructedOptions) and not instruction:
-        raise ValueError(
-            f"network={options.name} reads images by an instruction, and the observations have "
-            "none; choose network=shallow"
-        )
-    match options:
-        case FiLMOptions():
-            return FiLMNet(shape, options, instruction)
-        case AttentionOptions():
-            return AttentionNet(shape, options, instruction)
-        case MatchingOptions():
-            return MatchingNet(shape, options, instruction)
-        case ResNetOptions():
-            return ResNet(shape, options)
-        case ShallowOptions():
-            return ShallowNet(shape, options)
-        case ComparingOptions():
-            return ComparingEncoder(shape, options)
-        case CompactOptions():
-            return PatchEncoder(shape, options)
+    return build
 
 
-PartEncoder = ImageNetwork | CodeEncoder | VectorEncoder | InstructionEncoder
+NETWORKS.register(ResNetOptions, _plain(ResNet))
+NETWORKS.register(ShallowOptions, _plain(ShallowNet))
+NETWORKS.register(FiLMOptions, _instructed(FiLMNet))
+NETWORKS.register(AttentionOptions, _instructed(AttentionNet))
+NETWORKS.register(MatchingOptions, _instructed(MatchingNet))
+NETWORKS.register(CompactOptions, _plain(PatchEncoder))
+NETWORKS.register(ComparingOptions, _plain(ComparingEncoder))
 
 
 def is_image(space: gym.Space) -> bool:
@@ -288,7 +282,8 @@ class Encoder(nn.Module):
         self.encoders = nn.ModuleList()
         told = InstructionEncoder.size * len(texts)
         for name in images:
-            self._add([name], image_network(space[name].shape or (), options, told))
+            self._add([name], NETWORKS.build(options, space[name].shape or (), told))
+        self._images = len(images)  # theirs are the first of the encoders
         if codes:
             self._add(codes, CodeEncoder([space[name] for name in codes], options))
         if vectors:
@@ -305,7 +300,7 @@ class Encoder(nn.Module):
         if not self.remembers_texts:
             self.size -= told
 
-    def _add(self, names: list[str], encoder: PartEncoder) -> None:
+    def _add(self, names: list[str], encoder: Any) -> None:
         self.names.append(tuple(names))
         self.encoders.append(encoder)
         self.size += encoder.size
@@ -323,10 +318,9 @@ class Encoder(nn.Module):
 
     def compile_images(self) -> int:
         """Compiles the networks that read images (`torch.compile`); returns how many there are."""
-        networks = [e for e in self.encoders if isinstance(e, ImageNetwork)]
-        for network in networks:
+        for network in self.encoders[: self._images]:
             network.compile()
-        return len(networks)
+        return self._images
 
     def match(self, observation: dict[str, Tensor], asked: dict[str, Tensor]) -> Tensor:
         """How well the places of images show what instructions name, by `network=matching`: the

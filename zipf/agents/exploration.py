@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Protocol
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -16,6 +15,7 @@ from pydantic import Field
 from zipf.agents.rnd import RNDBonus, RNDOptions
 from zipf.compiled import compiled
 from zipf.options import Options
+from zipf.registry import Registry
 
 
 class NoExplorationOptions(Options):
@@ -38,10 +38,6 @@ class FirstVisitOptions(Options):
 
     name: Literal["first_visit"]
     scale: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
-
-AnyExploration = NoExplorationOptions | CountOptions | FirstVisitOptions | RNDOptions
-ExplorationOptions = Annotated[AnyExploration, Field(discriminator="name")]
 
 
 class Bonus(Protocol):
@@ -181,12 +177,10 @@ def _count(hashes, mask, visits, scale, bonus):
             bonus[i] = scale / np.sqrt(visits[slot])
 
 
-def build_exploration(
-    options: AnyExploration, observation_space: gym.spaces.Dict, seed: int
-) -> Bonus | None:
-    """The bonus that the options name, for observations of one world in this space, or None."""
-    if isinstance(options, RNDOptions):
-        return RNDBonus(options, observation_space, seed)
-    if isinstance(options, FirstVisitOptions):
-        return FirstVisitBonus(options)
-    return CountBonus(options) if isinstance(options, CountOptions) else None
+BONUSES: Registry[Bonus | None] = Registry("exploration")
+"""Each is built from its options, the space of the observations of one world, and a seed."""
+
+BONUSES.register(NoExplorationOptions, lambda options, space, seed: None)
+BONUSES.register(CountOptions, lambda options, space, seed: CountBonus(options))
+BONUSES.register(FirstVisitOptions, lambda options, space, seed: FirstVisitBonus(options))
+BONUSES.register(RNDOptions, RNDBonus)

@@ -15,6 +15,7 @@ costs fall, linearly with the number of updates, to 0.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import torch
@@ -25,7 +26,7 @@ from torch import Tensor
 
 from zipf.agents.encoders import Encoder
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast
-from zipf.options import Options
+from zipf.options import Context, Options
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
@@ -59,19 +60,26 @@ class AchievedOptions(Options):
     fade: Annotated[int, Field(ge=1)] | None
     matching_cost: NotNegative = 0.0
 
+    def problems(self, context: Context) -> Iterator[str]:
+        if not context.has_goals:
+            yield (
+                f"hindsight={self.name}: the worlds of {context.family} do not say what an episode "
+                "asks for; choose hindsight=none"
+            )
+
     def share(self, updates: int) -> float:
         """The factor of `policy_cost` and `value_cost` after so many updates, in [0, 1]."""
         return 1.0 if self.fade is None else max(0.0, 1 - updates / self.fade)
 
 
-HindsightOptions = Annotated[NoHindsightOptions | AchievedOptions, Field(discriminator="name")]
+HindsightOptions = NoHindsightOptions | AchievedOptions
 NO_HINDSIGHT = NoHindsightOptions(name="none")
 
 
 def hindsight_loss(
     network: ActorCritic,
     episodes: TensorDict | None,
-    options: NoHindsightOptions | AchievedOptions,
+    options: HindsightOptions,
     *,
     discount: float,
     updates: int,

@@ -30,11 +30,12 @@ from zipf.agents.agent import Setting, register
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary
 from zipf.agents.hindsight import NoHindsightOptions, matching_loss
 from zipf.agents.learner import Learner, LearnerOptions, Loss
-from zipf.agents.memory import MemoryOptions, State
+from zipf.agents.memory import State
 from zipf.agents.network import Inputs, Torso, head, in_full, sampled
 from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
+from zipf.options import Options
 
 
 class ImitationOptions(LearnerOptions):
@@ -57,7 +58,7 @@ class Policy(Torso):
         observation_space: gym.spaces.Dict,
         action_space: gym.Space,
         network: NetworkOptions,
-        memory: MemoryOptions,
+        memory: Options,
         episodic: EpisodicOptions = NO_EPISODIC,
     ):
         super().__init__(observation_space, action_space, network, memory)

@@ -7,7 +7,7 @@ The state is a dictionary of tensors `[B, ...]`, zeros at the start.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Protocol
 
 import torch
 from pydantic import Field
@@ -15,8 +15,25 @@ from torch import Tensor, nn
 
 from zipf.agents.gtrxl import GTrXLMemory, GTrXLOptions
 from zipf.options import Options
+from zipf.registry import Registry
 
 State = dict[str, Tensor]
+
+
+class Memory(Protocol):
+    """What a memory is, beside a `torch.nn.Module`.
+
+    Attributes:
+        size: of its outputs.
+    """
+
+    size: int
+
+    def initial_state(self, batch: int) -> State:
+        """The state before the first frame, zeros {name: [batch, ...]}."""
+
+    def __call__(self, inputs: Tensor, is_first: Tensor, state: State) -> tuple[Tensor, State]:
+        """`[T, B, inputs]`, `[T, B]` -> `[T, B, size]` and the state after the last frame."""
 
 
 class MLPOptions(Options):
@@ -33,9 +50,6 @@ class LSTMOptions(Options):
     name: Literal["lstm"]
     size: Annotated[int, Field(ge=1)]
     layers: Annotated[int, Field(ge=1)]
-
-
-MemoryOptions = Annotated[MLPOptions | LSTMOptions | GTrXLOptions, Field(discriminator="name")]
 
 
 class MLPMemory(nn.Module):
@@ -106,16 +120,10 @@ class LSTMMemory(nn.Module):
         return outputs, after | {f"above.{name}": v for name, v in states.items()}
 
 
-def build_memory(inputs: int, options: MemoryOptions) -> MLPMemory | LSTMMemory | GTrXLMemory:
-    """The memory that the options name, for inputs of that many features.
+MEMORIES: Registry[Memory] = Registry("memory")
+"""Each is built from its options and the number of features that it reads; it raises ValueError
+where its sizes do not fit together."""
 
-    Raises:
-        ValueError: a GTrXL whose heads do not divide its size.
-    """
-    match options:
-        case MLPOptions():
-            return MLPMemory(inputs, options)
-        case LSTMOptions():
-            return LSTMMemory(inputs, options)
-        case GTrXLOptions():
-            return GTrXLMemory(inputs, options)
+MEMORIES.register(MLPOptions, lambda options, inputs: MLPMemory(inputs, options))
+MEMORIES.register(LSTMOptions, lambda options, inputs: LSTMMemory(inputs, options))
+MEMORIES.register(GTrXLOptions, lambda options, inputs: GTrXLMemory(inputs, options))

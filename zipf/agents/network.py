@@ -12,11 +12,12 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
-from zipf.agents.critics import SCALAR, CriticOptions, build_critic
+from zipf.agents.critics import CRITICS, SCALAR
 from zipf.agents.encoders import Encoder
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary
-from zipf.agents.memory import MemoryOptions, State, build_memory
+from zipf.agents.memory import MEMORIES, State
 from zipf.agents.network_options import NetworkOptions
+from zipf.options import Options
 
 Module = TypeVar("Module", bound=nn.Module)
 
@@ -119,7 +120,7 @@ class Torso(nn.Module):
         observation_space: gym.spaces.Dict,
         action_space: gym.Space,
         network: NetworkOptions,
-        memory: MemoryOptions,
+        memory: Options,
     ):
         super().__init__()
         if not isinstance(action_space, gym.spaces.Discrete):
@@ -130,7 +131,7 @@ class Torso(nn.Module):
             raise ValueError(f"the action space is {action_space}; actions should count from 0")
         self.actions = int(action_space.n)
         self.encoder = Encoder(observation_space, network)
-        self.memory = build_memory(self.encoder.size + self.actions + 1, memory)
+        self.memory = MEMORIES.build(memory, self.encoder.size + self.actions + 1)
 
     def parts(self) -> dict[str, nn.Module]:
         """What another network can begin with: children, such as `memory`, and parts of the
@@ -184,12 +185,12 @@ class ActorCritic(Torso):
         observation_space: gym.spaces.Dict,
         action_space: gym.Space,
         network: NetworkOptions,
-        memory: MemoryOptions,
-        critic: CriticOptions = SCALAR,
+        memory: Options,
+        critic: Options = SCALAR,
         episodic: EpisodicOptions = NO_EPISODIC,
     ):
         super().__init__(observation_space, action_space, network, memory)
-        self.critic = build_critic(critic)
+        self.critic = CRITICS.build(critic)
         self.policy = head(self.memory.size, network.head_size, self.actions)
         self.baseline = head(self.memory.size, network.head_size, self.critic.size)
         self.dictionary = build_dictionary(self.memory.size, self.actions, episodic)

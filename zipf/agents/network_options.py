@@ -11,7 +11,7 @@ from zipf.options import Options
 Size = Annotated[int, Field(ge=1)]
 
 
-class EncoderOptions(Options):
+class NetworkOptions(Options):
     """Options that all networks have.
 
     `code_channels` is the size of a code's embedding, `code_size` that of the dense layer over all
@@ -19,13 +19,14 @@ class EncoderOptions(Options):
     of policy and value, 0 for linear heads.
     """
 
+    name: str
     code_channels: Size
     code_size: Size
     vector_layers: Annotated[list[Size], Field(min_length=1)]
     head_size: Annotated[int, Field(ge=0)]
 
 
-class ResNetOptions(EncoderOptions):
+class ResNetOptions(NetworkOptions):
     """The paper's image encoder (its architecture table)."""
 
     name: Literal["resnet"]
@@ -33,7 +34,7 @@ class ResNetOptions(EncoderOptions):
     blocks: Annotated[int, Field(ge=0)]
 
 
-class CompactOptions(EncoderOptions):
+class CompactOptions(NetworkOptions):
     """One convolution whose patches do not overlap, then a dense layer: made for CPUs.
 
     `patch` None is the largest common divisor of the image's sides up to 12.
@@ -60,7 +61,7 @@ class ComparingOptions(CompactOptions):
     convolutions: Annotated[int, Field(ge=0)]
 
 
-class ShallowOptions(EncoderOptions):
+class ShallowOptions(NetworkOptions):
     """The shallow network of Espeholt et al. 2018: strided convolutions, then a dense layer.
 
     With `normalise` pixels are scaled to [-1, 1] instead of [0, 1], and the dense layer's outputs
@@ -83,13 +84,17 @@ class ShallowOptions(EncoderOptions):
         return numbers
 
 
-class FiLMOptions(ShallowOptions):
+class InstructedOptions(ShallowOptions):
+    """Options of networks that read images by an instruction."""
+
+
+class FiLMOptions(InstructedOptions):
     """As shallow, and the instruction scales and shifts the channels of every convolution."""
 
     name: Literal["film"]  # type: ignore[assignment]
 
 
-class AttentionOptions(ShallowOptions):
+class AttentionOptions(InstructedOptions):
     """As shallow, and the instruction attends to places of the image: `heads` heads, whose keys
     have `key_size` numbers."""
 
@@ -98,7 +103,7 @@ class AttentionOptions(ShallowOptions):
     key_size: Size
 
 
-class MatchingOptions(ShallowOptions):
+class MatchingOptions(InstructedOptions):
     """As shallow, and places of the image are matched with the instruction.
 
     `match_channels` are those of the convolutions whose keys are matched, with the kernels and
@@ -112,15 +117,3 @@ class MatchingOptions(ShallowOptions):
     key_size: Size
     matcher: Literal["learned", "fixed"] = "learned"
     remember_instruction: bool = True
-
-
-NetworkOptions = Annotated[
-    ResNetOptions
-    | ShallowOptions
-    | FiLMOptions
-    | AttentionOptions
-    | MatchingOptions
-    | CompactOptions
-    | ComparingOptions,
-    Field(discriminator="name"),
-]

@@ -40,10 +40,10 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from zipf.agents.agent import Setting, register
-from zipf.agents.critics import SCALAR, CriticOptions, build_critic
+from zipf.agents.critics import CRITICS, SCALAR
 from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.learner import Learner, LearnerOptions, Loss, adam
-from zipf.agents.memory import MemoryOptions, State
+from zipf.agents.memory import State
 from zipf.agents.network import Inputs, Torso, frozen_copy, head, in_full
 from zipf.agents.network_options import NetworkOptions
 from zipf.agents.returns import lambda_returns, rescale, unrescale
@@ -51,6 +51,7 @@ from zipf.agents.reweighting import NO_REWEIGHTING, weighted
 from zipf.agents.sequences import Sequences
 from zipf.agents.truncations import Finals
 from zipf.agents.unroll import Unroll
+from zipf.options import Context, Options
 
 if TYPE_CHECKING:  # imported where learning begins: it brings TorchRL, which takes a second
     from zipf.agents.replay import Replay
@@ -86,6 +87,61 @@ class R2D2Options(LearnerOptions):
     priority_max_weight: Share
     fresh_priority: Literal["error", "largest"]
 
+    def problems(self, context: Context) -> Iterator[str]:
+        num_envs, unroll_length = context.num_envs, context.unroll_length
+        batch = self.samples_per_insert * num_envs
+        if abs(batch - round(batch)) > 1e-6 or round(batch) < 1:
+            yield (
+                f"agent.samples_per_insert={self.samples_per_insert}: times "
+                f"collector.num_envs={num_envs} is {batch:g} sequences a batch; should be a whole "
+                "number"
+            )
+        if self.burn_in > unroll_length:
+            yield (
+                f"agent.burn_in={self.burn_in}: should be at most "
+                f"collector.unroll_length={unroll_length}"
+            )
+        if self.replay_capacity < num_envs:
+            yield (
+                f"agent.replay_capacity={self.replay_capacity}: should be at least "
+                f"collector.num_envs={num_envs}, the sequences of one update"
+            )
+        if self.replay_min > self.replay_capacity:
+            yield (
+                f"agent.replay_min={self.replay_min}: should be at most "
+                f"agent.replay_capacity={self.replay_capacity}"
+            )
+        hindsight = context.chosen["hindsight"]
+        if isinstance(hindsight, AchievedOptions):
+            yield from self._with_hindsight(hindsight)
+
+    def _with_hindsight(self, hindsight: AchievedOptions) -> Iterator[str]:
+        if hindsight.length is None:
+            yield (
+                f"hindsight.length=null: agent={self.name} needs a whole number, the frames of an "
+                "episode that its replay has room for"
+            )
+        elif hindsight.episodes > self.replay_capacity:
+            yield (
+                f"hindsight.episodes={hindsight.episodes}: should be at most "
+                f"agent.replay_capacity={self.replay_capacity}"
+            )
+        if hindsight.kept_per_goal:
+            yield (
+                f"hindsight.kept_per_goal={hindsight.kept_per_goal}: agent={self.name} keeps "
+                "episodes in its replay; choose null"
+            )
+        if hindsight.fade is not None:
+            yield (
+                f"hindsight.fade={hindsight.fade}: agent={self.name} has no costs that fall; "
+                "choose null"
+            )
+        if hindsight.matching_cost:
+            yield (
+                f"hindsight.matching_cost={hindsight.matching_cost}: agent={self.name} has no "
+                "such loss; choose 0"
+            )
+
 
 class DuelingQ(Torso):
     """Q of every action (Wang et al. 2016): a state's value plus each action's advantage, less
@@ -99,11 +155,11 @@ class DuelingQ(Torso):
         observation_space: gym.spaces.Dict,
         action_space: gym.Space,
         network: NetworkOptions,
-        memory: MemoryOptions,
-        critic: CriticOptions = SCALAR,
+        memory: Options,
+        critic: Options = SCALAR,
     ):
         super().__init__(observation_space, action_space, network, memory)
-        self.critic = build_critic(critic)
+        self.critic = CRITICS.build(critic)
         self.value = head(self.memory.size, network.head_size, self.critic.size)
         self.advantage = head(self.memory.size, network.head_size, self.critic.size * self.actions)
 
@@ -156,58 +212,6 @@ class R2D2(Learner):
     network: DuelingQ
     actor: DuelingQ
 
-    @classmethod
-    def problems(cls, options: R2D2Options, num_envs: int, unroll_length: int) -> Iterator[str]:
-        """What is wrong with a combination of options, a line for each problem."""
-        batch = options.samples_per_insert * num_envs
-        if abs(batch - round(batch)) > 1e-6 or round(batch) < 1:
-            yield (
-                f"agent.samples_per_insert={options.samples_per_insert}: times "
-                f"collector.num_envs={num_envs} is {batch:g} sequences a batch; should be a whole "
-                "number"
-            )
-        if options.burn_in > unroll_length:
-            yield (
-                f"agent.burn_in={options.burn_in}: should be at most "
-                f"collector.unroll_length={unroll_length}"
-            )
-        if options.replay_capacity < num_envs:
-            yield (
-                f"agent.replay_capacity={options.replay_capacity}: should be at least "
-                f"collector.num_envs={num_envs}, the sequences of one update"
-            )
-        if options.replay_min > options.replay_capacity:
-            yield (
-                f"agent.replay_min={options.replay_min}: should be at most "
-                f"agent.replay_capacity={options.replay_capacity}"
-            )
-
-    @classmethod
-    def lacks(cls, name: str, chosen: Any) -> Iterator[str]:
-        yield from super().lacks(name, chosen)
-        hindsight = chosen.hindsight
-        if not isinstance(hindsight, AchievedOptions):
-            return
-        if hindsight.length is None:
-            yield (
-                f"hindsight.length=null: agent={name} needs a whole number, the frames of an "
-                "episode that its replay has room for"
-            )
-        if hindsight.kept_per_goal:
-            yield (
-                f"hindsight.kept_per_goal={hindsight.kept_per_goal}: agent={name} keeps "
-                "episodes in its replay; choose null"
-            )
-        if hindsight.fade is not None:
-            yield (
-                f"hindsight.fade={hindsight.fade}: agent={name} has no costs that fall; choose null"
-            )
-        if hindsight.matching_cost:
-            yield (
-                f"hindsight.matching_cost={hindsight.matching_cost}: agent={name} has no "
-                "such loss; choose 0"
-            )
-
     def __init__(self, options: R2D2Options, setting: Setting):
         super().__init__(options, setting)
         if options.storage == "memmap" and setting.folder is None:
@@ -228,11 +232,6 @@ class R2D2(Learner):
         if isinstance(setting.hindsight, AchievedOptions) and setting.hindsight.length:
             cuts = -(-setting.hindsight.length // setting.unroll_length)
             self._inserts += cuts * setting.hindsight.episodes
-            if setting.hindsight.episodes > options.replay_capacity:
-                raise ValueError(
-                    f"hindsight.episodes={setting.hindsight.episodes}: should be at most "
-                    f"agent.replay_capacity={options.replay_capacity}"
-                )
         self.sequences = Sequences(
             setting.observation_space,
             num_envs=setting.num_envs,

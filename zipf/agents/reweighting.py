@@ -7,6 +7,7 @@ drawn by another law than they are. Auxiliary losses are not weighted.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -15,7 +16,8 @@ from pydantic import Field
 from tensordict import TensorDict
 from torch import Tensor
 
-from zipf.options import Options
+from zipf.options import Context, Options
+from zipf.registry import Registry
 
 
 class NoReweightingOptions(Options):
@@ -29,8 +31,16 @@ class _Weights(Options):
     grow; the mean weight of all episodes so far is 1. Goals that differ share a counter with
     probability 1 / table_size."""
 
+    name: str
     largest_weight: Annotated[float, Field(ge=1, allow_inf_nan=False)]
     table_size: Annotated[int, Field(ge=1, le=2**30)]
+
+    def problems(self, context: Context) -> Iterator[str]:
+        if not context.has_goals:
+            yield (
+                f"reweighting={self.name}: the worlds of {context.family} do not say what an "
+                "episode asks for; choose reweighting=none"
+            )
 
 
 class InverseCountOptions(_Weights):
@@ -49,9 +59,6 @@ class EffectiveNumberOptions(_Weights):
     beta: Annotated[float, Field(ge=0, lt=1)]
 
 
-ReweightingOptions = Annotated[
-    NoReweightingOptions | InverseCountOptions | EffectiveNumberOptions, Field(discriminator="name")
-]
 NO_REWEIGHTING = NoReweightingOptions(name="none")
 
 
@@ -121,11 +128,14 @@ def bounded(
         at_bound |= over
 
 
-def build_reweighting(options: Any, num_envs: int) -> GoalWeights | None:
-    """The weights that the options name, or None."""
-    return None if isinstance(options, NoReweightingOptions) else GoalWeights(options, num_envs)
-
-
 def weighted(losses: Tensor, steps: TensorDict) -> Tensor:
     """Losses of the frames [T, B] of an unroll's `steps`, times their weights if they have any."""
     return losses * steps["weight"] if "weight" in steps.keys() else losses
+
+
+REWEIGHTINGS: Registry[GoalWeights | None] = Registry("reweighting")
+"""Each is built from its options and the number of worlds."""
+
+REWEIGHTINGS.register(NoReweightingOptions, lambda options, num_envs: None)
+REWEIGHTINGS.register(InverseCountOptions, GoalWeights)
+REWEIGHTINGS.register(EffectiveNumberOptions, GoalWeights)

@@ -29,11 +29,12 @@ from torch import Tensor
 from zipf.agents.agent import register
 from zipf.agents.hindsight import NoHindsightOptions, matching_loss
 from zipf.agents.learner import Learner, LearnerOptions, Loss
-from zipf.agents.memory import MemoryOptions, State
+from zipf.agents.memory import State
 from zipf.agents.network import Inputs, Torso, head, in_full
 from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import weighted
 from zipf.agents.unroll import Unroll
+from zipf.options import Options
 
 
 class SupervisedOptions(LearnerOptions):
@@ -50,7 +51,7 @@ class Classifier(Torso):
         observation_space: gym.spaces.Dict,
         action_space: gym.Space,
         network: NetworkOptions,
-        memory: MemoryOptions,
+        memory: Options,
     ):
         super().__init__(observation_space, action_space, network, memory)
         self.answer = head(self.memory.size, network.head_size, self.actions)

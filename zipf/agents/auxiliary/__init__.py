@@ -13,23 +13,21 @@ own, gives `learned()` to its optimiser and calls `after_update` after each step
 # Importing these two registers their losses.
 from zipf.agents.auxiliary import byol, reconstruction
 from zipf.agents.auxiliary.base import (
+    AUXILIARIES,
     NO_AUXILIARY,
     Auxiliary,
     AuxiliaryOptions,
-    auxiliaries,
     build_auxiliary,
-    register,
     sample,
 )
 
 __all__ = [
+    "AUXILIARIES",
     "NO_AUXILIARY",
     "Auxiliary",
     "AuxiliaryOptions",
-    "auxiliaries",
     "build_auxiliary",
     "byol",
     "reconstruction",
-    "register",
     "sample",
 ]

@@ -9,14 +9,12 @@ To add one, derive from `Auxiliary` and register its options with a function tha
     def build(options, space, network, torso, seed):
         return MyLoss(...)
 
-    register(MyOptions, build)
+    AUXILIARIES.register(MyOptions, build)
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
-from typing import Any, Literal
+from typing import Literal
 
 import gymnasium as gym
 import torch
@@ -25,7 +23,8 @@ from torch import Tensor, nn
 from zipf.agents.encoders import Encoder
 from zipf.agents.network import Inputs, Torso
 from zipf.agents.network_options import NetworkOptions
-from zipf.options import Options, name_of
+from zipf.options import Options
+from zipf.registry import Registry
 
 
 class AuxiliaryOptions(Options):
@@ -96,33 +95,9 @@ def sample(n: int, fraction: float, generator: torch.Generator) -> Tensor:
     return torch.randperm(n, generator=generator)[: max(1, round(fraction * n))]
 
 
-# (options, observation space, options of the encoder, encoder and memory, seed) -> the loss
-Build = Callable[[Any, gym.spaces.Dict, NetworkOptions, Torso, int], Auxiliary]
-
-_OPTIONS: dict[str, type[AuxiliaryOptions]] = {}
-_BUILDS: dict[str, Build] = {}
-
-
-def register(options: type[AuxiliaryOptions], build: Build) -> None:
-    """Adds an auxiliary loss to the registry, under the name in its options.
-
-    Args:
-        options: their class, with a field `name: Literal["..."]`.
-        build: makes the loss from the arguments of `build_auxiliary`, in that order; it raises
-            ValueError where the observations lack what the loss needs.
-
-    Raises:
-        ValueError: the options have no name, or the name is taken.
-    """
-    name = name_of(options)
-    if name in _OPTIONS:
-        raise ValueError(f"auxiliary loss {name!r} is already registered: {_OPTIONS[name]}")
-    _OPTIONS[name], _BUILDS[name] = options, build
-
-
-def auxiliaries() -> Mapping[str, type[AuxiliaryOptions]]:
-    """The classes of options of all registered auxiliary losses, by name."""
-    return MappingProxyType(_OPTIONS)
+AUXILIARIES: Registry[Auxiliary] = Registry("auxiliary")
+"""Each is built from its options and the arguments of `build_auxiliary` after them, in that order;
+it raises ValueError where the observations lack what the loss needs."""
 
 
 def build_auxiliary(
@@ -143,7 +118,9 @@ def build_auxiliary(
     Raises:
         ValueError: the observations lack what the loss needs.
     """
-    return _BUILDS[options.name](options, space, network, torso, seed)
+    return AUXILIARIES.build(options, space, network, torso, seed)
 
 
-register(NoAuxiliaryOptions, lambda options, space, network, torso, seed: Auxiliary(seed))
+AUXILIARIES.register(
+    NoAuxiliaryOptions, lambda options, space, network, torso, seed: Auxiliary(seed)
+)

@@ -18,7 +18,7 @@ import torch.nn.functional as F
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
+from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, sample
 from zipf.agents.encoders import Encoder, has_image
 from zipf.agents.network import Inputs, Torso, frozen_copy, head
 from zipf.agents.network_options import NetworkOptions
@@ -320,6 +320,6 @@ def build(
     return BYOL(torso.encoder, torso.memory.size, torso.actions, options, seed)
 
 
-register(BYOLOptions, build)
-register(BYOLFrameOptions, build)
-register(BYOLHorizonOptions, build)
+AUXILIARIES.register(BYOLOptions, build)
+AUXILIARIES.register(BYOLFrameOptions, build)
+AUXILIARIES.register(BYOLHorizonOptions, build)

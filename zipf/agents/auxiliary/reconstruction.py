@@ -14,12 +14,17 @@ import torch.nn.functional as F
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.auxiliary.base import Auxiliary, AuxiliaryOptions, register, sample
+from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, sample
 from zipf.agents.averaging import average
 from zipf.agents.encoders import has_image, is_text, vocabulary
 from zipf.agents.image_networks import ResidualBlock, largest_patch
 from zipf.agents.network import Inputs, Torso
-from zipf.agents.network_options import NetworkOptions, ResNetOptions, ShallowOptions
+from zipf.agents.network_options import (
+    CompactOptions,
+    NetworkOptions,
+    ResNetOptions,
+    ShallowOptions,
+)
 
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(gt=0, le=1)]
@@ -214,6 +219,11 @@ def build_image_decoder(
         return ResNetDecoder(core_size, shape, network)
     if isinstance(network, ShallowOptions):
         return ShallowDecoder(core_size, shape, network)
+    if not isinstance(network, CompactOptions):
+        raise ValueError(
+            f"network={network.name}: no decoder mirrors it, which reconstruction needs; choose "
+            "network=compact, or another auxiliary loss"
+        )
     patch = network.patch or largest_patch(shape[0], shape[1])
     return PatchDecoder(core_size, shape, patch, network.channels)
 
@@ -275,6 +285,6 @@ def build(
     return Reconstruction(space, network, torso.memory.size, options, seed)
 
 
-register(VisionOptions, build)
-register(LanguageOptions, build)
-register(VisionLanguageOptions, build)
+AUXILIARIES.register(VisionOptions, build)
+AUXILIARIES.register(LanguageOptions, build)
+AUXILIARIES.register(VisionLanguageOptions, build)

@@ -41,9 +41,15 @@ from torch import Tensor
 
 from zipf.agents.encoders import Encoder, has_image
 from zipf.agents.episodic.dictionary import Dictionary
-from zipf.agents.episodic.options import DictionarySizes, EpisodicOptions, MemOptions
+from zipf.agents.episodic.options import (
+    DictionaryOptions,
+    EpisodicOptions,
+    MemOptions,
+    NoEpisodicOptions,
+)
 from zipf.agents.episodic.recorder import DictionaryRecorder, Recorder, Rows
 from zipf.agents.unroll import no_observations
+from zipf.registry import Registry
 
 BLOCK = 8
 """Pixels, the sides of the blocks that images are compared in. Ours: objects are that small."""
@@ -232,8 +238,22 @@ def build_recorder(
     Raises:
         ValueError: the observations lack what it needs.
     """
-    if isinstance(options, MemOptions):
-        return MemRecorder(worlds, core_size, actions, options, seed, space)
-    if isinstance(options, DictionarySizes):
-        return DictionaryRecorder(worlds, core_size, actions, options, seed)
-    return Recorder()
+    return RECORDERS.build(options, space, worlds, core_size, actions, seed)
+
+
+RECORDERS: Registry[Recorder] = Registry("episodic")
+"""Each is built from its options and the further arguments of `build_recorder`, in that order."""
+
+RECORDERS.register(NoEpisodicOptions, lambda options, *others: Recorder())
+RECORDERS.register(
+    DictionaryOptions,
+    lambda options, space, worlds, core_size, actions, seed: DictionaryRecorder(
+        worlds, core_size, actions, options, seed
+    ),
+)
+RECORDERS.register(
+    MemOptions,
+    lambda options, space, worlds, core_size, actions, seed: MemRecorder(
+        worlds, core_size, actions, options, seed, space
+    ),
+)

@@ -30,6 +30,7 @@ class DictionarySizes(Options):
     `discount`.
     """
 
+    name: str
     capacity: Rows
     neighbours: Size
     key_size: Size
@@ -65,8 +66,5 @@ class MemOptions(DictionarySizes):
     longer: NotNegative
 
 
-EpisodicOptions = Annotated[
-    NoEpisodicOptions | DictionaryOptions | MemOptions, Field(discriminator="name")
-]
-
+EpisodicOptions = NoEpisodicOptions | DictionarySizes
 NO_EPISODIC = NoEpisodicOptions(name="none")

@@ -20,10 +20,12 @@ from zipf.agents.network_options import MatchingOptions
 from zipf.errors import UserError
 from zipf.experiments.building import run_folder
 from zipf.experiments.building.factory import build_agent
-from zipf.experiments.options.augmentation import build_augmentation
+from zipf.experiments.hooks.augmentation import AUGMENTATIONS
 from zipf.experiments.options.runtime import RayOptions, TorchrunOptions, has_ray
 from zipf.experiments.options.schema import Config, PretrainedOptions, find_device
 from zipf.experiments.records.learned_options import flatten
+from zipf.options import Context
+from zipf.registry import registries
 
 
 def problems(config: Config) -> Iterator[str]:
@@ -53,10 +55,14 @@ def problems(config: Config) -> Iterator[str]:
             f"learning_rate_decay={config.learning_rate_decay}: agent={config.agent.name} has no "
             "learning rate; choose null"
         )
-    told = list(agent.problems(config.agent, config.num_envs, collector.unroll_length))
+    parts = {group: getattr(config, group) for group in registries()}
+    family = envs.family_of_split(config.environment.split)
+    context = Context(
+        family.name, family.goal is not None, config.num_envs, collector.unroll_length, parts
+    )
+    told = [line for options in parts.values() for line in options.problems(context)]
     told += agent.lacks(config.agent.name, config)
     yield from told
-    yield from _lacks_goals(config)
     yield from _reads_itself(config)
     try:
         find_device(config.device)
@@ -161,18 +167,6 @@ def _not_by_several_learners(config: Config) -> Iterator[str]:
             f"device={config.device}: is one for all learners; with runtime=torchrun choose "
             "device=cuda, which is another for each learner of a machine"
         )
-
-
-def _lacks_goals(config: Config) -> Iterator[str]:
-    """Options that need to know what an episode asks for, in worlds that do not say."""
-    family = envs.family_of_split(config.environment.split)
-    for part in ("reweighting", "hindsight"):
-        chosen = getattr(config, part).name
-        if chosen != "none" and family.goal is None:
-            yield (
-                f"{part}={chosen}: the worlds of {family.name} do not say what an episode asks "
-                f"for; choose {part}=none"
-            )
 
 
 def _reads_itself(config: Config) -> Iterator[str]:
@@ -295,7 +289,7 @@ def _try_to_build(config: Config) -> Iterator[str]:
     try:
         symmetries = envs.symmetries(split, env)
         space = env.single_observation_space
-        build_augmentation(config.augmentation, space, 1, seed=0, symmetries=symmetries)
+        AUGMENTATIONS.build(config.augmentation, space, 1, seed=0, symmetries=symmetries)
     except ValueError as error:
         yield str(error)
     if agent.teacher and getattr(family, agent.teacher) is None:

@@ -47,6 +47,7 @@ from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import TOLD, UserError
 from zipf.experiments.building.checkpoint import arrays, tensors
 from zipf.experiments.building.factory import build_agent
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options import composing
 from zipf.experiments.options.runtime import RayOptions
 from zipf.experiments.options.schema import Config, schema
@@ -54,7 +55,6 @@ from zipf.experiments.training.build_collector import build_collector
 from zipf.experiments.training.collector import episode_metrics
 from zipf.experiments.training.rollouts import Learned
 from zipf.experiments.training.runtime import Runtime
-from zipf.experiments.training.visits import Visits
 
 MOST_DEATHS = 3  # ours: of an actor in a row, none of which has played an unroll
 PATIENCE = 60.0  # seconds without an unroll before the user is told; ours: starting takes less

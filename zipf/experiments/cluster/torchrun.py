@@ -26,6 +26,7 @@ import zipf
 from zipf.agents import averaging
 from zipf.errors import UserError
 from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options.runtime import TorchrunOptions
 from zipf.experiments.training.runtime import (
     LearnerLost,
@@ -33,7 +34,6 @@ from zipf.experiments.training.runtime import (
     Runtime,
     started_by_torchrun,
 )
-from zipf.experiments.training.visits import Visits
 
 PATIENCE = timedelta(days=1)  # ours: the others wait for the first while it evaluates
 MEETING = timedelta(minutes=10)  # ours: for the slowest of the machines to start its processes

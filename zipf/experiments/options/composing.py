@@ -1,8 +1,8 @@
 """Composes configurations with Hydra, from `configs/`, folders of the user's, and the registries.
 
 What is registered in Python needs no file: the group `environment` has a choice for every family,
-with the defaults of its options class; `agent` and `auxiliary` have one for every agent and
-auxiliary loss whose options all have defaults.
+with the defaults of its options class; a group that has a registry (`zipf.registry`), such as
+`agent`, has one for every registered choice whose options all have defaults.
 """
 
 from __future__ import annotations
@@ -25,10 +25,9 @@ from yaml import YAMLError
 
 import zipf
 from zipf import envs, plugins
-from zipf.agents import agents
-from zipf.agents.auxiliary import auxiliaries
 from zipf.errors import UserError
 from zipf.options import Options
+from zipf.registry import registries
 
 _PACKAGE = Path(zipf.__file__).parent
 # In the wheel `configs/` lies inside the package; in a checkout it lies beside it.
@@ -166,7 +165,7 @@ def _composed(search_path: str, *overrides: str) -> tuple[DictConfig, dict[str, 
 def told(error: Exception) -> str:
     """What Hydra has to say, on one line."""
     message = " ".join(str(error).split()).partition(" Config search path:")[0]
-    if re.search("Could not find '(environment|agent|auxiliary)/", message):
+    if re.search(f"Could not find '({'|'.join(_registered())})/", message):
         message += "; one of your own has to be registered by a plugin: plugins=[<module>]"
     if "hydra/launcher" in message:
         message += ' (joblib and submitit come with the extra: pip install "zipf-rl[sweep]")'
@@ -200,21 +199,22 @@ def _folders() -> list[Path]:
 
 def _registered() -> dict[str, dict[str, dict[str, Any]]]:
     """The registered choices by group and name, with their default values."""
+    import zipf.agents
+    import zipf.experiments.hooks  # noqa: F401  (these two register their choices)
+
     return {
         "environment": {
             name: {"split": family.splits[0].name, **_defaults(family.options_class)}
             for name, family in envs.families().items()
             if family.splits
         },
-        "agent": {
-            name: {"name": name, **_defaults(agent.Options)}
-            for name, agent in agents().items()
-            if _has_defaults(agent.Options)
-        },
-        "auxiliary": {
-            name: {"name": name, **_defaults(options)}
-            for name, options in auxiliaries().items()
-            if _has_defaults(options)
+        **{
+            group: {
+                name: {"name": name, **_defaults(options)}
+                for name, options in registry.options.items()
+                if _has_defaults(options)
+            }
+            for group, registry in registries().items()
         },
     }
 

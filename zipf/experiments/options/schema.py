@@ -12,21 +12,14 @@ import torch
 from pydantic import Field, ValidationInfo, create_model, field_validator
 
 from zipf import envs
-from zipf.agents.agent import agents
-from zipf.agents.auxiliary import auxiliaries
-from zipf.agents.critics import CriticOptions
-from zipf.agents.episodic import EpisodicOptions
-from zipf.agents.exploration import ExplorationOptions
-from zipf.agents.hindsight import HindsightOptions
-from zipf.agents.memory import MemoryOptions
-from zipf.agents.network_options import NetworkOptions
-from zipf.agents.reweighting import ReweightingOptions
+from zipf.agents import agents
 from zipf.errors import UserError
-from zipf.experiments.options.augmentation import AugmentationOptions
+from zipf.experiments import hooks  # noqa: F401  (registers its choices)
 from zipf.experiments.options.runtime import RayOptions, RuntimeOptions, TorchrunOptions
 from zipf.experiments.records.descriptions import Colour, Count, Finite, Line
 from zipf.experiments.records.learned_options import affects_learning, changes_nothing, flatten
 from zipf.options import Options
+from zipf.registry import registries
 
 PositiveInt = Annotated[int, Field(ge=1, lt=10**15)]
 Interval = Annotated[list[Count], Field(min_length=2, max_length=2)]
@@ -104,8 +97,8 @@ class PretrainedOptions(Options):
 class Config(Options):
     """All options of a training run; `configs/train.yaml` says what each of them means.
 
-    `schema()` is this class with the registered classes as types of `agent`, `auxiliary` and
-    `environment`; use it to validate.
+    `schema()` is this class with the registered classes as types of `environment` and of the groups
+    that have a registry (`zipf.registry`), such as `agent`; use it to validate.
     """
 
     experiment: Name
@@ -120,15 +113,15 @@ class Config(Options):
     compile: bool
     resume: Literal["auto", "must", "never"]
     agent: Any
-    memory: MemoryOptions
-    network: NetworkOptions
+    memory: Any
+    network: Any
     auxiliary: Any
-    critic: CriticOptions
-    episodic: EpisodicOptions
-    exploration: ExplorationOptions
-    augmentation: AugmentationOptions
-    reweighting: ReweightingOptions
-    hindsight: HindsightOptions
+    critic: Any
+    episodic: Any
+    exploration: Any
+    augmentation: Any
+    reweighting: Any
+    hindsight: Any
     pretrained: PretrainedOptions = PretrainedOptions()
     learning_rate_decay: Interval | None = None
     environment: Any
@@ -236,17 +229,19 @@ class Config(Options):
 
 
 def schema() -> type[Config]:
-    """`Config` with the families, agents and auxiliary losses that are registered now."""
+    """`Config` with the families and the choices of all groups that are registered now."""
     families = [family for family in envs.families().values() if family.splits]
-    known = tuple(map(id, (*families, *agents().values(), *auxiliaries().values())))
+    groups = registries()
+    classes = [one for group in groups.values() for one in group.options.values()]
+    known = tuple(map(id, (*families, *classes)))
     if known not in _schemas:
         environments = [_environment_options(family) for family in families]
+        parts: dict[str, Any] = {name: (group.union(), ...) for name, group in groups.items()}
         _schemas[known] = create_model(
             "Config",
             __base__=Config,
-            environment=(_one_of(environments, "split"), ...),
-            agent=(_one_of([agent.Options for agent in agents().values()], "name"), ...),
-            auxiliary=(_one_of(list(auxiliaries().values()), "name"), ...),
+            environment=(Annotated[reduce(or_, environments), Field(discriminator="split")], ...),
+            **parts,
         )
     return _schemas[known]
 
@@ -262,10 +257,6 @@ def _environment_options(family: envs.Family) -> type[Options]:
         __base__=family.options_class,
         split=(Literal[names], ...),  # type: ignore[arg-type]
     )
-
-
-def _one_of(classes: list[type[Options]], tag: str) -> Any:
-    return Annotated[reduce(or_, classes), Field(discriminator=tag)]
 
 
 class EvaluateOptions(Options):

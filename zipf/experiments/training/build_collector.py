@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from zipf import envs
 from zipf.agents.agent import Agent
-from zipf.agents.exploration import build_exploration
-from zipf.agents.reweighting import build_reweighting
+from zipf.agents.exploration import BONUSES
+from zipf.agents.reweighting import REWEIGHTINGS
 from zipf.envs.policies import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.seeds import derive_seed
-from zipf.experiments.options.augmentation import build_augmentation
+from zipf.experiments.hooks.augmentation import AUGMENTATIONS
 from zipf.experiments.options.schema import Config
 from zipf.experiments.training.collector import Collector
 
@@ -30,20 +30,20 @@ def build_collector(
         unroll_length=options.unroll_length,
         seed=derive_seed(config.seed, "training", *player),
         device=device,
-        augmentation=build_augmentation(
+        augmentation=AUGMENTATIONS.build(
             config.augmentation,
             env.single_observation_space,
             env.num_envs,
             seed=derive_seed(config.seed, "augmentation", *player),
             symmetries=envs.symmetries(config.split, env),
         ),
-        exploration=build_exploration(
+        exploration=BONUSES.build(
             config.exploration,
             env.single_observation_space,
             derive_seed(config.seed, "exploration", *player),
         ),
         goal=envs.family_of_split(config.environment.split).make_goal(env),
-        reweighting=build_reweighting(config.reweighting, env.num_envs),
+        reweighting=REWEIGHTINGS.build(config.reweighting, env.num_envs),
         hindsight=config.hindsight,
         lag=config.lag,
         bootstrap_at_time_limit=options.bootstrap_at_time_limit,

@@ -24,10 +24,10 @@ from zipf.envs.mixture import Mixture
 from zipf.envs.policies import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.checkpoint import arrays
-from zipf.experiments.options.augmentation import Augmentation
-from zipf.experiments.training.relabelling import Hindsight
+from zipf.experiments.hooks.augmentation import Augmentation
+from zipf.experiments.hooks.relabelling import RELABELLINGS, Hindsight
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.training.unroll_buffers import CARRIED, UnrollBuffers
-from zipf.experiments.training.visits import Visits
 
 _OUTCOMES = ("return", "length", "success")
 
@@ -110,7 +110,7 @@ class Collector:
         if isinstance(hindsight, AchievedOptions):
             assert goal is not None
             success = float(self._learned(np.array([hindsight.reward]))[0])
-            self.hindsight = Hindsight(
+            self.hindsight = RELABELLINGS.build(
                 hindsight,
                 goal,
                 env,

@@ -15,10 +15,10 @@ from tensorboard.summary.writer.record_writer import RecordWriter
 
 from zipf.errors import UserError
 from zipf.experiments.evaluation.evaluator import Result, scores, situations
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.records import checksums
 from zipf.experiments.records.checksums import TABLES
 from zipf.experiments.records.result_table import ResultTable
-from zipf.experiments.training.visits import Visits
 
 
 class Logger:

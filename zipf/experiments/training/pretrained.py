@@ -8,7 +8,6 @@ from typing import Any
 from torch import Tensor
 
 from zipf.agents.agent import Agent
-from zipf.agents.critics import CriticOptions
 from zipf.agents.learner import Learner
 from zipf.agents.network import Torso
 from zipf.errors import UserError
@@ -52,7 +51,7 @@ def told(described: dict[str, Any]) -> str:
     )
 
 
-def _outputs(critic: CriticOptions) -> str:
+def _outputs(critic: Any) -> str:
     """What the outputs of a value's head mean to a critic; a measure of risk is no part of it."""
     options = critic.model_dump(exclude={"name", "risk", "risk_level"})
     return " ".join([critic.name, *(f"{name}={value}" for name, value in options.items())])

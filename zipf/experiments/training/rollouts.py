@@ -25,8 +25,8 @@ import torch
 from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
 from zipf.experiments.building.checkpoint import arrays
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.training.collector import Collector, episode_metrics
-from zipf.experiments.training.visits import Visits
 
 Learned = TypeVar("Learned")
 

@@ -21,6 +21,7 @@ from zipf.experiments.building.out_of_ram import enough_ram
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation.evaluator import scores
 from zipf.experiments.evaluation.trained import evaluate_agent
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options.schema import Config, has_bfloat16
 from zipf.experiments.training import pretrained
 from zipf.experiments.training.allocator import keep_freed_ram
@@ -29,7 +30,6 @@ from zipf.experiments.training.display import Display
 from zipf.experiments.training.logger import Logger
 from zipf.experiments.training.runtime import LearnerLost, OnlyLearner, Runtime
 from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_ended
-from zipf.experiments.training.visits import Visits
 
 
 def train(config: Config, runtime: Runtime | None = None) -> int:

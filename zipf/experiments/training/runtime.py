@@ -11,6 +11,7 @@ from zipf.agents.agent import Agent
 from zipf.agents.learner import Learner
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
+from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options.schema import Config
 from zipf.experiments.training.build_collector import build_collector
 from zipf.experiments.training.rollouts import (
@@ -18,7 +19,6 @@ from zipf.experiments.training.rollouts import (
     RolloutWorker,
     SynchronousRollouts,
 )
-from zipf.experiments.training.visits import Visits
 
 
 class LearnerLost(UserError):

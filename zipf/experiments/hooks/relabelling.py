@@ -9,11 +9,12 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
-from zipf.agents.hindsight import AchievedOptions
+from zipf.agents.hindsight import AchievedOptions, NoHindsightOptions
 from zipf.envs.goals import Goal
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.options.augmentation import Augmentation, Draw
-from zipf.experiments.training.goal_memory import Episode, GoalMemory, Parts
+from zipf.experiments.hooks.augmentation import Augmentation, Draw
+from zipf.experiments.hooks.goal_memory import Episode, GoalMemory, Parts
+from zipf.registry import Registry
 
 _FIELDS = {
     "previous_action": np.dtype(np.int64),
@@ -252,6 +253,15 @@ class Hindsight:
     def _zeros(self, like: dict[str, tuple[tuple[int, ...], Any]]) -> Parts:
         shape = self._rows, len(self._worlds)
         return {name: np.zeros((*shape, *tail), dtype) for name, (tail, dtype) in like.items()}
+
+
+RELABELLINGS: Registry[Hindsight | None] = Registry("hindsight")
+"""Each is built from its options, which derive from `AchievedOptions`, the goal and the worlds, and
+by name `reward`, `seed`, `augmentation` and `teacher`; it raises ValueError where the worlds do not
+tell what an episode has achieved."""
+
+RELABELLINGS.register(NoHindsightOptions, lambda options, goal, env, **named: None)
+RELABELLINGS.register(AchievedOptions, Hindsight)
 
 
 def _padded(episodes: list[Parts], shape: tuple[int, int]) -> dict[str, torch.Tensor]:

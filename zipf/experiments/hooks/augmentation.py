@@ -20,6 +20,7 @@ from zipf.agents.encoders import is_image
 from zipf.compiled import compiled
 from zipf.envs.family import Symmetries
 from zipf.options import Options
+from zipf.registry import Registry
 
 Factor = Annotated[float, Field(ge=0.1, le=10)]
 
@@ -54,11 +55,6 @@ class RandomAugmentationOptions(Options):
         if scale[0] > scale[1]:
             raise ValueError("the first should not be larger than the second")
         return scale
-
-
-AugmentationOptions = Annotated[
-    NoAugmentationOptions | RandomAugmentationOptions, Field(discriminator="name")
-]
 
 
 Draw = dict[str, NDArray]  # what was drawn for episodes, {name: [N, ...]}
@@ -288,19 +284,10 @@ def _change(image, mask, orders, shifts, scales, centres, side):
                     image[i, r, c] = 0
 
 
-def build_augmentation(
-    options: NoAugmentationOptions | RandomAugmentationOptions,
-    space: gym.spaces.Dict,
-    num_envs: int,
-    *,
-    seed: int,
-    symmetries: Symmetries | None = None,
-) -> Augmentation | None:
-    """The augmentation that the options name, or None.
+AUGMENTATIONS: Registry[Augmentation | None] = Registry("augmentation")
+"""Each is built from its options, the space of the observations of one world, the number of worlds,
+and by name `seed` and the worlds' `symmetries`; it raises ValueError where there is nothing that it
+changes."""
 
-    Raises:
-        ValueError: these worlds have nothing that it changes.
-    """
-    if isinstance(options, NoAugmentationOptions):
-        return None
-    return Augmentation(options, space, num_envs, seed=seed, symmetries=symmetries)
+AUGMENTATIONS.register(NoAugmentationOptions, lambda options, space, num_envs, **named: None)
+AUGMENTATIONS.register(RandomAugmentationOptions, Augmentation)
