@@ -236,13 +236,10 @@ def schema() -> type[Config]:
     known = tuple(map(id, (*families, *classes)))
     if known not in _schemas:
         environments = [_environment_options(family) for family in families]
-        parts: dict[str, Any] = {name: (group.union(), ...) for name, group in groups.items()}
-        _schemas[known] = create_model(
-            "Config",
-            __base__=Config,
-            environment=(Annotated[reduce(or_, environments), Field(discriminator="split")], ...),
-            **parts,
-        )
+        types: dict[str, Any] = {name: (group.union(), ...) for name, group in groups.items()}
+        any_environment: Any = Annotated[reduce(or_, environments), Field(discriminator="split")]
+        types["environment"] = (any_environment, ...)
+        _schemas[known] = create_model("Config", __base__=Config, **types)
     return _schemas[known]
 
 
