@@ -12,7 +12,7 @@ from conftest import assert_equal
 from networks import compact
 from omegaconf import OmegaConf
 
-from zipf.agents.agent import Agent, Setting, agents, register
+from zipf.agents.agent import Agent, AgentSpec, agents, register
 from zipf.agents.auxiliary.reconstruction import VisionOptions
 from zipf.agents.episodic import DictionaryOptions
 from zipf.agents.memory import LSTMOptions
@@ -41,8 +41,8 @@ def options_of(name):
 
 def build(name, seed=0, space=SPACE, actions=ACTION_SPACE, network=NETWORK, **changes):
     batch = {"num_envs": WORLDS, "unroll_length": STEPS}
-    setting = Setting(space, actions, network, LSTM, seed=seed, **batch, **changes)
-    made = agents()[name](options_of(name), setting)
+    spec = AgentSpec(space, actions, network, LSTM, seed=seed, **batch, **changes)
+    made = agents()[name](options_of(name), spec)
     made.begin_learning()
     return made
 
@@ -59,8 +59,8 @@ class Labels:
 
 def unrolls(made, count):
     """Unrolls that the agent, which does not learn meanwhile, collects."""
-    env = noise.Noise(WORLDS, made.setting.observation_space)
-    teacher = Labels() if made.teacher else None
+    env = noise.Noise(WORLDS, made.spec.observation_space)
+    teacher = Labels() if made.needs.teacher else None
     collector = Collector(env, made, unroll_length=STEPS, seed=0, teacher=teacher)
     for _ in range(count):
         unroll = collector.collect()
@@ -104,7 +104,7 @@ def test_the_optimiser_has_the_values_of_the_options(name):
         values["weight_decay"] = 0.3
     options = options_of(name).model_copy(update=values)
     batch = {"num_envs": WORLDS, "unroll_length": STEPS}
-    made = agents()[name](options, Setting(SPACE, ACTION_SPACE, NETWORK, LSTM, **batch))
+    made = agents()[name](options, AgentSpec(SPACE, ACTION_SPACE, NETWORK, LSTM, **batch))
     (group,) = made.optimisers["optimiser"].param_groups
     assert group["lr"] == 0.02
     assert group["betas"] == (0.7, 0.9)
@@ -203,7 +203,7 @@ ROWS = DictionaryOptions.model_validate(
 @pytest.mark.parametrize(
     ("name", "parts"),
     [(name, {}) for name in NAMES]
-    + [(name, {"episodic": ROWS}) for name in NAMES if agents()[name].episodic_memory],
+    + [(name, {"episodic": ROWS}) for name in NAMES if "episodic" in agents()[name].supports],
     ids=lambda value: value if isinstance(value, str) else "+".join(value),
 )
 def test_weights_are_all_that_acting_needs(name, parts, separate):
@@ -239,7 +239,7 @@ def test_without_images_there_is_nothing_to_compile(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_an_agent_without_auxiliary_losses_refuses_one(name):
     auxiliary = VisionOptions(name="vision", vision_weight=1.0, fraction=1.0)
-    if agents()[name].auxiliary_losses:
+    if "auxiliary" in agents()[name].supports:
         build(name, auxiliary=auxiliary)
     else:
         with pytest.raises(ValueError, match="choose auxiliary=none, or agent=imit"):
@@ -250,7 +250,7 @@ def test_an_agent_without_auxiliary_losses_refuses_one(name):
 def test_an_agent_without_episodic_memory_refuses_one(name):
     sizes = {"capacity": 8, "neighbours": 2, "key_size": 4, "kernel_delta": 1e-3}
     options = DictionaryOptions(name="dictionary", **sizes, outcome=True, discount=0.9)
-    if agents()[name].episodic_memory:
+    if "episodic" in agents()[name].supports:
         made = build(name, episodic=options)
         for unroll in unrolls(made, 3):
             made.update(unroll)
@@ -309,7 +309,7 @@ def test_an_agent_of_ones_own_needs_four_methods(own_registries):
     assert register(Constant) is Constant
     options = ConstantOptions(name="constant", action=1)
     spaces = SPACE, ACTION_SPACE
-    made = agents()["constant"](options, Setting(*spaces, NETWORK, LSTM))
+    made = agents()["constant"](options, AgentSpec(*spaces, NETWORK, LSTM))
     assert made.begin_learning() == []
     for unroll in unrolls(made, 2):
         assert (unroll.steps["action"][:-1] == 1).all()

@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from worlds_of import needs
 
 from zipf import envs
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.auxiliary import (
     AUXILIARIES,
     NO_AUXILIARY,
@@ -513,8 +513,8 @@ DRAWING = {
 def agent(kind, options, seed=0):
     build_agent, agent_options = {"impala": (Impala, IMPALA), "vmpo": (VMPO, V_MPO)}[kind]
     spaces = space(), gym.spaces.Discrete(ACTIONS)
-    setting = Setting(*spaces, COMPACT, MEMORIES["lstm"], options, seed=seed)
-    return build_agent(agent_options, setting)
+    spec = AgentSpec(*spaces, COMPACT, MEMORIES["lstm"], options, seed=seed)
+    return build_agent(agent_options, spec)
 
 
 def unroll(seed=0):

@@ -17,7 +17,7 @@ from test_r2d2 import BURN_IN, NETWORK, STEPS, WORLDS, h, random_memory, sequenc
 from test_r2d2 import LEARNER as R2D2_LEARNER
 from test_r2d2 import OPTIONS as R2D2
 
-from zipf.agents import Setting, agents
+from zipf.agents import AgentSpec, agents
 from zipf.agents.critics import (
     SCALAR,
     HLGauss,
@@ -216,8 +216,8 @@ def test_the_averse_and_the_seeking_value_mirror_each_other():
 
 
 def build(name, options, critic, worlds=WORLDS, network=NETWORK, memory=LSTM, spaces=SPACES):
-    setting = Setting(*spaces, network, memory, critic=critic, num_envs=worlds, unroll_length=STEPS)
-    made = agents()[name](options, setting)
+    spec = AgentSpec(*spaces, network, memory, critic=critic, num_envs=worlds, unroll_length=STEPS)
+    made = agents()[name](options, spec)
     made.begin_learning()
     return made
 
@@ -228,7 +228,7 @@ def test_the_scalar_critic_adds_no_weights_and_is_half_the_squared_error():
     assert torch.equal(Scalar().value(outputs), outputs[..., 0])
     expected = 0.5 * (targets - outputs[..., 0]) ** 2
     torch.testing.assert_close(Scalar().loss(outputs, targets), expected)
-    plain, explicit = build("impala", IMPALA, SCALAR), Setting(*SPACES, NETWORK, LSTM)
+    plain, explicit = build("impala", IMPALA, SCALAR), AgentSpec(*SPACES, NETWORK, LSTM)
     again = agents()["impala"](IMPALA, explicit)
     for one, other in zip(plain.learned, again.learned, strict=True):
         assert torch.equal(one, other)
@@ -365,7 +365,7 @@ def test_r2d2_prefers_the_certain_or_the_varied_action_by_its_risk():
     assert chosen == {"neutral": 0, "averse": 0, "seeking": 1}
 
 
-NAMES = [name for name, agent in agents().items() if agent.any_critic]
+NAMES = [name for name, agent in agents().items() if "critic" in agent.supports]
 
 
 def test_three_agents_have_any_critic():
@@ -445,7 +445,7 @@ def test_r2d2_recalls_a_cue(critic):
         update={"burn_in": 0, "learning_rate": 5e-3, "max_gradient_norm": 10.0}
     )
     env = Recall(32, delay)
-    setting = Setting(
+    spec = AgentSpec(
         env.single_observation_space,
         env.single_action_space,
         compact(channels=16, size=16),
@@ -454,7 +454,7 @@ def test_r2d2_recalls_a_cue(critic):
         num_envs=32,
         unroll_length=2 * (delay + 1),
     )
-    made = agents()["r2d2"](options, setting)
+    made = agents()["r2d2"](options, spec)
     made.begin_learning()
     collector = Collector(env, made, unroll_length=2 * (delay + 1), seed=0)
     for _ in range(400 if critic.name == "hl_gauss" else 250):

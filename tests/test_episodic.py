@@ -14,7 +14,7 @@ from test_recall import IMPALA
 
 from zipf import envs
 from zipf.agents import agents
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.episodic import (
     NO_EPISODIC,
     Dictionary,
@@ -69,7 +69,7 @@ def agent(episodic, name="impala", seed=0):
             max_gradient_norm=1.0,
         ),
     }
-    setting = Setting(
+    spec = AgentSpec(
         SPACE,
         gym.spaces.Discrete(ACTIONS),
         compact(),
@@ -79,7 +79,7 @@ def agent(episodic, name="impala", seed=0):
         unroll_length=STEPS,
         seed=seed,
     )
-    return agents()[name](options[name], setting)
+    return agents()[name](options[name], spec)
 
 
 def unroll(seed):
@@ -299,7 +299,7 @@ def test_rows_are_of_frames_drawn_uniformly():
 @pytest.mark.parametrize("options", BOTH, ids=lambda o: o.name)
 def test_it_is_saved_and_goes_on_bit_for_bit(name, options):
     one, other = agent(options, name), agent(options, name, seed=1)
-    other.setting, other.recorder.seed = one.setting, one.recorder.seed
+    other.spec, other.recorder.seed = one.spec, one.recorder.seed
     for seed in range(6):
         one.update(unroll(seed))
     assert int(one.network.dictionary.filled) > 0
@@ -533,8 +533,8 @@ def test_names_of_parts_may_have_dots(options):
     spaces = env.single_observation_space, env.single_action_space
     assert any("." in name for name in spaces[0])
     memory = MLPOptions(name="mlp", size=SIZE, layers=1)
-    setting = Setting(*spaces, compact(patch=6), memory, episodic=options, num_envs=BATCH)
-    made = agents()["impala"](IMPALA, setting)
+    spec = AgentSpec(*spaces, compact(patch=6), memory, episodic=options, num_envs=BATCH)
+    made = agents()["impala"](IMPALA, spec)
     collector = Collector(env, made, unroll_length=STEPS, seed=0)
     for _ in range(3):
         metrics = made.update(collector.collect())
@@ -548,8 +548,8 @@ def test_on_policy_ratios_are_one(options):
     env = renewal.Renewal(BATCH)
     spaces = env.single_observation_space, env.single_action_space
     memory = MLPOptions(name="mlp", size=SIZE, layers=1)
-    setting = Setting(*spaces, compact(patch=6), memory, episodic=options, num_envs=BATCH)
-    made = agents()["impala"](IMPALA, setting)
+    spec = AgentSpec(*spaces, compact(patch=6), memory, episodic=options, num_envs=BATCH)
+    made = agents()["impala"](IMPALA, spec)
     collector = Collector(env, made, unroll_length=STEPS, seed=0)
     for _ in range(5):
         assert made.update(collector.collect())["importance_ratio"] == pytest.approx(1, abs=1e-5)
@@ -562,9 +562,9 @@ def score_in_training(episodic, seed, updates=200):
     spaces = env.single_observation_space, env.single_action_space
     network = compact(patch=6, channels=32, size=32)
     memory = MLPOptions(name="mlp", size=32, layers=1)
-    setting = Setting(*spaces, network, memory, episodic=episodic, num_envs=128, seed=seed)
+    spec = AgentSpec(*spaces, network, memory, episodic=episodic, num_envs=128, seed=seed)
     options = {"learning_rate": 5e-3, "adam_beta1": 0.9, "entropy_cost": 0.1}
-    made = agents()["impala"](IMPALA.model_copy(update=options), setting)
+    made = agents()["impala"](IMPALA.model_copy(update=options), spec)
     collector = Collector(env, made, unroll_length=4, seed=seed)
     for update in range(updates):
         if update == updates - updates // 8:

@@ -11,7 +11,7 @@ from test_impala import OPTIONS as IMPALA
 from test_rnd import OPTIONS as RND
 
 from zipf.agents import exploration as bonuses
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.exploration import (
     CountBonus,
     CountOptions,
@@ -164,7 +164,7 @@ def explore(exploration, seed, learns=True):
     )
     memory = MLPOptions(name="mlp", size=32, layers=1)
     spaces = env.single_observation_space, env.single_action_space
-    agent = Impala(options, Setting(*spaces, compact(), memory, seed=seed))
+    agent = Impala(options, AgentSpec(*spaces, compact(), memory, seed=seed))
     for parameter in agent.network.policy.parameters():
         torch.nn.init.zeros_(parameter)  # it begins with random actions
     bonus = exploration and bonuses.BONUSES.build(exploration, spaces[0], seed)

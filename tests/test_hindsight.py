@@ -1,7 +1,6 @@
 """Hindsight: relabelled episodes against replayed ones, the loss, replay, resume, and learning."""
 
 from copy import deepcopy
-from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -19,7 +18,7 @@ from test_instructed_networks import MATCHING, SPACE
 
 from zipf import envs
 from zipf.agents import agents
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.encoders import Encoder
 from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions, hindsight_loss, matching_loss
 from zipf.agents.impala import Impala
@@ -27,6 +26,7 @@ from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.r2d2 import Replayed
 from zipf.agents.reweighting import InverseCountOptions
+from zipf.agents.unroll import Needs
 from zipf.envs.policies import Teacher
 from zipf.errors import UserError
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
@@ -55,7 +55,7 @@ LEVEL = "gridworld/uniform"
 
 def impala_of(env):
     spaces = env.single_observation_space, env.single_action_space
-    return Impala(IMPALA, Setting(*spaces, compact(), LSTM))
+    return Impala(IMPALA, AgentSpec(*spaces, compact(), LSTM))
 
 
 def collector_of(options=OPTIONS, seed=0, observation="tiles", **kwargs):
@@ -269,7 +269,7 @@ def test_with_a_teacher_every_episode_is_kept_with_its_labels_for_what_it_was_as
     """Those that achieved another goal are kept for that, too, with the actions taken."""
     env = envs.make_vec(LEVEL, WORLDS, observation="tiles", max_steps=20)
     agent = impala_of(env)
-    agent.teacher_share = 0.3
+    agent.needs = Needs(teacher_share=0.3)
     goal = envs.goal(LEVEL, env)
     collector = Collector(
         env,
@@ -313,7 +313,7 @@ def test_with_a_teacher_a_matcher_learns_from_what_was_achieved_alone():
     """Episodes that failed at what they were asked for are kept, and say so."""
     env = envs.make_vec(LEVEL, WORLDS, observation="tiles", max_steps=20)
     agent = impala_of(env)
-    agent.teacher_share = 0.5
+    agent.needs = Needs(teacher_share=0.5)
     changes = {"kept_per_goal": 50, "matching_cost": 1.0, "episodes": 60}
     collector = Collector(
         env,
@@ -395,7 +395,9 @@ def episodes_of(lengths, seed=0, actions=3):
 
 def space_of(**changes):
     image = gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)
-    return Setting(gym.spaces.Dict(image=image), gym.spaces.Discrete(3), compact(), LSTM, **changes)
+    return AgentSpec(
+        gym.spaces.Dict(image=image), gym.spaces.Discrete(3), compact(), LSTM, **changes
+    )
 
 
 @pytest.mark.parametrize("advantage", ["positive", "none"])
@@ -567,7 +569,7 @@ def test_the_cost_fades_with_the_updates_of_imitation():
     assert costs[2] == pytest.approx(0, abs=1e-6)
 
 
-LEARNS = [name for name in NAMES if agents()[name].learns_from_hindsight]
+LEARNS = [name for name in NAMES if "hindsight" in agents()[name].supports]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -627,9 +629,8 @@ def test_replay_on_disk_has_room_for_what_is_relabelled_between_checkpoints(tmp_
     options = OPTIONS.model_copy(update={"length": 13, "episodes": 3})
     small = build("r2d2", hindsight=options)
     on_disk = small.options.model_copy(update={"storage": "memmap"})
-    setting = replace(small.setting, folder=tmp_path, updates_between_checkpoints=2)
-    made = agents()["r2d2"](on_disk, setting)
-    made.begin_learning()
+    made = agents()["r2d2"](on_disk, small.spec)
+    made.begin_learning(tmp_path, every=2)
     first, second = unrolls(made, 2)
     second.episodes = episodes_of([13, 13, 13], actions=2)
     made.update(first)
@@ -704,7 +705,7 @@ def rare_success(relabelling, seed, updates=120):
     options = IMPALA.model_copy(
         update={"learning_rate": 5e-3, "entropy_cost": 0.1, "max_gradient_norm": 1.0}
     )
-    agent = Impala(options, Setting(*spaces, compact(), memory, seed=seed, hindsight=relabelling))
+    agent = Impala(options, AgentSpec(*spaces, compact(), memory, seed=seed, hindsight=relabelling))
     goal = envs.goal(level, env)
     collector = Collector(
         env, agent, unroll_length=8, seed=1000 * seed, goal=goal, hindsight=relabelling

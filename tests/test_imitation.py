@@ -10,7 +10,7 @@ from networks import compact
 from test_hindsight import episodes_of
 
 from zipf import envs
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions
 from zipf.agents.imitation import Imitation, ImitationOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
@@ -48,8 +48,8 @@ RELABELLING = AchievedOptions(
 
 def build(observation_space, action_space, memory=None, hindsight=NO_HINDSIGHT, **changes):
     memory = memory or LSTMOptions(name="lstm", size=16, layers=1)
-    setting = Setting(observation_space, action_space, compact(), memory, hindsight=hindsight)
-    return Imitation(OPTIONS.model_copy(update=changes), setting)
+    spec = AgentSpec(observation_space, action_space, compact(), memory, hindsight=hindsight)
+    return Imitation(OPTIONS.model_copy(update=changes), spec)
 
 
 def test_the_loss_is_its_definition():

@@ -10,7 +10,7 @@ import torch
 from conftest import random_unroll
 from networks import compact
 
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs, autocast
@@ -39,13 +39,13 @@ def unroll(seed=0):
 
 
 def agent(**changes):
-    setting = Setting(
+    spec = AgentSpec(
         gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
         gym.spaces.Discrete(ACTIONS),
         compact(),
         LSTMOptions(name="lstm", size=16, layers=1),
     )
-    return Impala(OPTIONS.model_copy(update=changes), setting)
+    return Impala(OPTIONS.model_copy(update=changes), spec)
 
 
 def by_hand(impala, data):
@@ -233,7 +233,7 @@ def test_impala_learns_a_tiny_gridworld(seed):
     network = compact(channels=16, size=64)
     memory = MLPOptions(name="mlp", size=32, layers=1)
     episodes = tiny_gridworld.after_learning(
-        lambda *spaces: Impala(options, Setting(*spaces, network, memory, seed=seed)), seed
+        lambda *spaces: Impala(options, AgentSpec(*spaces, network, memory, seed=seed)), seed
     )
     assert episodes["success"].mean() >= 0.95
     assert episodes["length"].mean() <= 2.2

@@ -20,7 +20,7 @@ from conftest import PACKAGE, TINY, assert_equal, learned, random_unroll, untime
 from networks import compact
 
 from zipf.agents import averaging
-from zipf.agents.agent import Setting, agents
+from zipf.agents.agent import AgentSpec, agents
 from zipf.agents.auxiliary import AUXILIARIES
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.unroll import Unroll
@@ -79,7 +79,7 @@ def build(name, *overrides):
     """An agent of this name; its Adam takes steps that are nearly proportional to gradients."""
     config = options_of(f"agent={name}", *overrides)
     actions = 2 if agents()[name].answers_questions else 3
-    setting = Setting(
+    spec = AgentSpec(
         gym.spaces.Dict(
             image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8),
             instruction=gym.spaces.Box(0, WORDS - 1, (4,), np.int64),
@@ -92,7 +92,7 @@ def build(name, *overrides):
         unroll_length=STEPS,
     )
     options = config.agent.model_copy(update={"adam_epsilon": 1e-2, "max_gradient_norm": 0.1})
-    return agents()[name](options, setting)
+    return agents()[name](options, spec)
 
 
 def unroll(seed, actions):

@@ -8,7 +8,7 @@ to forty seconds on one core; results depend on the seed and on how the processo
 import pytest
 from networks import compact
 
-from zipf.agents import Setting, agents
+from zipf.agents import AgentSpec, agents
 from zipf.agents.memory import MLPOptions
 from zipf.envs.gymnasium.vector import GymnasiumVectorEnv
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
@@ -58,9 +58,9 @@ def learn(agent, id, updates, seed=0, options=None, **worlds):
     network = compact(patch=None, size=64)
     memory = MLPOptions(name="mlp", size=64, layers=1)
     spaces = env.single_observation_space, env.single_action_space
-    setting = Setting(*spaces, network, memory, num_envs=16, unroll_length=20, seed=seed)
+    spec = AgentSpec(*spaces, network, memory, num_envs=16, unroll_length=20, seed=seed)
     chosen = {"name": agent, **OPTIONS[agent], **(options or {})}
-    learner = agents()[agent](agents()[agent].Options.model_validate(chosen), setting)
+    learner = agents()[agent](agents()[agent].Options.model_validate(chosen), spec)
     learner.begin_learning()
     collector = Collector(env, learner, unroll_length=20, seed=seed)
     curve = []

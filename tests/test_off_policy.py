@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from zipf.agents import impala
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
@@ -177,14 +177,14 @@ FIRST = torch.tensor([0.05, 0.6, 0.35])
 def learn(seed, updates=100):
     """What the learned policy earns."""
     env = Bandit(128)
-    setting = Setting(
+    spec = AgentSpec(
         env.single_observation_space,
         env.single_action_space,
         NETWORK,
         MLPOptions(name="mlp", size=16, layers=1),
         seed=seed,
     )
-    agent = NeverPublished(OPTIONS, setting)
+    agent = NeverPublished(OPTIONS, spec)
     with torch.no_grad():
         agent.network.policy.weight.zero_()
         agent.network.policy.bias.copy_(FIRST.log())

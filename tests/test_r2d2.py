@@ -16,7 +16,7 @@ from tensordict import TensorDict
 
 from zipf import envs
 from zipf.agents import r2d2, replay
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.gtrxl import GTrXLOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
@@ -77,7 +77,7 @@ def learn(made, items, weights):
 
 
 def agent(memory=LSTM, worlds=WORLDS, seed=0, **changes):
-    setting = Setting(
+    spec = AgentSpec(
         gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
         gym.spaces.Discrete(ACTIONS),
         NETWORK,
@@ -86,7 +86,7 @@ def agent(memory=LSTM, worlds=WORLDS, seed=0, **changes):
         unroll_length=STEPS,
         seed=seed,
     )
-    made = R2D2(OPTIONS.model_copy(update=changes), setting)
+    made = R2D2(OPTIONS.model_copy(update=changes), spec)
     made.begin_learning()
     # Else Q is so small that rescaling does nothing, and target and online network agree.
     with torch.no_grad():
@@ -527,17 +527,16 @@ def test_a_fresh_sequence_has_the_priority_of_its_errors_or_the_largest():
 def test_after_the_burn_in_memory_equals_that_of_the_whole_history(memory, storage, tmp_path):
     """With weights that do not change: Q of replayed steps is Q from the start of the history."""
     env = Recall(WORLDS, 3)
-    setting = Setting(
+    spec = AgentSpec(
         env.single_observation_space,
         env.single_action_space,
         NETWORK,
         memory,
         num_envs=WORLDS,
         unroll_length=STEPS,
-        folder=tmp_path,
     )
-    made = R2D2(OPTIONS.model_copy(update={"replay_min": 20, "storage": storage}), setting)
-    made.begin_learning()
+    made = R2D2(OPTIONS.model_copy(update={"replay_min": 20, "storage": storage}), spec)
+    made.begin_learning(tmp_path)
     collector = Collector(env, made, unroll_length=STEPS, seed=0)
     history = []
     for _ in range(4):
@@ -777,7 +776,7 @@ LEARNER = OPTIONS.model_copy(
 
 def trained(env, network, memory, *, unroll_length, updates, seed):
     """The policy after each of these numbers of updates, in ascending order."""
-    setting = Setting(
+    spec = AgentSpec(
         env.single_observation_space,
         env.single_action_space,
         network,
@@ -786,7 +785,7 @@ def trained(env, network, memory, *, unroll_length, updates, seed):
         unroll_length=unroll_length,
         seed=seed,
     )
-    made = R2D2(LEARNER, setting)
+    made = R2D2(LEARNER, spec)
     made.begin_learning()
     collector = Collector(env, made, unroll_length=unroll_length, seed=seed)
     for update in range(1, updates[-1] + 1):

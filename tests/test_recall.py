@@ -5,7 +5,7 @@ import pytest
 from networks import compact
 from recall import CUES, Recall
 
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.gtrxl import GTrXLOptions
 from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
@@ -38,7 +38,7 @@ def trained(memory, updates, **changes):
     """Episodes played after that many updates."""
     env = Recall(64, DELAY)
     spaces = env.single_observation_space, env.single_action_space
-    agent = Impala(IMPALA.model_copy(update=changes), Setting(*spaces, NETWORK, memory))
+    agent = Impala(IMPALA.model_copy(update=changes), AgentSpec(*spaces, NETWORK, memory))
     collector = Collector(env, agent, unroll_length=2 * (DELAY + 1), seed=0)
     for _ in range(updates):
         agent.update(collector.collect())

@@ -12,7 +12,7 @@ from test_agent import ACTIONS, LSTM, NAMES, STEPS, WORLDS, build, unrolls, weig
 
 from zipf import envs
 from zipf.agents import agents
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.memory import MLPOptions
 from zipf.agents.r2d2 import Replayed
 from zipf.agents.reweighting import (
@@ -121,7 +121,7 @@ def gridworld(reweighting, seed=0, worlds=6, **level):
     env = envs.make_vec("gridworld/zipf_2", worlds, max_steps=7, observation="tiles", **level)
     spaces = env.single_observation_space, env.single_action_space
     impala = agents()["impala"](
-        command_line.load(["experiment=demo"]).agent, Setting(*spaces, compact(), LSTM)
+        command_line.load(["experiment=demo"]).agent, AgentSpec(*spaces, compact(), LSTM)
     )
     goal = envs.goal("gridworld/zipf_2", env)
     weighing = REWEIGHTINGS.build(reweighting, worlds)
@@ -180,7 +180,7 @@ def test_such_options_in_worlds_without_goals_are_one_clear_line(monkeypatch):
     assert len(str(error.value).splitlines()) == 1
 
 
-WEIGHED = [name for name in NAMES if agents()[name].weighted_losses]
+WEIGHED = [name for name in NAMES if "reweighting" in agents()[name].supports]
 
 
 def data_of(made, seed):
@@ -246,7 +246,7 @@ def test_the_replays_losses_are_weighted_frame_by_frame():
     expected = 0.0
     for b in range(len(items)):
         for t in range(STEPS):
-            weight = items["steps", "weight"][b, made.burn_in + t]
+            weight = items["steps", "weight"][b, made.options.burn_in + t]
             expected += float(importance[b] * weight * 0.5 * errors[t, b].detach() ** 2)
     metrics, _ = made.learn(Replayed(items, importance))
     assert metrics["loss"] == pytest.approx(expected / (STEPS * len(items)), rel=1e-5)
@@ -315,7 +315,7 @@ def rare_success(options, seed, updates=60):
     config = command_line.load(["experiment=demo", "condition=imitation"])
     chosen = config.agent.model_copy(update={"teacher": "expert", "learning_rate": 3e-3})
     agent = agents()["imitation"](
-        chosen, Setting(*spaces, compact(), memory, seed=seed, reweighting=options)
+        chosen, AgentSpec(*spaces, compact(), memory, seed=seed, reweighting=options)
     )
     collector = Collector(
         env,

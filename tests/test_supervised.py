@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from networks import compact
 
 from zipf import envs
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
@@ -40,10 +40,10 @@ MLP = MLPOptions(name="mlp", size=16, layers=1)
 LEVEL = "supervised/find_shape_zipf3"
 
 
-def classifier(env, memory=MLP, network=NETWORK, setting=None, **changes):
+def classifier(env, memory=MLP, network=NETWORK, spec=None, **changes):
     spaces = env.single_observation_space, env.single_action_space
-    setting = Setting(*spaces, network, memory, **(setting or {}))
-    return Supervised(OPTIONS.model_copy(update=changes), setting)
+    spec = AgentSpec(*spaces, network, memory, **(spec or {}))
+    return Supervised(OPTIONS.model_copy(update=changes), spec)
 
 
 # Questions
@@ -218,7 +218,7 @@ def test_with_hindsight_it_learns_relabelled_questions_too(kept):
         advantage="none", policy_cost=0.4, value_cost=0.0, fade=4,
     )  # fmt: skip
     env, changes = FirstFrameVectorEnv(4, level), {"hindsight": options}
-    made, plain = classifier(env, setting=changes), classifier(env, setting=changes)
+    made, plain = classifier(env, spec=changes), classifier(env, spec=changes)
     goal = envs.goal(f"playroom/{level}", env)
     collector = Collector(env, made, unroll_length=6, seed=1, goal=goal, hindsight=options)
     frames, info = env.reset(seed=1)
@@ -363,14 +363,14 @@ class Squares(FirstFrameVectorEnv):
 def test_it_learns_the_side_that_the_words_name(seed):
     """Fifty words stand for two colours; the side depends on both image and words."""
     env = Squares(32)
-    setting = Setting(
+    spec = AgentSpec(
         env.single_observation_space,
         env.single_action_space,
         NETWORK.model_copy(update={"head_size": 32}),
         MLP.model_copy(update={"size": 64}),
         seed=seed,
     )
-    made = Supervised(OPTIONS.model_copy(update={"learning_rate": 5e-3}), setting)
+    made = Supervised(OPTIONS.model_copy(update={"learning_rate": 5e-3}), spec)
     collector = Collector(env, made, unroll_length=4, seed=seed)
     for _ in range(150):
         metrics = made.update(collector.collect())

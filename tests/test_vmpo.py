@@ -11,7 +11,7 @@ import yaml
 from conftest import random_unroll
 from networks import compact
 
-from zipf.agents.agent import Setting
+from zipf.agents.agent import AgentSpec
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.vmpo import SMALLEST_DUAL, VMPO, VMPOOptions, is_top, vmpo_losses
@@ -43,13 +43,13 @@ def unroll(seed=0):
 
 
 def agent(**changes):
-    setting = Setting(
+    spec = AgentSpec(
         gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
         gym.spaces.Discrete(ACTIONS),
         compact(),
         LSTMOptions(name="lstm", size=16, layers=1),
     )
-    return VMPO(OPTIONS.model_copy(update=changes), setting)
+    return VMPO(OPTIONS.model_copy(update=changes), spec)
 
 
 def as_acted_by(vmpo, data):
@@ -470,7 +470,7 @@ def test_vmpo_learns_a_tiny_gridworld(seed):
     network = compact(channels=16, size=64)
     memory = MLPOptions(name="mlp", size=32, layers=1)
     episodes = tiny_gridworld.after_learning(
-        lambda *spaces: VMPO(options, Setting(*spaces, network, memory, seed=seed)), seed
+        lambda *spaces: VMPO(options, AgentSpec(*spaces, network, memory, seed=seed)), seed
     )
     assert episodes["success"].mean() >= 0.95
     assert episodes["length"].mean() <= 2.2

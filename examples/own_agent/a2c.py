@@ -36,7 +36,7 @@ class A2C(Learner):
     Options = A2COptions
 
     def make_network(self):
-        return ActorCritic(*self.setting.torso)
+        return ActorCritic(*self.spec.torso)
 
     @torch.no_grad()
     def act(self, inputs, memory, generator, *, training=True):

@@ -1,6 +1,6 @@
 """Agents: learning. They know no world, only observation and action spaces."""
 
-from zipf.agents.agent import Agent, Setting, agents, register
+from zipf.agents.agent import Agent, AgentSpec, agents, register
 
 # These register themselves.
 from zipf.agents.imitation import Imitation
@@ -13,9 +13,9 @@ __all__ = [
     "R2D2",
     "VMPO",
     "Agent",
+    "AgentSpec",
     "Imitation",
     "Impala",
-    "Setting",
     "Supervised",
     "agents",
     "register",

@@ -1,7 +1,8 @@
 """What an agent is: its base class, what it is built from, and the registry of all agents.
 
 An agent acts on batches of observations and learns from unrolls. To add one, derive from `Agent`,
-give it a class of options and register it:
+or from `zipf.agents.learner.Learner`, which has all that learning by gradients takes; give it a
+class of options and register it:
 
     class MyOptions(Options):
         name: Literal["mine"]
@@ -41,13 +42,13 @@ from zipf.agents.memory import State
 from zipf.agents.network import Inputs
 from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import NO_REWEIGHTING
-from zipf.agents.unroll import Unroll
+from zipf.agents.unroll import Needs, Unroll
 from zipf.options import Context, Options, name_of
 from zipf.registry import Registry
 
 
 @dataclass(frozen=True)
-class Setting:
+class AgentSpec:
     """What an agent is built from, beside its own options.
 
     Attributes:
@@ -59,8 +60,6 @@ class Setting:
         seed: of the initial weights and of all that an agent draws by itself.
         device: where it computes, as PyTorch names it.
         precision: "float32", or "bfloat16" for automatic mixed precision.
-        folder: where the agent may keep files; None where there is no such place.
-        updates_between_checkpoints: at most.
         reweighting: options of loss reweighting; unless "none", unrolls have a `weight` per frame.
         hindsight: options of hindsight; unless "none", unrolls have relabelled `episodes`.
     """
@@ -77,8 +76,6 @@ class Setting:
     seed: int = 0
     device: str = "cpu"
     precision: Literal["float32", "bfloat16"] = "float32"
-    folder: Path | None = None
-    updates_between_checkpoints: int = 0
     reweighting: Options = NO_REWEIGHTING
     hindsight: HindsightOptions = NO_HINDSIGHT
 
@@ -97,83 +94,52 @@ class Setting:
 
 _PARTS = ("network", "memory", "auxiliary", "critic", "episodic", "reweighting", "hindsight")
 
+LACKING = {
+    "auxiliary": "has no auxiliary losses",
+    "critic": "learns no distribution of returns",
+    "episodic": "has no episodic memory",
+    "exploration": "does not learn from rewards",
+    "hindsight": "does not learn from hindsight",
+    "reweighting": "does not weigh its losses",
+}
+"""Groups of options that not every agent supports, and what is said of one that does not."""
+
 
 class Agent(ABC):
     """The base of all agents.
 
     Attributes:
         Options: the class of its options; their `name: Literal["..."]` names the agent.
-        auxiliary_losses: whether it adds `setting.auxiliary` to its loss.
-        any_critic: whether it supports every critic; if not, only the scalar one or none.
-        episodic_memory: whether it reads and writes the dictionary of `setting.episodic`.
-        weighted_losses: whether it multiplies the loss of a frame by the unroll's `weight`.
-        learns_from_hindsight: whether it learns from the unroll's relabelled `episodes`.
-        averages_gradients: whether it learns from the mean of several learners' gradients
-            (`zipf.agents.averaging`), so that its state stays the same in all of them.
+        supports: the groups of options that it learns with, of `LACKING`. In the others only
+            the plain choice is accepted: no such part, or the scalar critic.
         largest_lag: how many unrolls collection may run ahead of learning on one machine. With 0
             an agent is on-policy: it learns only from unrolls of its newest weights. With more it
             can also learn from actors in a cluster, whose weights are older by some updates; such
             an agent is a `zipf.agents.learner.Learner`, which has weights to publish.
+        averages_gradients: whether it learns from the mean of several learners' gradients
+            (`zipf.agents.averaging`), so that its state stays the same in all of them.
         answers_questions: whether it is a classifier, which answers a question about an episode's
             first frame and takes no other action.
-        learns_from_rewards: whether rewards enter its loss; if not, it takes no exploration bonus.
-        burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
-            an unroll holds the memory before them (`Unroll.late_memory`).
-        final_observations: of each world an unroll holds up to so many of the observations at
-            which episodes were truncated (`Unroll.final`), for agents that compute their values
-            when they learn; those agents need no `value`.
-        teacher: name of the scripted player of the worlds that labels every step of an unroll with
-            the action that it would take (`zipf.envs.SCRIPTED`); None: no labels.
-        teacher_share: the probability that the teacher acts in a step in the agent's place.
+        needs: what it needs of unrolls beyond what all have.
 
     Raises:
         ValueError: options that do not go together, a line for each problem.
     """
 
     Options: ClassVar[type[Options]]
-    auxiliary_losses: ClassVar[bool] = False
-    any_critic: ClassVar[bool] = False
-    episodic_memory: ClassVar[bool] = False
-    weighted_losses: ClassVar[bool] = False
-    learns_from_hindsight: ClassVar[bool] = False
-    averages_gradients: ClassVar[bool] = False
+    supports: ClassVar[frozenset[str]] = frozenset({"exploration"})
     largest_lag: ClassVar[int] = 0
+    averages_gradients: ClassVar[bool] = False
     answers_questions: ClassVar[bool] = False
-    learns_from_rewards: ClassVar[bool] = True
-    burn_in: int = 0
-    final_observations: int = 0
-    teacher: Literal["expert", "generalist"] | None = None
-    teacher_share: float = 0.0
+    needs: Needs = Needs()
 
-    def __init__(self, options: Any, setting: Setting):
-        wrong = [*options.problems(setting.context), *self.lacks(options.name, setting)]
+    def __init__(self, options: Any, spec: AgentSpec):
+        wrong = [*options.problems(spec.context), *unsupported(options.name, spec.context.chosen)]
         if wrong:
             raise ValueError("\n".join(wrong))
         self.options = options
-        self.setting = setting
-        self.device = setting.device
-
-    @classmethod
-    def lacks(cls, name: str, chosen: Any) -> Iterator[str]:
-        """One line for each chosen option that an agent of this name does not support.
-
-        Args:
-            chosen: has the options of these parts, as a `Setting` does.
-        """
-        for part, plain, capability, lacking in (
-            ("auxiliary", NO_AUXILIARY, "auxiliary_losses", "has no auxiliary losses"),
-            ("critic", SCALAR, "any_critic", "learns no distribution of returns"),
-            ("episodic", NO_EPISODIC, "episodic_memory", "has no episodic memory"),
-            ("reweighting", NO_REWEIGHTING, "weighted_losses", "does not weigh its losses"),
-            ("hindsight", NO_HINDSIGHT, "learns_from_hindsight", "does not learn from hindsight"),
-        ):
-            choice = getattr(chosen, part)
-            if choice.name != plain.name and not getattr(cls, capability):
-                others = [key for key, other in agents().items() if getattr(other, capability)]
-                yield (
-                    f"{part}={choice.name}: agent={name} {lacking}; choose {part}={plain.name}, or "
-                    f"agent={' or '.join(others)}"
-                )
+        self.spec = spec
+        self.device = spec.device
 
     def initial_memory(self, batch: int) -> State:
         """The memory before the first frame of `batch` worlds, {name: [B, ...]}; empty for an agent
@@ -203,9 +169,13 @@ class Agent(ABC):
         an agent that does not bootstrap from them."""
         return torch.zeros(len(inputs.is_first), device=self.device)
 
-    def begin_learning(self) -> list[str]:
+    def begin_learning(self, folder: Path | None = None, every: int = 0) -> list[str]:
         """Allocates what learning alone needs; called once before the first `update` or
         `load_state_dict` of a run, and not for an agent that only acts.
+
+        Args:
+            folder: where the agent may keep files; None where there is no such place.
+            every: updates between two checkpoints, at most.
 
         Returns:
             Lines to show to the user.
@@ -234,7 +204,7 @@ class Agent(ABC):
 
 
 AGENTS: Registry[Agent] = Registry("agent")
-"""Each is built from its options and an agent's `Setting`."""
+"""Each is built from its options and an agent's `AgentSpec`."""
 AnyAgent = TypeVar("AnyAgent", bound=type[Agent])
 
 
@@ -254,6 +224,23 @@ def register(agent: AnyAgent) -> AnyAgent:
     return agent
 
 
+def unsupported(name: str, chosen: Mapping[str, Any]) -> Iterator[str]:
+    """One line for each choice that the agent of this name does not support.
+
+    Args:
+        chosen: options by the names of their groups.
+    """
+    for group, lacking in LACKING.items():
+        plain = "scalar" if group == "critic" else "none"
+        choice = chosen[group].name if group in chosen else plain
+        if choice != plain and group not in agents()[name].supports:
+            others = [key for key, other in agents().items() if group in other.supports]
+            yield (
+                f"{group}={choice}: agent={name} {lacking}; choose {group}={plain}, or "
+                f"agent={' or '.join(others)}"
+            )
+
+
 def agents() -> Mapping[str, type[Agent]]:
-    """All registered agents by name; `agents()[options.name](options, setting)` builds one."""
+    """All registered agents by name; `agents()[options.name](options, spec)` builds one."""
     return AGENTS.builds()  # type: ignore[return-value]  # what builds an agent is its class

@@ -26,7 +26,7 @@ from pydantic import Field
 from tensordict import TensorDict
 from torch import Tensor
 
-from zipf.agents.agent import Setting, register
+from zipf.agents.agent import AgentSpec, register
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary
 from zipf.agents.hindsight import NoHindsightOptions, matching_loss
 from zipf.agents.learner import Learner, LearnerOptions, Loss
@@ -34,7 +34,7 @@ from zipf.agents.memory import State
 from zipf.agents.network import Inputs, Torso, head, in_full, sampled
 from zipf.agents.network_options import NetworkOptions
 from zipf.agents.reweighting import weighted
-from zipf.agents.unroll import Unroll
+from zipf.agents.unroll import Needs, Unroll
 from zipf.options import Options
 
 
@@ -78,23 +78,18 @@ class Imitation(Learner):
     """The agent: samples actions from its policy in training, and learns its teacher's."""
 
     Options = ImitationOptions
-    auxiliary_losses = True
-    episodic_memory = True
-    weighted_losses = True
-    learns_from_hindsight = True
-    learns_from_rewards = False
+    supports = frozenset({"auxiliary", "episodic", "hindsight", "reweighting"})
     largest_lag = 1  # labels do not depend on the weights that acted
     options: ImitationOptions
     network: Policy
     actor: Policy
 
-    def __init__(self, options: ImitationOptions, setting: Setting):
-        super().__init__(options, setting)
-        self.teacher = options.teacher
-        self.teacher_share = options.teacher_share
+    def __init__(self, options: ImitationOptions, spec: AgentSpec):
+        super().__init__(options, spec)
+        self.needs = Needs(teacher=options.teacher, teacher_share=options.teacher_share)
 
     def make_network(self) -> Policy:
-        return Policy(*self.setting.torso, self.setting.episodic)
+        return Policy(*self.spec.torso, self.spec.episodic)
 
     @torch.no_grad()
     def act(
@@ -141,7 +136,7 @@ class Imitation(Learner):
     ) -> tuple[Tensor | float, dict[str, Tensor]]:
         """The loss of relabelled episodes [L, E], unrolled from before their first frame, and
         metrics."""
-        options = self.setting.hindsight
+        options = self.spec.hindsight
         if isinstance(options, NoHindsightOptions):
             return 0.0, {}
         matching, matched = matching_loss(

@@ -54,19 +54,17 @@ class Impala(Learner):
     """The agent: samples actions from the policy and learns from unrolls."""
 
     Options = ImpalaOptions
-    auxiliary_losses = True
-    any_critic = True
-    episodic_memory = True
-    weighted_losses = True
-    learns_from_hindsight = True
+    supports = frozenset(
+        {"auxiliary", "critic", "episodic", "exploration", "hindsight", "reweighting"}
+    )
     largest_lag = 1  # V-trace corrects for it
     options: ImpalaOptions
     network: ActorCritic
     actor: ActorCritic
 
     def make_network(self) -> ActorCritic:
-        setting = self.setting
-        return ActorCritic(*setting.torso, setting.critic, setting.episodic)
+        spec = self.spec
+        return ActorCritic(*spec.torso, spec.critic, spec.episodic)
 
     @torch.no_grad()
     def act(
@@ -122,7 +120,7 @@ class Impala(Learner):
         relabelled_loss, relabelled_metrics = hindsight_loss(
             self.network,
             unroll.episodes,
-            self.setting.hindsight,
+            self.spec.hindsight,
             discount=o.discount,
             updates=self.updates,
             precision=self.precision,

@@ -7,7 +7,7 @@ An algorithm is its options, the network that it needs, `act` and `loss`:
         Options = MyOptions  # derived from `LearnerOptions`
 
         def make_network(self):
-            return ActorCritic(*self.setting.torso)
+            return ActorCritic(*self.spec.torso)
 
         def act(self, inputs, memory, generator, *, training=True): ...
 
@@ -34,7 +34,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.agent import Agent, Setting
+from zipf.agents.agent import Agent, AgentSpec
 from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.averaging import average_gradients
 from zipf.agents.episodic import Dictionary, build_recorder
@@ -90,27 +90,27 @@ class Learner(Agent):
     network: Any
     actor: Any
 
-    def __init__(self, options: Any, setting: Setting):
-        super().__init__(options, setting)
-        self.precision = setting.precision
+    def __init__(self, options: Any, spec: AgentSpec):
+        super().__init__(options, spec)
+        self.precision = spec.precision
         self.updates = 0
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(setting.seed)
+            torch.manual_seed(spec.seed)
             self.network = self.make_network()
             self.auxiliary = build_auxiliary(
-                setting.auxiliary,
-                setting.observation_space,
-                setting.network,
+                spec.auxiliary,
+                spec.observation_space,
+                spec.network,
                 self.network,
-                setting.seed,
+                spec.seed,
             )
         self.recorder = build_recorder(
-            setting.episodic,
-            setting.observation_space,
-            setting.num_envs,
+            spec.episodic,
+            spec.observation_space,
+            spec.num_envs,
             self.network.memory.size,
             self.network.actions,
-            setting.seed,
+            spec.seed,
         )
         for module in (self.network, self.auxiliary, self.recorder):
             module.to(self.device)
@@ -118,9 +118,9 @@ class Learner(Agent):
         self.learned = [*self.network.parameters(), *self.auxiliary.learned()]
         self.optimisers = {"optimiser": self.make_optimiser(self.learned)}
         self.parts: dict[str, Any] = {"network": self.network, **self.optimisers}
-        if self.auxiliary_losses:
+        if "auxiliary" in self.supports:
             self.parts["auxiliary"] = self.auxiliary
-        if self.episodic_memory:
+        if "episodic" in self.supports:
             self.parts["recorder"] = self.recorder
         self._published: nn.Module | None = None  # the network that `actor` is a copy of
         self._is_compiled = False
@@ -128,7 +128,7 @@ class Learner(Agent):
     @abstractmethod
     def make_network(self) -> Torso:
         """The network that is learned, with weights from PyTorch's generator; called once, before
-        anything but `options`, `setting` and `device` is known."""
+        anything but `options`, `spec` and `device` is known."""
 
     @abstractmethod
     def loss(self, batch: Any) -> Loss:
@@ -140,7 +140,7 @@ class Learner(Agent):
         return torch.optim.Adam(parameters, **adam(self.options))
 
     def autocast(self) -> torch.autocast:
-        """Automatic mixed precision, as `setting.precision` says."""
+        """Automatic mixed precision, as `spec.precision` says."""
         return autocast(self.device, self.precision)
 
     def initial_memory(self, batch: int) -> State:
@@ -181,7 +181,7 @@ class Learner(Agent):
         """Follows an optimiser step: the targets of the auxiliary loss, and the dictionary, whose
         rows are made of the memory's outputs `core` [T + 1, B, size] and of `action` [T + 1, B]."""
         self.auxiliary.after_update(self.network.encoder)
-        if self.episodic_memory:
+        if "episodic" in self.supports:
             self.recorder.record(self.network.dictionary, batch.steps, kept["core"], kept["action"])
 
     def state_dict(self) -> dict[str, Any]:

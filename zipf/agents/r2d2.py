@@ -31,6 +31,7 @@ frame on. The memory before a sequence is that of the network as it is when they
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import gymnasium as gym
@@ -39,7 +40,7 @@ from pydantic import Field
 from tensordict import TensorDict
 from torch import Tensor, nn
 
-from zipf.agents.agent import Setting, register
+from zipf.agents.agent import AgentSpec, register
 from zipf.agents.critics import CRITICS, SCALAR
 from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.learner import Learner, LearnerOptions, Loss, adam
@@ -50,7 +51,7 @@ from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.reweighting import NO_REWEIGHTING, weighted
 from zipf.agents.sequences import Sequences
 from zipf.agents.truncations import Finals
-from zipf.agents.unroll import Unroll
+from zipf.agents.unroll import Needs, Unroll
 from zipf.options import Context, Options
 
 if TYPE_CHECKING:  # imported where learning begins: it brings TorchRL, which takes a second
@@ -192,7 +193,7 @@ class R2D2(Learner):
 
     Until replay holds `replay_min` sequences, an update inserts its unroll and takes no optimiser
     step. With a burn-in, a run's first unroll has no rows before it and is not inserted. With
-    `storage=memmap` replay is kept in `setting.folder`.
+    `storage=memmap` replay is kept in the run's folder.
 
     With `fresh_priority=error` a sequence enters replay with the priority of its errors, as if it
     had just been learned from; with `largest` it has the largest priority so far, which saves that
@@ -203,24 +204,18 @@ class R2D2(Learner):
     """
 
     Options = R2D2Options
-    any_critic = True
-    weighted_losses = True
-    learns_from_hindsight = True
+    supports = frozenset({"critic", "exploration", "hindsight", "reweighting"})
     averages_gradients = False  # each learner would draw from a replay of its own
     largest_lag = 1  # replay is off-policy anyway
     options: R2D2Options
     network: DuelingQ
     actor: DuelingQ
 
-    def __init__(self, options: R2D2Options, setting: Setting):
-        super().__init__(options, setting)
-        if options.storage == "memmap" and setting.folder is None:
-            raise ValueError("agent.storage=memmap: needs a folder to keep the replay in")
-        self.num_envs = setting.num_envs
-        self.batch_size = round(options.samples_per_insert * setting.num_envs)
-        self.burn_in = options.burn_in
-        self.final_observations = options.final_observations
-        self.replay_folder = setting.folder and setting.folder / "replay"
+    def __init__(self, options: R2D2Options, spec: AgentSpec):
+        super().__init__(options, spec)
+        self.num_envs = spec.num_envs
+        self.batch_size = round(options.samples_per_insert * spec.num_envs)
+        self.needs = Needs(burn_in=options.burn_in, final_observations=options.final_observations)
         self.target = frozen_copy(self.network)
         self.parts["target"] = self.target
         self.epsilon = torch.full((self.num_envs,), options.epsilon, dtype=torch.float64)
@@ -228,22 +223,22 @@ class R2D2(Learner):
             # At random, since several levels have a row of worlds each, and should explore alike.
             places = torch.randperm(self.num_envs, generator=torch.Generator().manual_seed(0))
             self.epsilon **= 1 + LADDER * places / (self.num_envs - 1)
-        self._inserts = setting.num_envs  # sequences of an update, at most
-        if isinstance(setting.hindsight, AchievedOptions) and setting.hindsight.length:
-            cuts = -(-setting.hindsight.length // setting.unroll_length)
-            self._inserts += cuts * setting.hindsight.episodes
+        self._inserts = spec.num_envs  # sequences of an update, at most
+        if isinstance(spec.hindsight, AchievedOptions) and spec.hindsight.length:
+            cuts = -(-spec.hindsight.length // spec.unroll_length)
+            self._inserts += cuts * spec.hindsight.episodes
         self.sequences = Sequences(
-            setting.observation_space,
-            num_envs=setting.num_envs,
-            unroll_length=setting.unroll_length,
+            spec.observation_space,
+            num_envs=spec.num_envs,
+            unroll_length=spec.unroll_length,
             burn_in=options.burn_in,
             final_observations=options.final_observations,
-            weighted=setting.reweighting != NO_REWEIGHTING,
+            weighted=spec.reweighting != NO_REWEIGHTING,
         )
         self.replay: Replay | None = None
 
     def make_network(self) -> DuelingQ:
-        return DuelingQ(*self.setting.torso, self.setting.critic)
+        return DuelingQ(*self.spec.torso, self.spec.critic)
 
     def make_optimiser(self, parameters: list[nn.Parameter]) -> torch.optim.Optimizer:
         decay = self.options.weight_decay
@@ -270,27 +265,29 @@ class R2D2(Learner):
             action = torch.where(explores.to(action.device), anything.to(action.device), action)
         return action, memory, {}
 
-    def begin_learning(self) -> list[str]:
+    def begin_learning(self, folder: Path | None = None, every: int = 0) -> list[str]:
         """Makes the replay; the lines to show give its size.
 
         Raises:
-            ValueError: it does not fit into RAM or onto the disk.
+            ValueError: it does not fit into RAM or onto the disk, or there is no folder for it.
         """
         from zipf.agents.free_space import in_words
         from zipf.agents.replay import Replay
 
         o = self.options
+        if o.storage == "memmap" and folder is None:
+            raise ValueError("agent.storage=memmap: needs a folder to keep the replay in")
         self.replay = Replay(
             self.sequences.empty(self.initial_memory(1)),
             capacity=o.replay_capacity,
             priority_exponent=o.priority_exponent,
             importance_exponent=o.importance_exponent,
-            folder=self.replay_folder if o.storage == "memmap" else None,
-            spare=self.setting.updates_between_checkpoints * self._inserts,
-            seed=self.setting.seed,
+            folder=folder / "replay" if folder and o.storage == "memmap" else None,
+            spare=every * self._inserts,
+            seed=self.spec.seed,
         )
         if o.storage == "memmap":
-            where = f"disk, in {self.replay_folder}"
+            where = f"disk, in {self.replay.folder}"
         else:
             where = "RAM, as much in every checkpoint, and again while one is read"
         return [
@@ -360,7 +357,7 @@ class R2D2(Learner):
         """The loss of sequences from replay; keeps their new `priorities`, float32 [B]."""
         items, weights = replayed
         losses, errors, values = self._losses(items)
-        steps = items["steps"].transpose(0, 1)[self.burn_in : -1]
+        steps = items["steps"].transpose(0, 1)[self.options.burn_in : -1]
         loss = weighted(weights * losses, steps).mean()
         priorities = self._priorities(errors)
         metrics = {
@@ -383,14 +380,14 @@ class R2D2(Learner):
         o, critic = self.options, self.network.critic
         steps = items["steps"].transpose(0, 1)
         memory = {name: items["memory"][name] for name in items["memory"].keys()}
-        prefix, steps = steps[: self.burn_in], steps[self.burn_in :]
+        prefix, steps = steps[: self.options.burn_in], steps[self.options.burn_in :]
         inputs, finals = Inputs.of(steps), None
-        if self.final_observations:
+        if self.options.final_observations:
             finals = Finals(items["final"].transpose(0, 1), len(steps))
             inputs = finals.insert(inputs)
         target_memory = memory
         with torch.no_grad(), self.autocast():
-            if self.burn_in:
+            if self.options.burn_in:
                 _, target_memory = self.target(Inputs.of(prefix), memory)
                 _, memory = self.network(Inputs.of(prefix), memory)
             target_outputs, _ = self.target.outputs(inputs, target_memory)

@@ -72,17 +72,15 @@ class Supervised(Learner):
     """
 
     Options = SupervisedOptions
+    supports = frozenset({"hindsight", "reweighting"})
     largest_lag = 1  # its answers in training do not depend on what it has learned
-    weighted_losses = True
-    learns_from_hindsight = True
     answers_questions = True
-    learns_from_rewards = False
     options: SupervisedOptions
     network: Classifier
     actor: Classifier
 
     def make_network(self) -> Classifier:
-        network = Classifier(*self.setting.torso)
+        network = Classifier(*self.spec.torso)
         if network.actions != 2:
             raise ValueError(f"a classifier chooses one of two answers, not of {network.actions}")
         return network
@@ -120,7 +118,7 @@ class Supervised(Learner):
         self, questions: TensorDict | None
     ) -> tuple[Tensor | float, dict[str, Tensor]]:
         """The loss of relabelled questions [1, E], to which the answers are right, and metrics."""
-        options = self.setting.hindsight
+        options = self.spec.hindsight
         if isinstance(options, NoHindsightOptions):
             return 0.0, {}
         matching, matched = matching_loss(

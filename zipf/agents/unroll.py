@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -47,6 +47,27 @@ def no_observations(space: gym.spaces.Dict, rows: int) -> dict[str, Tensor]:
             )
         zeros[name] = torch.from_numpy(np.zeros((rows, *(part.shape or ())), part.dtype))
     return zeros
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What an agent needs of unrolls beyond what all have.
+
+    Attributes:
+        burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
+            an unroll holds the memory before them (`Unroll.late_memory`).
+        final_observations: of each world an unroll holds up to so many of the observations at
+            which episodes were truncated (`Unroll.final`), for agents that compute their values
+            when they learn; those agents need no `value`.
+        teacher: name of the scripted player of the worlds that labels every step of an unroll with
+            the action that it would take (`zipf.envs.SCRIPTED`); None: no labels.
+        teacher_share: the probability that the teacher acts in a step in the agent's place.
+    """
+
+    burn_in: int = 0
+    final_observations: int = 0
+    teacher: Literal["expert", "generalist"] | None = None
+    teacher_share: float = 0.0
 
 
 @dataclass

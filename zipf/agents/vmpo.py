@@ -29,7 +29,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.agent import Setting, register
+from zipf.agents.agent import AgentSpec, register
 from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
@@ -72,16 +72,13 @@ class VMPO(Learner):
     """
 
     Options = VMPOOptions
-    auxiliary_losses = True
-    any_critic = True
-    weighted_losses = True
-    learns_from_hindsight = True
+    supports = frozenset({"auxiliary", "critic", "exploration", "hindsight", "reweighting"})
     options: VMPOOptions
     network: ActorCritic
     actor: ActorCritic
 
-    def __init__(self, options: VMPOOptions, setting: Setting):
-        super().__init__(options, setting)
+    def __init__(self, options: VMPOOptions, spec: AgentSpec):
+        super().__init__(options, spec)
         self.target = frozen_copy(self.network)
         self.actor = self.target
         initial = {"eta": options.initial_eta, "alpha": options.initial_alpha}
@@ -93,7 +90,7 @@ class VMPO(Learner):
         self.parts |= {"target": self.target, "duals": self.duals, "dual_optimiser": duals}
 
     def make_network(self) -> ActorCritic:
-        return ActorCritic(*self.setting.torso, self.setting.critic)
+        return ActorCritic(*self.spec.torso, self.spec.critic)
 
     @torch.no_grad()
     def act(
@@ -151,7 +148,7 @@ class VMPO(Learner):
         relabelled_loss, relabelled_metrics = hindsight_loss(
             self.network,
             unroll.episodes,
-            self.setting.hindsight,
+            self.spec.hindsight,
             discount=o.discount,
             updates=self.updates,
             precision=self.precision,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from zipf.agents.agent import Agent, Setting, agents
+from zipf.agents.agent import Agent, AgentSpec, agents
 from zipf.agents.learner import Learner
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
@@ -19,7 +19,7 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
             is about, or there is no image encoder to compile.
     """
     assert config.precision != "auto"  # the schema has resolved it
-    setting = Setting(
+    spec = AgentSpec(
         env.single_observation_space,
         env.single_action_space,
         config.network,
@@ -32,13 +32,11 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
         seed=derive_seed(config.seed, "weights"),
         device=config.torch_device,
         precision=config.precision,
-        folder=config.folder,
-        updates_between_checkpoints=config.schedule.checkpoint_every,
         reweighting=config.reweighting,
         hindsight=config.hindsight,
     )
     try:
-        agent = agents()[config.agent.name](config.agent, setting)
+        agent = agents()[config.agent.name](config.agent, spec)
         if config.compile:
             if not isinstance(agent, Learner):
                 raise ValueError(

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from zipf import envs
-from zipf.agents.agent import Agent, agents
+from zipf.agents.agent import Agent, agents, unsupported
 from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.hindsight import AchievedOptions
@@ -61,7 +61,7 @@ def problems(config: Config) -> Iterator[str]:
         family.name, family.goal is not None, config.num_envs, collector.unroll_length, parts
     )
     told = [line for options in parts.values() for line in options.problems(context)]
-    told += agent.lacks(config.agent.name, config)
+    told += unsupported(config.agent.name, parts)
     yield from told
     yield from _reads_itself(config)
     try:
@@ -70,11 +70,6 @@ def problems(config: Config) -> Iterator[str]:
         yield str(error)
     if problem := _no_folder(config):
         yield f"run_root={config.run_root:.200}: {problem}"
-    if not agent.learns_from_rewards and config.exploration.name != "none":
-        yield (
-            f"exploration={config.exploration.name}: agent={config.agent.name} does not learn from "
-            "rewards; choose exploration=none"
-        )
     if agent.largest_lag < config.lag:
         yield (
             f"collector.lag={config.lag}: agent={config.agent.name} does not correct for older "
@@ -292,10 +287,10 @@ def _try_to_build(config: Config) -> Iterator[str]:
         AUGMENTATIONS.build(config.augmentation, space, 1, seed=0, symmetries=symmetries)
     except ValueError as error:
         yield str(error)
-    if agent.teacher and getattr(family, agent.teacher) is None:
+    if agent.needs.teacher and getattr(family, agent.needs.teacher) is None:
         known = [name for name in envs.SCRIPTED if getattr(family, name) is not None]
         yield (
-            f"agent.teacher={agent.teacher}: {family.name} has no such player; should be "
+            f"agent.teacher={agent.needs.teacher}: {family.name} has no such player; should be "
             f"{' or '.join(known) or 'another agent'}"
         )
 

@@ -140,7 +140,7 @@ class RayRuntime(Runtime):
     def rollouts(self, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...] = ()) -> RayActors:
         """See the base class."""
         assert isinstance(self.config.runtime, RayOptions)
-        assert isinstance(agent, Learner)  # only such an agent has a `largest_lag`
+        assert isinstance(agent, Learner)  # it has a `largest_lag`
         return RayActors(self.config, self.config.runtime, env, agent)
 
 

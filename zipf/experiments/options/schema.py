@@ -235,17 +235,11 @@ def schema() -> type[Config]:
     classes = [one for group in groups.values() for one in group.options.values()]
     known = tuple(map(id, (*families, *classes)))
     if known not in _schemas:
-        parts: dict[str, Any] = {name: (group.union(), ...) for name, group in groups.items()}
         environments = [_environment_options(family) for family in families]
-        parts["environment"] = (
-            Annotated[reduce(or_, environments), Field(discriminator="split")],
-            ...,
-        )
-        _schemas[known] = create_model(
-            "Config",
-            __base__=Config,
-            **parts,
-        )
+        types: dict[str, Any] = {name: (group.union(), ...) for name, group in groups.items()}
+        any_environment: Any = Annotated[reduce(or_, environments), Field(discriminator="split")]
+        types["environment"] = (any_environment, ...)
+        _schemas[known] = create_model("Config", __base__=Config, **types)
     return _schemas[known]
 
 

@@ -48,5 +48,5 @@ def build_collector(
         lag=config.lag,
         bootstrap_at_time_limit=options.bootstrap_at_time_limit,
         reward_clipping=options.reward_clipping,
-        teacher=Teacher(agent.teacher, config.split, env) if agent.teacher else None,
+        teacher=Teacher(agent.needs.teacher, config.split, env) if agent.needs.teacher else None,
     )

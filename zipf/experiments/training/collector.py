@@ -88,9 +88,10 @@ class Collector:
         reweighting: GoalWeights | None = None,
         hindsight: HindsightOptions = NO_HINDSIGHT,
     ):
-        if agent.burn_in > unroll_length:
+        burn_in = agent.needs.burn_in
+        if burn_in > unroll_length:
             raise ValueError(
-                f"a burn-in of {agent.burn_in} rows is longer than an unroll of {unroll_length}"
+                f"a burn-in of {burn_in} rows is longer than an unroll of {unroll_length}"
             )
         relabels = isinstance(hindsight, AchievedOptions)
         if goal is None and (reweighting is not None or relabels):
@@ -131,7 +132,7 @@ class Collector:
             **({"weight": torch.float32} if reweighting is not None else {}),
         }
         self._buffers = [
-            UnrollBuffers(env, unroll_length + 1, agent.final_observations, further, pinned)
+            UnrollBuffers(env, unroll_length + 1, agent.needs.final_observations, further, pinned)
             for _ in range(1 + lag)
         ]
         self._final = env.allocate()
@@ -160,7 +161,7 @@ class Collector:
         for t in range(self.unroll_length):
             if self._abandoned.is_set():
                 raise Abandoned
-            if self.agent.burn_in and t == self.unroll_length - self.agent.burn_in:
+            if self.agent.needs.burn_in and t == self.unroll_length - self.agent.needs.burn_in:
                 late_memory = self._memory
             if self.reweighting is not None:
                 asked.append(self.reweighting.counters.copy())
@@ -257,7 +258,7 @@ class Collector:
                 label = self.augmentation.from_worlds(label)
             fields["label"][t] = label
             share = torch.rand(self.env.num_envs, generator=self._generator).numpy()
-            by_teacher = share < self.agent.teacher_share
+            by_teacher = share < self.agent.needs.teacher_share
             fields["action"][t, by_teacher] = fields["label"][t, by_teacher]
 
         following = buffers.observation_row(t + 1)

@@ -130,7 +130,7 @@ class Run:
         self.env = envs.make_train(config.split, config.num_envs, **config.level_options)
         self.agent = build_agent(config, self.env)
         try:
-            self._notes = self.agent.begin_learning()
+            self._notes = self.agent.begin_learning(config.folder, config.schedule.checkpoint_every)
         except ValueError as error:
             raise UserError(str(error)) from None
         saved = self.learner.receive(

@@ -116,7 +116,7 @@ class Runtime:
         collector = build_collector(self.config, env, agent, player)
         if self.config.lag == 0:
             return SynchronousRollouts(collector)
-        assert isinstance(agent, Learner)  # only such an agent has a `largest_lag`
+        assert isinstance(agent, Learner)  # it has a `largest_lag`
         return BackgroundRollouts(collector, agent)
 
 
