@@ -59,6 +59,11 @@ def read(overrides: list[str]) -> Config:
         UserError: with one line for every unknown or mistyped option; where there are any, also
             for those that do not fit each other.
     """
+    return read_composed(overrides)[0]
+
+
+def read_composed(overrides: list[str]) -> tuple[Config, Composed]:
+    """As `read`, with what the configuration was made from."""
     parsed = parse(overrides)
     composing.load_plugins(_plugins(parsed))
     known, problems = _known(parsed)
@@ -80,7 +85,7 @@ def read(overrides: list[str]) -> Config:
         problems += feasibility.problems(config) if problems else ()
     if problems:
         raise UserError("\n".join(problems))
-    return config
+    return config, composed
 
 
 def plugins_of(overrides: list[str]) -> list[str]:

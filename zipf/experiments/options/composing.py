@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,6 +20,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
@@ -26,6 +28,7 @@ from yaml import YAMLError
 import zipf
 from zipf import envs, plugins
 from zipf.errors import UserError
+from zipf.experiments.options.written import Written, read
 from zipf.options import Options
 from zipf.registry import registries
 
@@ -47,10 +50,26 @@ class Composed:
     Attributes:
         values: the options, nested.
         choices: the choice in each group; `"None"` for no choice.
+        overrides: what it was composed with.
     """
 
     values: dict[str, Any]
     choices: dict[str, str]
+    overrides: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Layers:
+    """What a configuration is composed of.
+
+    Attributes:
+        configs: names of configurations, such as `agent/impala`, each with the group of options
+            that it has; "" for all. Later ones override earlier ones.
+        chosen: the configuration that makes the choice in a group, unless an override does.
+    """
+
+    configs: list[tuple[str, str]]
+    chosen: dict[str, str]
 
 
 def add_folder(folder: str | Path) -> None:
@@ -142,24 +161,52 @@ def _resolved(search_path: str, *overrides: str) -> Composed:
             raise UserError(
                 f"{find_file(group, choices[group])}: should begin with '# @package _global_'"
             )
-    return Composed({str(k): v for k, v in values.items()}, choices)
+    return Composed({str(k): v for k, v in values.items()}, choices, overrides)
 
 
 @cache
 def _composed(search_path: str, *overrides: str) -> tuple[DictConfig, dict[str, str]]:
     _store_registered()
-    backup = GlobalHydra.instance().hydra
-    GlobalHydra.instance().clear()
-    try:
-        with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-            given = [override for override in (search_path, *overrides) if override]
-            config = compose("train", given, return_hydra_config=True)
-    finally:
-        GlobalHydra.instance().hydra = backup
+    with _hydra():
+        given = [override for override in (search_path, *overrides) if override]
+        config = compose("train", given, return_hydra_config=True)
     choices = {k: str(v) for k, v in config.hydra.runtime.choices.items()}
     OmegaConf.set_struct(config, False)
     del config["hydra"]
     return config, choices
+
+
+@contextmanager
+def _hydra() -> Iterator[None]:
+    """Hydra at `configs/`, also while it runs the command."""
+    backup = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
+    try:
+        with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+            yield
+    finally:
+        GlobalHydra.instance().hydra = backup
+
+
+def layers(*overrides: str) -> Layers:
+    """What the configuration of these overrides, which can be composed, is composed of."""
+    _store_registered()
+    with _hydra():
+        loader = GlobalHydra.instance().config_loader()
+        given = [override for override in (search_path(), *overrides) if override]
+        found = loader.compute_defaults_list("train", given, RunMode.RUN)
+    configs = [
+        (one.config_path, "" if one.package in (None, "_global_") else one.package)
+        for one in found.defaults
+        if one.config_path is not None and not one.config_path.startswith("hydra/")
+    ]
+    made = found.overrides.override_metadata
+    chosen = {
+        group: made[group].containing_config_path or "" if group in made else one.parent
+        for one in found.defaults
+        if (group := one.override_key) and (group in made or one.parent)
+    }
+    return Layers(configs, chosen)
 
 
 def told(error: Exception) -> str:
@@ -176,6 +223,24 @@ def find_file(group: str, name: str) -> Path | None:
     """The file of a choice; None for a name without a file."""
     paths = (folder / group / f"{name}.yaml" for folder in _folders())
     return next((path for path in paths if path.is_file()), None)
+
+
+def find(group: str, name: str) -> Written | None:
+    """How a choice is written; None for one that is registered in Python, or that there is not."""
+    path = find_file(group, name)
+    return None if path is None else read(path)
+
+
+def registered(group: str, name: str) -> dict[str, Any]:
+    """The values of a choice that is registered in Python."""
+    return _registered()[group][name]
+
+
+def options_class(group: str, name: str) -> type[Options]:
+    """The class of options of a choice that is registered in Python."""
+    if group == "environment":
+        return envs.families()[name].options_class
+    return agents()[name].Options if group == "agent" else auxiliaries()[name]
 
 
 def condition_file(condition: str) -> dict[str, Any]:
