@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 import zipf.train
 from zipf.errors import UserError
 from zipf.experiments.building import run_folder
-from zipf.experiments.options import composing, explaining
+from zipf.experiments.options import config_files, explaining
 from zipf.experiments.options.command_line import choices
 from zipf.experiments.options.schema import has_bfloat16
 
@@ -93,7 +93,7 @@ def test_the_choice_for_environments_without_an_instruction():
 
 
 def test_options_from_outside_the_package_have_a_line_too(tmp_path, monkeypatch):
-    monkeypatch.setattr(composing, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folders", [])
     (tmp_path / "condition").mkdir()
     (tmp_path / "values" / "demo_conditions").mkdir(parents=True)
     file = tmp_path / "condition" / "mine.yaml"
@@ -101,7 +101,7 @@ def test_options_from_outside_the_package_have_a_line_too(tmp_path, monkeypatch)
         "# @package _global_\ndefaults:\n  - override /memory: gtrxl  # why\n  - _self_\n"
         "condition: mine\nmemory:\n  layers: 3  # tried\n"
     )
-    composing.add_folder(tmp_path)
+    config_files.add_folder(tmp_path)
     found = explaining.explain(["experiment=demo_conditions", "condition=mine"])
     known = {one.option: one for one in found}
     for option, line, comment in (("memory.layers", 7, "tried"), ("memory.name", 3, "why")):
@@ -112,7 +112,7 @@ def test_options_from_outside_the_package_have_a_line_too(tmp_path, monkeypatch)
 def command(monkeypatch, capsys, *words):
     """What the command prints, to both streams."""
     monkeypatch.setattr(sys, "argv", ["zipf.train", *words])
-    monkeypatch.setattr(composing, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folders", [])
     with pytest.raises(SystemExit) as ended:
         zipf.train.main()
     return ended.value.code, *capsys.readouterr()
@@ -137,7 +137,7 @@ def test_the_command_explains_a_run_and_a_part(tmp_path, monkeypatch, capsys):
 @pytest.fixture
 def recorded(tmp_path):
     """The files that describe a run, made by hand."""
-    source = composing.CONFIG_DIR.parent / "results" / "demo_conditions" / "impala" / "seed0"
+    source = config_files.CONFIG_DIR.parent / "results" / "demo_conditions" / "impala" / "seed0"
     if not (source / "run.json").is_file():
         pytest.skip("needs a run of results/")
     folder = tmp_path / "seed0"
@@ -153,7 +153,7 @@ def explained(folder):
 def test_a_runs_folder_is_explained(recorded):
     found = {one.option: one for one in explained(recorded)}
     assert found["agent.name"].value == "impala"
-    assert found["memory.size"].place.file.is_relative_to(composing.CONFIG_DIR)
+    assert found["memory.size"].place.file.is_relative_to(config_files.CONFIG_DIR)
     config = OmegaConf.load(recorded / "config.yaml")
     config.agent.discount = 0.7
     OmegaConf.save(config, recorded / "config.yaml")

@@ -21,7 +21,8 @@ from zipf.errors import TOLD, UserError, tell
 from zipf.experiments import cluster
 from zipf.experiments.building import run_folder
 from zipf.experiments.cluster import torchrun
-from zipf.experiments.options import catalogue, command_line, composing, explaining
+from zipf.experiments.options import catalogue, command_line, composing, config_files, explaining
+from zipf.experiments.options.config_files import CONFIG_DIR, PRIMARY
 from zipf.experiments.options.schema import Config
 from zipf.experiments.sweeping import sweep, sweeps
 from zipf.experiments.training import runner
@@ -31,7 +32,7 @@ from zipf.output import keep_going
 OmegaConf.register_new_resolver("zipf_choices", catalogue.help_text, replace=True)
 
 
-@hydra.main(version_base="1.3", config_path=str(composing.CONFIG_DIR), config_name="train")
+@hydra.main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=PRIMARY)
 def _run(_: DictConfig) -> None:
     try:
         config = command_line.load(list(HydraConfig.get().overrides.task))
@@ -78,7 +79,7 @@ def _main() -> int:
     asks = ("help", "hydra_help", "info", "shell_completion")
     _check_flags(arguments)
     if arguments.config_dir:
-        composing.add_folder(arguments.config_dir)
+        config_files.add_folder(arguments.config_dir)
     composing.load_plugins(command_line.plugins_of(arguments.overrides))
     if asked is not None:
         _explain(asked, arguments.overrides)

@@ -14,8 +14,9 @@ from typing import Any
 from hydra._internal.utils import get_args_parser
 
 from zipf.errors import UserError
-from zipf.experiments.options import command_line, composing
+from zipf.experiments.options import command_line, composing, config_files
 from zipf.experiments.options.composing import Composed
+from zipf.experiments.options.config_files import find
 from zipf.experiments.options.schema import Config, RowOptions
 from zipf.experiments.options.written import Place, read
 from zipf.experiments.records.learned_options import flatten
@@ -138,8 +139,7 @@ def _written(composed: Composed) -> Iterator[tuple[str, Origin]]:
     layers = composing.layers(*composed.overrides)
     for config, package in layers.configs:
         group, _, name = config.rpartition("/")
-        written = composing.find(group, name)
-        values = composing.registered(group, name) if written is None else written.values
+        values, written = composing.config(config)
         for option, value in flatten(values).items():
             if value == "???" or option.startswith(("defaults", "hydra.")):
                 continue
@@ -149,17 +149,17 @@ def _written(composed: Composed) -> Iterator[tuple[str, Origin]]:
             elif written is None:
                 yield full, _registered(group, name, option, value)
             else:
-                place = written.places[option]
+                place = written.places.get(option, written.place)
                 yield full, Origin(full, value, place, comment=place.comment)
 
 
 def _chosen(group: str, choice: str, by: str) -> Origin:
     """The choice of a group, by a configuration or ("") by a word that is not known here."""
-    written = composing.find(group, choice)
+    written = find(group, choice)
     comment = written.place.comment if written else ""
     if not by:
         return Origin(group, choice, comment=comment)
-    chooser = composing.find(*by.rpartition("/")[::2])
+    _, chooser = composing.config(by)
     assert chooser is not None
     place = chooser.places[f"choose.{group}"]
     return Origin(group, choice, place, comment=place.comment or comment)
@@ -203,7 +203,7 @@ def _given(word: str, known: dict[str, Origin], options: list[str]) -> dict[str,
     key, value = override.key_or_group, override.value()
     if isinstance(value, dict):
         keys = [f"{key}.{option}" for option in flatten(value)]
-    elif key in command_line.parts():
+    elif key in config_files.parts():
         keys = [f"{key}.name"]
     else:
         keys = ["condition" if key == "name" else key]
@@ -220,7 +220,7 @@ def _given(word: str, known: dict[str, Origin], options: list[str]) -> dict[str,
 
 def _without_instruction(composed: Composed) -> Iterator[tuple[str, Origin]]:
     """The choices of a condition for environments without an instruction, where they were made."""
-    written = composing.find("condition", composed.choices["condition"])
+    written = find("condition", composed.choices["condition"])
     for group, choice in (composed.values["without_instruction"] or {}).items():
         place = written.places.get(f"without_instruction.{group}") if written else None
         if place and f"{group}={choice}" in composed.overrides:
@@ -243,7 +243,7 @@ def _row(part: str, known: dict[str, Origin], config: Config) -> Origin:
     if option in known and known[option].rule.startswith("command line"):
         return known[option]
     base, *changes = config.condition.split(",")
-    written = composing.find("condition", base)
+    written = find("condition", base)
     if written is not None and (place := written.places.get(option)):
         rule = "and what differs" if part == "title" and changes else ""
         return Origin(option, None, place, rule, place.comment)

@@ -1,15 +1,21 @@
-"""Configuration files as they are written: their values, each with its line and its comment."""
+"""Configuration files as they are written: their values, each with its line and its comment.
+
+A file is one configuration, or has a block for each of several: `configs/memory.yaml` has `lstm`.
+"""
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import yaml
+
+from zipf.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -23,12 +29,12 @@ class Place:
 
 @dataclass(frozen=True)
 class Written:
-    """A configuration as a file has it.
+    """A configuration, or a part of one, as a file has it.
 
     Attributes:
         values: what is written.
-        places: where each option is, such as `collector.num_envs`; of a choice of another group
-            it is `choose.<group>`.
+        places: where each option is, such as `collector.num_envs`; of what a list of defaults
+            chooses it is `choose.<group>`.
         place: where it begins; its comment is what the file says about it.
     """
 
@@ -36,22 +42,68 @@ class Written:
     places: dict[str, Place]
     place: Place
 
+    def part(self, option: str) -> Written:
+        """What is written below an option."""
+        values = self.values
+        for name in option.split("."):
+            values = values[name]
+        below = f"{option}."
+        places = {
+            name.removeprefix(below): place
+            for name, place in self.places.items()
+            if name.startswith(below)
+        }
+        return Written(values, places, self.places[option])
+
 
 def read(file: Path) -> Written:
     """A file as one configuration.
 
     Raises:
-        yaml.YAMLError: it is no YAML.
-        OSError: it cannot be read.
+        UserError: it is no YAML, or cannot be read.
     """
-    return _read(file, file.stat().st_mtime_ns)
+    return _read(*_version(file))[0]
+
+
+def blocks(file: Path) -> dict[str, Written]:
+    """The blocks of a file by name; what is said about one is in the comment above it.
+
+    Raises:
+        UserError: it is no YAML, has no blocks, or cannot be read.
+    """
+    whole, above = _read(*_version(file))
+    if not isinstance(whole.values, dict):
+        raise UserError(
+            f"{file}: should have a block for each choice, such as 'mine: {{size: 64}}'"
+        )
+    found = {}
+    for name in whole.values:
+        block = whole.part(name)
+        found[name] = replace(block, place=replace(block.place, comment=above[name]))
+    return found
+
+
+def _version(file: Path) -> tuple[Path, int]:
+    try:
+        return file, file.stat().st_mtime_ns
+    except OSError as error:
+        raise UserError(f"{file}: cannot be read: {error.strerror}") from None
 
 
 @cache
-def _read(file: Path, _: int) -> Written:
-    lines = _Lines(file)
-    places = dict(_places(lines.root, lines)) if lines.root is not None else {}
-    return Written(lines.values(lines.root), places, Place(file, 1, lines.above(0)))
+def _read(file: Path, _: int) -> tuple[Written, dict[str, str]]:
+    """A file, and the comments above its blocks."""
+    try:
+        lines = _Lines(file)
+        places = dict(_places(lines.root, lines))
+        whole = Written(lines.values(), places, Place(file, 1, lines.above(0)))
+    except yaml.YAMLError as error:
+        raise UserError(f"{file}: is not a configuration: {' '.join(str(error).split())}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{file}: cannot be read: {error}") from None
+    return whole, {
+        name: lines.above(place.line - 1) for name, place in places.items() if "." not in name
+    }
 
 
 class _Lines:
@@ -61,24 +113,20 @@ class _Lines:
         self.file = file
         text = file.read_text(encoding="utf-8")
         self.lines = text.splitlines()
-        self.loader = _Loader(text)
-        self.root = self.loader.get_single_node()
+        self._loader = _Loader(text)
+        self.root = self._loader.get_single_node()
 
-    def values(self, node: yaml.Node | None) -> Any:
-        return None if node is None else self.loader.construct_document(node)
+    def values(self) -> Any:
+        return None if self.root is None else self._loader.construct_document(self.root)
 
     def above(self, line: int) -> str:
         """The comment in the lines that begin or, of a block, precede it, as one line."""
         first = line
         while first and self.lines[first - 1].startswith("#"):
             first -= 1
-        found = []
-        for text in self.lines[first:]:
-            if not text.startswith("#"):
-                break
-            if not text.startswith("# @package"):
-                found.append(text.removeprefix("#").strip())
-        return " ".join(found)
+        found = itertools.takewhile(lambda text: text.startswith("#"), self.lines[first:])
+        said = (text.removeprefix("#").strip() for text in found)
+        return " ".join(text for text in said if not text.startswith("@package"))
 
     def comment(self, line: int, column: int) -> str:
         """What follows an option whose value ends there, both counted from 0."""
