@@ -2,16 +2,14 @@
 
 import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import get_args
 
 from tables import code, described, markdown
 
-from zipf.experiments.options import command_line, composing
+from zipf.experiments.options import composing, config_files
+from zipf.experiments.options.config_files import CONFIG_DIR
 from zipf.experiments.options.schema import schema
 from zipf.options import Options, name_of
-
-CONFIGS = Path(__file__).parent.parent / "configs"
 
 
 def groups(folder: str) -> list[str]:
@@ -20,7 +18,7 @@ def groups(folder: str) -> list[str]:
         ("Part", "Choices"),
         (
             (f"[{code(group)}]({folder}/{group}.md)", ", ".join(map(code, choices)))
-            for group, choices in ((one, classes(one)) for one in command_line.parts())
+            for group, choices in ((one, classes(one)) for one in config_files.parts())
         ),
     )
 
@@ -34,9 +32,23 @@ def parts(group: str) -> list[str]:
         shared = sum(one.__module__ == options.__module__ for one in found.values()) > 1
         own = name == "none" or shared  # the module of `none` is about the others
         lines += [f"## {code(name)}", "", *described(options if own else module), ""]
-        values = (CONFIGS / group / f"{name}.yaml").read_text(encoding="utf-8").rstrip()
-        lines += [f'```yaml title="configs/{group}/{name}.yaml"', *values.splitlines(), "```", ""]
+        lines += [*_values(group, name), ""]
     return lines[:-1]
+
+
+def _values(group: str, name: str) -> list[str]:
+    """What `configs/` has for a choice, with the comment above it."""
+    written = config_files.find(group, name)
+    assert written is not None
+    place = written.place
+    text = place.file.read_text(encoding="utf-8").splitlines()
+    first, last = place.line - 1, place.line
+    while first and text[first - 1].startswith("#"):
+        first -= 1
+    while last < len(text) and text[last].startswith("  ") and not text[first].startswith(" "):
+        last += 1
+    title = place.file.relative_to(CONFIG_DIR.parent).as_posix()
+    return [f'```yaml title="{title}"', *text[first:last], "```"]
 
 
 def classes(group: str) -> Mapping[str, type[Options]]:

@@ -49,7 +49,7 @@ import yaml
 
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint
-from zipf.experiments.options import command_line
+from zipf.experiments.options import command_line, config_files
 from zipf.experiments.records.learned_options import flatten
 
 SMALL = [
@@ -459,7 +459,7 @@ def soak_lines(count: int, draw: random.Random, folder: Path) -> Counter[str]:
     """Gives `zipf.train --cfg job` malformed command lines."""
     tally: Counter[str] = Counter()
     options = flatten(command_line.composed("experiment=demo").values)
-    groups = ["experiment", "condition", "environment", *command_line.parts()]
+    groups = ["experiment", "condition", "environment", *config_files.parts()]
     for number in range(count):
         overrides = malformed(draw, options, groups)
         outcome = run("zipf.train", [*overrides, "--cfg", "job"], folder / "output")

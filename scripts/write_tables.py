@@ -23,7 +23,7 @@ import tail_table
 from tables import code, markdown
 
 from zipf import envs
-from zipf.experiments.options import catalogue, command_line, composing
+from zipf.experiments.options import catalogue, composing, config_files
 
 ROOT = Path(__file__).parent.parent
 MARKS = re.compile(
@@ -157,7 +157,7 @@ def new_pages() -> dict[Path, str]:
     for name in envs.families():
         blocks = (f"family {name}", f"levels {name}", f"constructor_options {name}")
         found[ROOT / "docs" / "environments" / f"{name}.md"] = (name.capitalize(), blocks)
-    for group in command_line.parts():
+    for group in config_files.parts():
         found[ROOT / "docs" / "agents" / f"{group}.md"] = (group.capitalize(), (f"parts {group}",))
     places = "<!-- {} -->\n<!-- /{} -->\n"
     return {

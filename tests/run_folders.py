@@ -13,7 +13,7 @@ import yaml
 from matplotlib.figure import Figure
 
 from zipf import envs, report
-from zipf.experiments.options import command_line, composing
+from zipf.experiments.options import command_line, config_files
 from zipf.experiments.records import checksums, results
 from zipf.experiments.reporting import draw_matplotlib, panels, tables, windows
 
@@ -22,7 +22,8 @@ EVALUATIONS = "update,frames,seconds,level_kind,level,episodes,score,success,ret
 SITUATIONS = "update,level_kind,map,target,episodes,successes,return_sum"
 CONFIG = "agent:\n  learning_rate: 0.001\n"
 BLIND = {"train": 0.6265, "uniform": 0.05, "rare": 0.0}
-ROWS = {name: composing.condition_file(name)["row"] for name in command_line.choices("condition")}
+CONDITIONS = command_line.choices("condition")
+ROWS = {name: config_files.find("condition", name).values["row"] for name in CONDITIONS}
 Scores = Mapping[int, Sequence[float]]  # of every level, by update
 
 

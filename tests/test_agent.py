@@ -10,7 +10,6 @@ import pytest
 import torch
 from conftest import assert_equal
 from networks import compact
-from omegaconf import OmegaConf
 
 from zipf.agents.agent import Agent, AgentSpec, agents, register
 from zipf.agents.auxiliary.reconstruction import VisionOptions
@@ -18,7 +17,7 @@ from zipf.agents.episodic import DictionaryOptions
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
-from zipf.experiments.options.composing import CONFIG_DIR
+from zipf.experiments.options.config_files import find
 from zipf.experiments.training.collector import Collector
 from zipf.options import Options
 
@@ -31,7 +30,7 @@ LSTM = LSTMOptions(name="lstm", size=8, layers=1)
 
 def options_of(name):
     """An agent's options as shipped, small and at once ready to learn."""
-    values = OmegaConf.to_container(OmegaConf.load(CONFIG_DIR / "agent" / f"{name}.yaml"))
+    values = dict(find("agent", name).values)
     if name == "r2d2":
         values |= {"burn_in": 2, "replay_min": WORLDS, "replay_capacity": 64, "storage": "ram"}
     if name == "vmpo":
@@ -192,7 +191,7 @@ def test_separate_acting_does_not_change_what_is_saved(name):
 
 ROWS = DictionaryOptions.model_validate(
     {
-        **OmegaConf.to_container(OmegaConf.load(CONFIG_DIR / "episodic" / "dictionary.yaml")),
+        **find("episodic", "dictionary").values,
         "capacity": 16,
         "key_size": 4,
     }

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from omegaconf import OmegaConf
 from worlds_of import chosen, kind_of_worlds, needs
 
 import zipf.envs
@@ -16,11 +15,11 @@ from zipf.agents.impala import Impala
 from zipf.envs.gridworld import GridworldOptions
 from zipf.errors import UserError
 from zipf.experiments.building import feasibility
-from zipf.experiments.options import command_line, composing, schema
+from zipf.experiments.options import command_line, config_files, schema
 from zipf.experiments.sweeping import sweeps
 
 EXPERIMENTS = command_line.choices("experiment")
-GROUPS = [group for group in command_line.parts() if group != "agent"]
+GROUPS = [group for group in config_files.parts() if group != "agent"]
 CHOICES = [(group, choice) for group in GROUPS for choice in command_line.choices(group)]
 
 
@@ -45,7 +44,7 @@ def test_every_choice_goes_with_every_kind_of_worlds(experiment, group, choice):
 
 
 def test_every_condition_says_how_tables_show_it():
-    files = [composing.condition_file(name) for name in CONDITIONS_OF_TABLES]
+    files = [config_files.find("condition", name).values for name in CONDITIONS_OF_TABLES]
     rows = [schema.RowOptions(**file["row"]) for file in files]
     assert len({row.title for row in rows}) == len({row.order for row in rows}) == len(rows)
     assert len({(row.colour, row.line) for row in rows}) == len(rows)
@@ -67,13 +66,14 @@ def test_every_condition_goes_with_every_experiment(experiment, condition):
     assert loaded.condition == condition
     assert {part: getattr(loaded, part).name for part in parts} == parts
     plain = command_line.load([f"experiment={experiment}", "condition=impala"])
-    others = set(command_line.parts()) - {"agent", "memory", "auxiliary", *parts}
+    others = set(config_files.parts()) - {"agent", "memory", "auxiliary", *parts}
     for part in ("environment", "evaluation", "schedule", *others):
         assert getattr(loaded, part) == getattr(plain, part)
     collector = plain.collector.model_dump()
-    for file in (composing.CONFIG_DIR / "values").glob(f"*/{parts['agent']}_collector.yaml"):
-        if experiment.startswith(file.parent.name):  # `demo_conditions` has the values of `demo`
-            collector |= OmegaConf.to_container(OmegaConf.load(file))
+    file = config_files.find("experiment", experiment).values
+    like = config_files.find("experiment", file.get("like", experiment)).values
+    agents = like.get("agent", {}) | file.get("agent", {})
+    collector |= agents.get(parts["agent"], {}).get("/collector", {})
     assert loaded.collector.model_dump() == collector
     if parts["agent"] == "impala":
         assert loaded.agent == plain.agent
@@ -559,7 +559,7 @@ def test_a_number_needs_more_than_a_comment():
 
 
 def test_every_number_has_a_source():
-    for path in composing.CONFIG_DIR.glob("**/*.yaml"):
+    for path in config_files.CONFIG_DIR.glob("**/*.yaml"):
         text, _, _ = path.read_text().partition("\nhydra:\n")  # what follows is about the command
         assert without_source(text) == [], path
     for path in Path(zipf.envs.__file__).parent.glob("*/__init__.py"):

@@ -10,7 +10,7 @@ from conftest import call, run
 
 from zipf.envs import family
 from zipf.errors import UserError
-from zipf.experiments.options import catalogue, command_line, composing
+from zipf.experiments.options import catalogue, command_line, config_files
 
 WORLD = """
     from functools import partial
@@ -226,10 +226,10 @@ def test_worlds_that_no_plugin_has_registered_are_told_how_to(folder):
     ],
 )
 def test_mistakes_in_a_users_file_are_one_clear_line(file, text, message, tmp_path, monkeypatch):
-    monkeypatch.setattr(composing, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folders", [])
     (tmp_path / file).mkdir()
     (tmp_path / file / "mine.yaml").write_text(text)
-    composing.add_folder(tmp_path)
+    config_files.add_folder(tmp_path)
     chosen = {"experiment": "demo", "condition": "impala", file: "mine"}
     with pytest.raises(UserError, match=message) as error:
         command_line.load([f"{group}={name}" for group, name in chosen.items()])
@@ -237,20 +237,20 @@ def test_mistakes_in_a_users_file_are_one_clear_line(file, text, message, tmp_pa
 
 
 def test_a_condition_needs_no_title(tmp_path, monkeypatch):
-    monkeypatch.setattr(composing, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folders", [])
     (tmp_path / "condition").mkdir()
     text = "# @package _global_\ncondition: mine\nrow: {order: 1}\n"
     (tmp_path / "condition" / "mine.yaml").write_text(text)
-    composing.add_folder(tmp_path)
+    config_files.add_folder(tmp_path)
     assert command_line.load(["experiment=demo", "condition=mine"]).row.title == "mine"
     assert catalogue.conditions()["mine"].order == 1
 
 
 @pytest.mark.parametrize("name", ["it's conf", "a\\b, c]", "ends in \\", "both\\'"])
 def test_a_folder_of_any_name_has_configurations(name, tmp_path, monkeypatch):
-    monkeypatch.setattr(composing, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folders", [])
     (tmp_path / name / "condition").mkdir(parents=True)
     (tmp_path / name / "condition" / "eager.yaml").write_text(textwrap.dedent(CONDITION))
-    composing.add_folder(tmp_path / name)
+    config_files.add_folder(tmp_path / name)
     config = command_line.load(["experiment=demo", "condition=eager"])
     assert config.agent.discount == 0.5

@@ -10,7 +10,6 @@ import pytest
 import torch
 from conftest import TINY, assert_equal, learned, untimed
 from networks import compact
-from omegaconf import OmegaConf
 from recall import Recall
 from tensordict import TensorDict
 
@@ -28,7 +27,7 @@ from zipf.experiments.building import checkpoint, feasibility, run_folder
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.evaluation.trained import load_agent
-from zipf.experiments.options import command_line, composing
+from zipf.experiments.options import command_line, config_files
 from zipf.experiments.options.schema import schema
 from zipf.experiments.training import runner
 from zipf.experiments.training.collector import Collector
@@ -663,9 +662,7 @@ def test_impossible_options_are_reported_before_a_run(tmp_path):
 
 def test_the_papers_values():
     """The paper's table for the playroom's lifting tasks."""
-    options = R2D2Options.model_validate(
-        OmegaConf.to_container(OmegaConf.load(composing.CONFIG_DIR / "agent" / "r2d2.yaml"))
-    )
+    options = R2D2Options.model_validate(config_files.find("agent", "r2d2").values)
     assert options.importance_exponent == 0.6
     assert options.priority_max_weight == 0.5
     assert options.epsilon == 0.125

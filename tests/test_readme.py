@@ -15,7 +15,7 @@ import zipf.report
 from zipf import compiled, envs, plugins
 from zipf.envs import family
 from zipf.experiments.building import feasibility
-from zipf.experiments.options import command_line, composing
+from zipf.experiments.options import command_line, config_files
 from zipf.experiments.options.schema import Config, EvaluateOptions
 from zipf.experiments.playing import videos
 from zipf.experiments.playing.playing import PlayOptions
@@ -42,7 +42,7 @@ def section(page: str, heading: str) -> str:
 def forgotten(own_registries, monkeypatch):
     """What code registers is forgotten after the test."""
     monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
-    monkeypatch.setattr(composing, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folders", [])
     monkeypatch.setattr(plugins, "_config_folders", [])
 
 
@@ -91,7 +91,7 @@ def overrides_of(arguments: list[str]) -> list[str]:
         words = words[: words.index("--cfg")]
     if "--config-dir" in words:
         i = words.index("--config-dir")
-        composing.add_folder(words[i + 1])
+        config_files.add_folder(words[i + 1])
         del words[i : i + 2]
     # Launchers are of the command, not of its jobs.
     return [word for word in words if not word.startswith("hydra")]
@@ -279,7 +279,7 @@ def test_the_options_of_the_table_exist():
             assert name in annotation.model_fields, option
 
 
-@pytest.mark.parametrize("group", [part for part in command_line.parts() if part != "agent"])
+@pytest.mark.parametrize("group", [part for part in config_files.parts() if part != "agent"])
 def test_the_table_explains_every_choice(group):
     row = re.search(rf"^\| `{group}` \| group(.*)$", TEXT["docs/configuration.md"], re.M)
     assert row

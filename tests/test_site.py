@@ -11,7 +11,7 @@ from mkdocs.exceptions import PluginError
 from pages import DOCS, ROOT
 
 from zipf import envs
-from zipf.experiments.options import command_line
+from zipf.experiments.options import config_files
 
 
 class Loader(yaml.SafeLoader):
@@ -49,7 +49,7 @@ def test_every_script_is_named_where_a_maintainer_looks():
 
 def test_every_family_and_part_of_an_agent_has_a_page():
     assert {f"environments/{name}.md" for name in envs.families()} <= set(PLACES)
-    assert {f"agents/{group}.md" for group in command_line.parts()} <= set(PLACES)
+    assert {f"agents/{group}.md" for group in config_files.parts()} <= set(PLACES)
 
 
 @pytest.mark.parametrize("page", [f"environments/{name}.md" for name in envs.families()])

@@ -16,8 +16,8 @@ from worlds_of import chosen, needs
 from zipf import envs, report
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, run_folder
-from zipf.experiments.options import command_line, composing
-from zipf.experiments.options.catalogue import help_text
+from zipf.experiments.options import command_line, composing, config_files
+from zipf.experiments.options.catalogue import help_text, summary
 from zipf.experiments.records.paper import paper_table
 from zipf.experiments.sweeping import job, sweep, sweeps
 from zipf.experiments.training import runner
@@ -65,10 +65,8 @@ def test_the_papers_sweeps_have_all_its_experiments():
 
 def test_the_tail_is_what_the_paper_has_not():
     found = pairs(expanded("sweep=tail", "seed=0"))
-    files = {
-        name: composing.find_file("condition", name) for name in composing.choices("condition")
-    }
-    tail = {name for name, path in files.items() if "Not in the paper" in path.read_text()}
+    files = {name: summary("condition", name) for name in composing.choices("condition")}
+    tail = {name for name, told in files.items() if "Not in the paper" in told}
     wanted = {
         "gridworld_conditions": set(files),
         "playroom_lift_compact": {"impala", *tail},
@@ -101,7 +99,7 @@ def test_overrides_apply_to_all_jobs_of_a_sweep():
 @pytest.fixture
 def own(tmp_path, monkeypatch):
     """A function that writes a sweep of one's own, `mine`."""
-    monkeypatch.setattr(composing, "_user_folders", [tmp_path / "configs"])
+    monkeypatch.setattr(config_files, "_user_folders", [tmp_path / "configs"])
     path = tmp_path / "configs" / "sweep" / "mine.yaml"
     path.parent.mkdir(parents=True)
     return path.write_text

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import tiny_gridworld
 import torch
-import yaml
 from conftest import random_unroll
 from networks import compact
 
@@ -16,7 +15,7 @@ from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.vmpo import SMALLEST_DUAL, VMPO, VMPOOptions, is_top, vmpo_losses
 from zipf.experiments.building import checkpoint, run_folder
-from zipf.experiments.options import command_line, composing
+from zipf.experiments.options import command_line, config_files
 from zipf.experiments.training.runner import Run
 
 ACTIONS, STEPS, BATCH = 3, 5, 5
@@ -392,7 +391,7 @@ def test_state_dict_continues_bit_for_bit(precision):
 
 
 def shipped():
-    return yaml.safe_load((composing.CONFIG_DIR / "agent" / "vmpo.yaml").read_text())
+    return config_files.find("agent", "vmpo").values
 
 
 def test_the_papers_values():

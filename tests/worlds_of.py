@@ -4,7 +4,7 @@ from functools import cache
 
 from zipf import envs
 from zipf.agents import agents
-from zipf.experiments.options import composing
+from zipf.experiments.options import composing, config_files
 
 
 @cache
@@ -70,13 +70,8 @@ def needs(
 
 def chosen(experiment, condition):
     """What a condition's file chooses for these worlds, by group."""
-    file = composing.condition_file(condition)
-    parts = {
-        key.removeprefix("override /"): value
-        for entry in file["defaults"]
-        if isinstance(entry, dict)
-        for key, value in entry.items()
-    }
+    file = config_files.find("condition", condition).values
+    parts = dict(file["choose"])
     if not speaks(experiment):
         parts |= file.get("without_instruction", {})
     return parts

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import signal
 import sys
+from pathlib import Path
 
 import hydra
 from hydra._internal.utils import get_args_parser
@@ -17,8 +19,11 @@ from omegaconf.errors import OmegaConfBaseException
 import zipf
 from zipf.errors import TOLD, UserError, tell
 from zipf.experiments import cluster
+from zipf.experiments.building import run_folder
 from zipf.experiments.cluster import torchrun
-from zipf.experiments.options import catalogue, command_line, composing
+from zipf.experiments.options import catalogue, command_line, composing, config_files, explaining
+from zipf.experiments.options.config_files import CONFIG_DIR, PRIMARY
+from zipf.experiments.options.schema import Config
 from zipf.experiments.sweeping import sweep, sweeps
 from zipf.experiments.training import runner
 from zipf.output import keep_going
@@ -27,7 +32,7 @@ from zipf.output import keep_going
 OmegaConf.register_new_resolver("zipf_choices", catalogue.help_text, replace=True)
 
 
-@hydra.main(version_base="1.3", config_path=str(composing.CONFIG_DIR), config_name="train")
+@hydra.main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=PRIMARY)
 def _run(_: DictConfig) -> None:
     try:
         config = command_line.load(list(HydraConfig.get().overrides.task))
@@ -65,16 +70,20 @@ def _main() -> int:
     if "--version" in sys.argv[1:]:  # Hydra would tell its own
         print(f"zipf {zipf.__version__}")
         return 0
-    arguments = _parse(sys.argv[1:])
-    flags = [word for word in sys.argv[1:] if word not in arguments.overrides]
+    words, asked = _asked_to_explain(sys.argv[1:])
+    arguments = _parse(words)
+    flags = [word for word in words if word not in arguments.overrides]
     if arguments.help:  # shows the options of one run
         arguments.overrides = sweeps.of_all_jobs(arguments.overrides)
     sys.argv[1:] = [*flags, *arguments.overrides]  # Hydra wants all overrides together
     asks = ("help", "hydra_help", "info", "shell_completion")
     _check_flags(arguments)
     if arguments.config_dir:
-        composing.add_folder(arguments.config_dir)
+        config_files.add_folder(arguments.config_dir)
     composing.load_plugins(command_line.plugins_of(arguments.overrides))
+    if asked is not None:
+        _explain(asked, arguments.overrides)
+        return 0
     if not any(getattr(arguments, name, None) for name in asks):
         if arguments.multirun:
             return sweep.run(arguments.overrides, arguments.config_dir)
@@ -90,6 +99,43 @@ def _main() -> int:
     sys.argv += [path for path in [composing.search_path()] if path]
     _run()
     return 0
+
+
+def _asked_to_explain(words: list[str]) -> tuple[list[str], list[str] | None]:
+    """The words without `--explain` and what follows it, and the latter: a part of the options, a
+    run's folder, or both; None without `--explain`."""
+    if "--explain" not in words:
+        return words, None
+    start = end = words.index("--explain") + 1
+    while end < len(words) and not words[end].startswith("-"):
+        if "=" in words[end] and not Path(words[end]).is_dir():
+            break
+        end += 1
+    return words[: start - 1] + words[end:], words[start:end]
+
+
+def _explain(asked: list[str], overrides: list[str]) -> None:
+    """Prints where options come from. Raises `UserError` for mistakes."""
+    folders = [word for word in asked if Path(word).is_dir() and word not in Config.model_fields]
+    parts = [word for word in asked if word not in folders]
+    if len(folders) > 1 or len(parts) > 1:
+        raise UserError(f"--explain {' '.join(asked):.200}: name one group or option, or one run")
+    if folders:
+        others = [word for word in overrides if not word.startswith("plugins=")]
+        if others:
+            raise UserError(
+                f"--explain {folders[0]:.200}: a run has its options; leave out {others[0]}"
+            )
+        folder = Path(folders[0])
+        config = run_folder.read_config(folder, command_line.plugins_of(overrides))
+        command = run_folder.last_command(folder)
+        origins = explaining.explain_run(config, command, folder / "config.yaml")
+    else:
+        if len(jobs := sweeps.check(overrides).jobs) > 1:
+            raise UserError(f"--explain: is about one run, and this is a sweep of {len(jobs)} jobs")
+        origins = explaining.explain(overrides)
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    print(explaining.report(origins, *parts, width=width))
 
 
 def _parse(words: list[str]) -> argparse.Namespace:

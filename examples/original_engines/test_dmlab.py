@@ -23,7 +23,7 @@ from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.testing import check_vector_env
 from zipf.evaluate import score
 from zipf.experiments.building import run_folder
-from zipf.experiments.options import command_line, composing
+from zipf.experiments.options import command_line, config_files
 from zipf.experiments.options.schema import Config
 from zipf.experiments.playing.playing import PlayOptions, play
 from zipf.experiments.training import runner
@@ -238,7 +238,7 @@ def test_runs_are_trained_and_resumed(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(Path(__file__).parent)
 
     def load(name: str) -> Config:
-        composing.add_folder("configs")
+        config_files.add_folder("configs")
         return command_line.load(
             ["experiment=dmlab_forward", *SHORT, f"run_root={tmp_path / name}"]
         )

@@ -224,7 +224,9 @@ class _Check:
         for name in names if done.any() else ():
             require_same(info[f"_{name}"], done, f"{where}: info['_{name}']")
             for i in np.flatnonzero(done):
-                require_same(row_of(info[name], i), last[i][name], f"{where}: {name} of world {i}")
+                require_same(
+                    row_of(info[name], int(i)), last[i][name], f"{where}: {name} of world {i}"
+                )
 
     def _singles(self) -> list[gym.Env]:
         return [self.make_single() for _ in range(self.n)]

@@ -349,6 +349,13 @@ def read_description(folder: Path) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
+def last_command(folder: Path) -> str:
+    """The command that last went on with a run. Raises `UserError` as `read_description`."""
+    description = read_description(folder)
+    began: str = (description["resumed"] or [description])[-1]["command"]
+    return began
+
+
 _REMEDY = "restore it from a copy, or remove the run's folder to train anew"
 
 

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from zipf import envs
 from zipf.errors import UserError
 from zipf.experiments.options import composing
+from zipf.experiments.options.config_files import find
 from zipf.experiments.options.schema import RowOptions
 
 EXPLAINED = ("experiment", "condition", "environment")
@@ -41,8 +42,9 @@ def condition_row(name: str) -> RowOptions:
     Raises:
         UserError: the file says what a row cannot be.
     """
-    row = composing.condition_file(name).get("row") or {}
-    path = composing.find_file("condition", name)
+    written = find("condition", name)
+    row = (written.values.get("row") if written else None) or {}
+    path = written.place.file if written else ""
     if not isinstance(row, dict):
         raise UserError(f"{path}: row={row}: should be a mapping, such as row: {{title: {name}}}")
     try:
@@ -54,17 +56,9 @@ def condition_row(name: str) -> RowOptions:
 
 
 def summary(group: str, name: str) -> str:
-    """The comment at the top of a choice's file, on one line; empty without a file."""
-    path = composing.find_file(group, name)
-    if path is None:
-        return ""
-    lines: list[str] = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if not line.startswith("#"):
-            break
-        if not line.startswith("# @package"):
-            lines.append(line.removeprefix("#").strip())
-    return " ".join(lines)
+    """What the comment above a choice says, on one line; empty for one that is in no file."""
+    written = find(group, name)
+    return written.place.comment if written else ""
 
 
 def help_text() -> str:

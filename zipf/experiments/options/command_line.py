@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from zipf.errors import UserError
 from zipf.experiments.building import feasibility
-from zipf.experiments.options import composing
+from zipf.experiments.options import composing, config_files
 from zipf.experiments.options.catalogue import condition_row
 from zipf.experiments.options.composing import Composed, choices, composed, groups
 from zipf.experiments.options.schema import (
@@ -59,6 +59,11 @@ def read(overrides: list[str]) -> Config:
         UserError: with one line for every unknown or mistyped option; where there are any, also
             for those that do not fit each other.
     """
+    return read_composed(overrides)[0]
+
+
+def read_composed(overrides: list[str]) -> tuple[Config, Composed]:
+    """As `read`, with what the configuration was made from."""
     parsed = parse(overrides)
     composing.load_plugins(_plugins(parsed))
     known, problems = _known(parsed)
@@ -80,7 +85,7 @@ def read(overrides: list[str]) -> Config:
         problems += feasibility.problems(config) if problems else ()
     if problems:
         raise UserError("\n".join(problems))
-    return config
+    return config, composed
 
 
 def plugins_of(overrides: list[str]) -> list[str]:
@@ -144,12 +149,6 @@ def without_dashes(flag: str) -> str:
         f"{flag:.200}: no such flag; options have no dashes: {name}={value or '<value>'} "
         "(--help shows them)"
     )
-
-
-def parts() -> list[str]:
-    """The groups whose choices say how is learned: agent, memory, network and so on."""
-    others = {"experiment", "condition", "environment"}
-    return [name for name in Config.model_fields if name in set(groups()) - others]
 
 
 def nearest(name: str, accepted: list[str]) -> str:
@@ -365,12 +364,12 @@ def _name(composed: Composed) -> str:
             if chosen[group] != plain:
                 name += f"_{_IN_NAMES.get(chosen[group], chosen[group])}"
     start = [f"experiment={chosen['experiment']}"]
-    compared = [part for part in parts() if part not in ("agent", *_PLAIN)]
+    compared = [part for part in config_files.parts() if part not in ("agent", *_PLAIN)]
     if name in choices("condition"):
         start.append(f"condition={name}")
         compared += ["agent", *_PLAIN]
     usual = _compose_condition(*start).choices
-    other = [group for group in parts() if chosen[group] != usual[group]]
+    other = [group for group in config_files.parts() if chosen[group] != usual[group]]
     base = flatten(_compose_condition(*start, *(f"{g}={chosen[g]}" for g in other)).values)
     for group in compared:
         if group in other:

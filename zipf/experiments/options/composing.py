@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,25 +20,20 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-import zipf
 from zipf import envs, plugins
 from zipf.errors import UserError
+from zipf.experiments.options import config_files
+from zipf.experiments.options.config_files import find
+from zipf.experiments.options.written import Written, read
 from zipf.options import Options
 from zipf.registry import registries
 
-_PACKAGE = Path(zipf.__file__).parent
-# In the wheel `configs/` lies inside the package; in a checkout it lies beside it.
-CONFIG_DIR = next(
-    path for path in (_PACKAGE / "configs", _PACKAGE.parent / "configs") if path.is_dir()
-)
-
 _SEED = re.compile(r"seed=\d{1,18}")
-
-_user_folders: list[Path] = []
 
 
 @dataclass(frozen=True)
@@ -47,27 +43,26 @@ class Composed:
     Attributes:
         values: the options, nested.
         choices: the choice in each group; `"None"` for no choice.
+        overrides: what it was composed with.
     """
 
     values: dict[str, Any]
     choices: dict[str, str]
+    overrides: tuple[str, ...] = ()
 
 
-def add_folder(folder: str | Path) -> None:
-    """Adds a folder of the user's, laid out like `configs/` (`--config-dir`).
+@dataclass(frozen=True)
+class Layers:
+    """What a configuration is composed of.
 
-    Raises:
-        UserError: there is no such folder.
+    Attributes:
+        configs: names of configurations, such as `agent/impala`, each with the group of options
+            that it has; "" for all. Later ones override earlier ones.
+        chosen: the configuration that makes the choice in a group, unless an override does.
     """
-    try:
-        path = Path(folder).expanduser().resolve()
-        found = path.is_dir()
-    except (OSError, RuntimeError):  # too long a name, or no such user's home
-        found = False
-    if not found:
-        raise UserError(f"--config-dir {folder!s:.200}: there is no such folder")
-    if path not in _user_folders:
-        _user_folders.append(path)
+
+    configs: list[tuple[str, str]]
+    chosen: dict[str, str]
 
 
 def load_plugins(modules: Iterable[str]) -> None:
@@ -81,12 +76,12 @@ def load_plugins(modules: Iterable[str]) -> None:
         plugins.load(modules)
     except ImportError as error:
         raise UserError(f"plugins: cannot import {error}") from None
-    _store_registered()
+    _store()
 
 
 def search_path() -> str:
     """The override that makes Hydra find configurations outside `configs/`; empty for none."""
-    folders = ",".join(quoted(f"file://{folder}") for folder in _folders()[1:])
+    folders = ",".join(quoted(f"file://{folder}") for folder in config_files.folders()[1:])
     return f"hydra.searchpath=[{folders}]" if folders else ""
 
 
@@ -101,15 +96,12 @@ def quoted(text: str) -> str:
 
 def groups() -> list[str]:
     """The groups that have choices."""
-    found = {path.name for folder in _folders() for path in folder.iterdir() if path.is_dir()}
-    others = {"values", "sweep", "hydra"}  # values are chosen by the other groups
-    return sorted((found | _registered().keys()) - others)
+    return sorted(config_files.groups() | _registered().keys())
 
 
 def choices(group: str) -> list[str]:
     """The names that can be chosen in a group."""
-    files = {path.stem for folder in _folders() for path in (folder / group).glob("*.yaml")}
-    return sorted(files | _registered().get(group, {}).keys())
+    return sorted(config_files.choices(group) | _registered().get(group, {}).keys())
 
 
 def composed(*overrides: str) -> Composed:
@@ -140,26 +132,72 @@ def _resolved(search_path: str, *overrides: str) -> Composed:
     for group in ("experiment", "condition"):
         if isinstance(values[group], dict):
             raise UserError(
-                f"{find_file(group, choices[group])}: should begin with '# @package _global_'"
+                f"{_file_of(group, choices[group])}: should begin with '# @package _global_'"
             )
-    return Composed({str(k): v for k, v in values.items()}, choices)
+    return Composed({str(k): v for k, v in values.items()}, choices, overrides)
 
 
 @cache
 def _composed(search_path: str, *overrides: str) -> tuple[DictConfig, dict[str, str]]:
-    _store_registered()
-    backup = GlobalHydra.instance().hydra
-    GlobalHydra.instance().clear()
-    try:
-        with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-            given = [override for override in (search_path, *overrides) if override]
-            config = compose("train", given, return_hydra_config=True)
-    finally:
-        GlobalHydra.instance().hydra = backup
+    _store()
+    with _hydra():
+        given = [override for override in (search_path, *overrides) if override]
+        config = compose(config_files.PRIMARY, given, return_hydra_config=True)
     choices = {k: str(v) for k, v in config.hydra.runtime.choices.items()}
     OmegaConf.set_struct(config, False)
     del config["hydra"]
     return config, choices
+
+
+@contextmanager
+def _hydra() -> Iterator[None]:
+    """Hydra at `configs/`, also while it runs the command."""
+    backup = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
+    try:
+        with initialize_config_dir(str(config_files.CONFIG_DIR), version_base="1.3"):
+            yield
+    finally:
+        GlobalHydra.instance().hydra = backup
+
+
+def config(name: str) -> tuple[dict[str, Any], Written | None]:
+    """A configuration of `layers`, such as `agent/impala`: its values, and how it is written; None
+    for one that is registered in Python."""
+    group, _, choice = name.rpartition("/")
+    if (file := config_files.find_file(group, choice)) is not None:
+        written = read(file)
+        return written.values, written
+    if node := _nodes().get(name):
+        return node.values, node.written
+    return _registered()[group][choice], None
+
+
+def layers(*overrides: str) -> Layers:
+    """What the configuration of these overrides, which can be composed, is composed of."""
+    _store()
+    with _hydra():
+        loader = GlobalHydra.instance().config_loader()
+        given = [override for override in (search_path(), *overrides) if override]
+        found = loader.compute_defaults_list(config_files.PRIMARY, given, RunMode.RUN)
+    configs = [
+        (one.config_path, "" if one.package in (None, "_global_") else one.package)
+        for one in found.defaults
+        if one.config_path is not None and not one.config_path.startswith("hydra/")
+    ]
+    made = found.overrides.override_metadata
+    chosen = {
+        group: made[group].containing_config_path or "" if group in made else one.parent
+        for one in found.defaults
+        if (group := one.override_key) and (group in made or one.parent)
+    }
+    return Layers(configs, chosen)
+
+
+def _file_of(group: str, name: str) -> Path:
+    written = find(group, name)
+    assert written is not None
+    return written.place.file
 
 
 def told(error: Exception) -> str:
@@ -172,29 +210,11 @@ def told(error: Exception) -> str:
     return message
 
 
-def find_file(group: str, name: str) -> Path | None:
-    """The file of a choice; None for a name without a file."""
-    paths = (folder / group / f"{name}.yaml" for folder in _folders())
-    return next((path for path in paths if path.is_file()), None)
-
-
-def condition_file(condition: str) -> dict[str, Any]:
-    """The contents of a condition's file; empty for a name without a file.
-
-    Raises:
-        UserError: the file is not YAML.
-    """
-    path = find_file("condition", condition)
-    if path is None:
-        return {}
-    try:
-        return dict(OmegaConf.to_container(OmegaConf.load(path)) or {})  # type: ignore[arg-type]
-    except (YAMLError, OmegaConfBaseException, ValueError) as error:
-        raise UserError(f"{path}: is not a configuration: {error}") from None
-
-
-def _folders() -> list[Path]:
-    return [CONFIG_DIR, *_user_folders, *plugins.config_folders()]
+def options_class(group: str, name: str) -> type[Options]:
+    """The class of options of a choice that is registered in Python."""
+    if group == "environment":
+        return envs.families()[name].options_class
+    return agents()[name].Options if group == "agent" else auxiliaries()[name]
 
 
 def _registered() -> dict[str, dict[str, dict[str, Any]]]:
@@ -219,12 +239,34 @@ def _registered() -> dict[str, dict[str, dict[str, Any]]]:
     }
 
 
-def _store_registered() -> None:
-    store = ConfigStore.instance()
-    for group, choices in _registered().items():
-        for name, node in choices.items():
-            if find_file(group, name) is None:
-                store.store(group=group, name=name, node=node)
+def _store() -> None:
+    """Stores what is in our layout, and what is registered, where Hydra finds it."""
+    global _stored
+    store, nodes = ConfigStore.instance(), _nodes()
+    for path, node in nodes.items() if nodes is not _stored else ():
+        group, _, name = path.rpartition("/")
+        store.store(group=group or None, name=name, node=node.values, package=node.package)
+    _stored = nodes
+    for group, known in _registered().items():
+        for name, values in known.items():
+            if find(group, name) is None:
+                store.store(group=group, name=name, node=values)
+
+
+_stored: dict[str, config_files.Node] = {}  # what was stored last
+
+
+def _nodes() -> dict[str, config_files.Node]:
+    folders = config_files.folders()
+    places = ("*.yaml", "experiments/*.yaml", "experiment/*.yaml")
+    files = [path for folder in folders for one in places for path in sorted(folder.glob(one))]
+    return _nodes_of(tuple((path, path.stat().st_mtime_ns) for path in files))
+
+
+@cache
+def _nodes_of(files: tuple[tuple[Path, int], ...]) -> dict[str, config_files.Node]:
+    """The configurations in our layout in these files, of these times."""
+    return config_files.nodes()
 
 
 def _has_defaults(options: type[Options]) -> bool:

@@ -30,6 +30,7 @@ from omegaconf.errors import OmegaConfBaseException
 from zipf.errors import TOLD, UserError
 from zipf.experiments.building import run_folder
 from zipf.experiments.options import composing
+from zipf.experiments.options.config_files import CONFIG_DIR, PRIMARY
 from zipf.experiments.options.runtime import TorchrunOptions
 from zipf.experiments.sweeping import sweeps
 from zipf.experiments.sweeping.job import POLL, Board, Job, Jobs, Outcome, State, failed
@@ -187,11 +188,11 @@ def _launcher(overrides: list[str], run_root: list[str], task: Jobs) -> Launcher
     backup = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
     try:
-        with initialize_config_dir(str(composing.CONFIG_DIR), version_base="1.3", job_name="zipf"):
+        with initialize_config_dir(str(CONFIG_DIR), version_base="1.3", job_name="zipf"):
             hydra = GlobalHydra.instance().hydra
             assert hydra is not None
             config = hydra.compose_config(
-                config_name="train",
+                config_name=PRIMARY,
                 overrides=given,
                 run_mode=RunMode.RUN,
                 from_shell=False,

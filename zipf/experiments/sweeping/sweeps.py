@@ -1,8 +1,8 @@
 """From a command line to the jobs of a sweep: lists of values, and ready-made sweeps.
 
-A ready-made sweep is a file of `configs/sweep/`, or of a folder that a user or a plugin adds: a
-list of blocks, each with experiments, conditions, seeds and further overrides. `sweep=<name>` on
-the command line stands for its jobs.
+A ready-made sweep is in `configs/sweep.yaml`, or in a folder that a user or a plugin adds: a list
+of blocks, each with experiments, conditions, seeds and further overrides. `sweep=<name>` on the
+command line stands for its jobs.
 """
 
 from __future__ import annotations
@@ -12,18 +12,15 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated
 
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field, ValidationError
-from yaml import YAMLError
 
 from zipf import envs
 from zipf.errors import UserError
-from zipf.experiments.options import catalogue, command_line, composing
+from zipf.experiments.options import catalogue, command_line, composing, config_files
 from zipf.experiments.options.schema import Config, Seed
 from zipf.experiments.records.paper import conditions_of_the_paper, paper_table
 from zipf.options import Options
@@ -183,24 +180,20 @@ def read_blocks(name: str) -> list[Block]:
     Raises:
         UserError: there is none of that name, or its file is no list of blocks.
     """
-    path = composing.find_file("sweep", name)
-    if path is None:
+    written = config_files.find("sweep", name)
+    if written is None:
         told = command_line.nearest(name, composing.choices("sweep"))
         raise UserError(f"sweep={name}: no such sweep; {told}")
+    path, content = written.place.file, written.values
+    if not isinstance(content, list) or not content:
+        raise UserError(f"{path}: is no sweep: should be a list of blocks")
     try:
-        content: Any = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
-        if not isinstance(content, list) or not content:
-            raise ValueError("should be a list of blocks")
         return [Block.model_validate(block) for block in content]
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "a block"
         accepted = ", ".join(Block.model_fields)
         raise UserError(f"{path}: {where}: {first['msg']}; a block has {accepted}") from None
-    except (YAMLError, OmegaConfBaseException, ValueError) as error:
-        raise UserError(f"{path}: is no sweep: {' '.join(str(error).split())}") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _conditions(sweep: str, block: Block, experiment: str) -> dict[str, bool]:
