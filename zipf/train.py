@@ -135,7 +135,7 @@ def _explain(asked: list[str], overrides: list[str]) -> None:
             raise UserError(f"--explain: is about one run, and this is a sweep of {len(jobs)} jobs")
         origins = explaining.explain(overrides)
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    print(explaining.report(origins, *parts, width=width))
+    print(explaining.report(origins, "".join(parts), width))
 
 
 def _parse(words: list[str]) -> argparse.Namespace:

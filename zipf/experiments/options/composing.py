@@ -214,7 +214,7 @@ def options_class(group: str, name: str) -> type[Options]:
     """The class of options of a choice that is registered in Python."""
     if group == "environment":
         return envs.families()[name].options_class
-    return agents()[name].Options if group == "agent" else auxiliaries()[name]
+    return registries()[group].options[name]
 
 
 def _registered() -> dict[str, dict[str, dict[str, Any]]]:
