@@ -3,17 +3,17 @@
 import contextlib
 import re
 import shlex
+import subprocess
 import sys
 
 import pytest
-from pages import ROOT
 
 import zipf.evaluate
 import zipf.play
 import zipf.report
 import zipf.train
 from zipf import envs
-from zipf.experiments.options import command_line
+from zipf.experiments.options import catalogue, command_line
 from zipf.experiments.options.schema import EvaluateOptions
 from zipf.experiments.playing.playing import PlayOptions
 from zipf.experiments.reporting.windows import parse_window
@@ -122,10 +122,44 @@ def test_train_tells_its_options_in_the_words_of_a_sweep(words, monkeypatch, cap
 
 
 def test_examples_of_train_are_accepted():
-    """Those at the head of its help, which is in the file of all options."""
-    text = (ROOT / "configs" / "train.yaml").read_text(encoding="utf-8").split("template:")[1]
-    found = re.findall(r"^ +python -m zipf\.train (.*)$", text, re.MULTILINE)
+    """Those at the head of its help."""
+    found = re.findall(
+        r"^ +python -m zipf\.train (.*)$", catalogue.HELP.split("Examples:")[1], re.M
+    )
     assert len(found) >= 2
     for arguments in map(shlex.split, found):
-        words = [word for word in arguments if word not in ("-m", "--multirun")]
-        assert sweeps.check(words).jobs
+        words = arguments[: arguments.index("--explain")] if "--explain" in arguments else arguments
+        assert sweeps.check([word for word in words if word != "-m"]).jobs
+
+
+LIGHT = """
+import sys
+import zipf.train
+sys.argv = ["zipf.train", *sys.argv[1:]]
+try:
+    zipf.train.main()
+finally:
+    heavy = {"torch", "numba", "tensordict", "pandas", "matplotlib"} & sys.modules.keys()
+    assert not heavy, heavy
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        (["--help"], 0, "impala_mlp "),
+        (["--version"], 0, f"zipf {zipf.__version__}"),
+        (["experiment=demo", "seeed=1"], 2, "error: seeed: no such option; did you mean seed"),
+        (["experiment=gridworld_compact", "agent.discoun=1"], 2, "did you mean agent.discount"),
+        (["experiment=demo", "agent.burn_in=1"], 2, "no such option; agent=r2d2 has it"),
+        (["experiment=gridwrld"], 2, "no such experiment; did you mean gridworld"),
+        (["experiment=demo", "x=1", "updates=many"], 2, "error: updates=many: should be"),
+    ],
+    ids=str,
+)
+def test_help_and_misspelt_names_are_answered_without_what_learns(words, code, told):
+    command = [sys.executable, "-c", LIGHT, *words]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == code, done.stderr
+    assert told in done.stdout + done.stderr
+    assert "Traceback" not in done.stderr

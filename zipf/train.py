@@ -13,27 +13,25 @@ import hydra
 from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 import zipf
 from zipf.errors import TOLD, UserError, tell
-from zipf.experiments import cluster
-from zipf.experiments.building import run_folder
-from zipf.experiments.cluster import torchrun
-from zipf.experiments.options import catalogue, command_line, composing, config_files, explaining
+from zipf.experiments.options import catalogue, command_line, composing, config_files
 from zipf.experiments.options.config_files import CONFIG_DIR, PRIMARY
 from zipf.experiments.options.schema import Config
-from zipf.experiments.sweeping import sweep, sweeps
-from zipf.experiments.training import runner
+from zipf.experiments.sweeping import sweeps
 from zipf.output import keep_going
 
-# For the help text in configs/train.yaml.
-OmegaConf.register_new_resolver("zipf_choices", catalogue.help_text, replace=True)
+# What learns is imported where a run begins: it takes seconds, and mistakes are answered without.
 
 
 @hydra.main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=PRIMARY)
 def _run(_: DictConfig) -> None:
+    from zipf.experiments import cluster
+    from zipf.experiments.training import runner
+
     try:
         config = command_line.load(list(HydraConfig.get().overrides.task))
         stopped = runner.train(config, cluster.runtime_of(config))
@@ -47,7 +45,10 @@ def _run(_: DictConfig) -> None:
 
 
 def _tell(error: Exception) -> None:
-    torchrun.let_others_tell(error)
+    if "RANK" in os.environ:
+        from zipf.experiments.cluster import torchrun
+
+        torchrun.let_others_tell(error)
     tell(error)
 
 
@@ -76,16 +77,21 @@ def _main() -> int:
     if arguments.help:  # shows the options of one run
         arguments.overrides = sweeps.of_all_jobs(arguments.overrides)
     sys.argv[1:] = [*flags, *arguments.overrides]  # Hydra wants all overrides together
-    asks = ("help", "hydra_help", "info", "shell_completion")
+    asks = ("hydra_help", "info", "shell_completion")
     _check_flags(arguments)
     if arguments.config_dir:
         config_files.add_folder(arguments.config_dir)
     composing.load_plugins(command_line.plugins_of(arguments.overrides))
+    if arguments.help:
+        print(catalogue.help_text(arguments.overrides))
+        return 0
     if asked is not None:
         _explain(asked, arguments.overrides)
         return 0
     if not any(getattr(arguments, name, None) for name in asks):
         if arguments.multirun:
+            from zipf.experiments.sweeping import sweep
+
             return sweep.run(arguments.overrides, arguments.config_dir)
         jobs = sweeps.check(arguments.overrides).jobs
         if len(jobs) > 1 or sweeps.named(arguments.overrides):
@@ -116,6 +122,9 @@ def _asked_to_explain(words: list[str]) -> tuple[list[str], list[str] | None]:
 
 def _explain(asked: list[str], overrides: list[str]) -> None:
     """Prints where options come from. Raises `UserError` for mistakes."""
+    from zipf.experiments.building import run_folder
+    from zipf.experiments.options import explaining
+
     folders = [word for word in asked if Path(word).is_dir() and word not in Config.model_fields]
     parts = [word for word in asked if word not in folders]
     if len(folders) > 1 or len(parts) > 1:

@@ -40,7 +40,7 @@ class ScalarOptions(Options):
 
 
 class HLGaussOptions(Options):
-    """A histogram of returns; `configs/critic/hl_gauss.yaml` has the sources of the values.
+    """A histogram of returns; `configs/critic.yaml` has the sources of the values.
 
     `bins` of equal width cover the returns from `low` to `high`; `sigma` is the standard deviation
     of the targets' Gaussians in widths of a bin. `risk_level` is the share of the returns that a
@@ -57,7 +57,7 @@ class HLGaussOptions(Options):
 
 
 class QuantileOptions(Options):
-    """Quantiles of returns; `configs/critic/quantile.yaml` has the sources of the values.
+    """Quantiles of returns; `configs/critic.yaml` has the sources of the values.
 
     Errors smaller than `kappa` have a squared loss. `risk_level` is the share of the returns that a
     `risk` other than neutral looks at.

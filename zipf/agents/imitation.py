@@ -39,7 +39,7 @@ from zipf.options import Options
 
 
 class ImitationOptions(LearnerOptions):
-    """The options; `configs/agent/imitation.yaml` has the sources of their values.
+    """The options; `configs/agent.yaml` has the sources of their values.
 
     `teacher` is a scripted player of the worlds, `teacher_share` the probability that it acts in a
     step in the agent's place.

@@ -37,7 +37,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class ImpalaOptions(LearnerOptions):
-    """The options; `configs/agent/impala.yaml` has the sources of their values."""
+    """The options; `configs/agent.yaml` has the sources of their values."""
 
     name: Literal["impala"]
     discount: Annotated[float, Field(ge=0, le=1)]

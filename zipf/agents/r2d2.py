@@ -68,7 +68,7 @@ METRICS = ("loss", "gradient_norm", "td_error", "value", "priority", "importance
 
 
 class R2D2Options(LearnerOptions):
-    """The options; `configs/agent/r2d2.yaml` has the sources of their values."""
+    """The options; `configs/agent.yaml` has the sources of their values."""
 
     name: Literal["r2d2"]
     weight_decay: NotNegative

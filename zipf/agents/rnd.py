@@ -39,7 +39,7 @@ CODE_SIZE = 8  # ours: numbers for each integer
 
 
 class RNDOptions(Options):
-    """A bonus of `scale` times the normalised error; `configs/exploration/rnd.yaml` has the sources
+    """A bonus of `scale` times the normalised error; `configs/exploration.yaml` has the sources
     of the values.
 
     Networks have layers of `hidden` units and `features` outputs. Images are averaged down to at

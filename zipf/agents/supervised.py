@@ -38,7 +38,7 @@ from zipf.options import Options
 
 
 class SupervisedOptions(LearnerOptions):
-    """The options; `configs/agent/supervised.yaml` has the sources of their values."""
+    """The options; `configs/agent.yaml` has the sources of their values."""
 
     name: Literal["supervised"]
 

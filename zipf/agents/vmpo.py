@@ -50,7 +50,7 @@ SMALLEST_DUAL = 1e-8  # Song et al. 2020
 
 
 class VMPOOptions(LearnerOptions):
-    """The options; `configs/agent/vmpo.yaml` has the sources of their values."""
+    """The options; `configs/agent.yaml` has the sources of their values."""
 
     name: Literal["vmpo"]
     dual_learning_rate: Positive

@@ -1,4 +1,4 @@
-"""Options of episodic memory; the files in `configs/episodic/` have the sources of their values."""
+"""Options of episodic memory; `configs/episodic.yaml` has the sources of their values."""
 
 from __future__ import annotations
 

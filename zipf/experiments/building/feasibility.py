@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -173,24 +172,6 @@ def _reads_itself(config: Config) -> Iterator[str]:
             f"hindsight.kept_per_goal={kept}: kept episodes would read their own rows from the "
             f"dictionary of episodic={episodic.name}; choose null, or episodic=none"
         )
-
-
-def has_instruction(environment: dict[str, Any]) -> bool:
-    """Whether the worlds of a split, with these options, have an instruction; True if they cannot
-    be made."""
-    key = json.dumps(environment, sort_keys=True, default=str)
-    if key not in _instructed:
-        options = {name: value for name, value in environment.items() if name != "split"}
-        try:
-            env = envs.make_vec(envs.split(environment["split"]).uniform[0], 1, **options)
-            _instructed[key] = "instruction" in env.single_observation_space.spaces
-            env.close()
-        except (ValueError, TypeError, MemoryError):
-            _instructed[key] = True
-    return _instructed[key]
-
-
-_instructed: dict[str, bool] = {}
 
 
 def too_many_worlds(config: Config, num_envs: int, episodes: int | None, option: str) -> str | None:

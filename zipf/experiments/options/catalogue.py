@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
+from omegaconf import OmegaConf
 from pydantic import ValidationError
 
 from zipf import envs
@@ -61,8 +62,38 @@ def summary(group: str, name: str) -> str:
     return written.place.comment if written else ""
 
 
-def help_text() -> str:
-    """All choices, for `python -m zipf.train --help`."""
+HELP = """usage: python -m zipf.train experiment=NAME [option=value ...]
+       python -m zipf.train -m [sweep=NAME] [option=value,value ...]
+
+Trains an agent and scores it as it learns; with -m, one after another, many. Options and their
+choices are below. Flags:
+
+    --explain [GROUP]   tells of every option, or of those of a group, where its value comes from;
+                        --explain FOLDER: of a run that there is
+    --config-dir DIR    a folder of your own experiments, conditions and choices
+    --cfg job           prints the options as YAML
+    --version           prints the version; --hydra-help tells of Hydra's other flags
+
+Examples:
+
+    python -m zipf.train experiment=gridworld
+    python -m zipf.train experiment=demo condition=r2d2 agent.learning_rate=1e-4 --explain agent
+    python -m zipf.train -m experiment=gridworld_compact memory=mlp,lstm seed=0,1,2
+    python -m zipf.train -m sweep=demo hydra/launcher=joblib hydra.launcher.n_jobs=2"""
+
+
+def help_text(overrides: Sequence[str] = ()) -> str:
+    """What `--help` prints: all choices, and all options as they are after these overrides.
+
+    Raises:
+        UserError: the overrides cannot be composed.
+    """
+    options = OmegaConf.to_yaml(OmegaConf.create(composing.composed(*overrides).values))
+    told = f"Options, with the values of the choices made:\n\n{options.rstrip()}"
+    return f"{HELP}\n\n{_all_choices()}\n\n{told}"
+
+
+def _all_choices() -> str:
     parts = {
         "experiment=": [
             (name, summary("experiment", name)) for name in composing.choices("experiment")

@@ -7,6 +7,7 @@ once. `sweeps.py` does so for every job of a sweep.
 from __future__ import annotations
 
 import difflib
+import json
 from collections.abc import Iterator
 from pathlib import PurePath
 from typing import Any, TypeVar
@@ -16,8 +17,8 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from pydantic import ValidationError
 
+from zipf import envs
 from zipf.errors import UserError
-from zipf.experiments.building import feasibility
 from zipf.experiments.options import composing, config_files
 from zipf.experiments.options.catalogue import condition_row
 from zipf.experiments.options.composing import Composed, choices, composed, groups
@@ -48,6 +49,8 @@ def load(overrides: list[str]) -> Config:
 
 def check(config: Config) -> None:
     """Raises `UserError` where options do not fit each other, the worlds or this machine."""
+    from zipf.experiments.building import feasibility
+
     if problems := list(feasibility.problems(config)):
         raise UserError("\n".join(problems))
 
@@ -69,6 +72,10 @@ def read_composed(overrides: list[str]) -> tuple[Config, Composed]:
     known, problems = _known(parsed)
     if not any(override.startswith("experiment=") for override in known):
         raise UserError("\n".join(problems))
+    if problems and not any(_is_of_a_part(one) for one in parse(known)):
+        raise UserError("\n".join([*problems, *_mistyped(known)]))
+    from zipf.experiments.building import feasibility
+
     composed = _compose_condition(*known)
     values = dict(composed.values)
     name = values.pop("name")
@@ -86,6 +93,26 @@ def read_composed(overrides: list[str]) -> tuple[Config, Composed]:
     if problems:
         raise UserError("\n".join(problems))
     return config, composed
+
+
+def _is_of_a_part(override: Override) -> bool:
+    """Whether an override has a value for a part, which the part's class checks: with PyTorch."""
+    group, _, option = override.key_or_group.partition(".")
+    return group in config_files.parts() and (bool(option) or isinstance(override.value(), dict))
+
+
+def _mistyped(known: list[str]) -> Iterator[str]:
+    """Mistakes in the options of no group. Of all others, which need PyTorch, nothing is told while
+    names are wrong."""
+    values = dict(composed(*known).values)
+    name = values.pop("name")
+    values |= {"condition": "unnamed" if name is None else name, "row": {"title": "unnamed"}}
+    values["precision"] = values["precision"].replace("auto", "float32")
+    del values["without_instruction"]
+    try:
+        Config.model_validate(values)
+    except ValidationError as error:
+        yield from _explain(error, values)
 
 
 def plugins_of(overrides: list[str]) -> list[str]:
@@ -179,11 +206,29 @@ def _compose_condition(*overrides: str) -> Composed:
             f"without_instruction={other!s:.40}: should be choices of groups, as in "
             "'without_instruction={auxiliary: vision}', or null"
         )
-    if other and not feasibility.has_instruction(result.values["environment"]):
+    if other and not has_instruction(result.values["environment"]):
         chosen = {override.partition("=")[0] for override in overrides}
         other = [f"{group}={choice}" for group, choice in other.items() if group not in chosen]
         result = composed(*overrides, *other)
     return result
+
+
+_instructed: dict[str, bool] = {}
+
+
+def has_instruction(environment: dict[str, Any]) -> bool:
+    """Whether the worlds of a split, with these options, have an instruction; True if they cannot
+    be made."""
+    key = json.dumps(environment, sort_keys=True, default=str)
+    if key not in _instructed:
+        options = {name: value for name, value in environment.items() if name != "split"}
+        try:
+            env = envs.make_vec(envs.split(environment["split"]).uniform[0], 1, **options)
+            _instructed[key] = "instruction" in env.single_observation_space.spaces
+            env.close()
+        except (ValueError, TypeError, MemoryError):
+            _instructed[key] = True
+    return _instructed[key]
 
 
 def _plugins(overrides: list[Override]) -> list[str]:
@@ -277,7 +322,7 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
         else:
             group = key.partition(".")[0]
             part = values.get(group)
-            if owners := _owners(key, known):
+            if owners := _owners(key):
                 told = f"{group}={'|'.join(owners)} has it"
             elif isinstance(part, dict) and list(part) == ["name"]:  # a choice such as none
                 chosen = part["name"]
@@ -289,21 +334,13 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
     return known, problems
 
 
-def _owners(option: str, known: list[str]) -> list[str]:
-    """The choices of the option's group that have it, beside these overrides."""
-    group = option.partition(".")[0]
-    if group not in groups():
+def _owners(option: str) -> list[str]:
+    """The choices of the option's group that have it."""
+    group, _, name = option.partition(".")
+    if group not in ("environment", *config_files.parts()):
         return []
-    others = [override for override in known if not override.startswith(f"{group}=")]
-    found = []
-    for choice in choices(group):
-        try:
-            values = composed(*others, f"{group}={choice}").values
-        except UserError:  # of options that this choice does not have
-            continue
-        if option in flatten(values):
-            found.append(choice)
-    return found
+    known = {choice: composing.config(f"{group}/{choice}")[0] for choice in choices(group)}
+    return [choice for choice, values in known.items() if name in flatten(values)]
 
 
 _IN_WORDS = {

@@ -203,7 +203,7 @@ def _file_of(group: str, name: str) -> Path:
 def told(error: Exception) -> str:
     """What Hydra has to say, on one line."""
     message = " ".join(str(error).split()).partition(" Config search path:")[0]
-    if re.search(f"Could not find '({'|'.join(_registered())})/", message):
+    if re.search(f"Could not find '({'|'.join(['environment', *config_files.parts()])})/", message):
         message += "; one of your own has to be registered by a plugin: plugins=[<module>]"
     if "hydra/launcher" in message:
         message += ' (joblib and submitit come with the extra: pip install "zipf-rl[sweep]")'
@@ -218,10 +218,8 @@ def options_class(group: str, name: str) -> type[Options]:
 
 
 def _registered() -> dict[str, dict[str, dict[str, Any]]]:
-    """The registered choices by group and name, with their default values."""
-    import zipf.agents
-    import zipf.experiments.hooks  # noqa: F401  (these two register their choices)
-
+    """The registered choices by group and name, with their default values. Those of the package
+    itself are in `configs/`, so that they are known before their modules are imported."""
     return {
         "environment": {
             name: {"split": family.splits[0].name, **_defaults(family.options_class)}

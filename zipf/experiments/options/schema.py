@@ -1,4 +1,8 @@
-"""The typed schema of all options."""
+"""The typed schema of all options.
+
+PyTorch, and what learns with it, are imported where they are first needed: mistakes in the names of
+options are answered without them.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +12,10 @@ from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import torch
 from pydantic import Field, ValidationInfo, create_model, field_validator
 
 from zipf import envs
-from zipf.agents import agents
 from zipf.errors import UserError
-from zipf.experiments import hooks  # noqa: F401  (registers its choices)
 from zipf.experiments.options.runtime import RayOptions, RuntimeOptions, TorchrunOptions
 from zipf.experiments.records.descriptions import Colour, Count, Finite, Line
 from zipf.experiments.records.learned_options import affects_learning, changes_nothing, flatten
@@ -158,6 +159,8 @@ class Config(Options):
         Raises:
             ValueError: the agent answers questions, and these levels have none.
         """
+        from zipf.agents import agents
+
         split = envs.split(self.environment.split)
         if agents()[self.agent.name].answers_questions:
             return envs.questions(split)
@@ -180,6 +183,8 @@ class Config(Options):
         if isinstance(self.runtime, RayOptions):
             return 0
         if self.collector.lag is None:
+            from zipf.agents import agents
+
             return agents()[self.agent.name].largest_lag
         return self.collector.lag
 
@@ -230,6 +235,9 @@ class Config(Options):
 
 def schema() -> type[Config]:
     """`Config` with the families and the choices of all groups that are registered now."""
+    import zipf.agents
+    import zipf.experiments.hooks  # noqa: F401  (these two register their choices)
+
     families = [family for family in envs.families().values() if family.splits]
     groups = registries()
     classes = [one for group in groups.values() for one in group.options.values()]
@@ -280,6 +288,8 @@ def find_device(device: str) -> str:
     Raises:
         UserError: this CUDA device does not exist.
     """
+    import torch
+
     if device == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
     if (
@@ -296,6 +306,8 @@ def find_device(device: str) -> str:
 def has_bfloat16(device: str) -> bool:
     """Whether a device, or the one that is chosen by `auto`, has instructions for bfloat16. Without
     them it computes the same, several times slower than in float32."""
+    import torch
+
     if device == "auto":
         device = find_device(device)
     if device.startswith("cuda"):

@@ -12,12 +12,14 @@ import csv
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import pandas as pd
 
 from zipf.errors import UserError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Kind = Literal["count", "count or empty", "number", "number or empty", "text"]
 
@@ -49,6 +51,8 @@ def read_table(path: Path, columns: Mapping[str, Kind], notes: list[str]) -> pd.
     header = read_fields(path, lines)[0] if lines else list(columns)
     if missing := [name for name in columns if name not in header]:
         raise UserError(f"{path.as_posix()}, line 1: no column {', '.join(missing)}")
+    import pandas as pd  # here: the options of a run, which import this module, read no table
+
     texts = pd.read_csv(
         io.StringIO("\n".join(lines)),
         header=0 if lines else None,
@@ -124,6 +128,8 @@ def read_fields(path: Path, lines: list[str]) -> list[list[str]]:
 def _convert(path: Path, texts: pd.Series, kind: Kind) -> pd.Series:
     if kind == "text":
         return texts
+    import pandas as pd
+
     values = pd.to_numeric(texts, errors="coerce").astype(float)
     good = np.isfinite(values.to_numpy())
     if kind.startswith("count"):
