@@ -210,7 +210,7 @@ def _experiment(name: str, known: dict[str, Written]) -> dict[str, Node]:
     for group, choice in dict.fromkeys((*inherited, *sections)):
         part = sections.get((group, choice), Written({}, {}, written.place))
         path = _path(name, group, choice)
-        defaults = []
+        defaults: list[Any] = []
         if (group, choice) in inherited:
             defaults.append(f"/{_path(parent, group, choice)}@_here_")
         here = {key: value for key, value in part.values.items() if not key.startswith("/")}
@@ -225,7 +225,7 @@ def _experiment(name: str, known: dict[str, Written]) -> dict[str, Node]:
         if group == "memory":  # as a file in Hydra's layout may name it
             found[f"values/{name}/{choice}"] = Node({"defaults": [f"/{path}@_here_"]}, None, part)
     choose = dict(values.pop("choose", {}))
-    defaults: list[Any] = [parent] if parent else []
+    defaults = [parent] if parent else []
     if "environment" in choose and not parent:  # which has none that one could override
         defaults.append({"/environment": choose.pop("environment")})
     defaults += [*_overrides(choose), "_self_"]
