@@ -127,7 +127,7 @@ def folder(tmp_path):
 def forgotten(monkeypatch):
     """The family that this process has imported is not there for other tests."""
     monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
-    monkeypatch.setattr(composing, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folders", [])
     yield
     sys.modules.pop("my_worlds", None)
 
