@@ -41,7 +41,7 @@ wheel: $(VENV)/.installed  ## build the wheel into dist/
 	$(BIN)/python -m build --wheel
 
 results: $(VENV)/.installed  ## write RESULTS.md from the files in results/
-	$(BIN)/python -m zipf.report results --window own --record RESULTS.md
+	$(BIN)/python -m zipf.report results window=own record=RESULTS.md
 
 clean:  ## remove the virtual environment and what was built; runs are kept
 	rm -rf $(VENV) dist build site

@@ -372,7 +372,7 @@ def soak_damages(count: int, draw: random.Random, folder: Path) -> Counter[str]:
             return outcome, state_of(root, arguments) if outcome.code == 0 else None
 
         def report() -> tuple[Outcome, Any]:
-            outcome = run("zipf.report", [str(root), "--window", "last"], output)
+            outcome = run("zipf.report", [str(root), "window=last"], output)
             table = root / "report" / "report.csv"
             return outcome, table.read_text() if outcome.code == 0 else None
 

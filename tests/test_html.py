@@ -431,11 +431,11 @@ def test_the_same_runs_give_the_same_bytes(written: tuple[Path, str]) -> None:
 
 def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_run(tmp_path / "runs", constant(0.5))
-    assert report.main([str(tmp_path / "runs"), "--html"]) == 0
+    assert report.main([str(tmp_path / "runs"), "html=true"]) == 0
     beside = tmp_path / "runs/report/report.html"
     assert f"Wrote {beside.as_posix()}" in capsys.readouterr().out
     chosen = tmp_path / "mine.html"
-    assert report.main([str(tmp_path / "runs"), "--html", str(chosen)]) == 0
+    assert report.main([str(tmp_path / "runs"), f"html={chosen}"]) == 0
     assert chosen.read_bytes() == beside.read_bytes()
 
 
@@ -443,8 +443,8 @@ def test_a_folder_is_not_taken_for_the_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_run(tmp_path, constant(0.5))
-    told = refusal(capsys, str(tmp_path), "--html", "runs")
-    assert "--html runs: should end in .html" in told
+    told = refusal(capsys, str(tmp_path), "html=runs")
+    assert "html=runs: should be true, or a name that ends in .html" in told
 
 
 # --- in a browser ----------------------------------------------------------------------------

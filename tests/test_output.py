@@ -67,7 +67,7 @@ def test_a_full_device_does_not_end_a_run_and_is_told_once(tmp_path: Path) -> No
 def test_a_report_is_written_whatever_becomes_of_its_output(tmp_path: Path) -> None:
     """Its dashes are no ASCII."""
     folder = str(PACKAGE / "results" / "demo")
-    process = start("zipf.report", folder, "--output", str(tmp_path / "cut"))
+    process = start("zipf.report", folder, f"output={tmp_path / 'cut'}")
     assert process.stdout is not None
     process.stdout.readline()
     process.stdout.close()
@@ -75,7 +75,7 @@ def test_a_report_is_written_whatever_becomes_of_its_output(tmp_path: Path) -> N
     assert process.returncode == 0
     assert (tmp_path / "cut" / "report.md").exists()
 
-    process = start("zipf.report", folder, "--output", str(tmp_path / "whole"))
+    process = start("zipf.report", folder, f"output={tmp_path / 'whole'}")
     output, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (0, "")
     assert "IMPALA + MLP" in output

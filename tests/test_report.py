@@ -252,7 +252,7 @@ def test_a_run_that_did_not_reach_its_window_has_no_score(runs: Path) -> None:
     assert np.isnan(byol["score"])
     assert (
         "runs/gridworld/impala_byol/seed0: no evaluation at updates 100 to 300 (the last is at "
-        "update 80); not counted. --window scaled or --window last shows it."
+        "update 80); not counted. window=scaled or window=last shows it."
     ) in table.notes
     assert "| IMPALA + BYOL | 0/3 | – | 0.75 | – |" in markdown.markdown(table)
 
@@ -370,10 +370,10 @@ def test_a_window_that_is_the_own_one_of_some_runs_only(tmp_path: Path) -> None:
 def test_a_scaled_window_is_offered_only_where_it_shows_something(tmp_path: Path) -> None:
     write_run(tmp_path, {0: (0.1,) * 3, 3: (0.2,) * 3, 4: (0.3,) * 3}, window=[2, 2])
     (note,) = only_table(tmp_path).notes
-    assert note.endswith("(the last is at update 4); not counted. --window last shows it.")
+    assert note.endswith("(the last is at update 4); not counted. window=last shows it.")
     assert line(only_table(tmp_path, "scaled"), "impala", "rare")["seeds"] == 0
     (note,) = only_table(tmp_path, "5:6").notes
-    assert "--window scaled" not in note
+    assert "window=scaled" not in note
 
 
 def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:
@@ -402,7 +402,7 @@ def test_where_all_runs_have_the_same_own_window_nothing_changes(runs: Path) -> 
 
 @pytest.mark.parametrize("text", ["", "5", "3:2", "-1:2", "a:b", "last:0", "last:25%", "1.5:2"])
 def test_no_windows(text: str, runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert f"window {text!r}" in refusal(capsys, str(runs), f"--window={text}")
+    assert f"window {text!r}" in refusal(capsys, str(runs), f"window={text}")
 
 
 # --- what may be pooled ----------------------------------------------------------------------
@@ -525,7 +525,7 @@ def test_a_page_that_cannot_be_read_is_named_before_anything_is_written(
     (runs / "folder.md").mkdir()
     (runs / "notes.md").write_bytes(b"caf\xff\n")
     record = tmp_path / "RESULTS.md"
-    arguments = [runs.as_posix(), "--record", record.as_posix()]
+    arguments = [runs.as_posix(), f"record={record.as_posix()}"]
     assert "runs/notes.md: is not UTF-8 text" in refusal(capsys, *arguments)
     assert sorted(path.name for path in runs.iterdir()) == ["folder.md", "gridworld", "notes.md"]
     (runs / "notes.md").write_bytes(b"Notes.\n")
@@ -628,15 +628,34 @@ def test_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_place_that_cannot_be_written(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("taken").write_text("")
-    assert "taken: cannot be written" in refusal(capsys, str(runs), "--output", "taken")
+    assert "taken: cannot be written" in refusal(capsys, str(runs), "output=taken")
 
 
-@pytest.mark.parametrize("arguments", [[], ["--wndow", "last", "."]])
-def test_unknown_arguments(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as exit_:
-        report.main(arguments)
-    assert exit_.value.code == 2
-    assert "usage:" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--window", "last", "."], "--window: no such flag; options have no dashes: window="),
+        (["wndow=last", "."], "wndow: no such option; did you mean window?"),
+        (["window=last"], "name a run's folder"),
+        (["format=gif", "."], "format=gif: "),
+        (["html=page", "."], "html=page: should be true, or a name that ends in .html"),
+    ],
+)
+def test_unknown_arguments(
+    arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert told in refusal(capsys, *arguments)
+
+
+def test_without_arguments_it_tells_its_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert report.main([]) == 2
+    assert "usage:" in capsys.readouterr().out
+
+
+def test_a_folder_may_have_an_equals_sign(runs: Path) -> None:
+    """As those of rows with options that differ."""
+    (runs / "gridworld").rename(runs / "impala,agent.discount=0.5")
+    assert report.main([str(runs / "impala,agent.discount=0.5")]) == 0
 
 
 def test_it_prints_the_table_and_says_where_the_files_are(

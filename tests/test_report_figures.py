@@ -384,9 +384,7 @@ def test_plots_in_vector_formats(tmp_path: Path, format: Literal["pdf", "svg"]) 
     write_run(tmp_path / "run", constant(0.5))
     first = [tmp_path / one for one in ("a", "b")]
     for output in first:
-        assert (
-            report.main([str(tmp_path / "run"), "--output", str(output), "--format", format]) == 0
-        )
+        assert report.main([str(tmp_path / "run"), f"output={output}", f"format={format}"]) == 0
     name = f"gridworld_learning.{format}"
     contents = [(output / name).read_bytes() for output in first]
     assert contents[0] == contents[1]

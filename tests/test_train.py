@@ -294,7 +294,7 @@ def test_the_end_of_a_run_is_told(tmp_path, capsys):
     assert runner.train(command_line.load([*arguments, "updates=2"])) == 0
     told = capsys.readouterr().out.splitlines()[-1]
     folder = folder_of([*arguments, "updates=2"])
-    command = ["python", "-m", "zipf.report", str(folder.parent.parent), "--window", "last"]
+    command = ["python", "-m", "zipf.report", str(folder.parent.parent), "window=last"]
     assert shlex.split(told) == ["finished;", *command]
     assert (folder / "train.log").read_text().endswith(" finished at update 2\n")
     with runner.Run(command_line.load([*arguments, "updates=3"])):

@@ -43,7 +43,7 @@ def run(trained_run: Path, tmp_path: Path) -> Path:
 def test_a_success_and_a_failure_of_both_situations(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert report.main([str(run), "--videos"]) == 0
+    assert report.main([str(run), "videos=gif"]) == 0
     assert f"Wrote {(run / 'videos').as_posix()} (successes: " in capsys.readouterr().out
     described = video_files.read(run)
     assert described is not None
@@ -91,7 +91,7 @@ def test_an_outcome_that_does_not_come_is_said(run: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(recorder, "_batch", failing)
     monkeypatch.setattr(recorder, "EPISODES", 60)  # played by 50 at a time
-    assert report.main([str(run), "--videos"]) == 0
+    assert report.main([str(run), "videos=gif"]) == 0
     page = (run / "report/report.html").read_text()
     assert page.count("No success in 100 episodes.") == 2
     assert page.count("0 of 100 episodes succeeded") == 2
@@ -123,15 +123,15 @@ def pictures(path: Path) -> int:
 def test_a_run_without_a_checkpoint(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("checkpoint.pt", "weights.pt"):
         (run / name).unlink()
-    told = refusal(capsys, str(run), "--videos")
-    assert f"--videos: {run.as_posix()}: has no agent" in told
+    told = refusal(capsys, str(run), "videos=gif")
+    assert f"videos: {run.as_posix()}: has no agent" in told
     assert not (run / "videos").exists()
 
 
 def test_an_external_agent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_run(tmp_path, constant(0.5))
     write_external(tmp_path, constant(0.5))
-    assert "has no agent" in refusal(capsys, str(tmp_path), "--videos")
+    assert "has no agent" in refusal(capsys, str(tmp_path), "videos=gif")
 
 
 @pytest.mark.parametrize(
@@ -154,20 +154,20 @@ def test_worlds_without_success_or_situation(
         return env
 
     monkeypatch.setattr(recorder, "_worlds", without)
-    told = refusal(capsys, str(run), "--videos")
+    told = refusal(capsys, str(run), "videos=gif")
     assert f"the worlds of {run.as_posix()} {message}" in told
     assert not (run / "videos").exists()
 
 
 def test_plugins_without_videos(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = refusal(capsys, str(run), "--plugins", "corridor")
-    assert "--plugins corridor: goes with --videos only" in told
+    told = refusal(capsys, str(run), "plugins=corridor")
+    assert "plugins=corridor: goes with videos= only" in told
 
 
 def test_a_damaged_checkpoint_is_not_loaded(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with (run / "checkpoint.pt").open("ab") as file:
         file.write(b"more")
-    assert "checkpoint.pt: is damaged" in refusal(capsys, str(run), "--videos")
+    assert "checkpoint.pt: is damaged" in refusal(capsys, str(run), "videos=gif")
 
 
 def test_objects_drawn_without_replacement_are_not_forced_to_be_the_same() -> None:

@@ -1,21 +1,24 @@
 """`python -m zipf.report FOLDER...`: the paper's tables and plots of the runs in these folders.
 
-Reads result files only, no checkpoints, but for `--videos`.
+Reads result files only, no checkpoints, but for `videos=`.
 """
 
 from __future__ import annotations
 
-import argparse
+import re
 import shlex
 import sys
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field
 
 import zipf
 from zipf.errors import TOLD, UserError, tell
-from zipf.experiments.records.wording import PLOT_FORMATS, VIDEO_FORMATS, PlotFormat
+from zipf.experiments.records.wording import PlotFormat, VideoFormat
+from zipf.options import Options
 from zipf.output import keep_going
 
 if TYPE_CHECKING:
@@ -25,11 +28,55 @@ if TYPE_CHECKING:
     from zipf.experiments.reporting.windows import Asked
 
 
-EXAMPLES = """examples:
-  python -m zipf.report runs/
-  python -m zipf.report runs/demo --html
-  python -m zipf.report runs/demo --window last
-  python -m zipf.report runs/gridworld --window 2M:3M --output tables --format pdf"""
+Text = Annotated[str, Field(min_length=1)]
+
+USAGE = """usage: python -m zipf.report FOLDER ... [option=value ...]
+
+Reads the result files of all runs under folders (no checkpoints, but for videos=), prints the
+paper's tables of them, and writes these and plots to files.
+
+Examples:
+
+    python -m zipf.report runs/
+    python -m zipf.report runs/demo html=true
+    python -m zipf.report runs/demo window=last
+    python -m zipf.report runs/gridworld window=2M:3M output=tables format=pdf
+
+Options:
+
+    FOLDER          a run's folder, or one with runs at any depth; of several words those without
+                    a name and = are folders
+    output=DIR      folder for report.md, report.tex, CSV files and the plots; default: the folder
+                    report in the first FOLDER
+    window=WINDOW   which evaluations scores are taken from: START:END in updates (2000000:3000000
+                    or 2M:3M), last, last:N for the last N of each run, scaled: the window of the
+                    experiment at the same fractions of a shorter run, or own: that of each run, in
+                    one table also where they differ; default: the window of the experiment, and a
+                    table for each
+    record=FILE     also write all tables, a description of each run, and the Markdown files of the
+                    folders to this Markdown file; default: no such file
+    format=FORMAT   of the plots: png, pdf or svg; default: png
+    html=FILE       also write tables, interactive plots, options and videos to one page of about
+                    5 MB, which needs no other file and no network; true: report.html beside
+                    report.md; default: no page
+    videos=FORMAT   before, let the agent of each run's checkpoint play, and record a success and a
+                    failure in its most frequent situation and in its rarest, into the run's
+                    folder, as gif or mp4; the page of html=, which it implies, shows the videos
+                    that there are; default: no videos
+    plugins=NAMES   with videos=: modules to import, for environments and agents from outside the
+                    package; default: none"""
+
+
+class ReportOptions(Options):
+    """The options of `python -m zipf.report`, but for its folders."""
+
+    output: Text | None = None
+    window: str | None = None
+    record: Text | None = None
+    format: PlotFormat = "png"
+    html: Text | None = None
+    videos: VideoFormat | None = None
+    plugins: str = ""
 
 
 @dataclass(frozen=True)
@@ -169,7 +216,7 @@ def _checked(window: str | None, html: str | Path | None) -> Asked | None:
     from zipf.experiments.reporting.windows import parse_window
 
     if html and Path(html).suffix != ".html":
-        raise UserError(f"--html {html}: should end in .html")
+        raise UserError(f"html={html}: should be true, or a name that ends in .html")
     return parse_window(window) if window is not None else None
 
 
@@ -191,101 +238,59 @@ def _command(
 ) -> str:
     arguments = [Path(folder).as_posix() for folder in folders]
     if output is not None:
-        arguments += ["--output", Path(output).as_posix()]
+        arguments.append(f"output={Path(output).as_posix()}")
     if window is not None:
-        arguments += ["--window", window]
-    arguments += ["--record", Path(record).as_posix()]
+        arguments.append(f"window={window}")
+    arguments.append(f"record={Path(record).as_posix()}")
     return shlex.join(["python", "-m", "zipf.report", *arguments])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     keep_going()
-    parser = argparse.ArgumentParser(
-        prog="python -m zipf.report",
-        description="Reads the result files of all runs under folders (no checkpoints), prints\n"
-        "the paper's tables of them, and writes these and plots to files.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="version", version=f"zipf {zipf.__version__}")
-    parser.add_argument(
-        "folders", nargs="+", metavar="FOLDER", help="a run's folder, or one with runs at any depth"
-    )
-    parser.add_argument(
-        "--output",
-        metavar="DIR",
-        help="folder for report.md, report.tex, CSV files and the plots; default: the folder "
-        "report in the first FOLDER",
-    )
-    parser.add_argument(
-        "--window",
-        metavar="WINDOW",
-        help="which evaluations scores are taken from: START:END in updates (2000000:3000000 or "
-        "2M:3M), last, last:N for the last N of each run, scaled: the window of the experiment "
-        "at the same fractions of a shorter run, or own: that of each run, in one table also where "
-        "they differ; default: the window of the experiment, and a table for each",
-    )
-    parser.add_argument(
-        "--record",
-        metavar="FILE",
-        help="also write all tables, a description of each run, and the Markdown files of the "
-        "folders to this Markdown file; default: no such file",
-    )
-    parser.add_argument(
-        "--format", choices=PLOT_FORMATS, default="png", help="of the plots; default: %(default)s"
-    )
-    parser.add_argument(
-        "--html",
-        nargs="?",
-        const="",
-        metavar="FILE",
-        help="also write tables, interactive plots, options and videos to one page of about 5 MB, "
-        "which needs no other file and no network; without FILE: report.html beside report.md; "
-        "default: no page",
-    )
-    parser.add_argument(
-        "--videos",
-        nargs="?",
-        const="gif",
-        choices=VIDEO_FORMATS,
-        help="before, let the agent of each run's checkpoint play, and record a success and a "
-        "failure in its most frequent situation and in its rarest, into the run's folder; the page "
-        "of --html, which it implies, shows the videos that there are; without a format: "
-        "%(const)s; default: no videos",
-    )
-    parser.add_argument(
-        "--plugins",
-        metavar="NAMES",
-        default="",
-        help="with --videos: modules to import, for worlds and agents from outside the package; "
-        "default: none",
-    )
-    chosen = parser.parse_args(arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or {"-h", "--help"} & set(words):
+        print(USAGE)
+        return 0 if words else 2
+    if "--version" in words:
+        print(f"zipf {zipf.__version__}")
+        return 0
     try:
-        if chosen.videos:
-            from zipf.experiments.options.schema import module_names
-            from zipf.experiments.playing.videos import record_videos
-
-            _checked(chosen.window, chosen.html)
-            record_videos(chosen.folders, chosen.videos, module_names(chosen.plugins), print)
-            chosen.html = chosen.html or ""
-        elif chosen.plugins:
-            raise UserError(f"--plugins {chosen.plugins}: goes with --videos only")
-        report(
-            chosen.folders,
-            chosen.output,
-            chosen.window,
-            record=chosen.record,
-            format=chosen.format,
-            html=chosen.html,
-        )
+        _report(words)
     except TOLD as error:
         tell(error)
         return 2
     except KeyboardInterrupt:
         return 130
     return 0
+
+
+def _report(words: list[str]) -> None:
+    from zipf.experiments.options.command_line import read_options
+    from zipf.experiments.options.schema import module_names
+
+    named = [word for word in words if word.startswith("-") or re.match(r"[a-z_]\w*=", word, re.I)]
+    folders = [word for word in words if word not in named]
+    options = read_options(ReportOptions, named)
+    if not folders:
+        raise UserError("name a run's folder, or one with runs at any depth, such as runs/")
+    html = {"true": "", "false": None}.get(options.html or "false", options.html)
+    if options.plugins and not options.videos:
+        raise UserError(f"plugins={options.plugins}: goes with videos= only")
+    if options.videos:
+        from zipf.experiments.playing.videos import record_videos
+
+        _checked(options.window, html)
+        record_videos(folders, options.videos, module_names(options.plugins), print)
+        html = html or ""
+    report(
+        folders,
+        options.output,
+        options.window,
+        record=options.record,
+        format=options.format,
+        html=html,
+    )
 
 
 if __name__ == "__main__":

@@ -369,8 +369,7 @@ def _read_options(folder: Path, plugins: Collection[str]) -> Config:
         if missing:
             raise UserError(
                 f"{folder}: was made with plugins=[{','.join(missing)}], which this command has "
-                f"not loaded; if you trust them say plugins=[{','.join(missing)}], or to "
-                f"zipf.report --plugins {','.join(missing)}"
+                f"not loaded; if you trust them say plugins=[{','.join(missing)}]"
             )
         return schema().model_validate(values)
     except (ValueError, TypeError, AttributeError, OmegaConfBaseException, YAMLError) as error:

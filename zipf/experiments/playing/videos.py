@@ -92,7 +92,7 @@ def record_videos(
             agent_file(folder)
         except UserError as error:
             raise UserError(
-                f"--videos: {error}; give folders of runs with one (most kept results have none)"
+                f"videos: {error}; give folders of runs with one (most kept results have none)"
             ) from None
     for folder in found:
         _playable(folder, load_agent(folder, "cpu", plugins))
@@ -253,23 +253,23 @@ def _playable(folder: Path, trained: Trained) -> None:
     """Raises `UserError` where there is nothing to show."""
     if trained.agent.answers_questions:
         raise UserError(
-            f"--videos: {folder.as_posix()} is of a classifier, which answers questions and does "
+            f"videos: {folder.as_posix()} is of a classifier, which answers questions and does "
             "not act"
         )
     with closing(_worlds(trained, trained.config.split.uniform[0], 1)) as env:
         if not env.reports_success:
             raise UserError(
-                f"--videos: the worlds of {folder.as_posix()} report no success; give runs of "
+                f"videos: the worlds of {folder.as_posix()} report no success; give runs of "
                 "worlds that do"
             )
         if not env.metadata.get("render_modes"):
             raise UserError(
-                f"--videos: the worlds of {folder.as_posix()} draw no pictures; give runs of "
+                f"videos: the worlds of {folder.as_posix()} draw no pictures; give runs of "
                 "worlds that do"
             )
         if not env.situation:
             raise UserError(
-                f"--videos: the worlds of {folder.as_posix()} report no situation; give runs of "
+                f"videos: the worlds of {folder.as_posix()} report no situation; give runs of "
                 "worlds that do"
             )
 
@@ -281,6 +281,6 @@ def _worlds(trained: Trained, level: envs.SplitLevel, count: int, **kwargs: Any)
 
 def _not_alike(situation: Situation) -> UserError:
     return UserError(
-        f"--videos: level {situation.level.name} does not play the same actions alike twice, and "
+        f"videos: level {situation.level.name} does not play the same actions alike twice, and "
         "so an episode cannot be recorded after it was played"
     )

@@ -101,7 +101,7 @@ def read(folder: Path) -> Videos | None:
         return Videos.model_validate_json(read_bytes(path))
     except ValidationError as error:
         raise UserError(
-            f"{path.as_posix()}: is damaged ({first_problem(error)}); --videos records them again"
+            f"{path.as_posix()}: is damaged ({first_problem(error)}); videos= records them again"
         ) from None
 
 

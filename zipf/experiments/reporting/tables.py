@@ -212,7 +212,7 @@ def _window_notes(run: Run, window: Window) -> list[str]:
         last = count_text(int(run.evaluations["update"].max()))
         assert run.description.window is not None  # external agents have no window of updates
         scaled = ScaledWindow(*run.description.window).select(run.evaluations["update"])
-        others = "--window scaled or --window last shows" if scaled.any() else "--window last shows"
+        others = "window=scaled or window=last shows" if scaled.any() else "window=last shows"
         return [
             f"{run.label}: no evaluation at {window_text(window)} (the last is at update {last}); "
             f"not counted. {others} it."

@@ -222,7 +222,7 @@ class Run:
         if kind is None:
             report = ["python", "-m", "zipf.report", str(self.folder.parent.parent)]
             if self.update < self.config.schedule.window[0]:
-                report += ["--window", "last"]
+                report.append("window=last")
             stopped = f"stopped at update {self.update}; the same command resumes"
             self.display.say(f"finished; {shlex.join(report)}" if self.is_finished else stopped)
             self._write(f"finished at update {self.update}" if self.is_finished else stopped)
