@@ -4,6 +4,7 @@ import contextlib
 import importlib
 import io
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
@@ -18,6 +19,8 @@ from tensordict import TensorDict
 
 from zipf.agents.unroll import Unroll
 from zipf.experiments.building import checkpoint
+from zipf.experiments.options import command_line
+from zipf.experiments.training import runner
 from zipf.registry import registries
 
 PACKAGE = Path(__file__).parent.parent
@@ -27,7 +30,15 @@ def slow_but(values: Iterable[Any], *quick: Any) -> list[Any]:
     """The parameters of a test: these stay in the quick tier, all others are marked `slow`."""
     values = list(values)
     assert all(one in values for one in quick), (quick, values)
-    return [one if one in quick else pytest.param(one, marks=pytest.mark.slow) for one in values]
+    slow = pytest.mark.slow
+    return [
+        one
+        if one in quick
+        else pytest.param(*one, marks=slow)
+        if isinstance(one, tuple)
+        else pytest.param(one, marks=slow)
+        for one in values
+    ]
 
 
 @contextlib.contextmanager
@@ -110,6 +121,21 @@ def call(
         except SystemExit as ended:
             code = ended.code
     return subprocess.CompletedProcess(arguments, code or 0, out.getvalue(), err.getvalue())
+
+
+@pytest.fixture(scope="session")
+def trained_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The root of a finished run of two updates, for tests that only read it."""
+    root = tmp_path_factory.mktemp("trained")
+    assert runner.train(command_line.load([*TINY, "updates=2", f"run_root={root}"])) == 0
+    return root
+
+
+@pytest.fixture
+def trained(trained_once: Path, tmp_path: Path) -> list[str]:
+    """The options of a copy of that run, for tests that go on with it or change its files."""
+    shutil.copytree(trained_once, tmp_path, dirs_exist_ok=True)
+    return [*TINY, "updates=2", f"run_root={tmp_path}"]
 
 
 def assert_equal(one, other, where=""):

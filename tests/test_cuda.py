@@ -12,7 +12,6 @@ from zipf.experiments.building import checkpoint
 from zipf.experiments.options import command_line
 from zipf.experiments.training import runner
 
-CUDA = "cuda"
 SMALL = {  # what is not small enough in an agent's file, and what it cannot do
     "imitation": ["exploration=none"],
     "r2d2": [
@@ -27,7 +26,7 @@ AGENTS = [  # with each lag that they allow
 ]
 
 pytestmark = pytest.mark.filterwarnings("error:RNN module weights")  # see `frozen_copy`
-needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+on_cuda = pytest.mark.parametrize("cuda", ["cuda"] if torch.cuda.is_available() else [])
 
 
 def options(agent, *overrides):
@@ -52,12 +51,12 @@ def test_options_go_together(agent, lag):
     assert options(agent, f"collector.lag={lag}").collector.lag == lag
 
 
-@needs_cuda
+@on_cuda
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 @pytest.mark.parametrize(("agent", "lag"), AGENTS)
-def test_agents_train(agent, lag, precision, tmp_path):
+def test_agents_train(cuda, agent, lag, precision, tmp_path):
     """Their weights change and stay finite, and what is logged is finite."""
-    chosen = [f"device={CUDA}", f"collector.lag={lag}", f"precision={precision}"]
+    chosen = [f"device={cuda}", f"collector.lag={lag}", f"precision={precision}"]
     folder = run(tmp_path, agent, "updates=3", *chosen)
     metrics = pd.read_csv(folder / "metrics.csv")
     assert list(metrics["update"]) == [1, 2, 3]
@@ -68,9 +67,10 @@ def test_agents_train(agent, lag, precision, tmp_path):
     assert any(not torch.equal(part, started[name]) for name, part in weights.items())
 
 
-@needs_cuda
+@pytest.mark.slow
+@on_cuda
 @pytest.mark.parametrize(("experiment", "condition"), cheapest_pairs())
-def test_conditions_train_and_are_scored(experiment, condition, tmp_path):
+def test_conditions_train_and_are_scored(cuda, experiment, condition, tmp_path):
     """Three updates in the precision that `auto` chooses, and a score of the last; what is logged
     is finite."""
     arguments = [
@@ -78,7 +78,7 @@ def test_conditions_train_and_are_scored(experiment, condition, tmp_path):
         f"condition={condition}",
         f"name={condition}",
         "updates=3",
-        f"device={CUDA}",
+        f"device={cuda}",
         "precision=auto",
         "collector.num_envs=6",
         "collector.unroll_length=5",
@@ -99,12 +99,14 @@ def test_conditions_train_and_are_scored(experiment, condition, tmp_path):
     assert evaluations["score"].notna().all()
 
 
-@needs_cuda
+@pytest.mark.slow
+@on_cuda
 @pytest.mark.parametrize(("agent", "lag"), AGENTS)
-@pytest.mark.parametrize(("first", "then"), [(CUDA, "cpu"), ("cpu", CUDA)])
-def test_a_run_goes_on_on_another_device(first, then, agent, lag, tmp_path):
+@pytest.mark.parametrize("begins_there", [True, False])
+def test_a_run_goes_on_on_another_device(cuda, begins_there, agent, lag, tmp_path):
     """With the weights, worlds and random numbers that it had; as it would have gone on, up to how
     each device rounds."""
+    first, then = (cuda, "cpu") if begins_there else ("cpu", cuda)
     chosen = [f"collector.lag={lag}", "agent.learning_rate=1e-5"]
     folder = run(tmp_path, agent, "updates=2", f"device={first}", *chosen)
     before = state(folder)

@@ -32,7 +32,6 @@ from zipf.experiments.options import command_line
 from zipf.experiments.playing import playing, screens, sessions
 from zipf.experiments.playing.playing import PlayOptions
 from zipf.experiments.playing.recording import Recording
-from zipf.experiments.training import runner
 
 PATIENCE = 120.0  # seconds, on a machine busy with other things
 FAMILIES = {
@@ -307,18 +306,10 @@ def test_the_same_seed_plays_the_same(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
+def run(trained_once) -> Path:
     """A run of two updates."""
-    root = tmp_path_factory.mktemp("runs")
-    config = command_line.load(
-        [
-            *("experiment=demo", "device=cpu", "updates=2", f"run_root={root}"),
-            *("collector.num_envs=4", "collector.unroll_length=5", "evaluation.episodes=5"),
-            *("network.size=16", "memory.size=16", "memory=lstm", "environment.max_steps=9"),
-        ]
-    )
-    assert runner.train(config) == 0
-    return config.folder
+    (folder,) = trained_once.glob("*/*/seed0")
+    return folder
 
 
 @pytest.mark.parametrize(

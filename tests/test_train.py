@@ -19,13 +19,15 @@ from conftest import (
     ANNOUNCED,
     TINY,
     assert_equal,
+    call,
     command,
     contents,
     learned,
     run,
+    slow_but,
     untimed,
 )
-from worlds_of import cheapest_pairs
+from worlds_of import cheapest_pairs, pairs_once
 
 import zipf.envs.family
 from zipf import envs, evaluate
@@ -43,7 +45,7 @@ def folder_of(arguments: list[str]) -> Path:
     return command_line.load(arguments).folder
 
 
-@pytest.mark.parametrize(("experiment", "condition"), cheapest_pairs())
+@pytest.mark.parametrize(("experiment", "condition"), slow_but(cheapest_pairs(), *pairs_once()))
 def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path):
     """Two updates; the same from a checkpoint after the first, bit for bit; a score of the last."""
     arguments = [
@@ -207,7 +209,7 @@ def test_a_world_for_each_train_level(monkeypatch):
     )
 
 
-@pytest.mark.parametrize("lag", [0, 1])
+@pytest.mark.parametrize("lag", slow_but([0, 1], 0))
 def test_twenty_updates_equal_ten_a_kill_and_ten_more(lag, tmp_path):
     """SIGKILL somewhere after update 10, then the same command again: the same to the last bit."""
     arguments = [*TINY, "updates=20", f"collector.lag={lag}"]
@@ -258,7 +260,9 @@ def test_seeds_differ_and_repeat(tmp_path):
     assert not torch.equal(states[0]["policy.weight"], states[2]["policy.weight"])
 
 
-@pytest.mark.parametrize(("number", "lag"), [(signal.SIGINT, 0), (signal.SIGTERM, 1)])
+@pytest.mark.parametrize(
+    ("number", "lag"), [(signal.SIGINT, 0), pytest.param(signal.SIGTERM, 1, marks=pytest.mark.slow)]
+)
 def test_a_run_that_a_signal_stopped_resumes_bit_for_bit(number, lag, tmp_path):
     common = [*TINY, "updates=100000", "schedule.checkpoint_every=99999", f"collector.lag={lag}"]
     arguments = [*common, "evaluation.every=99999", f"run_root={tmp_path / 'cut'}"]
@@ -280,13 +284,6 @@ def test_a_run_that_a_signal_stopped_resumes_bit_for_bit(number, lag, tmp_path):
     whole = cut.model_copy(update={"run_root": str(tmp_path / "whole"), "resume": "never"})
     assert runner.train(whole) == 0
     assert_equal(learned(whole.folder), learned(cut.folder))
-
-
-@pytest.fixture
-def trained(tmp_path):
-    arguments = [*TINY, "updates=2", f"run_root={tmp_path}"]
-    assert runner.train(command_line.load(arguments)) == 0
-    return arguments
 
 
 def test_the_end_of_a_run_is_told(tmp_path, capsys):
@@ -327,7 +324,7 @@ def test_a_damaged_checkpoint_is_an_error_and_never_a_fresh_start(trained):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
-    result = run(*trained)
+    result = call(*trained)
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert str(path) in result.stderr
@@ -622,7 +619,7 @@ def test_a_resumed_run_describes_how_it_went_on(trained):
 
 def test_two_processes_do_not_train_in_one_folder(trained):
     with run_folder.lock(folder_of(trained)):
-        result = run(*trained)
+        result = call(*trained)
     assert result.returncode == 2
     assert "another process" in result.stderr
 
@@ -635,6 +632,7 @@ def test_divergence_is_an_error_and_the_checkpoint_is_kept(trained):
 compiler = pytest.mark.skipif(shutil.which("c++") is None, reason="torch.compile calls a compiler")
 
 
+@pytest.mark.slow
 @compiler
 def test_what_is_compiled_learns_the_same(tmp_path):
     plain = command_line.load([*TINY, "agent=vmpo", "updates=3", f"run_root={tmp_path / 'plain'}"])
@@ -690,7 +688,7 @@ except UserError as error:
 """
 
 
-@pytest.mark.parametrize("size", [0, 300, 2000, 20_000])
+@pytest.mark.parametrize("size", slow_but([0, 300, 2000, 20_000], 2000))
 def test_a_full_disk_is_one_line_and_loses_nothing(size, trained):
     """A limit on file sizes stands for the disk: writes fail in the same way, at every file."""
     before = learned(folder_of(trained))

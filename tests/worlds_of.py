@@ -81,6 +81,7 @@ def possible(experiment, condition):
     return needs(experiment, **chosen(experiment, condition)) is None
 
 
+@cache
 def cheapest_pairs():
     """Pairs of experiment and condition: every condition with the cheapest experiment that it is
     possible with, of those with and of those without instructions, and every experiment with at
@@ -99,6 +100,21 @@ def cheapest_pairs():
     pairs = [(experiment, condition) for (_, condition), experiment in cheapest.items()]
     left = [experiment for experiment in experiments if experiment not in dict(pairs)]
     return pairs + [(experiment, "impala") for experiment in left]
+
+
+def pairs_once():
+    """Of these as few as have every experiment, and every condition with all that it chooses."""
+    pairs = cheapest_pairs()
+    for pair in cheapest_pairs():
+        experiment, condition = pair
+        rest = [one for one in pairs if one != pair]
+        again = [one for one, other in rest if other == condition]
+        parts = chosen(experiment, condition)
+        if experiment in dict(rest) and any(
+            speaks(one) or chosen(one, condition) == parts for one in again
+        ):
+            pairs = rest
+    return pairs
 
 
 def cost(experiment):
