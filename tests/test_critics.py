@@ -416,6 +416,7 @@ RETURNS = [  # for returns between 0 and 1
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("critic", RETURNS, ids=named)
 def test_impala_learns_a_tiny_gridworld(critic):
     options = IMPALA.model_copy(
@@ -437,6 +438,7 @@ def test_impala_learns_a_tiny_gridworld(critic):
     assert episodes["length"].mean() <= 2.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("critic", RETURNS, ids=named)
 def test_r2d2_recalls_a_cue(critic):
     """Of the frame before, where a blank one asks for it; chance is 1/4."""

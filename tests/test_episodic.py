@@ -435,6 +435,7 @@ def share_of_rare(seed, updates=200, images=20):
     return float((kept >= images / 4).float().mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_mem_keeps_what_is_rare(seed, monkeypatch):
     """The rarer three quarters of situations are 0.37 of what is met. With rows of the same
@@ -573,6 +574,7 @@ def score_in_training(episodic, seed, updates=200):
     return collector.episode_metrics()["episode_success"]
 
 
+@pytest.mark.slow
 def test_what_earlier_episodes_showed_is_used():
     """Situations that are new every 16 episodes of a world; chance is a quarter. Rows of the first
     4 are there when the next are played, so that at most 0.81 is possible."""

@@ -182,11 +182,13 @@ BONUSES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_random_actions_do_not_find_the_end_of_a_corridor(seed):
     assert explore(None, seed, learns=False)[0] < LENGTH
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bonus", BONUSES.values(), ids=BONUSES)
 @pytest.mark.parametrize("seed", range(3))
 def test_the_end_of_a_corridor_is_found(seed, bonus):

@@ -717,6 +717,7 @@ def rare_success(relabelling, seed, updates=120):
     return played["success"][played["target"] == 2].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_rare_goals_are_learned_sooner(seed):
     """The rarest of the three is asked for in one episode of twelve. Seeds 0 to 2: 0.43, 0.76 and

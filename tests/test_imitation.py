@@ -118,6 +118,7 @@ def test_the_teacher_labels_every_step_and_acts_in_its_share(share):
     assert agree == pytest.approx(share + (1 - share) / 8, abs=0.06)
 
 
+@pytest.mark.slow
 def test_it_learns_what_its_teacher_does():
     def learner(observation_space, action_space):
         memory = MLPOptions(name="mlp", size=32, layers=1)

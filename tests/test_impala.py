@@ -220,6 +220,7 @@ def test_heads_compute_in_float32_under_bfloat16():
         assert (exact.bfloat16().float() != exact).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_impala_learns_a_tiny_gridworld(seed):
     options = OPTIONS.model_copy(

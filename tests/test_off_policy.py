@@ -203,6 +203,7 @@ def uncorrected(**arguments):
     return vtrace(**arguments | {"log_ratios": torch.zeros_like(arguments["log_ratios"])})
 
 
+@pytest.mark.slow
 def test_lag_without_the_correction_learns_worse(monkeypatch):
     """V-trace finds the best arm. With all ratios 1 an arm's share of the gradient is how often it
     was pulled times its advantage, and the second arm, which is not the best, has the largest."""

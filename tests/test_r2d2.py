@@ -791,6 +791,7 @@ def trained(env, network, memory, *, unroll_length, updates, seed):
             yield AgentPolicy(made, seed=seed, device="cpu")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_r2d2_learns_to_find_three_goals_in_a_room(seed):
     """Touching a random one scores a third, touching the cued one 1. The median of five scores: the
@@ -816,6 +817,7 @@ def test_r2d2_learns_to_find_three_goals_in_a_room(seed):
     assert np.median(scores) >= 0.95, scores
 
 
+@pytest.mark.slow
 def test_r2d2_learns_to_recall():
     """A cue of four steps ago, also across the bounds of sequences; chance is 1/4."""
     delay = 4

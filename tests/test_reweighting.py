@@ -333,6 +333,7 @@ def rare_success(options, seed, updates=60):
     return played["success"][played["target"] == 2].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_rare_goals_are_learned_sooner(seed):
     """The rarest of the three is one episode in eighty-seven. Seeds 0 to 3: 0.19 to 0.45, and 0.00

@@ -81,6 +81,7 @@ def test_the_right_answer_is_the_side_of_the_object_on_the_levels_first_frame():
     assert (step["target"] != info["target"]).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", envs.PAPER_KINDS)
 def test_random_answers_score_as_their_reference_says(kind):
     [asked] = envs.questions(envs.split("playroom_find")).levels(kind)
@@ -359,6 +360,7 @@ class Squares(FirstFrameVectorEnv):
         out["instruction"][mask] = words
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_it_learns_the_side_that_the_words_name(seed):
     """Fifty words stand for two colours; the side depends on both image and words."""

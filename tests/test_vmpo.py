@@ -452,6 +452,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
     assert_equal(*(checkpoint.load(tmp_path / f"{is_new}.pt") for is_new in (True, False)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_vmpo_learns_a_tiny_gridworld(seed):
     options = OPTIONS.model_copy(
