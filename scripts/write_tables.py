@@ -24,6 +24,7 @@ from tables import code, markdown
 
 from zipf import envs
 from zipf.experiments.options import catalogue, composing, config_files
+from zipf.experiments.reporting.glossary import GLOSSARY
 
 ROOT = Path(__file__).parent.parent
 MARKS = re.compile(
@@ -128,6 +129,11 @@ def file(path: str) -> list[str]:
     return [f'```{language} title="{name}"', text, "```"]
 
 
+def glossary() -> list[str]:
+    """The words of `zipf.experiments.reporting.glossary`."""
+    return markdown(("Word", "Meaning"), [(f"*{word}*", meaning) for word, meaning in GLOSSARY])
+
+
 BLOCKS: dict[str, Callable[..., list[str]]] = {
     "families": family_tables.families,
     "family": family_tables.family,
@@ -144,6 +150,7 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "choices": choices,
     "modules": modules,
     "file": file,
+    "glossary": glossary,
     "tail": tail_table.tail,
     "tail_best": tail_table.best,
     "tail_situations": tail_table.situations,

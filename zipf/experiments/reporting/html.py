@@ -29,6 +29,7 @@ from zipf.experiments.records.wording import (
 from zipf.experiments.reporting.claims import ClaimLine
 from zipf.experiments.reporting.comparable import differences
 from zipf.experiments.reporting.draw_plotly import dash, specification
+from zipf.experiments.reporting.glossary import GLOSSARY
 from zipf.experiments.reporting.grids import (
     Grid,
     caption,
@@ -158,7 +159,8 @@ def report_sections(
     statistics: Sequence[SeedStatistics] = (),
 ) -> list[Section]:
     """The sections of a report: one for each table, then the paper's layouts, its claims,
-    statistics across seeds, and what all runs differ in, where there are several tables.
+    statistics across seeds, what all runs differ in, where there are several tables, and the
+    glossary.
 
     Raises:
         UserError: a run's configuration or a video cannot be read.
@@ -186,7 +188,8 @@ def report_sections(
         every = list(dict.fromkeys(run for table in tables for run in table.runs))
         differing = _differences(every, "Options that differ", True)
         sections.append(Section("Differences between all runs", differing))
-    return sections
+    words = Cells("Words", ("Word", "Meaning"), GLOSSARY, leading=2, folded=True)
+    return [*sections, Section("Glossary", (words,))]
 
 
 def page(sections: Sequence[Section]) -> str:
