@@ -140,7 +140,7 @@ finally:
     ],
     ids=str,
 )
-def test_help_and_misspelt_names_are_answered_without_what_learns(words, code, told):
+def test_help_and_misspelt_names_are_answered_without_pytorch(words, code, told):
     command = [sys.executable, "-c", LIGHT, *words]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == code, done.stderr

@@ -24,7 +24,7 @@ from zipf.experiments.options.schema import Config
 from zipf.experiments.sweeping import sweeps
 from zipf.output import keep_going
 
-# What learns is imported where a run begins: it takes seconds, and mistakes are answered without.
+# PyTorch is imported where a run begins: it takes seconds, and mistakes are answered without.
 
 
 @hydra.main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=PRIMARY)

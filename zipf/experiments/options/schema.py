@@ -1,6 +1,6 @@
 """The typed schema of all options.
 
-PyTorch, and what learns with it, are imported where they are first needed: mistakes in the names of
+PyTorch, and the agents, are imported where they are first needed: mistakes in the names of
 options are answered without them.
 """
 
