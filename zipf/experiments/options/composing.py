@@ -243,7 +243,13 @@ def _store() -> None:
     store, nodes = ConfigStore.instance(), _nodes()
     for path, node in nodes.items() if nodes is not _stored else ():
         group, _, name = path.rpartition("/")
-        store.store(group=group or None, name=name, node=node.values, package=node.package)
+        if config_files.find_file(group, name) is None:
+            store.store(group=group or None, name=name, node=node.values, package=node.package)
+        else:  # a stored one would be the schema of the file
+            known = store.repo
+            for part in group.split("/"):
+                known = known.get(part, {})
+            known.pop(f"{name}.yaml", None)
     _stored = nodes
     for group, known in _registered().items():
         for name, values in known.items():
@@ -258,12 +264,15 @@ def _nodes() -> dict[str, config_files.Node]:
     folders = config_files.folders()
     places = ("*.yaml", "experiments/*.yaml", "experiment/*.yaml")
     files = [path for folder in folders for one in places for path in sorted(folder.glob(one))]
-    return _nodes_of(tuple((path, path.stat().st_mtime_ns) for path in files))
+    times = ((path, path.stat().st_mtime_ns) for path in files)
+    return _nodes_of(tuple(folders), tuple(times))
 
 
 @cache
-def _nodes_of(files: tuple[tuple[Path, int], ...]) -> dict[str, config_files.Node]:
-    """The configurations in our layout in these files, of these times."""
+def _nodes_of(
+    folders: tuple[Path, ...], files: tuple[tuple[Path, int], ...]
+) -> dict[str, config_files.Node]:
+    """The configurations in our layout in these folders, with files of these times."""
     return config_files.nodes()
 
 

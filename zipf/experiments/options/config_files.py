@@ -247,9 +247,11 @@ def _overrides(choose: dict[str, str]) -> list[dict[str, str]]:
 def _sections_of(name: str | None, known: dict[str, Written]) -> list[tuple[str, str]]:
     """The choices that an experiment, or one that it is like, has values for."""
     found: dict[tuple[str, str], None] = {}
-    seen = set()
-    while name in known and name not in seen:  # of a circle Hydra tells
-        seen.add(name)
+    seen = []
+    while name in known:
+        if name in seen:
+            raise UserError(f"{_shown(known[name].place)}: like: {name} would be like itself")
+        seen.append(name)
         values, sections = _without_sections(known[name])
         found |= dict.fromkeys(sections)
         name = values.get("like")

@@ -1,0 +1,240 @@
+"""Where configurations are: files of groups with blocks, and folders of files in Hydra's layout."""
+
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from zipf.errors import UserError
+from zipf.experiments.options import command_line, composing, config_files, written
+from zipf.registry import registries
+
+FILES = {
+    "condition.yaml": """
+        # IMPALA with a wide LSTM.
+        wide:
+          choose: {agent: impala, memory: lstm, auxiliary: none}
+          row: {title: Wide, order: 1.5}
+          memory: {lstm: {size: 1024}}
+        """,
+    "sweep.yaml": """
+        # Both.
+        both:
+          - {experiments: mine, conditions: [wide, impala], seeds: [0]}
+        """,
+    "experiments/mine.yaml": """
+        # Mine.
+        like: demo
+        updates: 7
+        agent:
+          impala: {discount: 0.5, /collector: {num_envs: 32}}
+        memory:
+          gtrxl: {layers: 1}
+        """,
+    "experiments/further.yaml": """
+        like: mine
+        memory:
+          mlp: {layers: 3}
+        """,
+}
+HYDRAS = {
+    "experiment/child.yaml": """
+        # @package _global_
+        defaults:
+          - demo
+          - override /memory: lstm
+          - _self_
+        experiment: child
+        memory: {layers: 2}
+        """,
+    "experiment/grandchild.yaml": """
+        # @package _global_
+        defaults:
+          - child
+          - _self_
+        experiment: grandchild
+        memory: {size: 32}
+        """,
+    "values/grandchild/impala.yaml": "defaults:\n  - /values/demo/impala@_here_\n",
+    "values/grandchild/gtrxl.yaml": """
+        defaults:
+          - /values/demo/gtrxl@_here_
+          - _self_
+        heads: 4
+        """,
+    "memory/short.yaml": "name: lstm\nsize: 64\nlayers: 1\n",
+    "memory/mlp.yaml": "name: mlp\nsize: 5\nlayers: 1\n",
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A function that fills a folder of one's own."""
+    monkeypatch.setattr(config_files, "_user_folders", [])
+
+    def fill(files):
+        for name, text in files.items():
+            path = tmp_path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(textwrap.dedent(text))
+        config_files.add_folder(tmp_path)
+        return tmp_path
+
+    return fill
+
+
+def values(*overrides):
+    return composing.composed(*overrides).values
+
+
+def test_every_choice_has_a_block_that_its_class_accepts():
+    command_line.load(["experiment=demo"])  # what is chosen from is registered
+    for group in config_files.parts():
+        for name in config_files.choices(group):
+            found = config_files.find(group, name)
+            assert found.values["name"] == name
+            if group in registries():
+                registries()[group].options[name].model_validate(found.values)
+
+
+def test_sections_are_of_choices_that_there_are():
+    for group, known in (("experiment", "experiments"), ("condition", "condition")):
+        for name in composing.choices(group):
+            found = config_files.find(group, name).values
+            for part in config_files.parts():
+                assert found.get(part, {}).keys() <= config_files.choices(part), (known, name)
+
+
+def test_a_value_does_not_reach_another_choice(folder):
+    assert values("experiment=demo", "condition=vmpo")["memory"]["layers"] == 2
+    assert (
+        values("experiment=demo", "condition=vmpo", "memory=gtrxl")["memory"]
+        == (values("experiment=demo", "memory=gtrxl")["memory"])
+    )
+    achieved = ["experiment=playroom_lift_compact", "condition=imitation_hindsight_augmented"]
+    assert values(*achieved)["hindsight"]["episodes"] == 64
+    assert values(*achieved, "hindsight=none")["hindsight"] == {"name": "none"}
+    folder(HYDRAS)
+    block = composing.choices("memory")
+    assert "short" in block
+    for experiment in ("demo", "gridworld_compact", "labyrinth_compact", "playroom_lift_compact"):
+        sizes = {
+            one: values(f"experiment={experiment}", f"memory={one}")["memory"]["size"]
+            for one in block
+        }
+        assert sizes["lstm"] == sizes["mlp"] == 256
+        assert sizes["short"] == 64
+
+
+def test_a_folder_in_our_layout(folder):
+    folder(FILES)
+    wide = command_line.load(["experiment=mine", "condition=wide"])
+    assert (wide.condition, wide.row.title, wide.memory.size) == ("wide", "Wide", 1024)
+    assert (wide.updates, wide.agent.discount, wide.collector.num_envs) == (7, 0.5, 32)
+    assert wide.agent.learning_rate == 1e-3  # of demo
+    other = command_line.load(["experiment=mine", "agent=vmpo", "memory=gtrxl"])
+    assert (other.collector.num_envs, other.memory.layers, other.memory.heads) == (256, 1, 2)
+    further = command_line.load(["experiment=further"])
+    assert (further.memory.size, further.memory.layers) == (256, 3)
+    assert (further.agent.discount, further.collector.num_envs) == (0.5, 32)
+    assert "both" in composing.choices("sweep")
+    assert config_files.find("condition", "wide").place.comment == "IMPALA with a wide LSTM."
+
+
+def test_a_folder_in_hydras_layout(folder):
+    """It includes ours by their names in this layout, and takes their place."""
+    before = values("experiment=demo", "memory=lstm")
+    folder(HYDRAS)
+    child = values("experiment=child")
+    assert child["memory"] == {"name": "lstm", "size": 256, "layers": 2}
+    assert child["agent"] == values("experiment=gridworld")["agent"] | {}  # no values for agents
+    assert child["collector"] == before["collector"]
+    last = values("experiment=grandchild")
+    assert last["memory"] == {"name": "lstm", "size": 32, "layers": 2}
+    assert last["agent"] == before["agent"]
+    gtrxl = values("experiment=grandchild", "memory=gtrxl")["memory"]
+    assert (gtrxl["size"], gtrxl["heads"], gtrxl["memory_length"]) == (128, 4, 32)
+    assert values("experiment=gridworld", "memory=mlp")["memory"]["size"] == 5
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "told"),
+    [
+        (
+            "experiments/bad.yaml",
+            "like: demo\nmemory:\n  size: 3\n",
+            "bad.yaml:2: memory: values of",
+        ),
+        (
+            "experiments/bad.yaml",
+            "like: demo\nmemory: 3\n",
+            "bad.yaml:2: memory: values of a group",
+        ),
+        (
+            "condition.yaml",
+            "bad:\n  choose: {memory: mlp}\n  agent: {discount: 1}\n",
+            ":3: agent: ",
+        ),
+        ("condition.yaml", "- bad\n", "condition.yaml: should have a block for each choice"),
+        ("condition.yaml", "bad:\n  a: 1\n  a: 2\n", "found duplicate key a"),
+        ("memory.yaml", "bad: [\n", "memory.yaml: is not a configuration: while parsing"),
+        ("experiments/bad.yaml", "- 1\n", "bad.yaml:1: should be options"),
+        ("experiments/bad.yaml", "like: bad\n", "bad.yaml:1: like: bad would be like itself"),
+        ("experiments/bad.yaml", "like: demo\nchoose: {memry: mlp}\n", "memry"),
+    ],
+)
+def test_mistakes_in_our_layout_are_one_line(file, text, told, folder):
+    folder({file: text})
+    words = ["experiment=bad" if "bad" in file else "experiment=demo"]
+    with pytest.raises(UserError) as error:
+        command_line.load([*words, "condition=bad"] if file.startswith("condition") else words)
+    assert told in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_choices_are_known_before_what_learns_is_imported():
+    text = (
+        "from zipf.experiments.options import composing\n"
+        "def known():\n"
+        "    return {group: composing.choices(group) for group in composing.groups()}\n"
+        "before = known()\n"
+        "import sys\n"
+        "assert 'torch' not in sys.modules\n"
+        "import zipf.agents, zipf.experiments.hooks\n"
+        "assert before == known(), before\n"
+    )
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_comment_that_says_same_is_that_of_the_line_above(tmp_path):
+    file = tmp_path / "a.yaml"
+    file.write_text(
+        "# What it is.\n"
+        "a: 1      # paper: one\n"
+        "b: [2, 3] # same\n"
+        "c: {d: '#4', e: 5}  # two lines,\n"
+        "                    # of one comment\n"
+        "# not of c\n"
+        "f:  # of f\n"
+        "  g: |\n"
+        "    # text\n"
+        "h: 1e-3\n"
+    )
+    found = written.read(file)
+    assert found.values == {
+        "a": 1, "b": [2, 3], "c": {"d": "#4", "e": 5}, "f": {"g": "# text\n"}, "h": 1e-3,
+    }  # fmt: skip
+    assert found.place.comment == "What it is."
+    comments = {name: (place.line, place.comment) for name, place in found.places.items()}
+    assert comments == {
+        "a": (2, "paper: one"),
+        "b": (3, "paper: one"),
+        "c": (4, "two lines, of one comment"),
+        "c.d": (4, "two lines, of one comment"),
+        "c.e": (4, "two lines, of one comment"),
+        "f": (7, "of f"),
+        "f.g": (8, ""),
+        "h": (10, ""),
+    }
