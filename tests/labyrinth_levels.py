@@ -9,6 +9,17 @@ from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
 from zipf.envs.labyrinth.world import World
 
+KINDS = (
+    "rooms_watermaze",
+    "language_execute_random_task",
+    "lasertag_one_opponent_small",
+    "natlab_varying_map_regrowth",
+    "skymaze_irreversible_path_varied",
+    "psychlab_visual_search",
+    "explore_goal_locations_small",
+)
+"""A level for each kind of rules."""
+
 REWARDS: dict[str, set[float]] = {
     "rooms_collect_good_objects_train": {1, -1},
     "rooms_exploit_deferred_effects_train": {1, 10, -3},

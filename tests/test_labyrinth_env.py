@@ -8,8 +8,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from conftest import slow_but
 from gymnasium.vector import AutoresetMode
-from labyrinth_levels import batch
+from labyrinth_levels import KINDS, batch
 from numpy.typing import NDArray
 
 from zipf.envs import Mixture, make, make_vec
@@ -18,7 +19,7 @@ from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
 from zipf.envs.testing import check_vector_env
 
-ALL = pytest.mark.parametrize("level", LEVELS)
+ALL = pytest.mark.parametrize("level", slow_but(LEVELS, *KINDS))
 SMALL = {"image_size": (9, 12)}
 MAKERS = {level: partial(make_vec, f"labyrinth/{level}") for level in LEVELS}
 
@@ -31,11 +32,14 @@ def mixture(num_envs: int, **options: Any) -> Mixture:
 
 @pytest.mark.parametrize(
     ("level", "action_repeat"),
-    [
+    slow_but(
+        [
+            ("rooms_select_nonmatching_object", 60),
+            ("rooms_keys_doors_puzzle", 400),
+            ("natlab_fixed_large_map", 600),
+        ],
         ("rooms_select_nonmatching_object", 60),
-        ("rooms_keys_doors_puzzle", 400),
-        ("natlab_fixed_large_map", 600),
-    ],
+    ),
 )
 def test_levels_keep_the_contract(level: str, action_repeat: int) -> None:
     """With long steps, for episodes of ten or so."""

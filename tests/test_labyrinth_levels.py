@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from labyrinth_levels import REWARDS, batch, record_rewards
+from conftest import slow_but
+from labyrinth_levels import KINDS, REWARDS, batch, record_rewards
 
 from zipf.envs.labyrinth import engine
 from zipf.envs.labyrinth.grids import distances
@@ -53,7 +54,7 @@ def test_names_of_the_paper() -> None:
         by_name("rooms_watermaze_v2")
 
 
-@ALL
+@pytest.mark.parametrize("level", slow_but(LEVELS, *KINDS))
 def test_random_actions_are_rewarded_as_described(level: str, monkeypatch) -> None:
     rewards = record_rewards(monkeypatch)
     env = batch(level, 16)
@@ -69,7 +70,7 @@ def test_random_actions_are_rewarded_as_described(level: str, monkeypatch) -> No
     assert total == sum(rewards)
 
 
-@ALL
+@pytest.mark.parametrize("level", slow_but(LEVELS, *KINDS))
 def test_players_start_free_and_touch_nothing(level: str) -> None:
     env = batch(level, 24)
     env.reset(seed=3)

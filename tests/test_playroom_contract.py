@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from conftest import slow_but
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
@@ -21,10 +22,11 @@ from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.testing import check_vector_env
 
 ID = "zipf/Playroom-v0"
+KINDS = ("lift/lift_shape_zipf3", "put/put_on_bed_tray_all", "supervised/find_shape_uniform")
 SMALL: dict[str, Any] = {"image_size": (6, 8), "max_steps": 18}
 
 
-@pytest.mark.parametrize("level", list(LEVELS))
+@pytest.mark.parametrize("level", slow_but(LEVELS, *KINDS))
 def test_every_level_keeps_the_contract(level: str) -> None:
     name = f"playroom/{level}"
     check_vector_env(
@@ -100,7 +102,7 @@ def test_gymnasium_makes_the_native_batch() -> None:
     assert env.situation == {"target": 50, "other": 50}
 
 
-@pytest.mark.parametrize("level", list(LEVELS))
+@pytest.mark.parametrize("level", slow_but(LEVELS, *KINDS))
 def test_gymnasium_makes_every_level(level: str) -> None:
     env = gym.make(ID, level=level, **SMALL)
     _, info = env.reset(seed=0)
