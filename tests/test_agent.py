@@ -11,12 +11,15 @@ import torch
 from conftest import assert_equal
 from networks import compact
 
-from zipf.agents.agent import Agent, AgentSpec, agents, register
+from zipf.agents.agent import Agent, AgentSpec, agents, register, unsupported
 from zipf.agents.auxiliary.reconstruction import VisionOptions
+from zipf.agents.critics import SCALAR
 from zipf.agents.episodic import DictionaryOptions
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
+from zipf.experiments.hooks.labels import Labels
+from zipf.experiments.hooks.reweighting import InverseCountOptions
 from zipf.experiments.options.config_files import find
 from zipf.experiments.training.collector import Collector
 from zipf.options import Options
@@ -46,7 +49,7 @@ def build(name, seed=0, space=SPACE, actions=ACTION_SPACE, network=NETWORK, **ch
     return made
 
 
-class Labels:
+class RandomLabels:
     """A teacher of worlds without a scripted player."""
 
     def __init__(self):
@@ -59,8 +62,8 @@ class Labels:
 def unrolls(made, count):
     """Unrolls that the agent, which does not learn meanwhile, collects."""
     env = noise.Noise(WORLDS, made.spec.observation_space)
-    teacher = Labels() if made.needs.teacher else None
-    collector = Collector(env, made, unroll_length=STEPS, seed=0, teacher=teacher)
+    hooks = [Labels(RandomLabels(), 0.0)] if made.needs.teacher else []
+    collector = Collector(env, made, unroll_length=STEPS, seed=0, hooks=hooks)
     for _ in range(count):
         unroll = collector.collect()
         final = None if unroll.final is None else unroll.final.clone()
@@ -313,6 +316,12 @@ def test_an_agent_of_ones_own_needs_four_methods(own_registries):
     for unroll in unrolls(made, 2):
         assert (unroll.steps["action"][:-1] == 1).all()
         assert made.update(unroll) == {}
+    rare = InverseCountOptions(name="inverse_count", power=1.0, largest_weight=9.0, table_size=64)
+    (refused,) = unsupported("constant", {"reweighting": rare, "critic": SCALAR})
+    assert refused.startswith(
+        "reweighting=inverse_count: agent=constant does not weigh its losses; choose "
+        "reweighting=none, or agent=imitation or impala or"
+    )
     with pytest.raises(ValueError, match="agent 'constant' is already registered"):
         register(Constant)
 

@@ -14,6 +14,8 @@ from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.playroom.actions import ACTIONS, TURN_LEFT, TURN_RIGHT
 from zipf.envs.policies import Teacher
 from zipf.experiments.hooks.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.hooks.labels import Labels
+from zipf.experiments.hooks.relabelling import Hindsight
 from zipf.experiments.training.collector import Collector
 
 IMAGE = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (6, 8, 3), np.uint8))
@@ -202,13 +204,14 @@ def test_the_collector_shows_and_acts_through_the_augmentation():
         space, symmetries = env.single_observation_space, envs.symmetries(split, env)
         return Augmentation(chosen, space, n, seed=seed, symmetries=symmetries)
 
+    first = augmentation(3)
     collector = Collector(
         env,
         build()[0],
         unroll_length=steps,
         seed=0,
-        augmentation=augmentation(3),
-        teacher=Teacher("expert", split, env),
+        augmentation=first,
+        hooks=[Labels(Teacher("expert", split, env), 0.0, first)],
     )
     twin = envs.make_vec("gridworld/uniform", n, max_steps=7)
     shown, expert = augmentation(3), envs.expert("gridworld/uniform", twin)
@@ -255,18 +258,19 @@ def test_hindsight_relabels_what_the_augmentation_shows():
     chosen = options(symmetries=True, channels=True)
     space, symmetries = env.single_observation_space, envs.symmetries(split, env)
     augmentation = Augmentation(chosen, space, n, seed=3, symmetries=symmetries)
+    relabelling = AchievedOptions(
+        name="achieved", episodes=100, length=None, kept_per_goal=None, reward=1.0,
+        advantage="none", policy_cost=1.0, value_cost=0.0, fade=None,
+    )  # fmt: skip
+    goal = envs.goal("gridworld/uniform", env)
     collector = Collector(
         env,
         build()[0],
         unroll_length=steps,
         seed=0,
         augmentation=augmentation,
-        goal=envs.goal("gridworld/uniform", env),
-        hindsight=AchievedOptions(
-            name="achieved", episodes=100, length=None, kept_per_goal=None, reward=1.0,
-            advantage="none", policy_cost=1.0, value_cost=0.0, fade=None,
-        ),
-    )  # fmt: skip
+        hooks=[Hindsight(relabelling, goal, env, seed=0, augmentation=augmentation)],
+    )
     unroll = collector.collect()
     episodes = unroll.episodes
     assert episodes is not None

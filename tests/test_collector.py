@@ -12,12 +12,19 @@ from conftest import assert_equal
 from noise import Noise
 
 from zipf import envs
-from zipf.agents.exploration import CountBonus, CountOptions, FirstVisitBonus, FirstVisitOptions
 from zipf.agents.network import Inputs
 from zipf.envs.mixture import Mixture
 from zipf.experiments.building.factory import build_agent
+from zipf.experiments.hooks.bonus import Bonus
+from zipf.experiments.hooks.exploration import (
+    CountBonus,
+    CountOptions,
+    FirstVisitBonus,
+    FirstVisitOptions,
+)
+from zipf.experiments.hooks.rewards import SoftAsymmetric, TimeLimitsEnd, soft_asymmetric
 from zipf.experiments.options import command_line
-from zipf.experiments.training.collector import Collector, soft_asymmetric
+from zipf.experiments.training.collector import Collector
 
 WORLDS, STEPS = 6, 9
 SMALL = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5, "max_steps": 7}
@@ -35,7 +42,8 @@ def build(*overrides, exploration=None, seed=3):
     )
     env = envs.make_vec("gridworld/zipf_2", WORLDS, **SMALL)
     agent = build_agent(options, env)
-    collector = Collector(env, agent, unroll_length=STEPS, seed=seed, exploration=exploration)
+    hooks = [] if exploration is None else [exploration]
+    collector = Collector(env, agent, unroll_length=STEPS, seed=seed, hooks=hooks)
     return agent, collector
 
 
@@ -141,7 +149,7 @@ def test_a_time_limit_can_be_the_end_of_the_task():
     agent, apart = build()
     alike = Collector(
         apart.env.__class__(WORLDS, **SMALL), agent, unroll_length=STEPS, seed=3,
-        bootstrap_at_time_limit=False,
+        hooks=[TimeLimitsEnd()],
     )  # fmt: skip
     for _ in range(3):
         one, other = apart.collect().steps, alike.collect().steps
@@ -166,7 +174,7 @@ def test_clipping_changes_what_is_learned_from_alone():
     agent, apart = build()
     alike = Collector(
         apart.env.__class__(WORLDS, **SMALL), agent, unroll_length=STEPS, seed=3,
-        reward_clipping="soft_asymmetric",
+        hooks=[SoftAsymmetric()],
     )  # fmt: skip
     rewarded = False
     for _ in range(10):
@@ -190,8 +198,8 @@ def test_clipping_does_not_change_what_the_agent_is_told_at_a_truncation(overrid
     env = Noise(WORLDS, gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)))
     agent = build_agent(options, env)
     apart, alike = (
-        Collector(deepcopy(env), agent, unroll_length=STEPS, seed=3, reward_clipping=clipping)
-        for clipping in ("none", "soft_asymmetric")
+        Collector(deepcopy(env), agent, unroll_length=STEPS, seed=3, hooks=hooks)
+        for hooks in ([], [SoftAsymmetric()])
     )
     one, other = apart.collect(), alike.collect()
     rewarded = one.steps["truncated"] & (one.steps["reward"] > 0)
@@ -236,24 +244,18 @@ def test_the_bonus_is_kept_apart_from_the_reward():
     assert plain.episode_metrics() == bonused.episode_metrics()
 
 
-class Brightness:
+class Brightness(Bonus):
     """A bonus that says of which observation it is: the mean of its pixels."""
 
     def __init__(self):
-        self.paid = self.ended = 0
+        self.paid = self.begun = 0
 
     def __call__(self, observation, mask):
         self.paid += int(mask.sum())
-        return np.where(mask, observation["image"].mean((1, 2, 3)), 0.0).astype(np.float32)
+        return observation["image"].double().mean((1, 2, 3)).float() * mask
 
-    def end(self, mask):
-        self.ended += int(mask.sum())
-
-    def state_dict(self):
-        return {}
-
-    def load_state_dict(self, state):
-        pass
+    def begin(self, observation, mask):
+        self.begun += int(mask.sum())
 
 
 def test_the_bonus_is_of_the_observation_that_an_action_led_to():
@@ -274,7 +276,7 @@ def test_the_bonus_is_of_the_observation_that_an_action_led_to():
                     ended += 1
                     env.reset()
     assert bonus.paid == 2 * STEPS * WORLDS
-    assert bonus.ended == ended > 0
+    assert bonus.begun == WORLDS + ended > WORLDS
 
 
 def test_a_first_visit_bonus_begins_anew_with_every_episode():
@@ -371,12 +373,12 @@ def test_levels_drawn_at_resets_are_told_apart_by_the_name_of_their_episode():
 def test_an_episode_that_is_not_restored_begins():
     agent, _ = build()
     collector, other = (
-        Collector(silent(WORLDS), agent, unroll_length=STEPS - 1, seed=3, exploration=Brightness())
+        Collector(silent(WORLDS), agent, unroll_length=STEPS - 1, seed=3, hooks=[Brightness()])
         for _ in range(2)
     )
     collector.collect()
     other.load_state_dict(deepcopy(collector.state_dict()))
-    assert other.exploration.ended == 1
+    assert other.hooks[-1].begun == WORLDS + 1
     row, expected = (one.collect().steps[0] for one in (other, collector))
     assert not expected["is_first"].any()
     assert row["is_first"].tolist() == [True] + [False] * (WORLDS - 1)

@@ -10,17 +10,17 @@ from networks import compact
 from test_impala import OPTIONS as IMPALA
 from test_rnd import OPTIONS as RND
 
-from zipf.agents import exploration as bonuses
 from zipf.agents.agent import AgentSpec
-from zipf.agents.exploration import (
+from zipf.agents.impala import Impala
+from zipf.agents.memory import MLPOptions
+from zipf.envs.vector import ZipfVectorEnv
+from zipf.experiments.hooks import exploration as bonuses
+from zipf.experiments.hooks.exploration import (
     CountBonus,
     CountOptions,
     FirstVisitBonus,
     FirstVisitOptions,
 )
-from zipf.agents.impala import Impala
-from zipf.agents.memory import MLPOptions
-from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.training.collector import Collector
 
 OPTIONS = CountOptions(name="count", scale=0.3, table_size=2**20)
@@ -35,7 +35,7 @@ def test_the_bonus_equals_counting_visits():
         instruction = rng.integers(2, size=(8, 2))
         mask = rng.random(8) < 0.7
         result = bonus({"image": image, "instruction": instruction}, mask)
-        assert result.dtype == np.float32
+        assert result.dtype == torch.float32
         for i in range(8):
             expected = 0.0
             if mask[i]:
@@ -80,7 +80,7 @@ def test_the_first_visit_bonus_equals_first_visits_of_an_episode():
         image = rng.integers(2, size=(8, 2, 2), dtype=np.uint8)
         mask, ended = rng.random(8) < 0.7, rng.random(8) < 0.1
         result = bonus({"image": image}, mask)
-        assert result.dtype == np.float32
+        assert result.dtype == torch.float32
         for i in range(8):
             new = bool(mask[i]) and image[i].tobytes() not in seen[i]
             np.testing.assert_allclose(result[i], 0.25 if new else 0.0)
@@ -89,7 +89,7 @@ def test_the_first_visit_bonus_equals_first_visits_of_an_episode():
                 seen[i].add(image[i].tobytes())
             if ended[i]:
                 seen[i] = set()
-        bonus.end(ended)
+        bonus.begin({}, ended)
     assert 100 < paid < 300  # of 336: some were seen before, and again new after an episode's end
 
 
@@ -99,7 +99,7 @@ def test_the_first_visit_bonus_continues_bit_for_bit():
     everywhere = np.ones(4, np.bool_)
     for _ in range(5):
         one({"image": rng.integers(3, size=(4, 2), dtype=np.uint8)}, everywhere)
-        one.end(np.array([True, False, False, False]))
+        one.begin({}, np.array([True, False, False, False]))
     other.load_state_dict(one.state_dict())
     again = {"image": np.repeat(rng.integers(3, size=(9, 1, 2), dtype=np.uint8), 4, 1)}
     results = [[b({"image": image}, everywhere) for image in again["image"]] for b in (one, other)]
@@ -168,7 +168,8 @@ def explore(exploration, seed, learns=True):
     for parameter in agent.network.policy.parameters():
         torch.nn.init.zeros_(parameter)  # it begins with random actions
     bonus = exploration and bonuses.BONUSES.build(exploration, spaces[0], seed)
-    collector = Collector(env, agent, unroll_length=20, seed=seed, exploration=bonus)
+    hooks = [] if bonus is None else [bonus]
+    collector = Collector(env, agent, unroll_length=20, seed=seed, hooks=hooks)
     for _ in range(60):
         unroll = collector.collect()
         if learns:

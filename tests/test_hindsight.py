@@ -25,8 +25,6 @@ from zipf.agents.impala import Impala
 from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.r2d2 import Replayed
-from zipf.agents.reweighting import InverseCountOptions
-from zipf.agents.unroll import Needs
 from zipf.envs.policies import Teacher
 from zipf.errors import UserError
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
@@ -34,6 +32,8 @@ from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.hooks import relabelling
 from zipf.experiments.hooks.augmentation import Augmentation, RandomAugmentationOptions
 from zipf.experiments.hooks.goal_memory import GoalMemory
+from zipf.experiments.hooks.labels import Labels
+from zipf.experiments.hooks.relabelling import RELABELLINGS, Hindsight
 from zipf.experiments.options import command_line
 from zipf.experiments.training import runner
 from zipf.experiments.training.collector import Collector
@@ -58,12 +58,18 @@ def impala_of(env):
     return Impala(IMPALA, AgentSpec(*spaces, compact(), LSTM))
 
 
-def collector_of(options=OPTIONS, seed=0, observation="tiles", **kwargs):
+def collector_of(options=OPTIONS, seed=0, observation="tiles", augmentation=None):
     worlds = {"observation": observation, "max_steps": 80}
     env = envs.make_vec(LEVEL, WORLDS, **worlds)
     goal = envs.goal(LEVEL, env)
+    hook = RELABELLINGS.build(options, goal, env, seed=seed, augmentation=augmentation)
     return Collector(
-        env, impala_of(env), unroll_length=STEPS, seed=seed, goal=goal, hindsight=options, **kwargs
+        env,
+        impala_of(env),
+        unroll_length=STEPS,
+        seed=seed,
+        hooks=[] if hook is None else [hook],
+        augmentation=augmentation,
     )
 
 
@@ -179,14 +185,14 @@ def test_hindsight_changes_nothing_else_in_an_unroll():
         assert one.episodes is None
         for name in one.steps.keys(True, True):
             assert torch.equal(one.steps[name], other.steps[name]), name
-    assert plain.state_dict()["hindsight"] == {}
+    assert "hindsight" not in plain.state_dict()
 
 
 def test_the_last_episodes_of_each_goal_are_kept_and_goals_are_drawn_alike():
     """Those that achieved what was asked for, too."""
     ended = []
     collector = collector_of(OPTIONS.model_copy(update={"episodes": 1, "kept_per_goal": 3}))
-    collector.hindsight._memory.add = lambda goal, episode: ended.append((goal, episode))
+    collector.hooks[-1]._memory.add = lambda goal, episode: ended.append((goal, episode))
     terminated = rewarded = 0
     for _ in range(20):
         steps = collector.collect().steps[:STEPS]
@@ -224,8 +230,8 @@ def test_kept_episodes_are_the_worlds_own_and_are_augmented_when_drawn():
     )
     options = OPTIONS.model_copy(update={"episodes": 20, "kept_per_goal": 2})
     collector = collector_of(options, augmentation=augmentation)
-    kept, add = [], collector.hindsight._memory.add
-    collector.hindsight._memory.add = lambda goal, one: (kept.append(one), add(goal, one))
+    kept, add = [], collector.hooks[-1]._memory.add
+    collector.hooks[-1]._memory.add = lambda goal, one: (kept.append(one), add(goal, one))
     drawn = collector.collect().episodes
     everywhere = envs.make_vec(LEVEL, 400, observation="tiles", max_steps=80)
     situations = {"map": np.repeat(np.arange(20), 20), "target": np.tile(np.arange(20), 20)}
@@ -269,19 +275,13 @@ def test_with_a_teacher_every_episode_is_kept_with_its_labels_for_what_it_was_as
     """Those that achieved another goal are kept for that, too, with the actions taken."""
     env = envs.make_vec(LEVEL, WORLDS, observation="tiles", max_steps=20)
     agent = impala_of(env)
-    agent.needs = Needs(teacher_share=0.3)
     goal = envs.goal(LEVEL, env)
-    collector = Collector(
-        env,
-        agent,
-        unroll_length=STEPS,
-        seed=0,
-        goal=goal,
-        hindsight=OPTIONS.model_copy(update={"kept_per_goal": 3}),
-        teacher=Teacher("expert", envs.split("gridworld"), env),
-    )
+    labels = Labels(Teacher("expert", envs.split("gridworld"), env), 0.3)
+    kept_options = OPTIONS.model_copy(update={"kept_per_goal": 3})
+    hook = Hindsight(kept_options, goal, env, seed=0, teacher=True)
+    collector = Collector(env, agent, unroll_length=STEPS, seed=0, hooks=[labels, hook])
     kept: dict[bool, list] = {True: [], False: []}
-    collector.hindsight._memory.add = lambda key, episode: kept[bool(key[-1])].append(
+    collector.hooks[-1]._memory.add = lambda key, episode: kept[bool(key[-1])].append(
         (key[:-1], episode)
     )
     asked, mistaken, running = [], [], [[] for _ in range(WORLDS)]
@@ -313,17 +313,11 @@ def test_with_a_teacher_a_matcher_learns_from_what_was_achieved_alone():
     """Episodes that failed at what they were asked for are kept, and say so."""
     env = envs.make_vec(LEVEL, WORLDS, observation="tiles", max_steps=20)
     agent = impala_of(env)
-    agent.needs = Needs(teacher_share=0.5)
+    labels = Labels(Teacher("expert", envs.split("gridworld"), env), 0.5)
     changes = {"kept_per_goal": 50, "matching_cost": 1.0, "episodes": 60}
-    collector = Collector(
-        env,
-        agent,
-        unroll_length=STEPS,
-        seed=0,
-        goal=envs.goal(LEVEL, env),
-        hindsight=OPTIONS.model_copy(update=changes),
-        teacher=Teacher("expert", envs.split("gridworld"), env),
-    )
+    kept = OPTIONS.model_copy(update=changes)
+    hook = Hindsight(kept, envs.goal(LEVEL, env), env, seed=0, teacher=True)
+    collector = Collector(env, agent, unroll_length=STEPS, seed=0, hooks=[labels, hook])
     for _ in range(10):
         episodes = collector.collect().episodes
     length = episodes["mask"].sum(0)
@@ -359,7 +353,7 @@ def test_it_continues_from_its_state(kept, length):
         if one is not None:
             found += one.shape[1]
             assert_equal(one.to_dict(), again.to_dict())
-        assert_equal(collector.hindsight.state_dict(), other.hindsight.state_dict())
+        assert_equal(collector.hooks[-1].state_dict(), other.hooks[-1].state_dict())
     assert found > 5
 
 
@@ -706,10 +700,10 @@ def rare_success(relabelling, seed, updates=120):
         update={"learning_rate": 5e-3, "entropy_cost": 0.1, "max_gradient_norm": 1.0}
     )
     agent = Impala(options, AgentSpec(*spaces, compact(), memory, seed=seed, hindsight=relabelling))
-    goal = envs.goal(level, env)
-    collector = Collector(
-        env, agent, unroll_length=8, seed=1000 * seed, goal=goal, hindsight=relabelling
-    )
+    goal, seed = envs.goal(level, env), 1000 * seed
+    hook = RELABELLINGS.build(relabelling, goal, env, seed=seed)
+    hooks = [] if hook is None else [hook]
+    collector = Collector(env, agent, unroll_length=8, seed=seed, hooks=hooks)
     for _ in range(updates):
         agent.update(collector.collect())
     test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.WORLDS)
@@ -729,11 +723,8 @@ def test_rare_goals_are_learned_sooner(seed):
 
 def test_relabelled_episodes_in_replay_have_the_weight_one():
     """Where the other frames are weighed; with the empty rows, which have no error, at 0."""
-    reweighting = InverseCountOptions(
-        name="inverse_count", power=1.0, largest_weight=9.0, table_size=64
-    )
     options = OPTIONS.model_copy(update={"length": 13, "episodes": 3})
-    made = build("r2d2", hindsight=options, reweighting=reweighting)
+    made = build("r2d2", hindsight=options, weighted=True)
     made._insert_episodes(episodes_of([4, 2], actions=2))
     items, _, _ = made.replay.sample(8)
     inside = (items["steps", "weight"] == 1).sum(1).tolist()

@@ -18,6 +18,7 @@ from zipf.agents.network import Inputs
 from zipf.envs.policies import Teacher
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
+from zipf.experiments.hooks.labels import Labels
 from zipf.experiments.training.collector import Collector
 
 ACTIONS, STEPS, BATCH = 3, 6, 4
@@ -101,9 +102,8 @@ def test_the_teacher_labels_every_step_and_acts_in_its_share(share):
     env = envs.make_vec("gridworld/zipf_2", 64)
     agent = build(env.single_observation_space, env.single_action_space, teacher_share=share)
     split = envs.split("gridworld")
-    collector = Collector(
-        env, agent, unroll_length=8, seed=0, teacher=Teacher("expert", split, env)
-    )
+    labels = Labels(Teacher("expert", split, env), share)
+    collector = Collector(env, agent, unroll_length=8, seed=0, hooks=[labels])
     twin, expert = envs.make_vec("gridworld/zipf_2", 64), []
     asked = envs.expert("gridworld/zipf_2", twin)
     twin.reset(seed=0)
@@ -127,7 +127,7 @@ def test_it_learns_what_its_teacher_does():
     env = envs.make_vec("gridworld/uniform", 64, **tiny_gridworld.WORLDS)
     agent = learner(env.single_observation_space, env.single_action_space)
     teacher = Teacher("expert", envs.split("gridworld"), env)
-    collector = Collector(env, agent, unroll_length=8, seed=0, teacher=teacher)
+    collector = Collector(env, agent, unroll_length=8, seed=0, hooks=[Labels(teacher, 0.0)])
     for _ in range(100):
         agent.update(collector.collect())
     test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.WORLDS)

@@ -12,12 +12,12 @@ import torch.nn.functional as F
 from conftest import TINY, assert_equal, learned, untimed
 
 from zipf import envs
-from zipf.agents.exploration import BONUSES
 from zipf.agents.unroll import Unroll
 from zipf.errors import UserError
 from zipf.experiments.building import run_folder
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.hooks.exploration import BONUSES
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options import command_line
 from zipf.experiments.training import runner
@@ -62,11 +62,13 @@ def in_turn(config, updates):
         actor,
         unroll_length=config.collector.unroll_length,
         seed=derive_seed(config.seed, "training"),
-        exploration=BONUSES.build(
-            config.exploration,
-            env.single_observation_space,
-            derive_seed(config.seed, "exploration"),
-        ),
+        hooks=[
+            BONUSES.build(
+                config.exploration,
+                env.single_observation_space,
+                derive_seed(config.seed, "exploration"),
+            )
+        ],
     )
     rows = []
     unroll = copied(collector.collect())

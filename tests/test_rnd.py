@@ -9,8 +9,8 @@ import pytest
 import torch
 from conftest import assert_equal
 
-from zipf.agents.rnd import LARGEST_INPUT, RNDBonus, RNDOptions, Statistics
 from zipf.experiments.building import checkpoint
+from zipf.experiments.hooks.rnd import LARGEST_INPUT, RNDBonus, RNDOptions, Statistics
 
 OPTIONS = RNDOptions(
     name="rnd",
@@ -46,7 +46,7 @@ def test_any_observation_has_a_bonus(name):
     bonus = RNDBonus(OPTIONS, space, seed=0)
     for seed in range(5):
         result = bonus(samples(space, N, seed), EVERY)
-        assert result.dtype == np.float32
+        assert result.dtype == torch.float32
         assert result.shape == (N,)
         assert np.isfinite(result).all()
         assert (result > 0).all()

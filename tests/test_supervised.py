@@ -25,6 +25,7 @@ from zipf.envs.testing import check_vector_env
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.hooks.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.hooks.relabelling import Hindsight
 from zipf.experiments.training.collector import Collector
 
 OPTIONS = SupervisedOptions(
@@ -221,7 +222,8 @@ def test_with_hindsight_it_learns_relabelled_questions_too(kept):
     env, changes = FirstFrameVectorEnv(4, level), {"hindsight": options}
     made, plain = classifier(env, spec=changes), classifier(env, spec=changes)
     goal = envs.goal(f"playroom/{level}", env)
-    collector = Collector(env, made, unroll_length=6, seed=1, goal=goal, hindsight=options)
+    hook = Hindsight(options, goal, env, seed=1)
+    collector = Collector(env, made, unroll_length=6, seed=1, hooks=[hook])
     frames, info = env.reset(seed=1)
     named = {}
     for _ in range(6):
@@ -286,10 +288,10 @@ def test_relabelled_questions_tell_where_the_named_object_is(kept, augmented):
         )  # fmt: skip
         augmentation = Augmentation(changes, space, 20, seed=0, symmetries=symmetries)
     goal = envs.goal(f"playroom/{level}", env)
+    hook = Hindsight(options, goal, env, seed=1, augmentation=augmentation)
     collector = Collector(
-        env, classifier(env), unroll_length=10, seed=1, goal=goal, hindsight=options,
-        augmentation=augmentation,
-    )  # fmt: skip
+        env, classifier(env), unroll_length=10, seed=1, hooks=[hook], augmentation=augmentation
+    )
     questions = collector.collect().episodes
     toys = FirstFrameVectorEnv(50, level)
     frames, _ = toys.reset(seed=0, options={"target": np.arange(50), "other": 0})
@@ -310,8 +312,9 @@ def test_relabelled_questions_tell_where_the_named_object_is(kept, augmented):
     assert sides == {LEFT, RIGHT}
     assert (len(edges) > 20) == augmented
     plain = options.model_copy(update={"matching_cost": 0.0})
-    without = Collector(Painted(20, level), classifier(env), unroll_length=10, seed=1, goal=goal,
-                        hindsight=plain)  # fmt: skip
+    apart = Painted(20, level)
+    hook = Hindsight(plain, goal, apart, seed=1)
+    without = Collector(apart, classifier(env), unroll_length=10, seed=1, hooks=[hook])
     assert "region" not in without.collect().episodes
 
 

@@ -41,7 +41,6 @@ from zipf.agents.hindsight import NO_HINDSIGHT, HindsightOptions
 from zipf.agents.memory import State
 from zipf.agents.network import Inputs
 from zipf.agents.network_options import NetworkOptions
-from zipf.agents.reweighting import NO_REWEIGHTING
 from zipf.agents.unroll import Needs, Unroll
 from zipf.options import Context, Options, name_of
 from zipf.registry import Registry
@@ -60,7 +59,7 @@ class AgentSpec:
         seed: of the initial weights and of all that an agent draws by itself.
         device: where it computes, as PyTorch names it.
         precision: "float32", or "bfloat16" for automatic mixed precision.
-        reweighting: options of loss reweighting; unless "none", unrolls have a `weight` per frame.
+        weighted: whether the frames of unrolls have a `weight`.
         hindsight: options of hindsight; unless "none", unrolls have relabelled `episodes`.
     """
 
@@ -76,7 +75,7 @@ class AgentSpec:
     seed: int = 0
     device: str = "cpu"
     precision: Literal["float32", "bfloat16"] = "float32"
-    reweighting: Options = NO_REWEIGHTING
+    weighted: bool = False
     hindsight: HindsightOptions = NO_HINDSIGHT
 
     @property
@@ -92,7 +91,7 @@ class AgentSpec:
         return Context("", True, self.num_envs, self.unroll_length, chosen)
 
 
-_PARTS = ("network", "memory", "auxiliary", "critic", "episodic", "reweighting", "hindsight")
+_PARTS = ("network", "memory", "auxiliary", "critic", "episodic", "hindsight")
 
 LACKING = {
     "auxiliary": "has no auxiliary losses",

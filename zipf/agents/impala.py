@@ -29,8 +29,7 @@ from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, sampled
 from zipf.agents.returns import vtrace
-from zipf.agents.reweighting import weighted
-from zipf.agents.unroll import Unroll
+from zipf.agents.unroll import Unroll, weighted
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

@@ -48,10 +48,9 @@ from zipf.agents.memory import State
 from zipf.agents.network import Inputs, Torso, frozen_copy, head, in_full
 from zipf.agents.network_options import NetworkOptions
 from zipf.agents.returns import lambda_returns, rescale, unrescale
-from zipf.agents.reweighting import NO_REWEIGHTING, weighted
 from zipf.agents.sequences import Sequences
 from zipf.agents.truncations import Finals
-from zipf.agents.unroll import Needs, Unroll
+from zipf.agents.unroll import Needs, Unroll, weighted
 from zipf.options import Context, Options
 
 if TYPE_CHECKING:  # imported where learning begins: it brings TorchRL, which takes a second
@@ -233,7 +232,7 @@ class R2D2(Learner):
             unroll_length=spec.unroll_length,
             burn_in=options.burn_in,
             final_observations=options.final_observations,
-            weighted=spec.reweighting != NO_REWEIGHTING,
+            weighted=spec.weighted,
         )
         self.replay: Replay | None = None
 

@@ -32,8 +32,7 @@ from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
 from zipf.agents.network import Inputs, Torso, head, in_full
 from zipf.agents.network_options import NetworkOptions
-from zipf.agents.reweighting import weighted
-from zipf.agents.unroll import Unroll
+from zipf.agents.unroll import Unroll, weighted
 from zipf.options import Options
 
 

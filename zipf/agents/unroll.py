@@ -146,3 +146,8 @@ class Unroll:
         final = None if self.final is None else self.final.to(device, non_blocking=True)
         episodes = None if self.episodes is None else self.episodes.to(device)
         return Unroll(self.steps.to(device, non_blocking=True), memory, late, final, episodes)
+
+
+def weighted(losses: Tensor, steps: TensorDict) -> Tensor:
+    """Losses of the frames [T, B] of an unroll's `steps`, times their weights if they have any."""
+    return losses * steps["weight"] if "weight" in steps.keys() else losses

@@ -41,8 +41,7 @@ from zipf.agents.network import (
     sampled,
 )
 from zipf.agents.returns import bootstrapped_returns
-from zipf.agents.reweighting import weighted
-from zipf.agents.unroll import Unroll
+from zipf.agents.unroll import Unroll, weighted
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 

@@ -32,7 +32,7 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
         seed=derive_seed(config.seed, "weights"),
         device=config.torch_device,
         precision=config.precision,
-        reweighting=config.reweighting,
+        weighted=config.reweighting.name != "none",
         hindsight=config.hindsight,
     )
     try:

@@ -1,7 +1,7 @@
-"""Hooks: what else happens around a step of collection, a file each with its options."""
+"""Hooks: what else happens around the steps of collection, one subject a file."""
 
 # Importing these registers their choices.
-from zipf.agents import exploration
-from zipf.experiments.hooks import augmentation, relabelling
+from zipf.experiments.hooks import augmentation, exploration, relabelling, reweighting
+from zipf.experiments.hooks.hook import Hook, Row
 
-__all__ = ["augmentation", "exploration", "relabelling"]
+__all__ = ["Hook", "Row", "augmentation", "exploration", "relabelling", "reweighting"]

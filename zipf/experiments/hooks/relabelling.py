@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
+from torch import Tensor
 
 from zipf.agents.hindsight import AchievedOptions, NoHindsightOptions
+from zipf.agents.unroll import Unroll
 from zipf.envs.goals import Goal
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.hooks.augmentation import Augmentation, Draw
 from zipf.experiments.hooks.goal_memory import Episode, GoalMemory, Parts
+from zipf.experiments.hooks.hook import Hook, Row, arrays
+from zipf.experiments.hooks.hook import Parts as Tensors
 from zipf.registry import Registry
 
 _FIELDS = {
@@ -25,14 +30,14 @@ _FIELDS = {
 _FIRST_ROWS = 64  # ours: room for short episodes; it doubles where an episode is longer
 
 
-class Hindsight:
+class Hindsight(Hook):
     """Keeps the running episode of each of N worlds, and relabels those that end.
 
     Args:
         options: how many episodes, and how many of their last frames.
-        goal: reads what episodes ask for and replaces it.
+        goal: reads what episodes ask for and replaces it; None where nothing says it.
         env: the worlds; told to report what episodes achieve.
-        reward: of the last step of a relabelled episode.
+        clip: makes rewards those that are learned from; None: they are the same.
         seed: of the draws among more episodes than are asked for.
         augmentation: what the agent sees of the worlds; `add` is told what they show.
         teacher: whether fields have a teacher's actions as `label`. The memory then also keeps
@@ -41,25 +46,30 @@ class Hindsight:
             Where a matcher learns, its episodes say whether they `achieved` what they ask for.
 
     Raises:
-        ValueError: the worlds do not tell what an episode has achieved.
+        ValueError: the worlds do not say what an episode asks for, or what it has achieved.
     """
+
+    name = "hindsight"
 
     def __init__(
         self,
         options: AchievedOptions,
-        goal: Goal,
+        goal: Goal | None,
         env: ZipfVectorEnv,
         *,
-        reward: float,
+        clip: Callable[[NDArray[Any]], NDArray[Any]] | None = None,
         seed: int,
         augmentation: Augmentation | None = None,
         teacher: bool = False,
     ):
+        if goal is None:
+            raise ValueError("these worlds do not say what an episode asks for")
         env.report_achieved()
         self.options = options
         self._regions = env.action_regions if options.matching_cost else None
         self.goal = goal
-        self.reward = reward
+        reward = np.array([options.reward])
+        self.reward = float((reward if clip is None else clip(reward))[0])
         self._teacher = teacher
         self.augmentation = augmentation
         # Another stream than that of the agent's actions, which stay as they are.
@@ -76,6 +86,16 @@ class Hindsight:
         self._memory = GoalMemory(options.kept_per_goal) if options.kept_per_goal else None
         self._chosen: list[Episode] = []
         self._candidates = 0
+
+    def begin(self, observation: Tensors, mask: Tensor) -> None:
+        self._lengths[mask.numpy()] = 0
+
+    def step(self, row: Row) -> None:
+        outcome = arrays(row.outcome)
+        self.add(arrays(row.observation), arrays(row.fields), row.ended.numpy(), outcome)
+
+    def finish(self, unroll: Unroll) -> None:
+        unroll.episodes = self.take()
 
     def add(
         self,
@@ -170,9 +190,7 @@ class Hindsight:
             "kept": [] if self._memory is None else self._memory.state_dict(),
         }
 
-    def load_state_dict(self, state: dict[str, Any], restarted: NDArray[np.bool_]) -> None:
-        """Continues from `state_dict()`, in worlds of which those of `restarted` [N] have begun
-        another episode."""
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         self._chosen, self._candidates = [], 0
         self._generator.set_state(torch.as_tensor(state["generator"]))
         self._lengths[:] = state["lengths"]
@@ -183,7 +201,6 @@ class Hindsight:
             self._observation[name][:used] = part
         for name, part in state["fields"].items():
             self._fields[name][:used] = part
-        self._lengths[restarted] = 0
         if self._memory is not None:
             self._memory.load_state_dict(state["kept"])
 
@@ -255,9 +272,9 @@ class Hindsight:
         return {name: np.zeros((*shape, *tail), dtype) for name, (tail, dtype) in like.items()}
 
 
-RELABELLINGS: Registry[Hindsight | None] = Registry("hindsight")
+RELABELLINGS: Registry[Hook | None] = Registry("hindsight")
 """Each is built from its options, which derive from `AchievedOptions`, the goal and the worlds, and
-by name `reward`, `seed`, `augmentation` and `teacher`; it raises ValueError where the worlds do not
+by name `clip`, `seed`, `augmentation` and `teacher`; it raises ValueError where the worlds do not
 tell what an episode has achieved."""
 
 RELABELLINGS.register(NoHindsightOptions, lambda options, goal, env, **named: None)

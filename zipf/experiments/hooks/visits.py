@@ -10,18 +10,33 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from zipf.experiments.hooks.hook import Hook, Row, arrays
 
-class Visits:
+
+class Visits(Hook):
     """Counts training episodes by their situation, at their end.
 
     Args:
         ranks: the names of the situation's ranks.
     """
 
+    name = "visits"
+
     def __init__(self, ranks: Sequence[str]):
         self.ranks = tuple(ranks)
         self._met: Counter[tuple[int, ...]] = Counter()
         self._of_rank: dict[str, Counter[int]] = {name: Counter() for name in self.ranks}
+
+    def step(self, row: Row) -> None:
+        if row.any_ended:
+            self.add(arrays(row.outcome), row.ended.numpy())
+
+    def take(self) -> Visits:
+        """The counts so far; from here on they begin again."""
+        taken = Visits(self.ranks)
+        taken._met, self._met = self._met, taken._met
+        taken._of_rank, self._of_rank = self._of_rank, taken._of_rank
+        return taken
 
     def add(self, final_info: Mapping[str, NDArray], ended: NDArray[np.bool_]) -> None:
         """Counts the episodes of the worlds `ended` [N], whose ranks are in `final_info`; none

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from zipf import envs
 from zipf.agents.agent import Agent
-from zipf.agents.exploration import BONUSES
-from zipf.agents.reweighting import REWEIGHTINGS
 from zipf.envs.policies import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.seeds import derive_seed
-from zipf.experiments.hooks.augmentation import AUGMENTATIONS
+from zipf.experiments.hooks.augmentation import AUGMENTATIONS, Augmentation
+from zipf.experiments.hooks.exploration import BONUSES
+from zipf.experiments.hooks.hook import Hook
+from zipf.experiments.hooks.labels import Labels
+from zipf.experiments.hooks.relabelling import RELABELLINGS
+from zipf.experiments.hooks.rewards import SoftAsymmetric, TimeLimitsEnd, soft_asymmetric
+from zipf.experiments.hooks.reweighting import REWEIGHTINGS
 from zipf.experiments.options.schema import Config
 from zipf.experiments.training.collector import Collector
 
@@ -23,30 +29,56 @@ def build_collector(
         player: numbers which of several collectors of a run it is, a learner's or an actor's: each
             draws for itself.
     """
-    options, device = config.collector, config.torch_device
+    augmentation = AUGMENTATIONS.build(
+        config.augmentation,
+        env.single_observation_space,
+        env.num_envs,
+        seed=derive_seed(config.seed, "augmentation", *player),
+        symmetries=envs.symmetries(config.split, env),
+    )
     return Collector(
         env,
         agent,
-        unroll_length=options.unroll_length,
+        unroll_length=config.collector.unroll_length,
         seed=derive_seed(config.seed, "training", *player),
-        device=device,
-        augmentation=AUGMENTATIONS.build(
-            config.augmentation,
-            env.single_observation_space,
-            env.num_envs,
-            seed=derive_seed(config.seed, "augmentation", *player),
-            symmetries=envs.symmetries(config.split, env),
-        ),
-        exploration=BONUSES.build(
+        hooks=list(_hooks(config, env, agent, player, augmentation)),
+        augmentation=augmentation,
+        lag=config.lag,
+    )
+
+
+def _hooks(
+    config: Config,
+    env: ZipfVectorEnv,
+    agent: Agent,
+    player: tuple[int, ...],
+    augmentation: Augmentation | None,
+) -> Iterator[Hook]:
+    """The hooks in their order: what changes rewards comes before what keeps them."""
+    clips = config.collector.reward_clipping == "soft_asymmetric"
+    if clips:
+        yield SoftAsymmetric()
+    if not config.collector.bootstrap_at_time_limit:
+        yield TimeLimitsEnd()
+    needs = agent.needs
+    if needs.teacher:
+        yield Labels(Teacher(needs.teacher, config.split, env), needs.teacher_share, augmentation)
+    goal = envs.family_of_split(config.environment.split).make_goal(env)
+    chosen = (
+        BONUSES.build(
             config.exploration,
             env.single_observation_space,
             derive_seed(config.seed, "exploration", *player),
         ),
-        goal=envs.family_of_split(config.environment.split).make_goal(env),
-        reweighting=REWEIGHTINGS.build(config.reweighting, env.num_envs),
-        hindsight=config.hindsight,
-        lag=config.lag,
-        bootstrap_at_time_limit=options.bootstrap_at_time_limit,
-        reward_clipping=options.reward_clipping,
-        teacher=Teacher(agent.needs.teacher, config.split, env) if agent.needs.teacher else None,
+        REWEIGHTINGS.build(config.reweighting, goal, env.num_envs),
+        RELABELLINGS.build(
+            config.hindsight,
+            goal,
+            env,
+            clip=soft_asymmetric if clips else None,
+            seed=derive_seed(config.seed, "training", *player),
+            augmentation=augmentation,
+            teacher=needs.teacher is not None,
+        ),
     )
+    yield from (hook for hook in chosen if hook is not None)

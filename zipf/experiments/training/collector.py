@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from threading import Event
 from time import perf_counter
 from typing import Any
@@ -14,18 +14,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from zipf.agents.agent import Agent
-from zipf.agents.exploration import Bonus
-from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions, HindsightOptions
 from zipf.agents.network import Inputs
-from zipf.agents.reweighting import GoalWeights
 from zipf.agents.unroll import Unroll
-from zipf.envs.goals import Goal
 from zipf.envs.mixture import Mixture
-from zipf.envs.policies import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.checkpoint import arrays
 from zipf.experiments.hooks.augmentation import Augmentation
-from zipf.experiments.hooks.relabelling import RELABELLINGS, Hindsight
+from zipf.experiments.hooks.hook import Hook, Row
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.training.unroll_buffers import CARRIED, UnrollBuffers
 
@@ -39,35 +34,24 @@ class Abandoned(Exception):
 class Collector:
     """Fills one unroll after another without dropping a frame.
 
-    The environment writes its observations straight into an unroll. There are 1 + `lag` unrolls,
-    used in turn: an agent that keeps frames for longer copies them.
+    The environment writes its observations straight into an unroll, unless they are augmented.
+    There are 1 + `lag` unrolls, used in turn: an agent that keeps frames for longer copies them.
+    They are in RAM: pinned, if the agent computes on a CUDA device.
 
     Attributes:
         seconds: spent in `environment` (stepping the worlds) and `inference` (the agent acts).
-        visits: how often each situation was met.
 
     Args:
         env: a batch in SAME_STEP autoreset mode; reset here, with `seed`.
         agent: acts.
         unroll_length: T.
         seed: of the worlds and of the agent's actions.
-        device: where the agent computes. Unrolls are in RAM: pinned, if the device is CUDA.
-        exploration: adds a bonus for the observations that actions lead to, before augmentation.
-        augmentation: changes what the agent sees of the worlds.
+        hooks: what else happens around a step, in this order.
+        augmentation: changes what the agent sees of the worlds, and means by its actions.
         lag: for how many further calls of `collect` an unroll stays valid.
-        bootstrap_at_time_limit: whether unrolls tell time limits from the end of the task. If
-            not, `terminated` is set in the place of `truncated`.
-        teacher: of these worlds, for an agent that learns from one.
-        reward_clipping: "none", or "soft_asymmetric": the agent learns from squashed rewards (see
-            `soft_asymmetric`); the previous rewards in its input and episodes' returns stay as
-            they are.
-        goal: reads what episodes ask for; needed where something depends on it.
-        reweighting: gives frames of episodes with a rare goal a larger weight.
-        hindsight: relabels episodes with what they achieved.
 
     Raises:
-        ValueError: the agent's burn-in is longer than an unroll, or nothing says what episodes ask
-            for, or what they achieve, and something depends on it.
+        ValueError: the agent's burn-in is longer than an unroll.
     """
 
     def __init__(
@@ -77,72 +61,39 @@ class Collector:
         *,
         unroll_length: int,
         seed: int,
-        device: str = "cpu",
-        exploration: Bonus | None = None,
+        hooks: Sequence[Hook] = (),
         augmentation: Augmentation | None = None,
         lag: int = 0,
-        bootstrap_at_time_limit: bool = True,
-        reward_clipping: str = "none",
-        teacher: Teacher | None = None,
-        goal: Goal | None = None,
-        reweighting: GoalWeights | None = None,
-        hindsight: HindsightOptions = NO_HINDSIGHT,
     ):
         burn_in = agent.needs.burn_in
         if burn_in > unroll_length:
             raise ValueError(
                 f"a burn-in of {burn_in} rows is longer than an unroll of {unroll_length}"
             )
-        relabels = isinstance(hindsight, AchievedOptions)
-        if goal is None and (reweighting is not None or relabels):
-            raise ValueError("these worlds do not say what an episode asks for")
         self.env = env
         self.agent = agent
         self.unroll_length = unroll_length
-        self.device = device
-        self.exploration = exploration
+        self.device = agent.device
         self.augmentation = augmentation
-        self.bootstrap_at_time_limit = bootstrap_at_time_limit
-        self.reward_clipping = reward_clipping
-        self.teacher = teacher
-        self.goal = goal
-        self.reweighting = reweighting
-        self.hindsight: Hindsight | None = None
-        if isinstance(hindsight, AchievedOptions):
-            assert goal is not None
-            success = float(self._learned(np.array([hindsight.reward]))[0])
-            self.hindsight = RELABELLINGS.build(
-                hindsight,
-                goal,
-                env,
-                reward=success,
-                seed=seed,
-                augmentation=augmentation,
-                teacher=teacher is not None,
-            )
+        self._visits = Visits(tuple(env.situation))
+        self.hooks: list[Hook] = [self._visits, *hooks]
         self.seconds = {"environment": 0.0, "inference": 0.0}
-        self.visits = Visits(tuple(env.situation))
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
         self._memory = agent.initial_memory(env.num_envs)
         self._abandoned = Event()
-        pinned = device.startswith("cuda")
-        further = {
-            **({"label": torch.int64} if teacher is not None else {}),
-            **({"weight": torch.float32} if reweighting is not None else {}),
-        }
+        columns = {name: dtype for hook in self.hooks for name, dtype in hook.columns.items()}
+        finals, pinned = agent.needs.final_observations, self.device.startswith("cuda")
         self._buffers = [
-            UnrollBuffers(env, unroll_length + 1, agent.needs.final_observations, further, pinned)
-            for _ in range(1 + lag)
+            UnrollBuffers(env, unroll_length + 1, finals, columns, pinned) for _ in range(1 + lag)
         ]
         self._final = env.allocate()
-        env.reset(seed=seed, out=self._buffers[-1].observation_row(-1))
+        # What the worlds show before and after a step; unrolls have it, but for an augmentation.
+        self._raw = [env.allocate(), env.allocate()] if augmentation else None
         everywhere = np.ones(env.num_envs, np.bool_)
-        self._count(self._buffers[-1].observation_row(-1), everywhere)
-        self._shown: dict[str, NDArray] = {}  # the last observation before augmentation
-        if augmentation:
-            augmentation.begin(everywhere)
-            self._change(self._buffers[-1].observation_row(-1))
+        env.reset(seed=seed, out=self._shown(self._buffers[-1], -1))
+        self._begin(self._buffers[-1], -1, everywhere)
+        self._augment(self._buffers[-1], -1, everywhere)
 
     def collect(self) -> Unroll:
         """Plays T steps in every world.
@@ -157,19 +108,16 @@ class Collector:
         buffers = self._buffers[-1]
         buffers.begin_after(before)
         memory, late_memory = self._memory, None
-        asked = []
         for t in range(self.unroll_length):
             if self._abandoned.is_set():
                 raise Abandoned
-            if self.agent.needs.burn_in and t == self.unroll_length - self.agent.needs.burn_in:
+            if t == self.unroll_length - self.agent.needs.burn_in:
                 late_memory = self._memory
-            if self.reweighting is not None:
-                asked.append(self.reweighting.counters.copy())
             self._step(buffers, t)
-        if self.reweighting is not None:
-            buffers.fields["weight"][:-1] = self.reweighting.weights(np.stack(asked))
-        episodes = self.hindsight.take() if self.hindsight is not None else None
-        return Unroll(buffers.steps, memory, late_memory, buffers.final, episodes)
+        unroll = Unroll(buffers.steps, memory, late_memory, buffers.final)
+        for hook in self.hooks:
+            hook.finish(unroll)
+        return unroll
 
     def abandon(self) -> None:
         """Makes `collect` raise `Abandoned` at its next step, for good; called by another thread
@@ -191,77 +139,67 @@ class Collector:
         episodes, self._episodes = dict(self._episodes), defaultdict(list)
         return episodes
 
+    @property
+    def visits(self) -> Visits:
+        """How often each situation was met."""
+        return self._visits
+
     def take_visits(self) -> Visits:
         """How often each situation was met since the last call, or since the beginning."""
-        visits, self.visits = self.visits, Visits(self.visits.ranks)
-        return visits
+        return self._visits.take()
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that the next unroll depends on."""
         fields = self._buffers[-1].fields
-        return {
+        state = {
             "environment": self.env.get_state(),
             "memory": dict(self._memory),
             "generator": self._generator.get_state(),
             "inputs": {name: fields[name][-1].copy() for name in CARRIED},
             "episodes": dict(self._episodes),
-            "visits": self.visits.state_dict(),
-            "exploration": self.exploration.state_dict() if self.exploration else {},
-            "augmentation": self.augmentation.state_dict() if self.augmentation else {},
-            "teacher": self.teacher.get_state() if self.teacher else {},
-            "reweighting": self.reweighting.state_dict() if self.reweighting else {},
-            "hindsight": self.hindsight.state_dict() if self.hindsight else {},
+            **{hook.name: hook.state_dict() for hook in self.hooks},
         }
+        if self.augmentation:
+            state["augmentation"] = self.augmentation.state_dict()
+        return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
         buffers = self._buffers[-1]
         restarted = self.env.set_state(arrays(state["environment"]))
-        self.env.observations(out=buffers.observation_row(-1))
+        self.env.observations(out=self._shown(buffers, -1))
         self._memory = {k: v.to(self.device) for k, v in state["memory"].items()}
         self._generator.set_state(state["generator"])
         self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
-        self.visits.load_state_dict(arrays(state["visits"]))
         for name, value in state["inputs"].items():
             buffers.fields[name][-1] = value
         # Worlds that could not be restored have begun another episode.
         beginning = {"is_first": True, "previous_action": -1, "previous_reward": 0.0}
         for name, value in beginning.items():
             buffers.fields[name][-1][restarted] = value
-        if self.exploration:
-            self.exploration.load_state_dict(arrays(state["exploration"]))
-            self.exploration.end(restarted)
-        if self.teacher:
-            self.teacher.set_state(arrays(state["teacher"]))
-        if self.reweighting:
-            self.reweighting.load_state_dict(arrays(state["reweighting"]))
-            self._count(buffers.observation_row(-1), restarted)
-        if self.hindsight:
-            self.hindsight.load_state_dict(arrays(state["hindsight"]), restarted)
+        for hook in self.hooks:
+            hook.load_state_dict(arrays(state.get(hook.name, {})))
+        self._begin(buffers, -1, restarted)
         if self.augmentation:
             self.augmentation.load_state_dict(state["augmentation"])
-            self.augmentation.begin(restarted)
-            self._change(buffers.observation_row(-1))
+        self._augment(buffers, -1, restarted)
 
     def _step(self, buffers: UnrollBuffers, t: int) -> None:
         start = perf_counter()
-        fields = buffers.fields
+        fields, row = buffers.fields, buffers.rows[t]
         inputs = Inputs.of(buffers.inputs[t].to(self.device, non_blocking=True))
         action, self._memory, behaviour = self.agent.act(inputs, self._memory, self._generator)
         for name, value in behaviour.items():
             buffers.write(name, t, value)
         fields["action"][t] = action.cpu().numpy()  # waits for the copies above, too
         acted = perf_counter()
-        if self.teacher is not None:
-            label = self.teacher()
-            if self.augmentation:
-                label = self.augmentation.from_worlds(label)
-            fields["label"][t] = label
-            share = torch.rand(self.env.num_envs, generator=self._generator).numpy()
-            by_teacher = share < self.agent.needs.teacher_share
-            fields["action"][t, by_teacher] = fields["label"][t, by_teacher]
+        for hook in self.hooks:
+            hook.act(row, self._generator)
 
-        following = buffers.observation_row(t + 1)
+        before = self._shown(buffers, t)
+        if self._raw:
+            self._raw.reverse()
+        following = self._shown(buffers, t + 1)
         action_of_worlds = fields["action"][t]
         if self.augmentation:
             action_of_worlds = self.augmentation.to_worlds(action_of_worlds)
@@ -269,35 +207,37 @@ class Collector:
             action_of_worlds, out=following, final_out=self._final
         )
         ended = terminated | truncated
-        if not self.bootstrap_at_time_limit:
-            terminated, truncated = ended, np.zeros_like(truncated)
-        fields["reward"][t] = self._learned(reward)
+        any_ended = bool(ended.any())
+        fields["reward"][t] = reward
         fields["terminated"][t] = terminated
         fields["truncated"][t] = truncated
         fields["previous_action"][t + 1] = np.where(ended, -1, fields["action"][t])
         fields["previous_reward"][t + 1] = np.where(ended, 0.0, reward)
         fields["is_first"][t + 1] = ended
-        if self.exploration:
-            fields["bonus"][t] = self.exploration(following, ~ended)
-            if ended.any():
-                fields["bonus"][t] += self.exploration(self._final, ended)
-                self.exploration.end(ended)
-        if ended.any():
-            self._record(info["final_info"], ended)
-            self.visits.add(info["final_info"], ended)
-            self._count(following, ended)
-        if self.hindsight is not None:
-            row = {name: part[t] for name, part in fields.items()}
-            final_info = info.get("final_info", {})
-            seen = self._shown or buffers.observation_row(t)
-            self.hindsight.add(seen, row, ended, final_info)
+        outcome = info["final_info"] if any_ended else {}
+        if any_ended:
+            self._record(outcome, ended)
+        step = Row(
+            tensors(before),
+            row,
+            torch.from_numpy(reward),
+            tensors(following),
+            tensors(self._final),
+            torch.from_numpy(ended),
+            any_ended,
+            tensors({name: part for name, part in outcome.items() if part.dtype.kind in "biuf"}),
+        )
+        for hook in self.hooks:
+            hook.step(step)
+        if any_ended:
+            self._begin(buffers, t + 1, ended)
         if self.augmentation:
             self.augmentation.observe(self._final, ended)
-            self.augmentation.begin(ended)
-            self._change(following)
+        self._augment(buffers, t + 1, ended)
         stepped = perf_counter()
 
         fields["truncation_value"][t] = 0.0
+        truncated = fields["truncated"][t]
         if truncated.any() and buffers.final is not None:
             buffers.keep_final(t, truncated, self._final, reward)
         elif truncated.any():
@@ -308,22 +248,25 @@ class Collector:
         self.seconds["inference"] += acted - start + perf_counter() - stepped
         self.seconds["environment"] += stepped - acted
 
-    def _learned(self, reward: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Rewards [N] as the agent learns from them."""
-        return soft_asymmetric(reward) if self.reward_clipping == "soft_asymmetric" else reward
+    def _shown(self, buffers: UnrollBuffers, t: int) -> dict[str, NDArray]:
+        """Where the worlds' own observations are written that belong to row t."""
+        return buffers.observation_row(t) if self._raw is None else self._raw[-1]
 
-    def _change(self, observation: dict[str, NDArray]) -> None:
-        """Augments observations, in place; what hindsight relabels is kept as it was."""
-        assert self.augmentation is not None
-        if self.hindsight is not None:
-            self._shown = {name: part.copy() for name, part in observation.items()}
-        self.augmentation.observe(observation, np.ones(self.env.num_envs, np.bool_))
+    def _begin(self, buffers: UnrollBuffers, t: int, mask: NDArray[np.bool_]) -> None:
+        """Episodes begin in row t, where `mask` [N]."""
+        observation, begins = tensors(self._shown(buffers, t)), torch.from_numpy(mask)
+        for hook in self.hooks:
+            hook.begin(observation, begins)
 
-    def _count(self, observation: dict[str, NDArray], begins: NDArray[np.bool_]) -> None:
-        """Counts what the episodes ask for that begin in some worlds, if that is needed."""
-        if self.reweighting is not None and begins.any():
-            assert self.goal is not None
-            self.reweighting.begin(self.goal.read(observation), begins)
+    def _augment(self, buffers: UnrollBuffers, t: int, begins: NDArray[np.bool_]) -> None:
+        """Writes row t as the agent sees it; where `begins` [N] the augmentation is another."""
+        if self.augmentation is None or self._raw is None:
+            return
+        self.augmentation.begin(begins)
+        observation = buffers.observation_row(t)
+        for name, part in self._raw[-1].items():
+            observation[name][:] = part
+        self.augmentation.observe(observation, np.ones(len(begins), np.bool_))
 
     def _record(self, final_info: dict[str, NDArray], ended: NDArray[np.bool_]) -> None:
         """Keeps the outcomes of the episodes that ended, for `episode_metrics`."""
@@ -364,11 +307,6 @@ def episode_metrics(episodes: Mapping[str, list[float]]) -> dict[str, float]:
     return metrics | {f"episode_{name}": float(np.mean(v)) for name, v in episodes.items()}
 
 
-def soft_asymmetric(reward: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rewards [N] squashed to -1.5 .. 5, bad ones to a third of what good ones of their size are.
-
-    `5 tanh(r / 5)`, times 0.3 where r < 0, as the code of Espeholt et al. 2018 has it; the paper
-    prints it without the division.
-    """
-    squashed = np.tanh(reward / 5.0)
-    return 5.0 * np.where(reward < 0, 0.3 * squashed, squashed)
+def tensors(parts: Mapping[str, NDArray[Any]]) -> dict[str, Tensor]:
+    """The same memory as tensors."""
+    return {name: torch.from_numpy(part) for name, part in parts.items()}

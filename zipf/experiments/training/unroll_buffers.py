@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ class UnrollBuffers:
         fields: arrays by name, those that every agent needs and `further` ones; see `Unroll`.
         steps: all of them as tensors, and what the behaviour policy adds.
         inputs: of `steps` the agent's inputs alone.
+        rows: of each row the fields as tensors {name: [N]}.
         final: see `Unroll`; None for an agent that asks for none.
     """
 
@@ -33,7 +35,7 @@ class UnrollBuffers:
         env: ZipfVectorEnv,
         rows: int,
         finals: int,
-        further: dict[str, torch.dtype],
+        further: Mapping[str, torch.dtype],
         pinned: bool,
     ):
         self.pinned = pinned
@@ -43,13 +45,14 @@ class UnrollBuffers:
         self.observation = {name: part.numpy() for name, part in self.steps["observation"].items()}
         self.final = self._finals(env, finals) if finals else None
         self.fields: dict[str, NDArray[Any]] = {}
-        more = {"bonus": torch.float32, "truncation_value": torch.float32, **further}
-        for name, dtype in (STEP | more).items():
+        more = {"bonus": torch.float32, "truncation_value": torch.float32}
+        for name, dtype in {**STEP, **more, **further}.items():
             self.steps[name] = self._tensor(torch.zeros(shape, dtype=dtype))
             self.fields[name] = self.steps[name].numpy()
         self.fields["previous_action"][:] = -1
         self.fields["is_first"][:] = True
         self.inputs = self.steps.select("observation", *CARRIED)
+        self.rows = [{name: self.steps[name][t] for name in self.fields} for t in range(rows)]
 
     def observation_row(self, t: int) -> dict[str, NDArray]:
         """The observations of row t, {name: [N, ...]}, to be written to."""

@@ -6,14 +6,18 @@ returns and the agent's last-reward input are of the task's reward alone.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Literal
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from pydantic import Field
+from torch import Tensor
 
-from zipf.agents.rnd import RNDBonus, RNDOptions
 from zipf.compiled import compiled
+from zipf.experiments.hooks.bonus import Bonus
+from zipf.experiments.hooks.hook import Parts, arrays
+from zipf.experiments.hooks.rnd import RNDBonus, RNDOptions
 from zipf.options import Options
 from zipf.registry import Registry
 
@@ -40,25 +44,7 @@ class FirstVisitOptions(Options):
     scale: Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class Bonus(Protocol):
-    """The interface of exploration bonuses. The collecting thread calls it once for every
-    observation that an action led to."""
-
-    def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
-        """The bonus of the observations `{name: [N, ...]}` where `mask` [N], elsewhere 0; returns
-        float32 [N]."""
-
-    def end(self, mask: NDArray[np.bool_]) -> None:
-        """Tells that the episodes of worlds where `mask` [N] are over."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that later calls depend on."""
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict()`, in which arrays may stand in the place of tensors."""
-
-
-class CountBonus:
+class CountBonus(Bonus):
     """Counts visits of hashed observations (Tang et al. 2017, with a universal hash).
 
     Observations that differ share a count with probability 1 / table_size, so the table should be
@@ -70,28 +56,21 @@ class CountBonus:
         self.visits = np.zeros(options.table_size, np.int64)
         self.hashes = Hashes()
 
-    def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
-        """Counts the observations `{name: [N, ...]}` where `mask` [N]; returns float32 [N].
-
-        Elsewhere nothing is counted and the bonus is 0.
-        """
-        bonus = np.zeros(len(mask), np.float32)
-        _count(self.hashes(observation, mask), mask, self.visits, self.scale, bonus)
-        return bonus
-
-    def end(self, mask: NDArray[np.bool_]) -> None:
-        """Counts go on over episodes."""
+    def __call__(self, observation: Parts, mask: Tensor) -> Tensor:
+        """Counts observations, those of the mask alone."""
+        bonus, chosen = np.zeros(len(mask), np.float32), np.asarray(mask)
+        _count(self.hashes(arrays(observation), chosen), chosen, self.visits, self.scale, bonus)
+        return torch.from_numpy(bonus)
 
     def state_dict(self) -> dict[str, NDArray]:
         """The counts."""
         return {"visits": self.visits}
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
-        """Continues from `state_dict()`."""
         self.visits[:] = state["visits"]
 
 
-class FirstVisitBonus:
+class FirstVisitBonus(Bonus):
     """The first visits of observations in an episode, by their hashes.
 
     It does not fade over training: an agent gains from searching what it has not yet seen in an
@@ -103,23 +82,20 @@ class FirstVisitBonus:
         self.hashes = Hashes()
         self.seen: dict[int, set[int]] = {}  # by world
 
-    def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
-        """The bonus of the observations `{name: [N, ...]}` where `mask` [N]; returns float32 [N].
-
-        Elsewhere nothing is remembered and the bonus is 0.
-        """
-        bonus = np.zeros(len(mask), np.float32)
-        worlds = np.flatnonzero(mask)
-        hashes = self.hashes(observation, mask)[worlds]
+    def __call__(self, observation: Parts, mask: Tensor) -> Tensor:
+        """Remembers observations, those of the mask alone."""
+        bonus, chosen = np.zeros(len(mask), np.float32), np.asarray(mask)
+        worlds = np.flatnonzero(chosen)
+        hashes = self.hashes(arrays(observation), chosen)[worlds]
         for world, value in zip(worlds.tolist(), hashes.tolist(), strict=True):
             seen = self.seen.setdefault(world, set())
             if value not in seen:
                 seen.add(value)
                 bonus[world] = self.scale
-        return bonus
+        return torch.from_numpy(bonus)
 
-    def end(self, mask: NDArray[np.bool_]) -> None:
-        """Forgets what was seen where `mask` [N]."""
+    def begin(self, observation: Parts, mask: Tensor) -> None:
+        """Forgets what was seen there."""
         for world in np.flatnonzero(mask).tolist():
             self.seen.pop(world, None)
 

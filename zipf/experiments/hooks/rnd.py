@@ -30,6 +30,8 @@ from torch import Tensor, nn
 
 from zipf.agents.encoders import is_image
 from zipf.compiled import compiled
+from zipf.experiments.hooks.bonus import Bonus
+from zipf.experiments.hooks.hook import Parts, arrays
 from zipf.options import Options
 
 Size = Annotated[int, Field(ge=1, le=2**16)]
@@ -58,7 +60,7 @@ class RNDOptions(Options):
     discount: Annotated[float, Field(ge=0, lt=1)]
 
 
-class RNDBonus:
+class RNDBonus(Bonus):
     """The bonus, and its networks on the CPU.
 
     Args:
@@ -93,18 +95,18 @@ class RNDBonus:
         self.sum = np.zeros(0)  # of each world, float64 [N]: the discounted sum of errors
         self.waiting = torch.zeros(0, inputs)  # to be learned from
 
-    def __call__(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> NDArray:
-        """The bonus of the observations `{name: [N, ...]}` where `mask` [N]; returns float32 [N].
+    def __call__(self, observation: Parts, mask: Tensor) -> Tensor:
+        """The observations of the mask enter the statistics, and some of them are learned from.
 
-        These enter the statistics, and some of them are learned from. Elsewhere the bonus is 0.
+        Sums of errors go on over episodes, as in Burda et al. 2019.
         """
         bonus = np.zeros(len(mask), np.float32)
-        rows = np.flatnonzero(mask)
+        rows = np.flatnonzero(np.asarray(mask))
         if not len(rows):
-            return bonus
+            return torch.from_numpy(bonus)
         if not len(self.sum):
             self.sum = np.zeros(len(mask))
-        read = self._read(observation, rows)
+        read = self._read(arrays(observation), rows)
         self.inputs.update(read.numpy())
         mean, deviation = (torch.from_numpy(x).float() for x in self.inputs.now())
         normal = ((read - mean) / deviation).clamp(-LARGEST_INPUT, LARGEST_INPUT)
@@ -115,10 +117,7 @@ class RNDBonus:
         bonus[rows] = self.options.scale * error / self.sums.now()[1]
         chosen = torch.rand(len(rows), generator=self.generator) < self.options.learned_share
         self._learn(normal[chosen])
-        return bonus
-
-    def end(self, mask: NDArray[np.bool_]) -> None:
-        """Sums of errors go on over episodes, as in Burda et al. 2019."""
+        return torch.from_numpy(bonus)
 
     def _read(self, observation: dict[str, NDArray], rows: NDArray) -> Tensor:
         """The observations of these rows as float32 [rows, inputs]."""

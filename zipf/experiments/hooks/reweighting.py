@@ -8,14 +8,17 @@ drawn by another law than they are. Auxiliary losses are not weighted.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from pydantic import Field
-from tensordict import TensorDict
 from torch import Tensor
 
+from zipf.agents.unroll import Unroll
+from zipf.envs.goals import Goal
+from zipf.experiments.hooks.hook import Hook, Parts, Row, arrays
 from zipf.options import Context, Options
 from zipf.registry import Registry
 
@@ -57,9 +60,6 @@ class EffectiveNumberOptions(_Weights):
 
     name: Literal["effective_number"]
     beta: Annotated[float, Field(ge=0, lt=1)]
-
-
-NO_REWEIGHTING = NoReweightingOptions(name="none")
 
 
 class GoalWeights:
@@ -128,14 +128,54 @@ def bounded(
         at_bound |= over
 
 
-def weighted(losses: Tensor, steps: TensorDict) -> Tensor:
-    """Losses of the frames [T, B] of an unroll's `steps`, times their weights if they have any."""
-    return losses * steps["weight"] if "weight" in steps.keys() else losses
+class Reweighting(Hook):
+    """Weighs the frames of unrolls by the goals of their episodes, with the counts at their end.
+
+    Args:
+        goal: reads what episodes ask for; None where nothing says it.
+        num_envs: N.
+
+    Raises:
+        ValueError: the worlds do not say what an episode asks for.
+    """
+
+    name = "reweighting"
+    columns: ClassVar = {"weight": torch.float32}
+
+    def __init__(
+        self,
+        options: InverseCountOptions | EffectiveNumberOptions,
+        goal: Goal | None,
+        num_envs: int,
+    ):
+        if goal is None:
+            raise ValueError("these worlds do not say what an episode asks for")
+        self.goal = goal
+        self.goals = GoalWeights(options, num_envs)
+        self._asked: list[NDArray[np.int64]] = []  # the counters of each row of the unroll
+
+    def begin(self, observation: Parts, mask: Tensor) -> None:
+        if mask.any():
+            self.goals.begin(self.goal.read(arrays(observation)), mask.numpy())
+
+    def step(self, row: Row) -> None:
+        self._asked.append(self.goals.counters.copy())
+
+    def finish(self, unroll: Unroll) -> None:
+        weights = self.goals.weights(np.stack(self._asked))
+        unroll.steps["weight"][:-1] = torch.from_numpy(weights)
+        self._asked = []
+
+    def state_dict(self) -> dict[str, Any]:
+        return self.goals.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.goals.load_state_dict(state)
 
 
-REWEIGHTINGS: Registry[GoalWeights | None] = Registry("reweighting")
-"""Each is built from its options and the number of worlds."""
+REWEIGHTINGS: Registry[Hook | None] = Registry("reweighting")
+"""Each is built from its options, the worlds' goal, and their number."""
 
-REWEIGHTINGS.register(NoReweightingOptions, lambda options, num_envs: None)
-REWEIGHTINGS.register(InverseCountOptions, GoalWeights)
-REWEIGHTINGS.register(EffectiveNumberOptions, GoalWeights)
+REWEIGHTINGS.register(NoReweightingOptions, lambda options, goal, num_envs: None)
+REWEIGHTINGS.register(InverseCountOptions, Reweighting)
+REWEIGHTINGS.register(EffectiveNumberOptions, Reweighting)

@@ -1,0 +1,87 @@
+"""What a hook is: something else that happens around the steps of a collector.
+
+A hook sees every step of all worlds as tensors on the collector's device; on a CPU they share
+memory with the environment's arrays. It may write to the step's fields, such as the bonus, and add
+fields of its own to unrolls (`columns`). What it keeps is part of the collector's saved state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from zipf.agents.unroll import Unroll
+
+Parts = dict[str, Tensor]
+
+
+@dataclass
+class Row:
+    """A step of N worlds; valid until the hook returns.
+
+    Attributes:
+        observation: {name: [N, ...]}, which the worlds showed before it. Here and below nothing is
+            augmented.
+        fields: {name: [N]}, those of the unroll's row; written to in place.
+        reward: float64 [N], the task's.
+        following: {name: [N, ...]}, which they show after it: where an episode has ended, the first
+            observation of the next.
+        final: {name: [N, ...]}, where an episode has ended its last observation.
+        ended: bool [N].
+        any_ended: whether there are any.
+        outcome: {name: [N, ...]}, where an episode has ended its ranks, `return` and so on; empty
+            where none has.
+    """
+
+    observation: Parts
+    fields: Parts
+    reward: Tensor
+    following: Parts
+    final: Parts
+    ended: Tensor
+    any_ended: bool
+    outcome: Parts
+
+
+class Hook:
+    """The base of hooks; it does nothing.
+
+    Attributes:
+        name: of its entry in a collector's saved state.
+        columns: fields that it adds to the steps of unrolls, by name.
+    """
+
+    name: ClassVar[str]
+    columns: ClassVar[Mapping[str, torch.dtype]] = {}
+
+    def begin(self, observation: Parts, mask: Tensor) -> None:
+        """Episodes begin where `mask` [N], with these observations {name: [N, ...]}; at the start
+        in all worlds, and after `load_state_dict` in those that could not be restored."""
+
+    def act(self, fields: Parts, generator: torch.Generator) -> None:
+        """The agent has chosen the step's `action`, int64 [N], which may be replaced; draws are
+        from the generator of the agent's actions."""
+
+    def step(self, row: Row) -> None:
+        """The worlds have made a step. Where episodes have ended `begin` follows."""
+
+    def finish(self, unroll: Unroll) -> None:
+        """An unroll is complete; the hook may write to it."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that later calls depend on."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continues from `state_dict()`, in which arrays stand in the place of tensors."""
+
+
+def arrays(parts: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """The same memory as arrays, for code that has no other form: on a CPU alone."""
+    return {name: np.asarray(part) for name, part in parts.items()}

@@ -1,0 +1,49 @@
+"""Labels of a teacher: what a scripted policy would do in every step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import torch
+from numpy.typing import NDArray
+
+from zipf.experiments.hooks.augmentation import Augmentation
+from zipf.experiments.hooks.hook import Hook, Parts
+
+
+class Labels(Hook):
+    """Labels every step with the action that a teacher would take, and has it act in some.
+
+    Args:
+        teacher: gives its actions in the worlds' states, int64 [N]; a `zipf.envs.policies.Teacher`.
+        share: the probability that it acts in a step in the agent's place.
+        augmentation: what the agent sees of the worlds.
+    """
+
+    name = "teacher"
+    columns: ClassVar = {"label": torch.int64}
+
+    def __init__(
+        self,
+        teacher: Callable[[], NDArray[Any]],
+        share: float,
+        augmentation: Augmentation | None = None,
+    ):
+        self.teacher: Any = teacher
+        self.share = share
+        self.augmentation = augmentation
+
+    def act(self, fields: Parts, generator: torch.Generator) -> None:
+        label = self.teacher()
+        if self.augmentation is not None:
+            label = self.augmentation.from_worlds(label)
+        fields["label"][:] = torch.from_numpy(label)
+        by_teacher = torch.rand(len(label), generator=generator) < self.share
+        fields["action"][by_teacher] = fields["label"][by_teacher]
+
+    def state_dict(self) -> dict[str, Any]:
+        return self.teacher.get_state()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.teacher.set_state(state)
