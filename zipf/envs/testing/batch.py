@@ -192,15 +192,16 @@ class _Check:
             begins = done & (mode is AutoresetMode.NEXT_STEP)
             # Now and then one whose episode is running or has just ended is reset, too.
             mask = done & (mode is AutoresetMode.DISABLED)
-            if mode is not AutoresetMode.SAME_STEP and (mask.any() or t % 7 == 0):
+            if mask.any() or (mode is AutoresetMode.NEXT_STEP and t % 7 == 0):
                 mask[t % self.n] = True
                 for i in np.flatnonzero(mask):
                     current[i] = singles[i].reset()
                 now = env.reset(options={"reset_mask": mask})
                 require_same(now, stacked(current), f"{where}: reset of worlds {mask}")
                 begins &= ~mask
-        enough = self.n if mode is AutoresetMode.SAME_STEP else 0
-        require(ended > enough, f"only {ended} episodes ended: check with more steps")
+        if mode is not AutoresetMode.NEXT_STEP:
+            enough = self.n if mode is AutoresetMode.SAME_STEP else 0
+            require(ended > enough, f"only {ended} episodes ended: check with more steps")
         _close(env, *singles)
 
     def _compare_ends(
