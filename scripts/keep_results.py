@@ -5,8 +5,8 @@
 
 Checkpoints, TensorBoard's files and situations outside the window are not copied, and weights only
 with `--weights`: some megabytes, which let others play the agent and begin with it. `run_root` is
-left out of the options: it changes nothing and tells where somebody keeps their runs. Files that
-are not as the run left them are refused.
+left out of the options: it changes nothing and tells where somebody keeps their runs. A run
+whose files are damaged is refused.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from pathlib import Path
 import pandas as pd
 
 from zipf.errors import TOLD, UserError, tell
-from zipf.experiments.records import checksums
 from zipf.experiments.records.results import load_run
 
 RESULTS = Path(__file__).parent.parent / "results"
@@ -58,7 +57,6 @@ def keep(run: Path, *, weights: bool = False) -> Path:
     inside.to_csv(target / "situations.csv", index=False)
     if weights:
         shutil.copy(run / "weights.pt", target / "weights.pt")
-    checksums.write(target, int(pd.read_csv(target / "evaluations.csv")["update"].max()))
     return target
 
 

@@ -4,8 +4,8 @@
     make results
 
 `run.json` has the scores of players that do not learn as they were known when a run began. They
-belong to the levels and not to the run: after a change of `references.json` this renews them, and
-the checksums. A kind of levels that a run was not scored on is not added.
+belong to the levels and not to the run: after a change of `references.json` this renews them. A
+kind of levels that a run was not scored on is not added.
 """
 
 import argparse
@@ -13,12 +13,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import yaml
 
 from zipf import envs
 from zipf.experiments.building.run_folder import describe_levels
-from zipf.experiments.records import checksums
 
 RESULTS = Path(__file__).parent.parent / "results"
 
@@ -61,8 +59,6 @@ def main() -> None:
         new = renewed(description, questions=agent.get("name") == "supervised")
         if new != description:
             path.write_text(json.dumps(new, indent=2) + "\n", "utf-8")
-            last = pd.read_csv(folder / "evaluations.csv")["update"].max()
-            checksums.write(folder, int(last))
             print(f"written: {path.relative_to(RESULTS)}")
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import keep_results
 import pytest
-from run_folders import constant, seal, write_run
+from run_folders import constant, write_run
 
 from zipf.errors import UserError
 from zipf.experiments.records.results import load_run
@@ -16,7 +16,6 @@ def run(root: Path) -> Path:
     rows = ("update,level_kind,map,target,episodes,successes,return_sum", "300,rare,1,1,10,2,2.0")
     folder = write_run(root, constant(0.5), situations=rows, resumed=[])
     (folder / "metrics.csv").write_text(METRICS)
-    seal(folder)
     return folder
 
 
@@ -42,8 +41,8 @@ def test_a_run_that_is_damaged_is_not_kept(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(keep_results, "RESULTS", tmp_path / "results")
     folder = run(tmp_path)
     evaluations = folder / "evaluations.csv"
-    evaluations.write_text(evaluations.read_text().replace(",0.5,", ",0.9,"))
-    with pytest.raises(UserError, match="is not as the run left it"):
+    evaluations.write_text(evaluations.read_text().replace(",0.5,", ",o.5,", 1))
+    with pytest.raises(UserError, match=r"evaluations\.csv, line 2: column score has 'o\.5'"):
         keep_results.keep(folder)
     with pytest.raises(UserError, match="cannot be read"):
         keep_results.keep(tmp_path / "nowhere")

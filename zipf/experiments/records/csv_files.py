@@ -2,14 +2,12 @@
 
 A last line without its newline is what a crash leaves behind: it is dropped and noted. Any other
 damage is an error that names file and line, because a score computed around a hole would look like
-any other score. pandas reads the files; that every line has as many fields as the header is checked
-before, because pandas fills up short lines without a word.
+any other score. `csv` reads them in strict mode: pandas fills up short lines without a word.
 """
 
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -48,21 +46,18 @@ def read_table(path: Path, columns: Mapping[str, Kind], notes: list[str]) -> pd.
     lines, torn = read_lines(path)
     if torn:
         notes.append(f"{path.as_posix()}: the last line is torn and was left out")
-    header = read_fields(path, lines)[0] if lines else list(columns)
+    header, *fields = read_fields(path, lines) if lines else [list(columns)]
     if missing := [name for name in columns if name not in header]:
         raise UserError(f"{path.as_posix()}, line 1: no column {', '.join(missing)}")
     import pandas as pd  # here: the options of a run, which import this module, read no table
 
-    texts = pd.read_csv(
-        io.StringIO("\n".join(lines)),
-        header=0 if lines else None,
-        names=header,
-        usecols=list(columns),
+    places = [header.index(name) for name in columns]
+    texts = pd.DataFrame(
+        [[row[place] for place in places] for row in fields],
+        pd.RangeIndex(2, len(fields) + 2),
+        list(columns),
         dtype=str,
-        na_filter=False,
-        skip_blank_lines=False,
     )
-    texts.index += 2
     return pd.DataFrame({name: _convert(path, texts[name], kind) for name, kind in columns.items()})
 
 

@@ -16,7 +16,6 @@ import pandas as pd
 import yaml
 
 from zipf.errors import UserError
-from zipf.experiments.records import checksums
 from zipf.experiments.records.csv_files import Kind, read_bytes, read_header, read_table
 from zipf.experiments.records.descriptions import (
     LevelGroup,
@@ -196,8 +195,6 @@ def load_run(folder: Path) -> Run:
             if len(frame):
                 progress[column] = max(progress[column], float(frame[column].max()))
     settings = _read_settings(folder / "config.yaml", description)
-    if note := checksums.check(folder):
-        notes.append(note)
     return Run(
         folder=folder,
         description=description,
