@@ -12,6 +12,7 @@ from zipf.experiments.building import run_folder
 from zipf.experiments.evaluation.evaluator import scores
 from zipf.experiments.evaluation.trained import evaluate_agent, load_agent
 from zipf.experiments.options import command_line
+from zipf.experiments.records.results import load_runs
 from zipf.experiments.reporting import draw_matplotlib
 from zipf.experiments.reporting.claims import CLAIM_COLUMNS
 from zipf.experiments.reporting.scores import CSV_COLUMNS
@@ -21,7 +22,6 @@ from zipf.report import report
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-RUN = ROOT / "results" / "demo" / "impala_mlp" / "seed0"
 
 
 def documented(heading: str) -> list[str]:
@@ -31,6 +31,7 @@ def documented(heading: str) -> list[str]:
     return [name for row in rows for name in re.findall(r"`(\w+)`", row)]
 
 
+@pytest.mark.slow
 def test_the_record_is_up_to_date(tmp_path, monkeypatch):
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(draw_matplotlib, "draw", lambda *_: {})  # the record has none
@@ -48,7 +49,8 @@ KEPT = sorted(path.parent for path in ROOT.glob("results/*/*/*/weights.pt"))
 def test_agents_whose_weights_are_kept_score_as_they_did(folder):
     """Within 0.15: the standard error of 200 episodes is at most 0.035, of 1,000 0.016."""
     trained = load_agent(folder, "cpu")
-    recorded = pd.read_csv(folder / "evaluations.csv").groupby("update").get_group(trained.update)
+    (run,) = load_runs([folder])
+    recorded = run.evaluations[run.evaluations["update"] == trained.update]
     results = evaluate_agent(trained.config, trained.agent, episodes=200, num_envs=200, seed=5)
     found = scores(results)
     for kind in envs.PAPER_KINDS:  # they were recorded before there were others
