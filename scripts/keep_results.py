@@ -1,79 +1,113 @@
-"""Copies what the record needs of finished runs from `runs/` to `results/`.
+"""Takes what the record needs of finished runs from `runs/` into `results/`.
 
     python scripts/keep_results.py runs/gridworld_compact/impala_mlp/seed0 ...
     make results
 
-Checkpoints, TensorBoard's files and situations outside the window are not copied, and weights only
-with `--weights`: some megabytes, which let others play the agent and begin with it. `run_root` is
-left out of the options: it changes nothing and tells where somebody keeps their runs. Files that
-are not as the run left them are refused.
+Rows are added to the tables of the record (`zipf.experiments.records.record`), in the place of
+those that the same run may have there, and `results/scores.csv` is written anew: the score of every
+run on every kind of level, the median of the evaluations in its window. Checkpoints, TensorBoard's
+files and situations outside the window are not taken. With `--weights` the run's folder in
+`results/` has its weights, options and description as well: some megabytes, which let others play
+the agent and begin with it. `run_root` is left out of the options: it changes nothing and tells
+where somebody keeps their runs. A run whose files are damaged is refused.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import re
 import shutil
 import sys
 from pathlib import Path
 
 import pandas as pd
+import yaml
 
 from zipf.errors import TOLD, UserError, tell
-from zipf.experiments.records import checksums
-from zipf.experiments.records.results import load_run
+from zipf.experiments.records import record
+from zipf.experiments.records.csv_files import read_texts
+from zipf.experiments.records.record import Record
+from zipf.experiments.records.result_table import TABLES
+from zipf.experiments.records.results import Run, load_record, load_run
+from zipf.experiments.reporting.windows import OwnWindows, evaluations_inside
+from zipf.protocol import KINDS
 
 RESULTS = Path(__file__).parent.parent / "results"
 
 
-def keep(run: Path, *, weights: bool = False) -> Path:
-    """Copies one run, with its weights if asked to; returns the folder of the copy.
+def keep(kept: Record, folder: Path, *, weights: bool = False) -> str:
+    """Adds one run to a record, and its weights to `results/` if asked to; returns its name there.
 
     Raises:
         UserError: it is no run, is damaged, or has no weights.
     """
-    if notes := load_run(run).notes:
-        raise UserError(f"{run}: {notes[0]}")
-    if weights and not (run / "weights.pt").is_file():
-        raise UserError(f"{run}: has no weights.pt")
-    description = json.loads((run / "run.json").read_text())
-    target = RESULTS / description["experiment"] / description["condition"]
-    target /= f"seed{description['seed']}"
-    target.mkdir(parents=True, exist_ok=True)
-    shutil.copy(run / "evaluations.csv", target / "evaluations.csv")
-    situations = pd.read_csv(run / "situations.csv")
-    if description["external"]:  # no options, no metrics, and scored at its last evaluation
-        start = end = situations["update"].max()
-    else:
-        shutil.copy(run / "metrics.csv", target / "metrics.csv")
-        options = (run / "config.yaml").read_text()
-        (target / "config.yaml").write_text(re.sub("(?m)^run_root: .*", "run_root: runs", options))
-        for start_of in (description, *description["resumed"]):
-            words = start_of["command"].split()
-            start_of["command"] = " ".join(w for w in words if not w.startswith("run_root="))
-        start, end = description["window"]
-    (target / "run.json").write_text(json.dumps(description, indent=2) + "\n")
-    inside = situations[situations["update"].between(start, end)]
-    inside.to_csv(target / "situations.csv", index=False)
+    run = load_run(folder)
+    if run.notes:
+        raise UserError(f"{folder}: {run.notes[0]}")
+    if weights and not (folder / "weights.pt").is_file():
+        raise UserError(f"{folder}: has no weights.pt")
+    description = json.loads((folder / "run.json").read_text("utf-8"))
+    name = f"{description['experiment']}/{description['condition']}/seed{description['seed']}"
+    for start in (description, *description.get("resumed", [])):
+        if words := (start.get("command") or "").split():
+            start["command"] = " ".join(w for w in words if not w.startswith("run_root="))
+    tables = {file: read_texts(folder / file, []) for file in TABLES}
+    tables["metrics.csv"] = record.metric_rows(tables["metrics.csv"])
+    situations = tables["situations.csv"]
+    if len(situations.columns):
+        inside = evaluations_inside(run, OwnWindows())["update"]
+        tables["situations.csv"] = situations[situations["update"].astype(int).isin(inside)]
+    kept.runs[name], kept.tables[name] = description, tables
+    if run.options:
+        kept.options[name] = {**run.options, "run_root": "runs"}
     if weights:
-        shutil.copy(run / "weights.pt", target / "weights.pt")
-    checksums.write(target, int(pd.read_csv(target / "evaluations.csv")["update"].max()))
-    return target
+        target = RESULTS / name
+        target.mkdir(parents=True, exist_ok=True)
+        shutil.copy(folder / "weights.pt", target / "weights.pt")
+        (target / "run.json").write_text(json.dumps(description, indent=2) + "\n", "utf-8")
+        options = yaml.safe_dump(kept.options[name], sort_keys=False)
+        (target / "config.yaml").write_text(options, "utf-8")
+    return name
+
+
+def scores(runs: list[Run], folder: Path) -> pd.DataFrame:
+    """A row for each run and kind of level: its score, and what that rests on."""
+    rows = []
+    for run in runs:
+        updates = evaluations_inside(run, OwnWindows())["update"]
+        for kind in KINDS:
+            means = run.mean_scores(run.description.levels_of(kind))
+            means = means[means["update"].isin(updates)]
+            if len(means):
+                rows.append(
+                    {
+                        "run": run.folder.relative_to(folder).as_posix(),
+                        "level_kind": kind,
+                        "score": means["score"].median(),
+                        "evaluations": len(means),
+                        "episodes": means["episodes"].min(),
+                        "update": means["update"].max(),
+                        "frames": means["frames"].max(),
+                    }
+                )
+    return pd.DataFrame(rows)
 
 
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", nargs="+", type=Path, help="run folders")
-    parser.add_argument("--weights", action="store_true", help="copy the agents' weights, too")
+    parser.add_argument("--weights", action="store_true", help="take the agents' weights, too")
     arguments = parser.parse_args()
-    for run in arguments.runs:
-        try:
-            print(f"{run} -> {keep(run, weights=arguments.weights)}")
-        except TOLD as error:
-            tell(error)
-            sys.exit(2)
+    try:
+        kept = record.read(RESULTS)
+        for run in arguments.runs:
+            print(f"{run} -> {keep(kept, run, weights=arguments.weights)}")
+        record.write(RESULTS, kept)
+        scores(load_record(RESULTS), RESULTS).to_csv(RESULTS / "scores.csv", index=False)
+    except TOLD as error:
+        tell(error)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""Writes what is known of references now into the runs of `results/`.
+"""Writes what is known of references now into the record of runs in `results/`.
 
     python scripts/renew_references.py
     make results
 
-`run.json` has the scores of players that do not learn as they were known when a run began. They
-belong to the levels and not to the run: after a change of `references.json` this renews them, and
-the checksums. A kind of levels that a run was not scored on is not added.
+A run's description has the scores of players that do not learn as they were known when it began.
+They belong to the levels and not to the run: after a change of `references.json` this renews them.
+A kind of levels that a run was not scored on is not added.
 """
 
 import argparse
@@ -13,12 +13,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-import yaml
-
 from zipf import envs
 from zipf.experiments.building.run_folder import describe_levels
-from zipf.experiments.records import checksums
+from zipf.experiments.records import record
 
 RESULTS = Path(__file__).parent.parent / "results"
 
@@ -53,17 +50,19 @@ def _rounded(value: Any) -> Any:
 
 def main() -> None:
     argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
-    for path in sorted(RESULTS.rglob("run.json")):
-        folder = path.parent
-        description = json.loads(path.read_text("utf-8"))
-        config = folder / "config.yaml"
-        agent = yaml.safe_load(config.read_text("utf-8"))["agent"] if config.exists() else {}
-        new = renewed(description, questions=agent.get("name") == "supervised")
-        if new != description:
-            path.write_text(json.dumps(new, indent=2) + "\n", "utf-8")
-            last = pd.read_csv(folder / "evaluations.csv")["update"].max()
-            checksums.write(folder, int(last))
-            print(f"written: {path.relative_to(RESULTS)}")
+    kept = record.read(RESULTS)
+    before = dict(kept.runs)
+    for name, description in before.items():
+        questions = kept.options.get(name, {}).get("agent", {}).get("name") == "supervised"
+        kept.runs[name] = renewed(description, questions=questions)
+        path = RESULTS / name / "run.json"  # of an agent whose weights are kept
+        if path.exists() and kept.runs[name] != description:
+            path.write_text(json.dumps(kept.runs[name], indent=2) + "\n", "utf-8")
+    changed = [name for name in before if kept.runs[name] != before[name]]
+    if changed:
+        record.write(RESULTS, kept)
+    for name in changed:
+        print(f"written: {name}")
 
 
 if __name__ == "__main__":

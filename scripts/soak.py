@@ -270,8 +270,8 @@ def miscounted(root: Path, arguments: list[str]) -> str | None:
     evaluations = pd.read_csv(folder / "evaluations.csv")
     saved = checkpoint.load(folder / "checkpoint.pt")
     counted = {
-        "updates of metrics": (metrics["update"].tolist(), list(range(1, 9))),
-        "frames of metrics": (metrics["frames"].tolist(), [each * u for u in range(1, 9)]),
+        "updates of metrics": (metrics["update"].unique().tolist(), list(range(1, 9))),
+        "frames of metrics": (metrics["frames"].unique().tolist(), [each * u for u in range(1, 9)]),
         "updates of evaluations": (sorted(set(evaluations["update"])), [0, 4, 8]),
         "frames of evaluations": (sorted(set(evaluations["frames"])), [0, 4 * each, 8 * each]),
         "updates of the checkpoint": ([saved["update"], saved["source"]["version"]], [8, 8]),

@@ -11,7 +11,7 @@ from zipf import envs
 from zipf.experiments.building.run_folder import describe_levels, mean_of_levels
 from zipf.experiments.options import composing
 from zipf.experiments.records.paper import paper_table
-from zipf.experiments.records.results import load_runs
+from zipf.experiments.records.results import Run, load_runs
 from zipf.experiments.records.wording import KIND_NAMES, NONE, count_text, score_text
 from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.seed_statistics import (
@@ -251,10 +251,19 @@ def _levels(folder: str) -> list[dict[str, Any]]:
     return describe_levels(envs.split(table.description.split), table.description.environment)
 
 
+def _runs(folder: str) -> list[Run]:
+    return [run for run in _all_runs() if run.folder.is_relative_to(RESULTS / folder)]
+
+
+@cache
+def _all_runs() -> list[Run]:
+    return load_runs([RESULTS])
+
+
 @cache
 def _row(folder: str) -> tuple[ScoreTable, Row]:
     """The table of a condition's runs alone, and its only row."""
-    (table,) = score_tables(load_runs([RESULTS / folder]), "own")
+    (table,) = score_tables(_runs(folder), "own")
     (row,) = table.rows
     return table, row
 
@@ -278,7 +287,7 @@ def situations() -> list[str]:
 
 def comparison(experiment: str) -> list[str]:
     """The lines of a table of an experiment's conditions, in the order that RESULTS.md has."""
-    (table,) = score_tables(load_runs([RESULTS / experiment]), "own")
+    (table,) = score_tables(_runs(experiment), "own")
     scores = table.scores.set_index(["condition", "level_kind"])
     rows: list[tuple[str, ...]] = []
     for name in table.scores["condition"].unique():

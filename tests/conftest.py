@@ -163,16 +163,29 @@ def contents(folder: Path) -> dict:
 
 
 def learned(folder: Path) -> dict:
-    """A checkpoint without the times, also those in the tables that it has hashes of."""
+    """A checkpoint without the times, which also change the lengths of tables."""
     state = checkpoint.load(folder / "checkpoint.pt")
     del state["clock"], state["tables"]
     return state
 
 
+TIMED = ("time_", "seconds", "frames_per")
+
+
 def untimed(path: Path) -> pd.DataFrame:
+    """A table of results without the times in it."""
     table = pd.read_csv(path)
-    timed = [name for name in table.columns if name.startswith(("time_", "seconds", "frames_per"))]
-    return table.drop(columns=timed)
+    if "metric" in table:
+        table = table[~table["metric"].str.startswith(TIMED)].reset_index(drop=True)
+    return table.drop(columns=[name for name in table.columns if name.startswith(TIMED)])
+
+
+def metrics_of(folder: Path) -> pd.DataFrame:
+    """The metrics of a run, a column each and a row for each update that was logged."""
+    rows = pd.read_csv(folder / "metrics.csv")
+    when = ["update", "frames", "seconds"]
+    table = rows.pivot(index=when, columns="metric", values="value")
+    return table[rows["metric"].unique()].reset_index()
 
 
 def random_unroll(steps: int, batch: int, actions: int, seed: int = 0) -> Unroll:

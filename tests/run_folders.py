@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from zipf import envs, report
 from zipf.experiments.options import command_line, config_files
-from zipf.experiments.records import checksums, results
+from zipf.experiments.records import results
 from zipf.experiments.reporting import draw_matplotlib, panels, tables, windows
 
 CHANCE = {"train": 0.0324, "uniform": 0.0477, "rare": 0.0859}
@@ -129,13 +129,7 @@ def write_run(
         worlds = {"split": described["split"], **described["environment"]}
         options = {**own, "environment": worlds, "schedule": {}}
         (folder / "config.yaml").write_text(settings + yaml.safe_dump(options))
-    seal(folder)
     return folder
-
-
-def seal(folder: Path) -> None:
-    """Renew the checksums of a run's folder that was changed."""
-    checksums.write(folder, 10**9)
 
 
 def write_external(root: Path, scores: Scores, *, name: str = "PPO", **changes: Any) -> Path:
@@ -169,7 +163,6 @@ def change_description(folder: Path, **changes: Any) -> None:
     """Change fields of a run's `run.json`."""
     described = json.loads((folder / "run.json").read_text()) | changes
     (folder / "run.json").write_text(json.dumps(described))
-    seal(folder)
 
 
 def only_table(folder: Path, window: str | None = None) -> tables.ScoreTable:

@@ -5,10 +5,10 @@ from typing import Literal
 
 import gymnasium as gym
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 import torch.nn.functional as F
+from conftest import metrics_of
 from networks import compact
 from tensordict import TensorDict
 from worlds_of import needs
@@ -724,7 +724,7 @@ def test_runs_train_and_resume(experiment, auxiliary, kind, tmp_path):
     assert one.keys() == other.keys()
     for name, value in one.items():
         assert torch.equal(value, other[name]), name
-    metrics = pd.read_csv(whole.folder / "metrics.csv")
+    metrics = metrics_of(whole.folder)
     told = [name for name in metrics.columns if name.startswith("auxiliary")]
     assert (
         told

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import TINY, assert_equal
+from conftest import TINY, assert_equal, metrics_of
 from worlds_of import cheapest_pairs
 
 from zipf.agents import agents
@@ -58,7 +58,7 @@ def test_agents_train(cuda, agent, lag, precision, tmp_path):
     """Their weights change and stay finite, and what is logged is finite."""
     chosen = [f"device={cuda}", f"collector.lag={lag}", f"precision={precision}"]
     folder = run(tmp_path, agent, "updates=3", *chosen)
-    metrics = pd.read_csv(folder / "metrics.csv")
+    metrics = metrics_of(folder)
     assert list(metrics["update"]) == [1, 2, 3]
     assert np.isfinite(metrics["loss"].iloc[-1])
     weights = state(folder)["agent"]["network"]
@@ -91,7 +91,7 @@ def test_conditions_train_and_are_scored(cuda, experiment, condition, tmp_path):
         arguments += SMALL["r2d2"]
     loaded = command_line.load(arguments)
     assert runner.train(loaded) == 0
-    metrics = pd.read_csv(loaded.folder / "metrics.csv")
+    metrics = metrics_of(loaded.folder)
     assert list(metrics["update"]) == [1, 2, 3]
     assert np.isfinite(metrics["loss"].iloc[-1])
     evaluations = pd.read_csv(loaded.folder / "evaluations.csv")

@@ -20,7 +20,6 @@ from run_folders import (
     constant,
     refusal,
     row_of,
-    seal,
     write_external,
     write_run,
 )
@@ -387,7 +386,6 @@ def write_hostile(root: Path) -> None:
     header = f"update,level_kind,{rank},episodes,successes,return_sum"
     rows = [f"300,{kind},{place},10,5,5.0" for kind in ("train", "uniform") for place in range(3)]
     (folder / "situations.csv").write_text("\n".join([header, *rows]) + "\n")
-    seal(folder)
     other = write_run(
         root / "other",
         {},

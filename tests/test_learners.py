@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import PACKAGE, TINY, assert_equal, learned, random_unroll, untimed
+from conftest import PACKAGE, TINY, assert_equal, learned, metrics_of, random_unroll, untimed
 from networks import compact
 
 from zipf.agents import averaging
@@ -471,7 +471,7 @@ def whole(runs):
 def test_two_processes_train_one_run(whole, runs):
     config = runs.config("whole")
     assert whole.returncode == 0, whole.stderr
-    metrics = pd.read_csv(config.folder / "metrics.csv")
+    metrics = metrics_of(config.folder)
     assert list(metrics["update"]) == list(range(1, 8))
     assert list(metrics["frames"]) == [FRAMES * update for update in range(1, 8)]
     assert metrics["loss"].notna().all()

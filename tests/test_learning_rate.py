@@ -1,9 +1,8 @@
 """Learning rates that fall to 0: which, when, and that resuming does not notice."""
 
-import pandas as pd
 import pytest
 import torch
-from conftest import TINY, assert_equal, learned
+from conftest import TINY, assert_equal, learned, metrics_of
 from test_agent import NAMES, build, unrolls
 
 from zipf.agents.learner import Learner
@@ -79,11 +78,11 @@ def test_a_stopped_run_goes_on_with_the_rates_of_one_left_alone(tmp_path):
         parts, rc = train(tmp_path / "parts", f"updates={updates}", decay)
         assert rc == 0
     assert_equal(learned(parts)["agent"], learned(whole)["agent"])
-    factors = pd.read_csv(whole / "metrics.csv").set_index("update")["learning_rate_factor"]
+    factors = metrics_of(whole).set_index("update")["learning_rate_factor"]
     assert factors.round(6).to_list() == [1, 1, 1, 0.833333, 0.666667, 0.5, 0.333333, 0.166667]
     plain, rc = train(tmp_path / "plain", "updates=8")
     assert rc == 0
-    assert "learning_rate_factor" not in pd.read_csv(plain / "metrics.csv")
+    assert "learning_rate_factor" not in metrics_of(plain)
     assert not torch.equal(weight_of(plain), weight_of(whole))
 
 

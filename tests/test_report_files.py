@@ -7,7 +7,6 @@ import errno
 import json
 import os
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +24,12 @@ from run_folders import (
     only_table,
     refusal,
     row_of,
-    seal,
     write_run,
 )
 
 from zipf import envs
 from zipf.errors import UserError
-from zipf.experiments.records import checksums, results
+from zipf.experiments.records import results
 from zipf.experiments.reporting import grids, markdown, tables
 
 
@@ -67,7 +65,6 @@ def test_a_name_may_need_quotes(tmp_path: Path) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(EVALUATIONS.split(","))
         writer.writerow([100, 1, 1.0, "train", name, 10, 0.5, "", 0.5, 3.0])
-    seal(folder)
     assert line(only_table(tmp_path), "impala", "train")["score"] == 0.5
 
 
@@ -114,21 +111,18 @@ FILES = [
     "situations.csv",
     "metrics.csv",
     "config.yaml",
-    "checksums.json",
 ]
 
 
 @settings(max_examples=150, deadline=None)
 @given(st.sampled_from(FILES), st.data())
 def test_no_damage_ends_in_a_traceback(name: str, data: st.DataObject) -> None:
-    """A piece of a file is replaced: what is read stays the same, or the file is named in one
-    line. A line that a crash cut is left out and noted."""
+    """A piece of a file is replaced: it is still a run, or the file is named in one line."""
     with tempfile.TemporaryDirectory() as root:
         situations = (SITUATIONS, "300,uniform,0,1,10,5,5.0")
         folder = write_run(Path(root), constant(0.5), situations=situations)
-        (folder / "metrics.csv").write_text("update,frames,seconds,loss\n10,40960,5.0,1.5\n")
-        seal(folder)
-        before = markdown.record(tables.score_tables(results.load_runs([root])), "")
+        rows = "10,40960,5.0,episode_length,7.5\n10,40960,5.0,loss,1.5\n"
+        (folder / "metrics.csv").write_text(f"update,frames,seconds,metric,value\n{rows}")
         content = (folder / name).read_bytes()
         start = data.draw(st.integers(0, len(content)))
         end = start + data.draw(st.integers(0, 20))
@@ -137,8 +131,7 @@ def test_no_damage_ends_in_a_traceback(name: str, data: st.DataObject) -> None:
         refused = ""
         try:
             found = tables.score_tables(results.load_runs([root]))
-            after = markdown.record(found, "")
-            assert after == before or f"{name}: the last line is torn" in after
+            markdown.record(found, "")
             tables.csv_report(found)
         except UserError as error:
             refused = str(error)
@@ -188,7 +181,6 @@ def test_a_damaged_description_names_the_file(
         path.write_text(change)
     else:
         path.write_text(json.dumps(json.loads(path.read_text()) | change))
-        seal(path.parent)
     message = refusal(capsys, str(tmp_path))
     assert path.as_posix() in message
     assert problem in message
@@ -256,7 +248,6 @@ def test_a_run_without_evaluations_is_noted(tmp_path: Path) -> None:
     folder = write_run(tmp_path, {}, seed=1)
     (folder / "evaluations.csv").unlink()
     (folder / "metrics.csv").write_text("update,frames,seconds,loss\n10,40960,5.0,nan\n")
-    seal(folder)
     table = only_table(tmp_path)
     assert line(table, "impala", "train")["seeds"] == 1
     assert table.notes == (f"{folder.as_posix()}: no evaluation yet; not counted.",)
@@ -268,70 +259,9 @@ def test_a_missing_level_is_noted(tmp_path: Path) -> None:
     path = folder / "evaluations.csv"
     kept = [line for line in path.read_text().splitlines() if ",rare," not in line]
     path.write_text("\n".join(kept) + "\n")
-    seal(folder)
     table = only_table(tmp_path)
     assert table.notes == (f"{folder.as_posix()}: no evaluation of rare; not counted there.",)
     assert "| IMPALA | 0/3 | 0.50 |" in markdown.markdown(table)
-
-
-def edited(name: str, old: str, new: str) -> Callable[[Path], None]:
-    def change(folder: Path) -> None:
-        text = (folder / name).read_text()
-        assert old in text
-        (folder / name).write_text(text.replace(old, new, 1))
-
-    return change
-
-
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("evaluations.csv", edited("evaluations.csv", ",0.5,", ",0.6,")),
-        ("evaluations.csv", edited("evaluations.csv", "300,", "400,")),
-        ("evaluations.csv", lambda folder: (folder / "evaluations.csv").unlink()),
-        ("situations.csv", lambda folder: (folder / "situations.csv").write_text("")),
-        ("situations.csv", edited("situations.csv", "300,uniform,0,1,10,5,5.0\n", "")),
-        ("metrics.csv", lambda folder: (folder / "metrics.csv").unlink()),
-        ("metrics.csv", edited("metrics.csv", ",1.5", ",1.6")),
-        ("run.json", edited("run.json", '"score": 0.0324', '"score": 0.0325')),
-        ("config.yaml", edited("config.yaml", "0.001", "0.002")),
-        ("checksums.json", lambda folder: (folder / "checksums.json").write_text("{}")),
-    ],
-)
-def test_what_was_changed_since_the_run_wrote_it_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, change: Callable[[Path], None]
-) -> None:
-    folder = write_run(tmp_path, constant(0.5), situations=(SITUATIONS, "300,uniform,0,1,10,5,5.0"))
-    (folder / "metrics.csv").write_text("update,frames,seconds,loss\n10,40960,5.0,1.5\n")
-    seal(folder)
-    only_table(tmp_path)
-    change(folder)
-    message = refusal(capsys, str(tmp_path))
-    assert f"{name}: is" in message
-    assert "restore it from a copy" in message
-
-
-def test_rows_after_the_last_checkpoint_are_read(tmp_path: Path) -> None:
-    folder = write_run(tmp_path, {100: (0.2,) * 3, 200: (0.2,) * 3})
-    checksums.write(folder, 100)
-    assert line(only_table(tmp_path), "impala", "train")["score"] == pytest.approx(0.2)
-    edited("evaluations.csv", "200,819200,500.0,train", "100,819200,500.0,train")(folder)
-    with pytest.raises(UserError, match=r"evaluations\.csv: is not as the run left it"):
-        only_table(tmp_path)
-
-
-def test_rows_of_the_last_checkpoints_update_may_follow_it(tmp_path: Path) -> None:
-    """As those of the evaluation that ends a run do, before its last checkpoint is written."""
-    folder = write_run(tmp_path, {100: (0.2,) * 3, 200: (0.2,) * 3})
-    path = folder / "evaluations.csv"
-    rows = path.read_text()
-    path.write_text("".join(rows.splitlines(True)[:4]))
-    checksums.write(folder, 200)
-    path.write_text(rows)
-    assert line(only_table(tmp_path), "impala", "train")["score"] == pytest.approx(0.2)
-    edited("evaluations.csv", ",0.2,", ",0.3,")(folder)
-    with pytest.raises(UserError, match=r"evaluations\.csv: is not as the run left it"):
-        only_table(tmp_path)
 
 
 def test_runs_are_found_through_links(tmp_path: Path) -> None:
@@ -361,11 +291,3 @@ def test_a_folder_that_cannot_be_read_is_refused(
     monkeypatch.setattr(os, "scandir", refuse)
     with pytest.raises(UserError, match="closed: Permission denied"):
         results.load_runs([tmp_path])
-
-
-def test_a_run_without_checksums_is_noted(tmp_path: Path) -> None:
-    folder = write_run(tmp_path, constant(0.5))
-    (folder / "checksums.json").unlink()
-    assert only_table(tmp_path).notes == (
-        f"{folder.as_posix()}: has no checksums.json: whether its files were changed is not known",
-    )

@@ -18,20 +18,26 @@ RUN = "minigrid_zipf/short/seed0"
 
 def results(root):
     """The losses and scores of a run, without how long they took."""
-    tables = [pd.read_csv(Path(root, RUN, name)) for name in ("metrics.csv", "evaluations.csv")]
-    timed = r"seconds|frames_per_second|time_"
-    return [table.loc[:, ~table.columns.str.contains(timed)] for table in tables]
+    metrics = pd.read_csv(Path(root, RUN, "metrics.csv"))
+    metrics = metrics[~metrics["metric"].str.contains("frames_per_second|time_")]
+    scores = pd.read_csv(Path(root, RUN, "evaluations.csv"))
+    return [table.drop(columns="seconds").reset_index(drop=True) for table in (metrics, scores)]
+
+
+def updates(metrics):
+    """How many updates have been logged."""
+    return pd.read_csv(metrics)["update"].nunique() if metrics.exists() else 0
 
 
 subprocess.run([*TRAIN, "run_root=whole"], check=True)
 
 killed = subprocess.Popen([*TRAIN, "run_root=runs"])
 metrics = Path("runs", RUN, "metrics.csv")
-while killed.poll() is None and not (metrics.exists() and len(pd.read_csv(metrics)) >= 5):
+while killed.poll() is None and updates(metrics) < 5:
     time.sleep(0.05)
 killed.kill()  # as `kill -9` does
 assert killed.wait() != 0, "the run ended before it could be killed"
-print(f"killed after update {len(pd.read_csv(metrics))}")
+print(f"killed after update {updates(metrics)}")
 subprocess.run([*TRAIN, "run_root=runs", "resume=must"], check=True)
 
 for whole, resumed in zip(results("whole"), results("runs"), strict=True):

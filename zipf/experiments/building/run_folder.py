@@ -26,9 +26,8 @@ from zipf.experiments.building import checkpoint
 from zipf.experiments.options.runtime import TorchrunOptions
 from zipf.experiments.options.schema import Config, schema
 from zipf.experiments.records import results
-from zipf.experiments.records.checksums import TABLES
 from zipf.experiments.records.replacing import replace_text
-from zipf.experiments.records.result_table import ResultTable, last_update
+from zipf.experiments.records.result_table import TABLES, check_table, last_update
 
 
 def find_checkpoint(config: Config) -> dict[str, Any] | None:
@@ -58,8 +57,17 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
         )
     saved = checkpoint.load(path)
     check_options(path, saved, config)
-    if saved["update"] > config.updates:
-        raise UserError(f"{path}: is at update {saved['update']}, past updates={config.updates}")
+    with fits(path):
+        update, lengths = saved["update"], [saved["tables"][name] for name in TABLES]
+    if update > config.updates:
+        raise UserError(f"{path}: is at update {update}, past updates={config.updates}")
+    if not all(isinstance(length, int) for length in lengths):
+        raise UserError(
+            f"{path}: is of an earlier version, with tables of another form; finish the run with "
+            "that version, or choose another run_root or name"
+        )
+    if update == config.updates and last_update(config.folder / "evaluations.csv") == str(update):
+        saved["evaluated"] = update  # the evaluation that ends a run comes after its checkpoint
     return saved
 
 
@@ -76,13 +84,11 @@ def is_finished(config: Config) -> bool:
         saved = find_checkpoint(config)
         if saved is None:
             return False
-        with fits(folder / "checkpoint.pt"):
-            done = saved["evaluated"] == saved["update"] == config.updates
-            tables = {name: saved["tables"][name] for name in TABLES}
+        done = bool(saved["evaluated"] == saved["update"] == config.updates)
         if done:
             check_description(config)
-            for name, table in tables.items():
-                ResultTable.check(folder / name, config.updates, table)
+            for name in TABLES:
+                check_table(folder / name, config.updates, saved["tables"][name])
         return done
     except UserError:
         return False

@@ -30,7 +30,6 @@ from zipf.experiments.evaluation.scoring import (
     env_options,
     score,
 )
-from zipf.experiments.records import checksums
 from zipf.experiments.records.csv_files import read_fields, read_lines
 from zipf.experiments.records.descriptions import COLOUR_PATTERN, RunDescription, first_problem
 from zipf.experiments.records.replacing import replace_text
@@ -170,7 +169,6 @@ def record(
         replace_text(folder / "run.json", json.dumps(description, indent=2) + "\n")
         for file, rows in tables.items():
             replace_text(folder / file, _with_rows(folder / file, update, rows))
-        checksums.write(folder, _last_update(folder / "evaluations.csv"))
     except OSError as error:
         raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
     return evaluation
@@ -281,8 +279,3 @@ def _with_rows(path: Path, update: int, rows: Sequence[Mapping[str, Any]]) -> st
     text.writelines(f"{one}\n" for one in lines[1:] if one.split(",")[0] != str(update))
     writer.writerows(rows)
     return text.getvalue()
-
-
-def _last_update(path: Path) -> int:
-    _, *rows = read_fields(path, read_lines(path)[0])
-    return max(int(row[0]) for row in rows)

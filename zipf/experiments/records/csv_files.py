@@ -2,14 +2,14 @@
 
 A last line without its newline is what a crash leaves behind: it is dropped and noted. Any other
 damage is an error that names file and line, because a score computed around a hole would look like
-any other score. pandas reads the files; that every line has as many fields as the header is checked
-before, because pandas fills up short lines without a word.
+any other score. `csv` reads them in strict mode: pandas fills up short lines without a word.
 """
 
 from __future__ import annotations
 
 import csv
-import io
+import gzip
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -31,38 +31,48 @@ EXPECTED: Mapping[Kind, str] = {
 }
 
 
-def read_table(path: Path, columns: Mapping[str, Kind], notes: list[str]) -> pd.DataFrame:
-    """The named columns of a CSV file, in the order of its lines; no rows where it has none.
+def read_texts(path: Path, notes: list[str]) -> pd.DataFrame:
+    """A CSV file as text, in the order of its lines; no columns where it has no line.
 
     Args:
-        columns: what each holds: "count" is read as int64; "number" as float64, which has to be
-            finite; "number or empty" likewise, with NaN for an empty field; "text" as str.
+        path: of the file; one whose name ends in .gz is compressed.
         notes: gains a sentence if the last line is torn.
 
     Returns:
-        A frame whose index is the number of the line in the file, the header being line 1.
+        A frame of str whose index is the number of the line in the file, the header being line 1.
 
     Raises:
-        UserError: the file cannot be read, a column is missing, or a line is damaged.
+        UserError: the file cannot be read, or a line is damaged.
     """
     lines, torn = read_lines(path)
     if torn:
         notes.append(f"{path.as_posix()}: the last line is torn and was left out")
-    header = read_fields(path, lines)[0] if lines else list(columns)
-    if missing := [name for name in columns if name not in header]:
-        raise UserError(f"{path.as_posix()}, line 1: no column {', '.join(missing)}")
     import pandas as pd  # here: the options of a run, which import this module, read no table
 
-    texts = pd.read_csv(
-        io.StringIO("\n".join(lines)),
-        header=0 if lines else None,
-        names=header,
-        usecols=list(columns),
-        dtype=str,
-        na_filter=False,
-        skip_blank_lines=False,
-    )
-    texts.index += 2
+    if not lines:
+        return pd.DataFrame()
+    header, *rows = read_fields(path, lines)
+    return pd.DataFrame(rows, pd.RangeIndex(2, len(rows) + 2), header, dtype=str)
+
+
+def values_of(path: Path, texts: pd.DataFrame, columns: Mapping[str, Kind]) -> pd.DataFrame:
+    """The values of columns of a table, or of some of its rows.
+
+    Args:
+        path: of the file, for messages.
+        texts: as `read_texts` reads them.
+        columns: what each holds: "count" is read as int64; "number" as float64, which has to be
+            finite; "number or empty" likewise, with NaN for an empty field; "text" as str.
+
+    Raises:
+        UserError: a column is missing, or has something else.
+    """
+    import pandas as pd
+
+    if not len(texts.columns):
+        texts = pd.DataFrame(columns=list(columns), dtype=str)
+    if missing := [name for name in columns if name not in texts]:
+        raise UserError(f"{path.as_posix()}, line 1: no column {', '.join(missing)}")
     return pd.DataFrame({name: _convert(path, texts[name], kind) for name, kind in columns.items()})
 
 
@@ -93,7 +103,13 @@ def read_lines(path: Path) -> tuple[list[str], bool]:
     """
     if not path.exists():
         return [], False
-    complete, _, torn = read_bytes(path).rpartition(b"\n")
+    content = read_bytes(path)
+    if path.suffix == ".gz":
+        try:
+            content = gzip.decompress(content)
+        except (OSError, EOFError, zlib.error) as error:
+            raise UserError(f"{path.as_posix()}: is damaged ({error})") from None
+    complete, _, torn = content.rpartition(b"\n")
     text = complete.decode("utf-8", errors="replace")
     return (text.split("\n") if text else []), bool(torn)
 

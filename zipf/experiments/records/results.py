@@ -1,11 +1,13 @@
-"""Run folders as data: what each run is and what it measured, read from its files alone.
+"""Runs as data: what each is and what it measured, read from its files alone.
 
-A run folder is a folder with a `run.json`. Files that a run has not written yet count as empty.
-docs/results.md describes every file and column.
+A run folder is a folder with a `run.json`; files that a run has not written yet count as empty. The
+runs of a record (`zipf.experiments.records.record`) are in a few tables instead. docs/results.md
+describes every file and column.
 """
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,16 +16,19 @@ from typing import Any
 
 import pandas as pd
 import yaml
+from pydantic import ValidationError
 
 from zipf.errors import UserError
-from zipf.experiments.records import checksums
-from zipf.experiments.records.csv_files import Kind, read_bytes, read_header, read_table
+from zipf.experiments.records import record
+from zipf.experiments.records.csv_files import Kind, read_bytes, read_texts, values_of
 from zipf.experiments.records.descriptions import (
     LevelGroup,
     RunDescription,
+    first_problem,
     read_description,
 )
 from zipf.experiments.records.learned_options import NOT_LEARNED, changes_nothing, flatten, is_among
+from zipf.experiments.records.result_table import TABLES
 from zipf.protocol import KINDS
 
 # In which two seeds of a condition may differ.
@@ -45,7 +50,8 @@ class Run:
             docs/results.md.
         situation_names: the situation's columns, e.g. ("map", "target"); ranks, 0 most frequent.
         updates, frames, seconds: how far the run has come.
-        settings: the flattened `config.yaml` without bookkeeping; empty for an external run.
+        options: what `config.yaml` holds; empty for an external run.
+        settings: the flattened options without bookkeeping.
         notes: what the reader of the files had to leave out.
     """
 
@@ -57,6 +63,7 @@ class Run:
     updates: int
     frames: int
     seconds: float
+    options: Mapping[str, Any]
     settings: Mapping[str, Any]
     notes: tuple[str, ...]
     _means: dict[Any, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)
@@ -104,20 +111,26 @@ class Run:
 
 
 def load_runs(folders: Iterable[str | Path]) -> list[Run]:
-    """Every run at any depth under `folders`, in the order of tables. Links are followed; a run
-    that is found twice counts once.
+    """Every run at any depth under `folders`, in the order of tables: those of run folders, and
+    those of records; a folder may be one within a record. Links are followed; a run that is found
+    twice counts once.
 
     Raises:
         UserError: a folder does not exist, cannot be read or holds no run, or a run's files are
             damaged.
     """
     roots = [Path(folder) for folder in folders]
-    found: dict[Path, Path] = {}
+    found: dict[Path, Run | Path] = {}
     for folder in roots:
         try:
-            if not folder.is_dir():
+            around = next((one for one in (folder, *folder.parents) if record.is_there(one)), None)
+            if around is None and not folder.is_dir():
                 raise UserError(f"{folder.as_posix()}: no such folder")
-            for path in _run_folders(folder):
+            records = [around] if around is not None else []
+            records += [one for one in _folders_with(record.RUNS, folder) if one != around]
+            for run in (run for one in records for run in load_record(one, folder)):
+                found.setdefault(run.folder.resolve(), run)
+            for path in _folders_with("run.json", folder):
                 found.setdefault(path.resolve(), path)
         except OSError as error:  # such as too long a name, or a folder that cannot be read
             where = error.filename or folder.as_posix()
@@ -125,7 +138,7 @@ def load_runs(folders: Iterable[str | Path]) -> list[Run]:
     if not found:
         where = ", ".join(folder.as_posix() for folder in roots)
         raise UserError(f"no run found under {where}: a run's folder has a run.json")
-    runs = [load_run(folder) for folder in found.values()]
+    runs = [one if isinstance(one, Run) else load_run(one) for one in found.values()]
     return sorted(
         runs,
         key=lambda run: (
@@ -137,12 +150,15 @@ def load_runs(folders: Iterable[str | Path]) -> list[Run]:
     )
 
 
-def _run_folders(root: Path) -> Iterator[Path]:
-    """The folders at any depth under a folder that have a run.json. Raises OSError."""
+def _folders_with(name: str, root: Path) -> Iterator[Path]:
+    """The folders at any depth under a folder, if it is there, that have a file of this name.
+    Raises OSError."""
 
     def fail(error: OSError) -> None:
         raise error
 
+    if not root.is_dir():  # as a folder within a record may be
+        return
     seen = set()
     for folder, inner, files in os.walk(root, followlinks=True, onerror=fail):
         real = os.path.realpath(folder)
@@ -151,7 +167,7 @@ def _run_folders(root: Path) -> Iterator[Path]:
             continue
         seen.add(real)
         inner.sort()
-        if "run.json" in files:
+        if name in files:
             yield Path(folder)
 
 
@@ -187,32 +203,78 @@ def load_run(folder: Path) -> Run:
     """
     description = read_description(folder / "run.json")
     notes: list[str] = []
-    evaluations = _read_evaluations(folder / "evaluations.csv", description, notes)
-    situations, situation_names = _read_situations(folder / "situations.csv", description, notes)
-    progress = {"update": 0.0, "frames": 0.0, "seconds": 0.0}
-    metrics = read_table(folder / "metrics.csv", dict.fromkeys(progress, "number"), notes)
+    texts = {name: read_texts(folder / name, notes) for name in TABLES}
+    options = _read_options(folder / "config.yaml", description)
+    places = {name: folder / name for name in ("config.yaml", *TABLES)}
+    return _run(folder, description, options, texts, places, notes)
+
+
+def load_record(folder: Path, within: Path | None = None) -> list[Run]:
+    """The runs of the record in `folder`; only those within another folder if one is named.
+
+    Raises:
+        UserError: one of its files is damaged.
+    """
+    kept = record.read(folder)
+    places = {"config.yaml": folder / record.OPTIONS}
+    places |= {name: folder / f"{name}{record.SUFFIX}" for name in TABLES}
+    runs = []
+    for name, values in kept.runs.items():
+        if within is not None and not (folder / name).is_relative_to(within):
+            continue
+        try:
+            description = RunDescription.model_validate_json(json.dumps(values))
+        except ValidationError as error:
+            where = f"{(folder / record.RUNS).as_posix()}: {name}"
+            raise UserError(f"{where}: {first_problem(error)}") from None
+        texts = {file: kept.tables[name].get(file, pd.DataFrame()) for file in TABLES}
+        options = kept.options.get(name, {})
+        runs.append(_run(folder / name, description, options, texts, places, []))
+    return runs
+
+
+def _run(
+    folder: Path,
+    description: RunDescription,
+    options: dict[str, Any],
+    texts: Mapping[str, pd.DataFrame],
+    places: Mapping[str, Path],
+    notes: Sequence[str],
+) -> Run:
+    """The run that these files tell of.
+
+    Args:
+        texts: its tables, by the name of the file.
+        places: where tables and options were read, for messages.
+    """
+
+    def of(name: str) -> tuple[Path, pd.DataFrame]:
+        return places[name], texts[name]
+
+    evaluations = _evaluations(*of("evaluations.csv"), description)
+    situations, situation_names = _situations(*of("situations.csv"), description)
+    reached = dict.fromkeys(("update", "frames", "seconds"), 0.0)
+    metrics = values_of(*of("metrics.csv"), dict.fromkeys(reached, "number"))
     for frame in (evaluations, metrics):
-        for column in progress:
+        for column in reached:
             if len(frame):
-                progress[column] = max(progress[column], float(frame[column].max()))
-    settings = _read_settings(folder / "config.yaml", description)
-    if note := checksums.check(folder):
-        notes.append(note)
+                reached[column] = max(reached[column], float(frame[column].max()))
     return Run(
         folder=folder,
         description=description,
         evaluations=evaluations,
         situations=situations,
         situation_names=situation_names,
-        updates=int(progress["update"]),
-        frames=int(progress["frames"]),
-        seconds=progress["seconds"],
-        settings=settings,
+        updates=int(reached["update"]),
+        frames=int(reached["frames"]),
+        seconds=reached["seconds"],
+        options=options,
+        settings=_settings(places["config.yaml"], description, options),
         notes=tuple(notes),
     )
 
 
-def _read_evaluations(path: Path, description: RunDescription, notes: list[str]) -> pd.DataFrame:
+def _evaluations(path: Path, texts: pd.DataFrame, description: RunDescription) -> pd.DataFrame:
     columns: dict[str, Kind] = {
         "update": "count",
         "frames": "count",
@@ -224,7 +286,7 @@ def _read_evaluations(path: Path, description: RunDescription, notes: list[str])
         "success": "number or empty",
         "return": "number",
     }
-    rows = read_table(path, columns, notes)
+    rows = values_of(path, texts, columns)
     _check_kinds(path, rows)
     for level_kind in KINDS:
         known = description.levels_of(level_kind).weights
@@ -239,10 +301,10 @@ def _read_evaluations(path: Path, description: RunDescription, notes: list[str])
     return _latest(rows, ["update", "level_kind", "level"])
 
 
-def _read_situations(
-    path: Path, description: RunDescription, notes: list[str]
+def _situations(
+    path: Path, texts: pd.DataFrame, description: RunDescription
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    header = read_header(path)
+    header = list(texts.columns)
     names: tuple[str, ...] = ()
     if "level_kind" in header and "episodes" in header:
         names = tuple(header[header.index("level_kind") + 1 : header.index("episodes")])
@@ -256,7 +318,7 @@ def _read_situations(
     }
     visits = ("visits", *(f"visits_{name}" for name in names))
     columns |= dict.fromkeys([name for name in visits if name in header], "count or empty")
-    rows = read_table(path, columns, notes)
+    rows = values_of(path, texts, columns)
     _check_kinds(path, rows)
     for name in names:
         size = description.situation.get(name)
@@ -299,14 +361,13 @@ def _latest(rows: pd.DataFrame, key: list[str]) -> pd.DataFrame:
     return rows.sort_values("update", kind="stable").reset_index(drop=True)
 
 
-def _read_settings(path: Path, description: RunDescription) -> dict[str, Any]:
-    """The flattened options of a run of this package. An external agent has none: a configuration
-    in its folder would be that of somebody else's training."""
+def _read_options(path: Path, description: RunDescription) -> dict[str, Any]:
+    """The options of a run of this package. An external agent has none: a configuration in its
+    folder would be that of somebody else's training."""
     if description.external:
         if path.exists():
             raise UserError(f"{path.as_posix()}: by run.json the agent is external and has none")
         return {}
-
     content = read_bytes(path)
     try:
         options = yaml.safe_load(content)
@@ -314,6 +375,13 @@ def _read_settings(path: Path, description: RunDescription) -> dict[str, Any]:
         raise UserError(f"{path.as_posix()}: not a YAML file") from error
     if not isinstance(options, dict) or "schedule" not in options:  # the last of them
         raise UserError(f"{path.as_posix()}: is no run's options, or cut")
+    return options
+
+
+def _settings(path: Path, description: RunDescription, options: dict[str, Any]) -> dict[str, Any]:
+    """The flattened options without bookkeeping."""
+    if description.external:
+        return {}
     described = {
         "experiment": description.experiment,
         "condition": description.condition,

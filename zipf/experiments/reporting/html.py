@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any, ClassVar
 
+import yaml
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from zipf.experiments.records import video_files
-from zipf.experiments.records.csv_files import read_bytes
 from zipf.experiments.records.results import Run
 from zipf.experiments.records.wording import (
     count_text,
@@ -304,8 +304,7 @@ def _details(row: Row, run: Run) -> RunDetails:
         "Wall time": None if row.external else duration_text(run.seconds),
         "Resumed at": resumed or None,
     }
-    path = run.folder / "config.yaml"
-    configuration = "" if one.external else read_bytes(path).decode("utf-8", errors="replace")
+    configuration = yaml.safe_dump(dict(run.options), sort_keys=False) if run.options else ""
     known = [(name, text) for name, text in facts.items() if text is not None]
     return RunDetails(f"{row.title}, seed {one.seed}", known, configuration)
 

@@ -16,9 +16,7 @@ from tensorboard.summary.writer.record_writer import RecordWriter
 from zipf.errors import UserError
 from zipf.experiments.evaluation.evaluator import Result, scores, situations
 from zipf.experiments.hooks.visits import Visits
-from zipf.experiments.records import checksums
-from zipf.experiments.records.checksums import TABLES
-from zipf.experiments.records.result_table import ResultTable
+from zipf.experiments.records.result_table import TABLES, ResultTable, check_table
 
 
 class Logger:
@@ -27,34 +25,21 @@ class Logger:
     Args:
         folder: the run's folder.
         resume_at: the update that the run goes on from; -1 for a new run.
-        saved: `state_dict()` at that update; None for a new run.
-        every: an evaluation of an update that is no multiple of it is dropped when a run goes on:
-            it was made because the run ended there.
+        lengths: of the tables, `lengths()` at that update, to which they are cut; None for a new
+            run.
 
     Raises (here and in every method):
         UserError: the disk is full or cannot be written, or a table is damaged.
     """
 
-    def __init__(
-        self, folder: Path, resume_at: int, saved: Mapping[str, Any] | None = None, every: int = 1
-    ):
+    def __init__(self, folder: Path, resume_at: int, lengths: Mapping[str, int] | None = None):
         self.folder = folder
-        self.every = every
+        if lengths is not None:
+            self.check(folder, resume_at, lengths)
         self._tables = {}
         for name in TABLES:
             with _writing(folder / name):
-                if saved is None:
-                    self._tables[name] = ResultTable(folder / name)
-                else:
-                    self._tables[name] = ResultTable.resumed(
-                        folder / name,
-                        resume_at,
-                        saved[name],
-                        keep_closing=resume_at % every == 0,
-                    )
-        for table in self._tables.values():  # none of them is damaged
-            with _writing(table.path):
-                table.drop_later_rows()
+                self._tables[name] = ResultTable(folder / name, lengths[name] if lengths else 0)
         events = folder / "tensorboard"
         with _writing(events):
             events.mkdir(exist_ok=True)
@@ -71,40 +56,33 @@ class Logger:
         self._event(step=resume_at + 1, session_log=SessionLog(status=SessionLog.START))
 
     @staticmethod
-    def check(folder: Path, update: int, saved: Mapping[str, Any]) -> None:
-        """Raises `UserError` where the tables of a finished run are not as at its checkpoint."""
+    def check(folder: Path, update: int, lengths: Mapping[str, int]) -> None:
+        """Raises `UserError` where a table lacks rows that it had at a checkpoint."""
         for name in TABLES:
-            ResultTable.check(folder / name, update, saved[name])
+            check_table(folder / name, update, lengths[name])
 
-    def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint has to know of the tables, which are on the disk when this returns."""
+    def lengths(self) -> dict[str, int]:
+        """The tables' lengths in bytes, for a checkpoint; so much is on the disk on return."""
         with _writing(self.folder):
-            return {name: table.state_dict() for name, table in self._tables.items()}
+            return {name: table.length() for name, table in self._tables.items()}
 
-    def write_checksums(self, update: int) -> None:
-        """Writes the sums of the run's files; those of the tables cover all rows so far."""
-        with _writing(self.folder / checksums.NAME):
-            tables = {
-                name: (table.state_dict()["all"], table.rows)
-                for name, table in self._tables.items()
-            }
-            checksums.write(self.folder, update, tables)
-
-    def metrics(self, update: int, metrics: Mapping[str, float]) -> None:
-        """One row, a column for each metric; metrics may come and go."""
-        self._append("metrics.csv", [{"update": update, **metrics}])
-        self._scalars(update, {f"train/{name}": value for name, value in metrics.items()})
+    def metrics(self, when: Mapping[str, float], metrics: Mapping[str, float]) -> None:
+        """A row for each metric, of the update `when["update"]`."""
+        rows = [{**when, "metric": name, "value": value} for name, value in metrics.items()]
+        self._append("metrics.csv", rows)
+        self._scalars(
+            int(when["update"]),
+            {f"train/{name}": value for name, value in {**when, **metrics}.items()},
+        )
 
     def evaluation(self, when: Mapping[str, float], results: list[Result], visits: Visits) -> None:
         """The rows of an evaluation, and of the situations in it with how often training has met
         them."""
         update = int(when["update"])
-        closing = update % self.every != 0
         met = visits.beside(situations(results))
         met.insert(0, "update", update)
-        rows = [{**when, **result.row()} for result in results]
-        self._append("situations.csv", met.to_dict("records"), closing=closing)
-        self._append("evaluations.csv", rows, closing=closing)
+        self._append("situations.csv", met.to_dict("records"))
+        self._append("evaluations.csv", [{**when, **result.row()} for result in results])
         of_levels = {f"score/{result.kind}/{result.level}": result.score for result in results}
         of_kinds = {f"score/{kind}": score for kind, score in scores(results).items()}
         several = len(of_levels) > len(of_kinds)
@@ -120,9 +98,9 @@ class Logger:
         """Closes TensorBoard's file."""
         self._events.close()
 
-    def _append(self, name: str, rows: Sequence[Any], *, closing: bool = False) -> None:
+    def _append(self, name: str, rows: Sequence[Any]) -> None:
         with _writing(self.folder / name):
-            self._tables[name].append(rows, closing=closing)
+            self._tables[name].append(rows)
 
     def _scalars(self, update: int, values: Mapping[str, float]) -> None:
         summary = [Summary.Value(tag=tag, simple_value=value) for tag, value in values.items()]

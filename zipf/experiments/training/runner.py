@@ -77,6 +77,8 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
                     if run.update % schedule.checkpoint_every == 0:
                         run.save()
                 run.save()
+                if run.closing_evaluation_is_due:
+                    run.evaluate()
             return 0 if run.is_finished else learner.agree(stop.requested)
         except LearnerLost:
             if stop.requested:  # torchrun ends all
@@ -145,16 +147,14 @@ class Run:
         self.clock = Clock()
         self.update = 0
         self.evaluated = -1
-        self._tables: dict[str, Any] | None = None
+        self._lengths: dict[str, int] | None = None
         torch.manual_seed(self.learner.seed(config.seed))
         if saved:
             self._load(saved)
-        if not self.is_finished and self.evaluated % config.evaluation.every:
-            self.evaluated = -1  # the logger drops the rows of the evaluation that ended the run
         if self.is_finished and self.learner.is_first:
-            assert self._tables is not None
+            assert self._lengths is not None
             run_folder.check_description(config, self.env.situation)
-            Logger.check(self.folder, self.update, self._tables)
+            Logger.check(self.folder, self.update, self._lengths)
         self.name = config.run_name
         self.display = Display(
             self.name,
@@ -198,16 +198,12 @@ class Run:
         if not self.is_new:
             run_folder.check_description(self.config, self.env.situation)
         self.logger = Logger(
-            self.folder,
-            resume_at=-1 if self.is_new else self.update,
-            saved=self._tables,
-            every=self.config.evaluation.every,
+            self.folder, resume_at=-1 if self.is_new else self.update, lengths=self._lengths
         )
         resumed_at = None if self.is_new else self.update
         run_folder.write_description(
             self.config, self.env.situation, resumed_at, pretrained=self._pretrained
         )
-        self.logger.write_checksums(-1 if self.is_new else self.update)
 
     def _tell(self, line: str) -> None:
         self.display.say(line)
@@ -271,14 +267,12 @@ class Run:
             raise UserError(str(error)) from None
 
     def log(self, unroll: Unroll, metrics: dict[str, float]) -> None:
-        """Writes a row of metrics."""
+        """Writes rows of metrics."""
         self.clock.move(self.rollouts.seconds)
         then, update = self._logged
         self._logged = self.clock.training, self.update
         frames = (self.update - update) * self.frames_per_update
-        row = {
-            "frames": self.update * self.frames_per_update,
-            "seconds": self.clock.total,
+        found = {
             "frames_per_second": frames / (self.clock.training - then),
             **{f"time_{part}": seconds for part, seconds in self.clock.parts.items()},
             **self._learning_rate_factor(),
@@ -290,9 +284,15 @@ class Run:
                 }
             ),
         }
+        when = self._when()
         if self.learner.is_first:
-            self.logger.metrics(self.update, row)
-        self.display.show_metrics(row)
+            self.logger.metrics(when, found)
+        self.display.show_metrics({**when, **found})
+
+    def _when(self) -> dict[str, float]:
+        """What rows of tables begin with."""
+        frames = self.update * self.frames_per_update
+        return {"update": self.update, "frames": frames, "seconds": self.clock.total}
 
     def _learning_rate_factor(self) -> dict[str, float]:
         if self.config.learning_rate_decay is None:
@@ -302,8 +302,14 @@ class Run:
     @property
     def evaluation_is_due(self) -> bool:
         """Whether the agent is to be scored after this update and has not been."""
-        every, last = self.config.evaluation.every, self.config.updates
-        return self.evaluated < self.update and (self.update % every == 0 or self.update == last)
+        return self.evaluated < self.update and self.update % self.config.evaluation.every == 0
+
+    @property
+    def closing_evaluation_is_due(self) -> bool:
+        """Whether the agent is to be scored because the run ends here. That comes after the last
+        checkpoint: a run that goes on with more updates drops the rows, and equals one that had
+        that many from the start."""
+        return self.evaluated < self.update == self.config.updates
 
     def evaluate(self) -> None:
         """Scores the agent and writes the rows; training's random draws stay the same.
@@ -335,12 +341,7 @@ class Run:
                 seed=derive_seed(self.config.seed, "evaluation", self.update),
                 watch=self._watch_evaluation,
             )
-        when = {
-            "update": self.update,
-            "frames": self.update * self.frames_per_update,
-            "seconds": self.clock.total,
-        }
-        self.logger.evaluation(when, results, visits)
+        self.logger.evaluation(self._when(), results, visits)
         self.display.show_scores(results)
         shown = "  ".join(f"{kind} {score:.3f}" for kind, score in scores(results).items())
         self.logger.text(f"update {self.update}: {shown}")
@@ -362,21 +363,20 @@ class Run:
             "options": self.config.what_is_learned,
             "update": self.update,
             "evaluated": self.evaluated,
-            "tables": self.logger.state_dict(),
+            "tables": self.logger.lengths(),
             "clock": self.clock.state_dict(),
             **learned,
         }
-        if self.is_finished and isinstance(self.agent, Learner):
+        if self.update == self.config.updates and isinstance(self.agent, Learner):
             learned_last = {"update": self.update, "weights": self.agent.weights()}
             checkpoint.save(self.folder / "weights.pt", learned_last)
         checkpoint.save(self.folder / "checkpoint.pt", state)
-        self.logger.write_checksums(self.update)
 
     def _load(self, saved: dict[str, Any]) -> None:
         with run_folder.fits(self.folder / "checkpoint.pt"):
             self.update = saved["update"]
             self.evaluated = saved["evaluated"]
-            self._tables = saved["tables"]
+            self._lengths = saved["tables"]
             self.clock.load_state_dict(saved["clock"])
             try:
                 self.agent.load_state_dict(saved["agent"])
