@@ -15,7 +15,7 @@ from worlds_of import chosen, needs
 
 from zipf import envs, report
 from zipf.errors import UserError
-from zipf.experiments.building import checkpoint, run_folder
+from zipf.experiments.building import checkpoint, feasibility, run_folder
 from zipf.experiments.options import command_line, composing, config_files
 from zipf.experiments.options.catalogue import help_text, summary
 from zipf.experiments.records.paper import paper_table
@@ -330,7 +330,7 @@ def test_what_is_finished_is_told_from_the_files_alone(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(runner.envs, "make_train", refuse)
-        patched.setattr(command_line.feasibility, "problems", refuse)
+        patched.setattr(feasibility, "problems", refuse)
         assert sweep.run(words) == 0
     assert contents(config.folder) == before
     for other in ("updates=3", "updates=1", "resume=never", "seed=1"):
