@@ -1,7 +1,7 @@
 """What private interfaces and emitted code buy, as ratios: the numbers of docs/underneath.md.
 
     python scripts/benchmark_underneath.py
-    python scripts/benchmark_underneath.py --match gather --rounds 3
+    python scripts/benchmark_underneath.py --match chipmunk --rounds 3
 
 Every row is measured as it is and without the interface, in turn, several times over; a ratio is
 the median over rounds of without beside with. Where code has to be compiled otherwise, each side is
@@ -44,7 +44,6 @@ for line in sys.stdin:
     print(time.process_time() - start, flush=True)
 """
 
-NO_GATHER = "import zipf.envs.render3d.lanes as lanes; lanes._gathers = lambda: False"
 COUNTED = """
 import zipf.compiled as module
 _original = module.compiled
@@ -86,14 +85,6 @@ def timed(function: Callable[[], object]) -> Timed:
 
     run()
     return run
-
-
-def gather() -> tuple[Timed, Timed]:
-    return stepping(LIFT, NO_GATHER)
-
-
-def gather_terrain() -> tuple[Timed, Timed]:
-    return stepping("labyrinth/natlab_fixed_large_map", NO_GATHER)
 
 
 def references() -> tuple[Timed, Timed]:
@@ -273,8 +264,6 @@ ROWS: dict[str, Callable[[], tuple[Timed, Timed]]] = {
     "copier": copier,
     "chipmunk": chipmunk,
     "blocks": blocks,
-    "gather": gather,
-    "gather_terrain": gather_terrain,
 }
 
 

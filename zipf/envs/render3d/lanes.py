@@ -5,7 +5,6 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core.registry import cpu_target
 
 LANES = 16
 
@@ -145,8 +144,6 @@ class Code:
 
     def look_up(self, address: Any, indices: Vector, element: Any) -> Vector:
         """The elements at `indices` of an array, sign-extended to 32 bits."""
-        if element == INT and self.lanes == LANES and _gathers():
-            return self._gather(address, indices)
         start = self._pointer(address, element)
         found = ir.Constant(ir.VectorType(INT, self.lanes), ir.Undefined)
         # Indices are extracted in pairs, because extracting is slow.
@@ -163,23 +160,6 @@ class Code:
                 value = self.builder.sext(value, INT)
             found = self.builder.insert_element(found, value, place)
         return Vector(self.builder, found)
-
-    def _gather(self, address: Any, indices: Vector) -> Vector:
-        """The 32-bit elements at sixteen indices, read by one instruction of AVX-512."""
-        kind, start = indices.value.type, ir.IntType(8).as_pointer()
-        chosen = ir.VectorType(ir.IntType(1), self.lanes)
-        gather = self.builder.module.declare_intrinsic(
-            "llvm.x86.avx512.mask.gather.dpi.512",
-            fnty=ir.FunctionType(kind, [kind, start, kind, chosen, INT]),
-        )
-        arguments = (
-            ir.Constant(kind, [0] * self.lanes),
-            self.builder.inttoptr(address, start),
-            indices.value,
-            ir.Constant(chosen, [1] * self.lanes),
-            ir.Constant(INT, 4),
-        )
-        return Vector(self.builder, self.builder.call(gather, arguments))
 
     def distance(self, inverse: Vector, fade: Any) -> tuple[Vector, Vector]:
         """t and 1 / (1 + fade * t**2), the share of light that is left, where 1/t is `inverse`."""
@@ -214,12 +194,6 @@ class Code:
         old_inverse, old_paint = self.load(depth, FLOAT), self.load(colour, INT)
         self.store(mask.choose(inverse, old_inverse), depth)
         self.store(mask.choose(paint, old_paint), colour)
-
-
-def _gathers() -> bool:
-    """Whether the processor that numba compiles for has AVX-512."""
-    _, _, features = cpu_target.target_context.codegen().magic_tuple()
-    return "+avx512f" in features.split(",")
 
 
 def written(kinds: Sequence[Any], write: Callable[..., None]) -> Any:
