@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import write_tables
+from conftest import naming
 from pages import DOCS, PAGES, ROOT, TEXT, blocks, commands, files
 
 import zipf.report
@@ -25,12 +26,9 @@ from zipf.experiments.training import runner
 
 FOLDERS = ("configs/", "docs/", "examples/", "scripts/", "tests/", "zipf/")
 NOT_PATHS = {family.id for family in family.families().values()}
+TAKES_LONG = re.compile(r"\.learn\(|floors\.search\(|check_vector_env\(").search
+"""Code that trains, searches or checks."""
 FLAGS = {"-m", "--multirun", "--help"}
-
-
-def parameters(module: str) -> list:
-    """The commands of the pages that call a module, for `pytest.mark.parametrize`."""
-    return [pytest.param(*found, id=name) for name, found in commands(module).items()]
 
 
 def section(page: str, heading: str) -> str:
@@ -70,7 +68,11 @@ def in_folder(tmp_path, monkeypatch):
 @pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
 @pytest.mark.parametrize(
     ("page", "code"),
-    [pytest.param(page, code, id=page) for page in PAGES for code in blocks("python", page)],
+    [
+        pytest.param(page, code, id=page, marks=[pytest.mark.slow] if TAKES_LONG(code) else [])
+        for page in PAGES
+        for code in blocks("python", page)
+    ],
 )
 def test_python_code_runs(page, code, in_folder):
     folder = in_folder(page)
@@ -97,38 +99,59 @@ def overrides_of(arguments: list[str]) -> list[str]:
     return [word for word in words if not word.startswith("hydra")]
 
 
-@pytest.mark.parametrize(("page", "arguments"), parameters("zipf.train"))
-def test_train_commands_are_accepted(page, arguments, in_folder, monkeypatch):
-    """Those that name a file of their page train, too, for one update: the first job of a sweep."""
+def of_page(page: str) -> dict[str, list[str]]:
+    """The arguments of the train commands of a page, by what one would type."""
+    found = commands("zipf.train").items()
+    return {name: arguments for name, (where, arguments) in found if where == page}
+
+
+def jobs_of(arguments: list[str]) -> list[sweeps.PlannedJob]:
+    """The jobs of a train command; none of one that asks for help."""
+    overrides = overrides_of(arguments)
+    ready_made = sweeps.named(overrides)  # test_config.py checks what they choose
+    return sweeps.check(overrides, is_finished=lambda _: ready_made).jobs if overrides else []
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if of_page(page)])
+def test_train_commands_are_accepted(page, in_folder, monkeypatch):
     in_folder(page)
     monkeypatch.setattr(feasibility, "_no_pretrained", lambda config: ())  # the reader's own runs
-    overrides = overrides_of(arguments)
-    if not overrides:
-        return
-    ready_made = sweeps.named(overrides)  # test_config.py checks what they choose
-    jobs = sweeps.check(overrides, is_finished=lambda _: ready_made).jobs
-    assert (len(jobs) > 1) == ("-m" in arguments)
-    if any(Path(file).stem in word for file in files(page) for word in arguments):
-        short = ["updates=1", "schedule.window=[0,1]", "collector.num_envs=8"]
-        short += [f"evaluation.{o}" for o in ("episodes=5", "num_envs=5", "chance_episodes=0")]
-        assert runner.train(command_line.load([*jobs[0].overrides, *short])) == 0
+    for name, arguments in of_page(page).items():
+        with naming(name):
+            assert (len(jobs_of(arguments)) > 1) == ("-m" in arguments)
 
 
-@pytest.mark.parametrize(("page", "arguments"), parameters("zipf.evaluate"))
-def test_evaluate_commands_are_accepted(page, arguments):
-    options = command_line.read_options(EvaluateOptions, arguments)
-    assert options.run or (options.policy and envs.split(str(options.split)))
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in PAGES if of_page(page) and files(page)])
+def test_commands_that_name_a_file_of_their_page_train(page, in_folder):
+    """For one update: the first job of a sweep."""
+    in_folder(page)
+    for name, arguments in of_page(page).items():
+        with naming(name):
+            if any(Path(file).stem in word for file in files(page) for word in arguments):
+                (job, *_) = jobs_of(arguments)
+                short = ["updates=1", "schedule.window=[0,1]", "collector.num_envs=8"]
+                short += ["evaluation.episodes=5", "evaluation.num_envs=5"]
+                short += ["evaluation.chance_episodes=0"]
+                assert runner.train(command_line.load([*job.overrides, *short])) == 0
 
 
-@pytest.mark.parametrize(("page", "arguments"), parameters("zipf.play"))
-def test_play_commands_are_accepted(page, arguments):
-    if arguments != ["--help"]:
-        options = command_line.read_options(PlayOptions, arguments)
-        assert options.run or envs.keys(options.level)
+def test_evaluate_commands_are_accepted():
+    for name, (_, arguments) in commands("zipf.evaluate").items():
+        with naming(name):
+            options = command_line.read_options(EvaluateOptions, arguments)
+            assert options.run or (options.policy and envs.split(str(options.split)))
 
 
-@pytest.mark.parametrize(("page", "arguments"), parameters("zipf.report"))
-def test_report_commands_are_accepted(page, arguments, monkeypatch):
+def test_play_commands_are_accepted():
+    for name, (_, arguments) in commands("zipf.play").items():
+        with naming(name):
+            if arguments != ["--help"]:
+                options = command_line.read_options(PlayOptions, arguments)
+                assert options.run or envs.keys(options.level)
+
+
+def test_report_commands_are_accepted(monkeypatch):
     calls = []
 
     def report(folders, output, window, *, record, format, html):
@@ -136,8 +159,11 @@ def test_report_commands_are_accepted(page, arguments, monkeypatch):
 
     monkeypatch.setattr(zipf.report, "report", report)
     monkeypatch.setattr(videos, "record_videos", lambda *given: None)
-    assert zipf.report.main(arguments) == 0
-    assert len(calls) == 1
+    found = commands("zipf.report")
+    for name, (_, arguments) in found.items():
+        with naming(name):
+            assert zipf.report.main(arguments) == 0
+    assert len(calls) == len(found)
 
 
 def test_make_commands_exist():
@@ -157,39 +183,40 @@ def anchors(path: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_links_and_paths_exist(page):
+def test_links_and_paths_exist():
     missing = []
-    for link in re.findall(r"\]\(([^):\s]+)\)", TEXT[page]):
-        path, _, anchor = link.partition("#")
-        target = (ROOT / page).parent / path if path else ROOT / page
-        if not target.exists() or (anchor and anchor not in anchors(target)):
-            missing.append(link)
-    spans = [word for span in re.findall(r"`([^`\n]+)`", TEXT[page]) for word in span.split()]
-    words = [word for block in blocks("sh", page) for word in block.split()]
-    paths = {word for word in spans + words if word.startswith(FOLDERS)} - NOT_PATHS
-    for path in paths - set(files(page)):
-        if not list(ROOT.glob(re.sub(r"<[^>]+>", "*", path).rstrip("/"))):
-            missing.append(path)
+    for page in PAGES:
+        for link in re.findall(r"\]\(([^):\s]+)\)", TEXT[page]):
+            path, _, anchor = link.partition("#")
+            target = (ROOT / page).parent / path if path else ROOT / page
+            if not target.exists() or (anchor and anchor not in anchors(target)):
+                missing.append(f"{page}: {link}")
+        spans = [word for span in re.findall(r"`([^`\n]+)`", TEXT[page]) for word in span.split()]
+        words = [word for block in blocks("sh", page) for word in block.split()]
+        paths = {word for word in spans + words if word.startswith(FOLDERS)} - NOT_PATHS
+        for path in paths - set(files(page)):
+            if not list(ROOT.glob(re.sub(r"<[^>]+>", "*", path).rstrip("/"))):
+                missing.append(f"{page}: {path}")
     assert not missing
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if page != "CHANGELOG.md"])
-def test_names_in_the_code_exist(page):
-    for name in sorted(set(re.findall(r"`(zipf(?:\.\w+)+)[`(]", TEXT[page]))):
-        parts = name.split(".")
-        found = importlib.import_module("zipf")
-        for i, part in enumerate(parts[1:], 2):
-            if not hasattr(found, part):
-                importlib.import_module(".".join(parts[:i]))
-            found = getattr(found, part)
+def test_names_in_the_code_exist():
+    for page in (page for page in PAGES if page != "CHANGELOG.md"):
+        for name in sorted(set(re.findall(r"`(zipf(?:\.\w+)+)[`(]", TEXT[page]))):
+            with naming(f"{name} in {page}"):
+                parts = name.split(".")
+                found = importlib.import_module("zipf")
+                for i, part in enumerate(parts[1:], 2):
+                    if not hasattr(found, part):
+                        importlib.import_module(".".join(parts[:i]))
+                    found = getattr(found, part)
 
 
-@pytest.mark.parametrize("path", write_tables.pages(), ids=lambda path: path.name)
-def test_tables_are_up_to_date(path):
+def test_tables_are_up_to_date():
     """If this fails: python scripts/write_tables.py"""
-    text = path.read_text(encoding="utf-8")
-    assert write_tables.rewritten(text) == text
+    for path in write_tables.pages():
+        text = path.read_text(encoding="utf-8")
+        assert write_tables.rewritten(text) == text, path
 
 
 def test_families_and_parts_of_agents_have_pages():
