@@ -24,7 +24,7 @@ tail: conditions  ## parts for learning the tail, on the larger worlds, too: som
 test: $(VENV)/.installed  ## run the tests
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
-test-all: test  ## run the tests, and those that take minutes each
+test-all: test  ## run the tests, and the slow tier: every level, trainings, clusters
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
 lint: $(VENV)/.installed  ## check style and formatting

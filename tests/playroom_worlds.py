@@ -12,6 +12,8 @@ from zipf.envs.playroom.layout import begin
 from zipf.envs.playroom.state import AIR, AX, AY, PITCH, YAW, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
+KINDS = ("lift/lift_shape_zipf3", "put/put_on_bed_tray_all", "supervised/find_shape_uniform")
+"""A level for each task."""
 BED = (-1.2, 0.0, 0.0)
 """Against the western wall: x from -1.9 to -0.5, y from -0.45 to 0.45."""
 TRAY = (0.8, 1.2, 0.0)

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import slow_but
 
 from zipf import compiled
 
@@ -90,6 +91,7 @@ def test_the_laboratory_can_change_without_compiling_again(small: Path) -> None:
     assert finish(start(small, program))[0] == "11\n1"
 
 
+@pytest.mark.slow
 def test_worlds_and_agents_can_change_apart(small: Path) -> None:
     """A function in one of the folders is compiled again when that changes, or what is beside
     both; one of the laboratory's when either does."""
@@ -159,7 +161,9 @@ def test_compiling_is_announced_once_and_never_when_saved(small: Path) -> None:
     assert finish(start(small, silenced))[1] == ""
 
 
-@pytest.mark.parametrize("content", [b"", b"\x80\x04", b"garbage", b"\x80\x04K\x05."])
+@pytest.mark.parametrize(
+    "content", slow_but([b"", b"\x80\x04", b"garbage", b"\x80\x04K\x05."], b"garbage")
+)
 def test_damaged_code_is_compiled_again(small: Path, content: bytes) -> None:
     finish(start(small, "kernel(5)"))
     for path in (small / "__pycache__").glob("*.nbc"):
@@ -175,6 +179,7 @@ def test_where_the_disk_is_full_there_is_one_warning_and_no_cache(small: Path) -
     assert errors.count("RuntimeWarning") == 1
 
 
+@pytest.mark.slow
 def test_processes_that_compile_at_the_same_time_save_all_signatures(small: Path) -> None:
     calls = ["kernel(1); kernel(1.5)", "kernel(1.5); kernel(1)", "kernel(1j); kernel(1)"]
     for process in [start(small, call) for call in calls]:

@@ -1,10 +1,9 @@
 """Damaged run folders: no run goes on beside a damaged file, and nothing is lost without a word."""
 
 import json
-import shutil
 
 import pytest
-from conftest import TINY, contents
+from conftest import contents, slow_but
 
 from zipf.errors import UserError
 from zipf.experiments.options import command_line
@@ -87,15 +86,6 @@ DAMAGE = [
 ]
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A finished run, to be copied and damaged."""
-    root = tmp_path_factory.mktemp("finished")
-    arguments = [*TINY, "updates=2"]
-    assert runner.train(command_line.load([*arguments, f"run_root={root}"])) == 0
-    return root, arguments
-
-
 @pytest.mark.parametrize(("how", "change"), DAMAGED.items(), ids=DAMAGED)
 def test_a_damaged_table_is_refused_and_kept(how, change, tmp_path):
     path = tmp_path / "table.csv"
@@ -116,13 +106,21 @@ def test_a_damaged_table_is_refused_and_kept(how, change, tmp_path):
     assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("updates", [2, 3])
-@pytest.mark.parametrize(("name", "how", "change"), DAMAGE, ids=[f"{d[0]} {d[1]}" for d in DAMAGE])
-def test_no_run_goes_on_beside_a_damaged_file(finished, name, how, change, updates, tmp_path):
+QUICK = {
+    "metrics.csv": OF_ALL_TABLES,
+    "run.json": ("deleted", "cut", "levels of another run", "another seed"),
+    "config.yaml": ("deleted", "cut", "no yaml", "another discount"),
+}
+
+
+@pytest.mark.parametrize("updates", slow_but([2, 3], 3))
+@pytest.mark.parametrize(
+    ("name", "how", "change"),
+    slow_but(DAMAGE, *(one for one in DAMAGE if one[1] in QUICK.get(one[0], ()))),
+)
+def test_no_run_goes_on_beside_a_damaged_file(trained, name, how, change, updates):
     """Nor is a finished one accepted; one line names the file, and nothing is written."""
-    root, arguments = finished
-    shutil.copytree(root, tmp_path / "runs")
-    config = command_line.load([*arguments, f"run_root={tmp_path / 'runs'}", f"updates={updates}"])
+    config = command_line.load([*trained, f"updates={updates}"])
     path = config.folder / name
     content = path.read_bytes()
     if change is None:
@@ -143,10 +141,8 @@ def test_no_run_goes_on_beside_a_damaged_file(finished, name, how, change, updat
     [b"update,frames\n0,0\nabc,1\n", b"\x80\n\x81,\n", b"update\n" + b"9" * 400 + b"\n"],
     ids=["word", "no text", "huge"],
 )
-def test_rows_without_their_checkpoint_are_kept_however_damaged(content, finished, tmp_path):
-    root, arguments = finished
-    shutil.copytree(root, tmp_path / "runs")
-    config = command_line.load([*arguments, f"run_root={tmp_path / 'runs'}"])
+def test_rows_without_their_checkpoint_are_kept_however_damaged(content, trained):
+    config = command_line.load(trained)
     folder = config.folder
     (folder / "checkpoint.pt").unlink()
     (folder / "metrics.csv").write_bytes(content)

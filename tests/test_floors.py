@@ -100,6 +100,7 @@ def test_without_time_a_search_has_what_is_known() -> None:
     assert found == known  # the first knows a map
 
 
+@pytest.mark.slow
 def test_no_constant_action_beats_blind_in_finding() -> None:
     """Walking straight ahead once found the target nine times in ten."""
     for name in ("zipf3", "uniform", "uniform_rare", "validation"):

@@ -240,7 +240,7 @@ def test_an_mp4_takes_its_library(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("level", "policy"),
     [
-        (level, policy)
+        pytest.param(level, policy, marks=[pytest.mark.slow] if name == "labyrinth" else [])
         for name, level in FAMILIES.items()
         for policy in envs.SCRIPTED
         if getattr(envs.find_family(name), policy) is not None

@@ -14,6 +14,7 @@ from conftest import slow_but
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
+from playroom_worlds import KINDS
 
 from zipf.envs import Mixture, make, make_vec, split
 from zipf.envs.playroom.levels import LEVELS
@@ -22,7 +23,6 @@ from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.testing import check_vector_env
 
 ID = "zipf/Playroom-v0"
-KINDS = ("lift/lift_shape_zipf3", "put/put_on_bed_tray_all", "supervised/find_shape_uniform")
 SMALL: dict[str, Any] = {"image_size": (6, 8), "max_steps": 18}
 
 

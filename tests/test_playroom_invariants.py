@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import slow_but
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -114,7 +115,7 @@ def repeated_actions(rng: np.random.Generator, steps: int) -> NDArray[np.int64]:
     return actions
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", slow_but(LEVELS, LEVELS[0]))
 @given(seed=st.integers(0, 2**32), repeated=st.booleans())
 @example(seed=9638, repeated=True)  # walks with a held object between the bed and a wall
 @example(seed=2145, repeated=True)  # walks onto the tray with a held object

@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import slow_but
 from numpy.typing import NDArray
+from playroom_worlds import KINDS
 from scipy.stats import chisquare
 
 from zipf.envs import make_vec, split
@@ -142,7 +144,7 @@ def test_tasks_are_those_of_the_level(level: str) -> None:
     assert fits(np.bincount(given, minlength=5), expected)
 
 
-@pytest.mark.parametrize("level", list(LEVELS))
+@pytest.mark.parametrize("level", slow_but(LEVELS, *KINDS))
 def test_instructions_name_the_task_and_the_target(level: str) -> None:
     env = PlayroomVectorEnv(200, level, image_size=(1, 1))
     observation, info = env.reset(seed=3)
@@ -205,7 +207,7 @@ def test_equal_ranks_may_be_forced() -> None:
             assert (info[name] != 2).all()
 
 
-@pytest.mark.parametrize("level", list(LEVELS))
+@pytest.mark.parametrize("level", slow_but(LEVELS, *KINDS))
 def test_forcing_does_not_change_the_episodes_that_follow(level: str) -> None:
     env = PlayroomVectorEnv(6, level, image_size=(1, 1))
     env.reset(seed=5)

@@ -6,7 +6,7 @@ import shutil
 import gymnasium as gym
 import pytest
 import torch
-from conftest import TINY, assert_equal, learned, run
+from conftest import TINY, assert_equal, call, learned
 from networks import compact
 from test_agent import NAMES, SPACE, build, unrolls
 from test_auxiliary import BYOL
@@ -116,7 +116,7 @@ def test_a_run_says_where_its_weights_are_from_and_resumes_without_it(first, cap
     described = [json.loads((one / "run.json").read_text()) for one in (halves, whole)]
     assert described[0]["pretrained"] == described[1]["pretrained"]
     capsys.readouterr()
-    shown = run(str(whole), "window=last", module="zipf.report", folder=root).stdout
+    shown = call(str(whole), "window=last", module="zipf.report", folder=root).stdout
     told = "Seed 5 of whole began with the encoder of demo first, seed 0, trained on 90 frames"
     assert told in " ".join(shown.split())
     assert train(asked((root, whole), "name=following")) == 0
@@ -134,7 +134,7 @@ def test_seeds_that_begin_with_seeds_of_a_condition_are_one_row(first, capsys):
     assert [runner.train(config) for config in configs] == [0, 0]
     (row,) = {config.condition for config in configs}
     assert ",pretrained.run=demo_first" in row
-    shown = run(str(root / "demo" / row), "window=last", module="zipf.report", folder=root).stdout
+    shown = call(str(root / "demo" / row), "window=last", module="zipf.report", folder=root).stdout
     told = " ".join(shown.split())
     assert "were not trained with the same settings" not in told
     title = configs[0].row.title

@@ -45,6 +45,7 @@ def test_the_record_is_up_to_date(tmp_path, monkeypatch):
 KEPT = sorted(path.parent for path in ROOT.glob("results/*/*/*/weights.pt"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", KEPT, ids=lambda folder: "/".join(folder.parts[-3:]))
 def test_agents_whose_weights_are_kept_score_as_they_did(folder):
     """Within 0.15: the standard error of 200 episodes is at most 0.035, of 1,000 0.016."""

@@ -376,6 +376,7 @@ def beside(tmp_path_factory):
     return root, words, sweep.run(words)
 
 
+@pytest.mark.slow
 def test_joblib_runs_jobs_beside_each_other(beside, capsys):
     root, words, code = beside
     assert code == 2
@@ -394,6 +395,7 @@ def test_joblib_runs_jobs_beside_each_other(beside, capsys):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "launcher",
     [
@@ -414,6 +416,7 @@ def test_other_launchers_make_the_same_runs(launcher, beside, tmp_path, capsys):
     pd.testing.assert_frame_equal(table(root, 0), table(tmp_path, 0))
 
 
+@pytest.mark.slow
 def test_a_sweep_that_was_killed_gives_the_same_table_when_asked_for_again(
     beside, tmp_path, capsys
 ):
@@ -448,6 +451,7 @@ def begun(*arguments, cwd):
     )
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_a_parallel_sweep_stops_every_job_with_a_checkpoint(tmp_path):
     arguments = [*TINY, "updates=100000", "schedule.checkpoint_every=99999", "name=x"]
     arguments += ["evaluation.every=99999", f"run_root={tmp_path}", "seed=0,1,2"]
