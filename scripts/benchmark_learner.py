@@ -48,9 +48,8 @@ from zipf.agents.image_networks import ResNet
 from zipf.agents.impala import Impala
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
-from zipf.experiments.building import run_folder
+from zipf.experiments.building import loading, run_folder
 from zipf.experiments.building.factory import build_agent
-from zipf.experiments.options import command_line
 from zipf.experiments.options.schema import find_device
 from zipf.experiments.training.allocator import keep_freed_ram
 from zipf.experiments.training.runner import Run
@@ -150,7 +149,7 @@ def measure(
     if variant.keeps_memory:
         keep_freed_ram()
     now = CLOCKS[clock]
-    config = command_line.load(
+    config = loading.load(
         [f"experiment={experiment}", f"precision={variant.precision}", f"device={device}"]
     )
     env = envs.make_vec(envs.split(config.environment.split).uniform[0], 1, **config.level_options)
@@ -199,7 +198,7 @@ def measure_training(rounds: int, seconds: float, device: str) -> Iterator[tuple
             runs = {}
             for lag in speeds:
                 options = [f"collector.lag={lag}", f"device={device}", f"run_root={folder}"]
-                config = command_line.load([f"experiment={experiment}", f"name=lag{lag}", *options])
+                config = loading.load([f"experiment={experiment}", f"name=lag{lag}", *options])
                 run_folder.make(config.folder)
                 runs[lag] = stack.enter_context(Run(config))
                 for _ in range(3):  # until the heap has grown as large as it will be

@@ -27,10 +27,9 @@ from rich.console import Console
 from rich.table import Table
 
 from zipf import envs
-from zipf.experiments.building import run_folder
+from zipf.experiments.building import loading, run_folder
 from zipf.experiments.building.checkpoint import arrays, tensors
 from zipf.experiments.building.factory import build_agent
-from zipf.experiments.options import command_line
 from zipf.experiments.training.build_collector import build_collector
 from zipf.experiments.training.runner import Run
 
@@ -101,7 +100,7 @@ def timed(call: Callable[[], object], times: int) -> tuple[float, float]:
 
 def measured(experiment: str) -> tuple[int, int, int, float]:
     """Frames and bytes of an unroll, bytes of the weights, frames per second of one actor."""
-    config = command_line.load([f"experiment={experiment}", "device=cpu", "collector.lag=0"])
+    config = loading.load([f"experiment={experiment}", "device=cpu", "collector.lag=0"])
     worlds, length = config.collector.num_envs, config.collector.unroll_length
     short = config.collector.model_copy(update={"unroll_length": STEPS})
     config = config.model_copy(update={"collector": short})
@@ -133,7 +132,7 @@ def trainings(experiment: str, seconds: float) -> Table:
     ):
         with tempfile.TemporaryDirectory() as folder:
             options = [f"experiment={experiment}", f"run_root={folder}", "device=cpu"]
-            config = command_line.load([*options, *runtime])
+            config = loading.load([*options, *runtime])
             run_folder.make(config.folder)
             with Run(config) as run:
                 for _ in range(3):

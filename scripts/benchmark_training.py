@@ -63,9 +63,9 @@ class Task:
 
 def task_of(experiment: str) -> Task:
     from zipf import envs
-    from zipf.experiments.options import command_line
+    from zipf.experiments.building import loading
 
-    config = command_line.load([f"experiment={experiment}", "memory=mlp"])
+    config = loading.load([f"experiment={experiment}", "memory=mlp"])
     return Task(
         envs.split(config.environment.split).train[0].level,
         config.level_options,
@@ -105,15 +105,14 @@ def trunk(task: Task, space: Any) -> Any:
 
 
 def train_zipf(experiment: str, pause: turns.Pause, *overrides: str) -> None:
-    from zipf.experiments.building import run_folder
-    from zipf.experiments.options import command_line
+    from zipf.experiments.building import loading, run_folder
     from zipf.experiments.training.allocator import keep_freed_ram
     from zipf.experiments.training.runner import Run
 
     keep_freed_ram()
     with tempfile.TemporaryDirectory() as folder:
         given = [f"experiment={experiment}", "memory=mlp", f"run_root={folder}", *overrides]
-        config = command_line.load(given)
+        config = loading.load(given)
         run_folder.make(config.folder)
         with Run(config) as run:
             while True:

@@ -48,7 +48,7 @@ import torch
 import yaml
 
 from zipf.errors import UserError
-from zipf.experiments.building import checkpoint
+from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.options import command_line, config_files
 from zipf.experiments.records.learned_options import flatten
 
@@ -137,14 +137,14 @@ def small_runs(variants: Sequence[list[str]]) -> Iterator[list[str]]:
         for experiment in EXPERIMENTS:
             chosen = [f"experiment={experiment}", f"condition={condition}"]
             try:
-                command_line.load([*chosen, *SMALL])
+                loading.load([*chosen, *SMALL])
             except UserError as error:
                 problems += f"\n{error}"
                 continue
             for variant in variants:
                 arguments = [*chosen, *SMALL, *variant]
                 try:
-                    command_line.load(arguments)
+                    loading.load(arguments)
                 except UserError:
                     continue  # the agent is on-policy
                 yield arguments
@@ -155,7 +155,7 @@ def small_runs(variants: Sequence[list[str]]) -> Iterator[list[str]]:
 
 def state_of(root: Path, arguments: list[str]) -> dict[str, Any]:
     """What a run has learned and measured, without the times it took."""
-    folder = command_line.load([*arguments, f"run_root={root}"]).folder
+    folder = loading.load([*arguments, f"run_root={root}"]).folder
     saved = checkpoint.load(folder / "checkpoint.pt")
     del saved["clock"], saved["tables"]
     for path in sorted(folder.glob("*.csv")):
@@ -264,7 +264,7 @@ def actors() -> list[int]:
 
 def miscounted(root: Path, arguments: list[str]) -> str | None:
     """What is wrong with the numbers of a finished run of 8 updates."""
-    config = command_line.load([*arguments, f"run_root={root}"])
+    config = loading.load([*arguments, f"run_root={root}"])
     folder, each = config.folder, config.collector.num_envs * config.collector.unroll_length
     metrics = pd.read_csv(folder / "metrics.csv")
     evaluations = pd.read_csv(folder / "evaluations.csv")
@@ -365,7 +365,7 @@ def soak_damages(count: int, draw: random.Random, folder: Path) -> Counter[str]:
         assert trained.code == 0, trained.output
 
     def commands() -> dict[str, Callable[[], tuple[Outcome, Any]]]:
-        of_run = command_line.load([*arguments, f"run_root={root}"]).folder
+        of_run = loading.load([*arguments, f"run_root={root}"]).folder
 
         def train() -> tuple[Outcome, Any]:
             outcome = run("zipf.train", [*arguments, f"run_root={root}"], output)

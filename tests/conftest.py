@@ -18,8 +18,7 @@ import torch
 from tensordict import TensorDict
 
 from zipf.agents.unroll import Unroll
-from zipf.experiments.building import checkpoint
-from zipf.experiments.options import command_line
+from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.training import runner
 from zipf.registry import registries
 
@@ -127,7 +126,7 @@ def call(
 def trained_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The root of a finished run of two updates, for tests that only read it."""
     root = tmp_path_factory.mktemp("trained")
-    assert runner.train(command_line.load([*TINY, "updates=2", f"run_root={root}"])) == 0
+    assert runner.train(loading.load([*TINY, "updates=2", f"run_root={root}"])) == 0
     return root
 
 

@@ -41,7 +41,7 @@ from zipf.agents.network_options import ResNetOptions, ShallowOptions
 from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import VMPO, VMPOOptions
 from zipf.errors import UserError
-from zipf.experiments.building import checkpoint
+from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.options import command_line
 from zipf.experiments.training import runner
 
@@ -633,13 +633,13 @@ def test_every_auxiliary_loss_composes(experiment, auxiliary):
     overrides = [f"experiment={experiment}", f"auxiliary={auxiliary}"]
     if lacking := needs(experiment, auxiliary=auxiliary):
         with pytest.raises(UserError, match=lacking):
-            command_line.load(overrides)
+            loading.load(overrides)
     else:
-        assert command_line.load(overrides).auxiliary.name == auxiliary
+        assert loading.load(overrides).auxiliary.name == auxiliary
 
 
 def test_the_papers_sizes():
-    paper = command_line.load(["experiment=playroom_lift", "auxiliary=byol"]).auxiliary
+    paper = loading.load(["experiment=playroom_lift", "auxiliary=byol"]).auxiliary
     assert (paper.forward_hidden, paper.projection_hidden) == (100, 200)
     assert (paper.prediction_hidden, paper.projection_size) == (100, 50)
 
@@ -672,7 +672,7 @@ def test_the_papers_sizes():
 )
 def test_impossible_choices_are_one_clear_line(overrides, told):
     with pytest.raises(UserError) as error:
-        command_line.load(["experiment=gridworld_compact", *overrides])
+        loading.load(["experiment=gridworld_compact", *overrides])
     message = str(error.value)
     assert len(message.splitlines()) == 1
     for words in told:
@@ -680,7 +680,7 @@ def test_impossible_choices_are_one_clear_line(overrides, told):
 
 
 def test_byol_reads_tiles():
-    command_line.load(
+    loading.load(
         ["experiment=gridworld_compact", "auxiliary=byol", "environment.observation=tiles"]
     )
 
@@ -711,11 +711,11 @@ def test_runs_train_and_resume(experiment, auxiliary, kind, tmp_path):
         "network.size=8",
         "device=cpu",
     ]
-    whole = command_line.load([*tiny, "updates=2", f"run_root={tmp_path / 'whole'}"])
+    whole = loading.load([*tiny, "updates=2", f"run_root={tmp_path / 'whole'}"])
     cut = [*tiny, f"run_root={tmp_path / 'cut'}"]
     assert runner.train(whole) == 0
     for updates in (1, 2):
-        resumed = command_line.load([*cut, f"updates={updates}"])
+        resumed = loading.load([*cut, f"updates={updates}"])
         assert runner.train(resumed) == 0
     one, other = (
         checkpoint.load(c.folder / "checkpoint.pt")["agent"]["auxiliary"] for c in (whole, resumed)

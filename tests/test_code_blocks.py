@@ -18,7 +18,7 @@ from pages import BLOCKS, PAGES, PLACEHOLDER, ROOT, TEXT, Block, command, comman
 from ray.scripts import scripts
 from torch.distributed import run as torchrun
 
-from zipf.experiments.options import command_line
+from zipf.experiments.building import loading
 from zipf.experiments.sweeping import sweeps
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -87,7 +87,7 @@ def starts(arguments: list[str]) -> None:
     options = torchrun.get_args_parser().parse_args(arguments)
     assert options.module
     assert options.training_script == "zipf.train"
-    config = command_line.load(options.training_script_args)
+    config = loading.load(options.training_script_args)
     assert config.runtime.name == "torchrun"
     machines = int(options.nnodes.rpartition(":")[2])  # as in 2, or 1:4 for up to four
     assert machines * int(options.nproc_per_node) == config.learners

@@ -14,6 +14,7 @@ from noise import Noise
 from zipf import envs
 from zipf.agents.network import Inputs
 from zipf.envs.mixture import Mixture
+from zipf.experiments.building import loading
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.hooks.bonus import Bonus
 from zipf.experiments.hooks.exploration import (
@@ -23,7 +24,6 @@ from zipf.experiments.hooks.exploration import (
     FirstVisitOptions,
 )
 from zipf.experiments.hooks.rewards import SoftAsymmetric, TimeLimitsEnd, soft_asymmetric
-from zipf.experiments.options import command_line
 from zipf.experiments.training.collector import Collector
 
 WORLDS, STEPS = 6, 9
@@ -31,7 +31,7 @@ SMALL = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5, "max_steps": 7}
 
 
 def build(*overrides, exploration=None, seed=3):
-    options = command_line.load(
+    options = loading.load(
         [
             "experiment=demo",
             f"collector.num_envs={WORLDS}",
@@ -194,7 +194,7 @@ RANDOM_R2D2 = ["condition=r2d2", "agent.epsilon=1", "agent.epsilon_ladder=false"
 @pytest.mark.parametrize("overrides", [["condition=impala"], RANDOM_R2D2], ids=lambda o: o[0])
 def test_clipping_does_not_change_what_the_agent_is_told_at_a_truncation(overrides):
     sizes = f"collector.num_envs={WORLDS}", f"collector.unroll_length={STEPS}"
-    options = command_line.load(["experiment=demo", *sizes, *overrides])
+    options = loading.load(["experiment=demo", *sizes, *overrides])
     env = Noise(WORLDS, gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)))
     agent = build_agent(options, env)
     apart, alike = (

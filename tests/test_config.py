@@ -16,7 +16,7 @@ from zipf.agents.encoders import Encoder
 from zipf.agents.impala import Impala
 from zipf.envs.gridworld import GridworldOptions
 from zipf.errors import UserError
-from zipf.experiments.building import feasibility
+from zipf.experiments.building import feasibility, loading
 from zipf.experiments.options import command_line, config_files, schema
 from zipf.experiments.sweeping import sweeps
 
@@ -56,9 +56,9 @@ def test_every_choice_goes_with_every_kind_of_worlds(experiment, group, choice):
     overrides = [f"experiment={experiment}", f"{group}={choice}"]
     if lacking := needs(experiment, **{group: choice}):
         with pytest.raises(UserError, match=lacking):
-            command_line.load(overrides)
+            loading.load(overrides)
         return
-    loaded = command_line.load(overrides)
+    loaded = loading.load(overrides)
     assert loaded.experiment == experiment
     assert getattr(loaded, group).name == choice
 
@@ -77,14 +77,14 @@ def test_every_condition_goes_with_every_experiment(experiment, condition):
     parts = chosen(experiment, condition)
     if lacking := needs(experiment, **parts):
         with pytest.raises(UserError, match=lacking) as error:
-            command_line.load(overrides)
+            loading.load(overrides)
         lines = str(error.value).splitlines()
         assert len({line.partition("=")[0].partition(".")[0] for line in lines}) == len(lines)
         return
-    loaded = command_line.load(overrides)
+    loaded = loading.load(overrides)
     assert loaded.condition == condition
     assert {part: getattr(loaded, part).name for part in parts} == parts
-    plain = command_line.load([f"experiment={experiment}", "condition=impala"])
+    plain = loading.load([f"experiment={experiment}", "condition=impala"])
     others = set(config_files.parts()) - {"agent", "memory", "auxiliary", *parts}
     for part in ("environment", "evaluation", "schedule", *others):
         assert getattr(loaded, part) == getattr(plain, part)
@@ -112,7 +112,7 @@ def test_every_condition_goes_with_every_experiment(experiment, condition):
 )
 def test_the_papers_values_of_r2d2(experiment, condition, options):
     """Its tables, as printed."""
-    agent = command_line.load([f"experiment={experiment}", f"condition={condition}"]).agent
+    agent = loading.load([f"experiment={experiment}", f"condition={condition}"]).agent
     assert (
         agent.learning_rate,
         agent.discount,
@@ -134,7 +134,7 @@ def test_the_papers_values_of_r2d2(experiment, condition, options):
 )
 def test_the_papers_values_of_vmpo(experiment):
     """Its table, as printed."""
-    loaded = command_line.load([f"experiment={experiment}", "condition=vmpo"])
+    loaded = loading.load([f"experiment={experiment}", "condition=vmpo"])
     assert loaded.memory.layers == 2
     assert loaded.agent.discount == 0.995
     assert loaded.agent.learning_rate == 3e-5
@@ -144,7 +144,7 @@ def test_the_papers_values_of_vmpo(experiment):
 
 def test_the_papers_values():
     """Its IMPALA table (third column) and architecture table, as printed."""
-    paper = command_line.load(["experiment=gridworld"])
+    paper = loading.load(["experiment=gridworld"])
     assert paper.agent.learning_rate == 3e-4
     assert paper.agent.entropy_cost == 9.4e-5
     assert paper.agent.baseline_cost == 0.59
@@ -158,7 +158,7 @@ def test_the_papers_values():
     assert paper.evaluation.episodes == 1000
     assert paper.schedule.window == [2_000_000, 3_000_000]
     assert paper.is_released_benchmark
-    assert not command_line.load(["experiment=demo"]).is_released_benchmark
+    assert not loading.load(["experiment=demo"]).is_released_benchmark
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_the_papers_values():
 )
 def test_the_papers_values_in_the_playroom(experiment, window):
     """Its IMPALA table, whose first column is the Playroom's by the order of the others."""
-    paper = command_line.load([f"experiment={experiment}"])
+    paper = loading.load([f"experiment={experiment}"])
     assert paper.environment.split == experiment
     assert paper.environment.image_size == [72, 96]
     assert paper.agent.learning_rate == 3e-4
@@ -185,14 +185,14 @@ def test_the_papers_values_in_the_playroom(experiment, window):
         "object_order=alternate", "image_size=[36,48]", "looks=varied", "max_steps=100",
         "reach=1.8", "frequent_exponent=2", "near_failure=true",
     ):  # fmt: skip
-        changed = command_line.load([f"experiment={experiment}", f"environment.{other}"])
+        changed = loading.load([f"experiment={experiment}", f"environment.{other}"])
         assert not changed.is_released_benchmark
 
 
 @pytest.mark.parametrize("experiment", ["labyrinth_forward", "labyrinth_reversed"])
 def test_the_papers_values_in_the_labyrinth(experiment):
     """Its IMPALA table, whose second column is the Labyrinth's."""
-    paper = command_line.load([f"experiment={experiment}"])
+    paper = loading.load([f"experiment={experiment}"])
     assert paper.environment.split == experiment
     assert paper.environment.image_size == [72, 96]
     assert paper.environment.action_repeat == 4
@@ -206,7 +206,7 @@ def test_the_papers_values_in_the_labyrinth(experiment):
     assert paper.updates == 380_000
     assert paper.is_released_benchmark
     for other in ("image_size=[48,64]", "num_actions=9", "action_repeat=8", "max_steps=450"):
-        changed = command_line.load([f"experiment={experiment}", f"environment.{other}"])
+        changed = loading.load([f"experiment={experiment}", f"environment.{other}"])
         assert not changed.is_released_benchmark
 
 
@@ -215,7 +215,7 @@ def test_the_papers_values_in_the_labyrinth(experiment):
     [("demo", 9), ("playroom_lift_compact", 12), ("labyrinth_forward", 12)],
 )
 def test_the_compact_network_fits_every_family(experiment, patch):
-    loaded = command_line.load([f"experiment={experiment}", "network=compact"])
+    loaded = loading.load([f"experiment={experiment}", "network=compact"])
     env = envs.make_vec(envs.split(loaded.environment.split).uniform[0], 1)
     encoder = Encoder(env.single_observation_space, loaded.network)
     assert encoder.reader("image").patch == patch
@@ -351,16 +351,16 @@ def test_automatic_precision_is_what_the_device_computes_fast(has, monkeypatch):
     """In the checked options, which is what files tell, and only where it was asked for."""
     monkeypatch.setattr(schema, "has_bfloat16", lambda device: has and device == "cpu")
     overrides = ["experiment=playroom_lift_compact", "device=cpu"]
-    loaded = command_line.load(overrides)
+    loaded = loading.load(overrides)
     assert loaded.condition == "impala"
     assert loaded.precision == loaded.what_is_learned["precision"]
     assert loaded.precision == ("bfloat16" if has else "float32")
     for precision in ("float32", "bfloat16"):
-        chosen = command_line.load([*overrides, f"precision={precision}"])
+        chosen = loading.load([*overrides, f"precision={precision}"])
         assert chosen.precision == precision
         assert chosen.folder == loaded.folder  # so that the run goes on on another machine
     fixed = ["experiment=demo", "precision=bfloat16"]
-    assert command_line.load(fixed).condition == "impala_mlp,precision=bfloat16"
+    assert loading.load(fixed).condition == "impala_mlp,precision=bfloat16"
 
 
 @pytest.mark.parametrize(
@@ -382,7 +382,7 @@ def test_instructions_for_bfloat16_are_asked_for(capabilities, has, monkeypatch)
 @pytest.mark.parametrize(("overrides", "told"), MISTAKES, ids=[str(m[0]) for m in MISTAKES])
 def test_a_mistake_is_one_clear_line(overrides, told):
     with pytest.raises(UserError) as error:
-        command_line.load(overrides)
+        loading.load(overrides)
     message = str(error.value)
     assert len(message.splitlines()) == 1
     for words in told:
@@ -391,7 +391,7 @@ def test_a_mistake_is_one_clear_line(overrides, told):
 
 def test_options_of_other_worlds_are_told_one_by_one():
     with pytest.raises(UserError) as error:
-        command_line.load(["experiment=labyrinth_compact", "environment.split=gridworld"])
+        loading.load(["experiment=labyrinth_compact", "environment.split=gridworld"])
     assert str(error.value).splitlines() == [
         f"environment.{option}: the worlds of split=gridworld have no such option"
         for option in ("backend", "image_size", "num_actions", "action_repeat")
@@ -421,14 +421,14 @@ def test_the_agent_that_was_chosen_is_tried(monkeypatch):
     monkeypatch.setattr(feasibility, "_buildable", {})  # other tests have the same options
     monkeypatch.setattr(Impala, "__init__", refuse)
     with pytest.raises(UserError, match=r"^this agent needs something else$"):
-        command_line.load(["experiment=demo", "agent.discount=0.5"])
+        loading.load(["experiment=demo", "agent.discount=0.5"])
     monkeypatch.setattr(Impala, "__init__", Agent.__init__)
-    command_line.load(["experiment=demo", "agent.discount=0.4", "network.patch=8"])
+    loading.load(["experiment=demo", "agent.discount=0.4", "network.patch=8"])
 
 
 def test_all_mistakes_are_told_at_once():
     with pytest.raises(UserError) as error:
-        command_line.load(
+        loading.load(
             ["experiment=demo", "seeed=1", "memory=lstn", "seed=-1", "updates=many", "~network"]
         )
     assert len(str(error.value).splitlines()) == 5
@@ -448,23 +448,23 @@ def test_a_sweep_is_checked_before_it_starts():
 
 def test_the_command_line_changes_parts_of_a_row():
     start = ["experiment=gridworld", "condition=impala_byol"]
-    usual = command_line.load(start).row
-    asked = command_line.load([*start, 'row.title="Ours, longer"', "row.line=dashed"]).row
+    usual = loading.load(start).row
+    asked = loading.load([*start, 'row.title="Ours, longer"', "row.line=dashed"]).row
     assert asked == usual.model_copy(update={"title": "Ours, longer", "line": "dashed"})
-    assert command_line.load([*start, "name=ours", 'row.title="Ours"']).row.title == "Ours"
-    assert command_line.load([*start, "name=ours"]).row.title == "ours"
+    assert loading.load([*start, "name=ours", 'row.title="Ours"']).row.title == "Ours"
+    assert loading.load([*start, "name=ours"]).row.title == "ours"
     for given in (['row.title="Ours"', "row.order=3"], ["row={title: Ours, order: 3}"]):
         for plain in (["experiment=demo"], start):
-            row = command_line.load([*plain, "name=ours", *given]).row
+            row = loading.load([*plain, "name=ours", *given]).row
             assert (row.title, row.order, row.colour) == ("Ours", 3, None)
     for plain in (start, ["experiment=demo"]):
         with pytest.raises(UserError, match=r"row.titel: no such option; did you mean row.title"):
-            command_line.load([*plain, "row.titel=Ours"])
+            loading.load([*plain, "row.titel=Ours"])
 
 
 def test_the_last_seed_counts():
-    assert command_line.load(["experiment=demo", "seed=1", "++seed=2"]).seed == 2
-    assert command_line.load(["experiment=demo", "++seed=2"]).seed == 2
+    assert loading.load(["experiment=demo", "seed=1", "++seed=2"]).seed == 2
+    assert loading.load(["experiment=demo", "++seed=2"]).seed == 2
 
 
 @pytest.mark.parametrize(
@@ -479,14 +479,14 @@ def test_the_last_seed_counts():
 )
 def test_what_a_run_could_not_describe_or_would_ignore_is_refused(given, told):
     with pytest.raises(UserError, match=re.escape(told)):
-        command_line.load(["experiment=demo", given.replace("\\n", "\n")])
+        loading.load(["experiment=demo", given.replace("\\n", "\n")])
 
 
 def test_an_option_without_its_group_is_found_in_all_groups():
     with pytest.raises(UserError, match=r"lag: no such option; did you mean collector.lag\?"):
-        command_line.load(["experiment=gridworld", "lag=0"])
+        loading.load(["experiment=gridworld", "lag=0"])
     with pytest.raises(UserError, match=r"did you mean memory.size or network.size\?"):
-        command_line.load(["experiment=gridworld_compact", "size=64"])
+        loading.load(["experiment=gridworld_compact", "size=64"])
 
 
 CONDITIONS = [
@@ -535,16 +535,16 @@ CONDITIONS = [
 
 @pytest.mark.parametrize(("overrides", "condition"), CONDITIONS)
 def test_a_condition_is_named_after_what_differs(overrides, condition):
-    loaded = command_line.load([*overrides, "run_root=here"])
+    loaded = loading.load([*overrides, "run_root=here"])
     assert loaded.condition == condition
     assert loaded.folder.parts == ("here", loaded.experiment, condition, f"seed{loaded.seed}")
 
 
 def test_the_shipped_environment_is_the_released_benchmark():
-    environment = command_line.load(["experiment=gridworld"]).environment.model_dump()
+    environment = loading.load(["experiment=gridworld"]).environment.model_dump()
     assert environment == {"split": "gridworld", **GridworldOptions().model_dump()}
-    assert command_line.load(["experiment=gridworld_compact"]).is_released_benchmark
-    assert not command_line.load(
+    assert loading.load(["experiment=gridworld_compact"]).is_released_benchmark
+    assert not loading.load(
         ["experiment=gridworld", "environment.num_maps=6"]
     ).is_released_benchmark
 

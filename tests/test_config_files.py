@@ -7,7 +7,8 @@ import textwrap
 import pytest
 
 from zipf.errors import UserError
-from zipf.experiments.options import command_line, composing, config_files, written
+from zipf.experiments.building import loading
+from zipf.experiments.options import composing, config_files, written
 from zipf.registry import registries
 
 FILES = {
@@ -89,7 +90,7 @@ def values(*overrides):
 
 
 def test_every_choice_has_a_block_that_its_class_accepts():
-    command_line.load(["experiment=demo"])  # what is chosen from is registered
+    loading.load(["experiment=demo"])  # what is chosen from is registered
     for group in config_files.parts():
         for name in config_files.choices(group):
             found = config_files.find(group, name)
@@ -129,13 +130,13 @@ def test_a_value_does_not_reach_another_choice(folder):
 
 def test_a_folder_in_our_layout(folder):
     folder(FILES)
-    wide = command_line.load(["experiment=mine", "condition=wide"])
+    wide = loading.load(["experiment=mine", "condition=wide"])
     assert (wide.condition, wide.row.title, wide.memory.size) == ("wide", "Wide", 1024)
     assert (wide.updates, wide.agent.discount, wide.collector.num_envs) == (7, 0.5, 32)
     assert wide.agent.learning_rate == 1e-3  # of demo
-    other = command_line.load(["experiment=mine", "agent=vmpo", "memory=gtrxl"])
+    other = loading.load(["experiment=mine", "agent=vmpo", "memory=gtrxl"])
     assert (other.collector.num_envs, other.memory.layers, other.memory.heads) == (256, 1, 2)
-    further = command_line.load(["experiment=further"])
+    further = loading.load(["experiment=further"])
     assert (further.memory.size, further.memory.layers) == (256, 3)
     assert (further.agent.discount, further.collector.num_envs) == (0.5, 32)
     assert "both" in composing.choices("sweep")
@@ -188,7 +189,7 @@ def test_mistakes_in_our_layout_are_one_line(file, text, told, folder):
     folder({file: text})
     words = ["experiment=bad" if "bad" in file else "experiment=demo"]
     with pytest.raises(UserError) as error:
-        command_line.load([*words, "condition=bad"] if file.startswith("condition") else words)
+        loading.load([*words, "condition=bad"] if file.startswith("condition") else words)
     assert told in str(error.value)
     assert len(str(error.value).splitlines()) == 1
 

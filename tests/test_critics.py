@@ -31,9 +31,9 @@ from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.returns import lambda_returns, unrescale, vtrace
 from zipf.errors import UserError
+from zipf.experiments.building import loading
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
-from zipf.experiments.options import command_line
 from zipf.experiments.training.collector import Collector
 
 ACTIONS = 3
@@ -121,7 +121,7 @@ def test_the_loss_of_a_histogram_is_as_steep_as_that_of_a_number():
 @pytest.mark.parametrize("low", [10, 11])
 def test_an_empty_range_is_one_clear_line(low):
     with pytest.raises(UserError) as error:
-        command_line.load(["experiment=demo", "critic=hl_gauss", f"critic.low={low}"])
+        loading.load(["experiment=demo", "critic=hl_gauss", f"critic.low={low}"])
     assert str(error.value) == f"critic.low={low}.0: should be less than critic.high=10.0"
 
 
@@ -376,7 +376,7 @@ def shipped(name):
     """An agent's options as shipped; those of R2D2 that learn at once."""
     if name == "r2d2":
         return R2D2
-    return command_line.load(["experiment=demo", f"agent={name}"]).agent
+    return loading.load(["experiment=demo", f"agent={name}"]).agent
 
 
 @pytest.mark.parametrize("critic", [SCALAR, *DISTRIBUTIONS], ids=named)
@@ -402,7 +402,7 @@ def test_agents_continue_bit_for_bit(name, critic):
 def test_agents_without_a_critic_refuse_one(name):
     overrides = ["experiment=playroom_find", f"condition={name}", "critic=quantile"]
     with pytest.raises(UserError) as error:
-        command_line.load(overrides)
+        loading.load(overrides)
     assert len(str(error.value).splitlines()) == 1
     assert f"critic=quantile: agent={name} learns no distribution" in str(error.value)
     assert "choose critic=scalar, or agent=impala or r2d2 or vmpo" in str(error.value)

@@ -8,8 +8,7 @@ from conftest import TINY, assert_equal, metrics_of
 from worlds_of import cheapest_pairs
 
 from zipf.agents import agents
-from zipf.experiments.building import checkpoint
-from zipf.experiments.options import command_line
+from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.training import runner
 
 SMALL = {  # what is not small enough in an agent's file, and what it cannot do
@@ -31,7 +30,7 @@ on_cuda = pytest.mark.parametrize("cuda", ["cuda"] if torch.cuda.is_available() 
 
 def options(agent, *overrides):
     arguments = [*TINY, f"agent={agent}", f"name={agent}", *SMALL.get(agent, []), *overrides]
-    return command_line.load(arguments)
+    return loading.load(arguments)
 
 
 def run(root, agent, *overrides):
@@ -89,7 +88,7 @@ def test_conditions_train_and_are_scored(cuda, experiment, condition, tmp_path):
     ]
     if condition.startswith("r2d2"):
         arguments += SMALL["r2d2"]
-    loaded = command_line.load(arguments)
+    loaded = loading.load(arguments)
     assert runner.train(loaded) == 0
     metrics = metrics_of(loaded.folder)
     assert list(metrics["update"]) == [1, 2, 3]

@@ -6,7 +6,7 @@ import pytest
 from conftest import contents, slow_but
 
 from zipf.errors import UserError
-from zipf.experiments.options import command_line
+from zipf.experiments.building import loading
 from zipf.experiments.records.result_table import TABLES, ResultTable, check_table
 from zipf.experiments.training import runner
 
@@ -120,7 +120,7 @@ QUICK = {
 )
 def test_no_run_goes_on_beside_a_damaged_file(trained, name, how, change, updates):
     """Nor is a finished one accepted; one line names the file, and nothing is written."""
-    config = command_line.load([*trained, f"updates={updates}"])
+    config = loading.load([*trained, f"updates={updates}"])
     path = config.folder / name
     content = path.read_bytes()
     if change is None:
@@ -142,7 +142,7 @@ def test_no_run_goes_on_beside_a_damaged_file(trained, name, how, change, update
     ids=["word", "no text", "huge"],
 )
 def test_rows_without_their_checkpoint_are_kept_however_damaged(content, trained):
-    config = command_line.load(trained)
+    config = loading.load(trained)
     folder = config.folder
     (folder / "checkpoint.pt").unlink()
     (folder / "metrics.csv").write_bytes(content)

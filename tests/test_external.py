@@ -11,9 +11,8 @@ import torch
 
 from zipf import envs, evaluate, play, report
 from zipf.errors import UserError
-from zipf.experiments.building import run_folder
+from zipf.experiments.building import loading, run_folder
 from zipf.experiments.evaluation import external
-from zipf.experiments.options import command_line
 from zipf.experiments.records import results
 from zipf.experiments.training import runner
 
@@ -252,7 +251,7 @@ def test_whole_numbers_of_any_type_are_recorded_alike(tmp_path):
 def ours(tmp_path_factory):
     """A run of ours, trained for two updates."""
     root = tmp_path_factory.mktemp("runs")
-    config = command_line.load(
+    config = loading.load(
         [
             *("experiment=demo", "device=cpu", "updates=2", "schedule.window=[0,2]"),
             *("collector.num_envs=4", "collector.unroll_length=5", "evaluation.episodes=4"),

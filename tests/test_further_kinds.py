@@ -10,10 +10,10 @@ from run_folders import constant, level, only_table, write_run
 
 from zipf import envs, evaluate
 from zipf.envs.gridworld.maps import build_maps
+from zipf.experiments.building import loading
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation import evaluator, scoring
 from zipf.experiments.hooks.visits import Visits
-from zipf.experiments.options import command_line
 from zipf.experiments.reporting import markdown
 
 SMALL = {"num_rooms": (2, 2), "num_objects": 5}
@@ -121,7 +121,7 @@ def test_uniform_training_has_a_split_in_every_family() -> None:
         assert [(one.name, one.weight) for one in split.train] == [
             (one.name, one.weight) for one in split.uniform
         ]
-    config = command_line.load(
+    config = loading.load(
         ["experiment=playroom_lift_compact", "environment.split=playroom_lift_uniform"]
     )
     assert config.split.train[0].name == "playroom/lift/lift_shape_uniform"
@@ -148,14 +148,14 @@ def test_a_run_of_before_resumes_and_is_scored_on_the_further_kinds(tmp_path: Pa
         *("evaluation.episodes=2", "evaluation.every=1", "schedule.window=[1,2]"),
         *("environment.num_maps=5", "schedule.checkpoint_every=1", "schedule.log_every=1"),
     ]
-    config = command_line.load([*line, "updates=1"])
+    config = loading.load([*line, "updates=1"])
     runner.train(config)
     path = config.folder / "run.json"
     described = json.loads(path.read_text())
     assert {one["level_kind"] for one in described["levels"]} == set(envs.KINDS)
     described["levels"] = described["levels"][:3]
     path.write_text(json.dumps(described))
-    runner.train(command_line.load([*line, "updates=2"]))
+    runner.train(loading.load([*line, "updates=2"]))
     described = run_folder.read_description(config.folder)
     assert [one["level_kind"] for one in described["levels"]] == list(envs.KINDS)
     evaluations = pd.read_csv(config.folder / "evaluations.csv")
@@ -174,7 +174,7 @@ def test_training_never_met_the_situations_of_fresh_maps() -> None:
 
 
 def test_the_sweep_of_conditions_has_rare_situations_that_chance_finds() -> None:
-    config = command_line.load(["experiment=demo_conditions", "condition=impala"])
+    config = loading.load(["experiment=demo_conditions", "condition=impala"])
     rare = envs.make_vec("gridworld/rare", 200, **config.level_options)
     _, info = rare.reset(seed=0)
     assert len(set(zip(info["map"].tolist(), info["target"].tolist(), strict=True))) >= 4

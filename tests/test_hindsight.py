@@ -27,6 +27,7 @@ from zipf.agents.network import Inputs
 from zipf.agents.r2d2 import Replayed
 from zipf.envs.policies import Teacher
 from zipf.errors import UserError
+from zipf.experiments.building import loading
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.hooks import relabelling
@@ -34,7 +35,6 @@ from zipf.experiments.hooks.augmentation import Augmentation, RandomAugmentation
 from zipf.experiments.hooks.goal_memory import GoalMemory
 from zipf.experiments.hooks.labels import Labels
 from zipf.experiments.hooks.relabelling import RELABELLINGS, Hindsight
-from zipf.experiments.options import command_line
 from zipf.experiments.training import runner
 from zipf.experiments.training.collector import Collector
 
@@ -633,22 +633,22 @@ def test_replay_on_disk_has_room_for_what_is_relabelled_between_checkpoints(tmp_
 
 def test_such_options_in_worlds_that_cannot_be_relabelled_are_one_clear_line(monkeypatch):
     with pytest.raises(UserError, match=r"^hindsight=achieved: .*not tell what .*=none") as error:
-        command_line.load(["experiment=labyrinth_compact", "hindsight=achieved"])
+        loading.load(["experiment=labyrinth_compact", "hindsight=achieved"])
     assert len(str(error.value).splitlines()) == 1
     monkeypatch.setitem(envs.find_family("gridworld").__dict__, "goal", None)
     with pytest.raises(UserError, match=r"^hindsight=achieved: .*do not say what .*=none") as error:
-        command_line.load(["experiment=demo", "hindsight=achieved"])
+        loading.load(["experiment=demo", "hindsight=achieved"])
     assert len(str(error.value).splitlines()) == 1
 
 
 def test_a_loss_or_a_matcher_that_could_not_learn_is_one_clear_line():
     finding = ["experiment=playroom_find_compact", "condition=supervised_matching"]
     with pytest.raises(UserError, match=r"matching_cost=1.0: network=film .* network=matching"):
-        command_line.load([*finding, "network=film"])
+        loading.load([*finding, "network=film"])
     with pytest.raises(UserError, match=r"matcher=fixed: .* without pretrained.run; .*learned"):
-        command_line.load([*finding, "network.matcher=fixed"])
+        loading.load([*finding, "network.matcher=fixed"])
     with pytest.raises(UserError, match=r"matching_cost=1.0: network.matcher=fixed .*; choose 0"):
-        command_line.load([*finding, "network.matcher=fixed"])
+        loading.load([*finding, "network.matcher=fixed"])
 
 
 R2D2 = ["agent.burn_in=2", "agent.replay_min=6", "agent.replay_capacity=24", "agent.storage=ram"]
@@ -677,7 +677,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(overrides, tmp_path):
     def config_of(folder, updates):
         _, *tiny = TINY  # without its experiment
         options = [*tiny, "hindsight=achieved", *overrides, "name=row", "evaluation.every=6"]
-        return command_line.load([*options, f"run_root={folder}", f"updates={updates}"])
+        return loading.load([*options, f"run_root={folder}", f"updates={updates}"])
 
     assert runner.train(config_of(tmp_path / "whole", 6)) == 0
     for updates in (3, 6):
@@ -743,9 +743,9 @@ def test_a_checkpoint_from_before_an_option_was_added_fits():
         "hindsight.matching_cost",
         "augmentation.scale",
     }
-    config = command_line.load([*finding, *others])
+    config = loading.load([*finding, *others])
     assert names & config.what_is_learned.keys() == {"hindsight.matching_cost"}
-    config = command_line.load([*finding, *others, "hindsight.matching_cost=0"])
+    config = loading.load([*finding, *others, "hindsight.matching_cost=0"])
     assert not names & config.what_is_learned.keys()
-    config = command_line.load([*finding, *others, "augmentation.scale=[0.5,1]"])
+    config = loading.load([*finding, *others, "augmentation.scale=[0.5,1]"])
     assert "augmentation.scale" in config.what_is_learned

@@ -25,11 +25,10 @@ from zipf.agents.auxiliary import AUXILIARIES
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.unroll import Unroll
 from zipf.errors import UserError
-from zipf.experiments.building import checkpoint
+from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.cluster import runtime_of, torchrun
 from zipf.experiments.evaluation.trained import load_agent
 from zipf.experiments.hooks.visits import Visits
-from zipf.experiments.options import command_line
 from zipf.experiments.sweeping import sweep
 from zipf.experiments.training import runner
 
@@ -72,7 +71,7 @@ class Together:
             return list(threads.map(one, range(2)))
 
 
-options_of = cache(lambda *overrides: command_line.read([*TINY, *overrides]))
+options_of = cache(lambda *overrides: loading.read([*TINY, *overrides]))
 
 
 def build(name, *overrides):
@@ -280,7 +279,7 @@ def test_learners_that_differ_are_told():
 )
 def test_what_cannot_be_is_refused_in_a_line(overrides, told, tmp_path):
     with pytest.raises(UserError, match=f"^{told}") as error:
-        command_line.load([*TINY, *TORCHRUN, f"run_root={tmp_path}", *overrides])
+        loading.load([*TINY, *TORCHRUN, f"run_root={tmp_path}", *overrides])
     assert "\n" not in str(error.value)
 
 
@@ -291,9 +290,9 @@ def test_a_device_is_of_one_learner(monkeypatch, tmp_path):
     options += [*TORCHRUN, f"run_root={tmp_path}"]
     monkeypatch.setenv("LOCAL_RANK", "1")
     for device in ("auto", "cuda"):
-        assert command_line.load([*options, f"device={device}"]).torch_device == "cuda:1"
+        assert loading.load([*options, f"device={device}"]).torch_device == "cuda:1"
     with pytest.raises(UserError, match=r"^device=cuda:0: is one for all learners; .*=cuda, "):
-        command_line.load([*options, "device=cuda:0"])
+        loading.load([*options, "device=cuda:0"])
 
 
 @pytest.mark.parametrize(
@@ -305,7 +304,7 @@ def test_a_device_is_of_one_learner(monkeypatch, tmp_path):
     ],
 )
 def test_what_was_not_started_so_is_told_how_to(overrides, started, told, monkeypatch, tmp_path):
-    config = command_line.load([*TINY, *overrides, f"run_root={tmp_path}"])
+    config = loading.load([*TINY, *overrides, f"run_root={tmp_path}"])
     for name, value in (("RANK", 0), ("WORLD_SIZE", started)):
         monkeypatch.delenv(name, raising=False)
         if started:
@@ -346,7 +345,7 @@ def test_a_sweep_is_refused(tmp_path):
 def test_the_number_of_learners_is_part_of_what_is_learned():
     options = [*TINY, "runtime=torchrun"]
     local, two, three = (
-        command_line.load(one) for one in (TINY, options, [*options, "runtime.learners=3"])
+        loading.load(one) for one in (TINY, options, [*options, "runtime.learners=3"])
     )
     assert two.condition.replace(",runtime=torchrun", "") == local.condition != two.condition
     assert three.condition == f"{two.condition},runtime.learners=3"
@@ -355,7 +354,7 @@ def test_the_number_of_learners_is_part_of_what_is_learned():
 
 def test_a_local_run_joins_nobody(monkeypatch, tmp_path):
     monkeypatch.setattr(torch.distributed, "init_process_group", None)
-    assert runner.train(command_line.load([*TINY, "updates=1", f"run_root={tmp_path}"])) == 0
+    assert runner.train(loading.load([*TINY, "updates=1", f"run_root={tmp_path}"])) == 0
 
 
 # Runs of two processes
@@ -404,15 +403,15 @@ class Runs:
         self.folder = folder
         (folder / "spy.py").write_text(SPY)
         before = [*TINY, "updates=1", f"run_root={folder}", "name=before", "seed=1"]
-        self.before = command_line.load(before).folder
-        assert runner.train(command_line.load(before)) == 0
+        self.before = loading.load(before).folder
+        assert runner.train(loading.load(before)) == 0
 
     def options(self, name, *overrides):
         begins = f"pretrained.run={self.before}"
         return [*OPTIONS, f"run_root={self.folder / name}", "updates=7", begins, *overrides]
 
     def config(self, name):
-        return command_line.load(self.options(name))
+        return loading.load(self.options(name))
 
     def torchrun(self, name, *overrides, restarts=0, spy="0 0 0"):
         command = [sys.executable, "-m", "torch.distributed.run", "--standalone"]

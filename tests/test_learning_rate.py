@@ -7,7 +7,7 @@ from test_agent import NAMES, build, unrolls
 
 from zipf.agents.learner import Learner
 from zipf.errors import UserError
-from zipf.experiments.options import command_line
+from zipf.experiments.building import loading
 from zipf.experiments.training import runner
 
 
@@ -46,14 +46,14 @@ def test_nothing_is_learned_with_a_factor_of_zero(name):
 
 
 def test_the_factor_falls_linearly_and_is_never_zero_in_an_update():
-    config = command_line.load([*TINY, "updates=8", "learning_rate_decay=[4,8]"])
+    config = loading.load([*TINY, "updates=8", "learning_rate_decay=[4,8]"])
     factors = [config.learning_rate_factor(update) for update in range(8)]
     assert factors == [1, 1, 1, 1, 1, 0.75, 0.5, 0.25]
-    assert command_line.load([*TINY, "updates=8"]).learning_rate_factor(7) == 1
+    assert loading.load([*TINY, "updates=8"]).learning_rate_factor(7) == 1
 
 
 def train(root, *options):
-    config = command_line.load([*TINY, "name=one", f"run_root={root}", *options])
+    config = loading.load([*TINY, "name=one", f"run_root={root}", *options])
     return config.folder, runner.train(config)
 
 
@@ -102,9 +102,9 @@ def weight_of(folder):
 )
 def test_a_decay_that_cannot_be_is_one_error(decay, wrong):
     with pytest.raises(UserError, match=wrong):
-        command_line.load([*TINY, "updates=8", f"learning_rate_decay={decay}"])
+        loading.load([*TINY, "updates=8", f"learning_rate_decay={decay}"])
 
 
 def test_it_is_in_a_runs_automatic_name():
     asked = ["experiment=demo", "updates=8", "learning_rate_decay=[4,8]"]
-    assert command_line.load(asked).condition.endswith(",learning_rate_decay=[4,8]")
+    assert loading.load(asked).condition.endswith(",learning_rate_decay=[4,8]")

@@ -8,8 +8,7 @@ import pytest
 from conftest import TINY
 
 from zipf.errors import UserError
-from zipf.experiments.building import checkpoint
-from zipf.experiments.options import command_line
+from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.records.result_table import ResultTable, check_table
 from zipf.experiments.training import runner
 from zipf.experiments.training.logger import Logger
@@ -93,7 +92,7 @@ def test_rows_are_on_the_disk_before_the_checkpoint_that_counts_them(tmp_path, m
 
     monkeypatch.setattr(os, "fsync", forcing)
     monkeypatch.setattr(os, "replace", replacing)
-    config = command_line.load([*TINY, "updates=6", f"run_root={tmp_path}"])
+    config = loading.load([*TINY, "updates=6", f"run_root={tmp_path}"])
     assert runner.train(config) == 0
     assert [update for update, *_ in replaced] == [0, 5, 6]
     for update, evaluated, lengths in replaced:

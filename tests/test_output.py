@@ -174,7 +174,7 @@ def test_ctrl_c_while_options_are_checked_is_no_traceback(tmp_path: Path) -> Non
     program = (
         "import os, signal, sys, time; signal.signal(signal.SIGINT, signal.default_int_handler);"
         "from zipf import train; from zipf.experiments import command_line;"
-        "command_line.read = lambda job: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60));"
+        "loading.read = lambda job: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60));"
         "sys.argv = ['zipf.train', 'experiment=demo']; train.main()"
     )
     process = subprocess.run([sys.executable, "-c", program], capture_output=True, cwd=tmp_path)

@@ -14,12 +14,11 @@ from conftest import TINY, assert_equal, learned, untimed
 from zipf import envs
 from zipf.agents.unroll import Unroll
 from zipf.errors import UserError
-from zipf.experiments.building import run_folder
+from zipf.experiments.building import loading, run_folder
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.hooks.exploration import BONUSES
 from zipf.experiments.hooks.visits import Visits
-from zipf.experiments.options import command_line
 from zipf.experiments.training import runner
 from zipf.experiments.training.collector import Abandoned, Collector
 from zipf.experiments.training.rollouts import BackgroundRollouts
@@ -40,9 +39,7 @@ def _no_thread_is_left_behind():
 
 
 def config_of(folder, *overrides):
-    return command_line.load(
-        [*TINY, "collector.lag=1", f"run_root={folder}", "name=row", *overrides]
-    )
+    return loading.load([*TINY, "collector.lag=1", f"run_root={folder}", "name=row", *overrides])
 
 
 def copied(unroll):
@@ -168,9 +165,9 @@ def test_an_agent_without_a_correction_is_refused(tmp_path):
 @pytest.mark.parametrize(("agent", "lag"), [("impala", 1), ("vmpo", 0)])
 def test_without_the_option_the_lag_is_what_the_agent_corrects_for(agent, lag, tmp_path):
     chosen = [*TINY, f"agent={agent}", f"run_root={tmp_path}", "name=row"]
-    config = command_line.load(chosen)
+    config = loading.load(chosen)
     assert config.lag == lag
-    given = command_line.load([*chosen, f"collector.lag={lag}"])
+    given = loading.load([*chosen, f"collector.lag={lag}"])
     assert given.what_is_learned == config.what_is_learned  # either resumes the other
 
 

@@ -6,7 +6,8 @@ import pytest
 from conftest import TINY, assert_equal, learned
 
 from zipf.errors import UserError
-from zipf.experiments.options import command_line, composing
+from zipf.experiments.building import loading
+from zipf.experiments.options import composing
 from zipf.experiments.training import runner
 from zipf.registry import registries
 
@@ -29,7 +30,7 @@ def options(own_registries, monkeypatch):
 def test_they_are_trained_and_resumed_bit_for_bit(options, tmp_path):
     def train(folder, updates):
         more = [f"run_root={tmp_path / folder}", f"updates={updates}", "schedule.window=[0,4]"]
-        config = command_line.load([*options, *more])
+        config = loading.load([*options, *more])
         assert runner.train(config) == 0
         return config
 
@@ -43,4 +44,4 @@ def test_they_are_trained_and_resumed_bit_for_bit(options, tmp_path):
         )
         assert name in composing.choices(group)
     with pytest.raises(UserError, match=r"memory\.decay"):
-        command_line.load([*options, "memory.decay=slow"])
+        loading.load([*options, "memory.decay=slow"])

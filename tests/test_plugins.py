@@ -10,7 +10,8 @@ from conftest import call, run
 
 from zipf.envs import family
 from zipf.errors import UserError
-from zipf.experiments.options import catalogue, command_line, config_files
+from zipf.experiments.building import loading
+from zipf.experiments.options import catalogue, config_files
 
 WORLD = """
     from functools import partial
@@ -232,7 +233,7 @@ def test_mistakes_in_a_users_file_are_one_clear_line(file, text, message, tmp_pa
     config_files.add_folder(tmp_path)
     chosen = {"experiment": "demo", "condition": "impala", file: "mine"}
     with pytest.raises(UserError, match=message) as error:
-        command_line.load([f"{group}={name}" for group, name in chosen.items()])
+        loading.load([f"{group}={name}" for group, name in chosen.items()])
     assert len(str(error.value).splitlines()) == 1
 
 
@@ -242,7 +243,7 @@ def test_a_condition_needs_no_title(tmp_path, monkeypatch):
     text = "# @package _global_\ncondition: mine\nrow: {order: 1}\n"
     (tmp_path / "condition" / "mine.yaml").write_text(text)
     config_files.add_folder(tmp_path)
-    assert command_line.load(["experiment=demo", "condition=mine"]).row.title == "mine"
+    assert loading.load(["experiment=demo", "condition=mine"]).row.title == "mine"
     assert catalogue.conditions()["mine"].order == 1
 
 
@@ -252,5 +253,5 @@ def test_a_folder_of_any_name_has_configurations(name, tmp_path, monkeypatch):
     (tmp_path / name / "condition").mkdir(parents=True)
     (tmp_path / name / "condition" / "eager.yaml").write_text(textwrap.dedent(CONDITION))
     config_files.add_folder(tmp_path / name)
-    config = command_line.load(["experiment=demo", "condition=eager"])
+    config = loading.load(["experiment=demo", "condition=eager"])
     assert config.agent.discount == 0.5

@@ -13,7 +13,7 @@ from test_auxiliary import BYOL
 
 from zipf.agents.network import Torso
 from zipf.errors import UserError
-from zipf.experiments.options import command_line
+from zipf.experiments.building import loading
 from zipf.experiments.training import runner
 
 
@@ -68,7 +68,7 @@ def first(tmp_path_factory):
 
 
 def train(arguments):
-    return runner.train(command_line.load(arguments))
+    return runner.train(loading.load(arguments))
 
 
 def asked(first, *options):
@@ -79,12 +79,12 @@ def asked(first, *options):
 
 def test_a_new_run_begins_with_the_weights_of_another(first):
     everything = "pretrained.parts=[encoder,memory,policy,baseline]"
-    begun = runner.Run(command_line.load(asked(first, "name=all", everything)))
+    begun = runner.Run(loading.load(asked(first, "name=all", everything)))
     last = learned(first[1])["agent"]["network"]
     assert_equal(dict(begun.agent.network.state_dict()), dict(last))
     begun.close()
     part = runner.Run(
-        command_line.load(asked(first, "name=part", "agent=imitation", "exploration=none"))
+        loading.load(asked(first, "name=part", "agent=imitation", "exploration=none"))
     )
     for name, weights in part.agent.network.state_dict().items():
         assert torch.equal(weights, last[name]) == name.startswith("encoder."), name
@@ -130,7 +130,7 @@ def test_seeds_that_begin_with_seeds_of_a_condition_are_one_row(first, capsys):
     assert train([*TINY, "updates=3", "name=first", "seed=1", f"run_root={root}"]) == 0
     options = [*TINY, "updates=1", "agent=imitation", "exploration=none", f"run_root={root}"]
     begins = f"pretrained.run={folder.parent}/seed${{seed}}"
-    configs = [command_line.load([*options, begins, f"seed={seed}"]) for seed in (0, 1)]
+    configs = [loading.load([*options, begins, f"seed={seed}"]) for seed in (0, 1)]
     assert [runner.train(config) for config in configs] == [0, 0]
     (row,) = {config.condition for config in configs}
     assert ",pretrained.run=demo_first" in row
@@ -168,7 +168,7 @@ def test_a_run_without_checkpoint_and_weights_is_refused(first, tmp_path):
     (tmp_path / "copy" / "checkpoint.pt").unlink()
     (tmp_path / "copy" / "weights.pt").unlink()
     with pytest.raises(UserError, match=r"has no agent \(neither checkpoint\.pt nor weights\.pt\)"):
-        command_line.load(asked(first, "name=without", f"pretrained.run={tmp_path / 'copy'}"))
+        loading.load(asked(first, "name=without", f"pretrained.run={tmp_path / 'copy'}"))
 
 
 def test_a_fixed_matcher_stays_what_another_run_has_learned(tmp_path):
@@ -188,11 +188,11 @@ def test_a_fixed_matcher_stays_what_another_run_has_learned(tmp_path):
         ("memory", "encoder.instruction,encoder.image.matcher"),
     ):
         with pytest.raises(UserError, match=rf"parts=\[{parts}\]: .*; add {left}$"):
-            command_line.load([*small, *lifting, *fixed, f"pretrained.parts=[{parts}]"])
+            loading.load([*small, *lifting, *fixed, f"pretrained.parts=[{parts}]"])
     alone = "pretrained.parts=[encoder.image.matcher,encoder.instruction]"
     for learner in (["agent=vmpo"], ["agent=vmpo", "network.matcher=learned"]):
-        command_line.load([*small, *lifting, *fixed, alone, *learner])
-    begun = runner.Run(command_line.load([*small, *lifting, *fixed, alone, "updates=2"]))
+        loading.load([*small, *lifting, *fixed, alone, *learner])
+    begun = runner.Run(loading.load([*small, *lifting, *fixed, alone, "updates=2"]))
     for name, weights in begun.agent.network.encoder.state_dict().items():
         of_matcher = "matcher" in name or "lstm" in name or "embedding" in name
         assert torch.equal(weights, taken[f"encoder.{name}"]) == of_matcher, name

@@ -23,11 +23,11 @@ from zipf.agents.r2d2 import R2D2, R2D2Options
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.unroll import Unroll
 from zipf.errors import UserError
-from zipf.experiments.building import checkpoint, feasibility, run_folder
+from zipf.experiments.building import checkpoint, feasibility, loading, run_folder
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.evaluation.trained import load_agent
-from zipf.experiments.options import command_line, config_files
+from zipf.experiments.options import config_files
 from zipf.experiments.options.schema import schema
 from zipf.experiments.training import runner
 from zipf.experiments.training.collector import Collector
@@ -684,7 +684,7 @@ def test_the_papers_values():
 
 def config(root, *overrides, **changes):
     """A tiny run of R2D2."""
-    values = command_line.load([*TINY, "updates=12", f"run_root={root}", *overrides]).model_dump()
+    values = loading.load([*TINY, "updates=12", f"run_root={root}", *overrides]).model_dump()
     values["agent"] = (
         OPTIONS.model_dump()
         | {"replay_capacity": 24, "replay_min": 12, "target_period": 2}

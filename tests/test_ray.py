@@ -16,11 +16,11 @@ from conftest import PACKAGE, TINY, assert_equal, learned, metrics_of
 from zipf import envs
 from zipf.agents.agent import agents
 from zipf.errors import UserError
-from zipf.experiments.building import run_folder
+from zipf.experiments.building import loading, run_folder
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.cluster import runtime_of
 from zipf.experiments.cluster.ray_actors import RayActors
-from zipf.experiments.options import command_line, runtime
+from zipf.experiments.options import runtime
 from zipf.experiments.training import runner
 from zipf.experiments.training.build_collector import build_collector
 
@@ -31,7 +31,7 @@ MORE = {"r2d2": R2D2, "imitation": ["episodic=dictionary"], "impala": ["episodic
 
 
 def load(folder, *overrides):
-    return command_line.load([*OPTIONS, f"run_root={folder}", *overrides])
+    return loading.load([*OPTIONS, f"run_root={folder}", *overrides])
 
 
 # What is refused, and how runs are named
@@ -76,7 +76,7 @@ def test_a_run_in_a_cluster_is_a_row_of_its_own(tmp_path):
     """Wherever the cluster is; and neither runtime resumes the other."""
     unnamed = [option for option in OPTIONS if not option.startswith("name=")]
     names = [
-        command_line.load([*unnamed, *more]).condition
+        loading.load([*unnamed, *more]).condition
         for more in ([], ["runtime=ray"], ["runtime=ray", "runtime.address=auto"])
     ]
     assert names[1].replace(",runtime=ray", "") == names[0] != names[1] == names[2]

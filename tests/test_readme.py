@@ -15,7 +15,7 @@ from pages import DOCS, PAGES, ROOT, TEXT, blocks, commands, files
 import zipf.report
 from zipf import compiled, envs, plugins
 from zipf.envs import family
-from zipf.experiments.building import feasibility
+from zipf.experiments.building import feasibility, loading
 from zipf.experiments.options import command_line, config_files
 from zipf.experiments.options.schema import Config, EvaluateOptions
 from zipf.experiments.playing import videos
@@ -133,7 +133,7 @@ def test_commands_that_name_a_file_of_their_page_train(page, in_folder):
                 short = ["updates=1", "schedule.window=[0,1]", "collector.num_envs=8"]
                 short += ["evaluation.episodes=5", "evaluation.num_envs=5"]
                 short += ["evaluation.chance_episodes=0"]
-                assert runner.train(command_line.load([*job.overrides, *short])) == 0
+                assert runner.train(loading.load([*job.overrides, *short])) == 0
 
 
 def test_evaluate_commands_are_accepted():
@@ -258,8 +258,6 @@ ROOMS = [
     "sweeping",
 ]
 for i, room in enumerate(ROOMS[1:], 1):
-    if room == "options":
-        continue
     below = {f"zipf.experiments.{name}" for name in ROOMS[: i + 1]}
     MAY_IMPORT[f"zipf/experiments/{room}"] = {"zipf.agents", "zipf.envs", "zipf.plugins", *below}
 

@@ -8,10 +8,9 @@ import pytest
 from conftest import TINY
 
 from zipf import envs
-from zipf.experiments.building import run_folder
+from zipf.experiments.building import loading, run_folder
 from zipf.experiments.evaluation.evaluator import scores
 from zipf.experiments.evaluation.trained import evaluate_agent, load_agent
-from zipf.experiments.options import command_line
 from zipf.experiments.records.results import load_runs
 from zipf.experiments.reporting import draw_matplotlib
 from zipf.experiments.reporting.claims import CLAIM_COLUMNS
@@ -61,7 +60,7 @@ def test_agents_whose_weights_are_kept_score_as_they_did(folder):
 
 
 def test_every_column_is_documented(tmp_path):
-    config = command_line.load([*TINY, "updates=1", f"run_root={tmp_path}"])
+    config = loading.load([*TINY, "updates=1", f"run_root={tmp_path}"])
     assert runner.train(config) == 0
     evaluations = pd.read_csv(config.folder / "evaluations.csv")
     assert documented("evaluations.csv") == list(evaluations.columns)
@@ -79,7 +78,7 @@ def test_every_column_is_documented(tmp_path):
 
 
 def test_every_field_of_run_json_is_documented(tmp_path):
-    config = command_line.load(["experiment=demo", f"run_root={tmp_path}"])
+    config = loading.load(["experiment=demo", f"run_root={tmp_path}"])
     config.folder.mkdir(parents=True)
     run_folder.write_description(config, {"map": 5, "target": 5}, None)
     written = set(pd.read_json(config.folder / "run.json", typ="series").index)

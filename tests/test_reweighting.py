@@ -17,6 +17,7 @@ from zipf.agents.memory import MLPOptions
 from zipf.agents.r2d2 import Replayed
 from zipf.envs.policies import Teacher
 from zipf.errors import UserError
+from zipf.experiments.building import loading
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.hooks.labels import Labels
@@ -28,7 +29,6 @@ from zipf.experiments.hooks.reweighting import (
     NoReweightingOptions,
     bounded,
 )
-from zipf.experiments.options import command_line
 from zipf.experiments.training.collector import Collector
 
 TABLE = {"table_size": 2**16}
@@ -124,7 +124,7 @@ def gridworld(reweighting, seed=0, worlds=6, **level):
     env = envs.make_vec("gridworld/zipf_2", worlds, max_steps=7, observation="tiles", **level)
     spaces = env.single_observation_space, env.single_action_space
     impala = agents()["impala"](
-        command_line.load(["experiment=demo"]).agent, AgentSpec(*spaces, compact(), LSTM)
+        loading.load(["experiment=demo"]).agent, AgentSpec(*spaces, compact(), LSTM)
     )
     goal = envs.goal("gridworld/zipf_2", env)
     weighing = REWEIGHTINGS.build(reweighting, goal, worlds)
@@ -174,7 +174,7 @@ def test_such_options_in_worlds_without_goals_are_one_clear_line(monkeypatch):
     family = envs.find_family("gridworld")
     monkeypatch.setitem(family.__dict__, "goal", None)
     with pytest.raises(UserError, match=r"^reweighting=inverse_count: .*reweighting=none") as error:
-        command_line.load(["experiment=demo", "reweighting=inverse_count"])
+        loading.load(["experiment=demo", "reweighting=inverse_count"])
     assert len(str(error.value).splitlines()) == 1
 
 
@@ -305,7 +305,7 @@ def rare_success(options, seed, updates=60):
     env = envs.make_vec(level, 32, **tiny_gridworld.WORLDS)
     spaces = env.single_observation_space, env.single_action_space
     memory = MLPOptions(name="mlp", size=32, layers=1)
-    config = command_line.load(["experiment=demo", "condition=imitation"])
+    config = loading.load(["experiment=demo", "condition=imitation"])
     chosen = config.agent.model_copy(update={"teacher": "expert", "learning_rate": 3e-3})
     agent = agents()["imitation"](
         chosen, AgentSpec(*spaces, compact(), memory, seed=seed, weighted=options != NONE)

@@ -15,8 +15,8 @@ from worlds_of import chosen, needs
 
 from zipf import envs, report
 from zipf.errors import UserError
-from zipf.experiments.building import checkpoint, feasibility, run_folder
-from zipf.experiments.options import command_line, composing, config_files
+from zipf.experiments.building import checkpoint, feasibility, loading, run_folder
+from zipf.experiments.options import composing, config_files
 from zipf.experiments.options.catalogue import help_text, summary
 from zipf.experiments.records.paper import paper_table
 from zipf.experiments.sweeping import job, sweep, sweeps
@@ -248,7 +248,7 @@ def test_jobs_that_fail_stop_no_others(scripted, tmp_path):
     ]
     ended = [re.sub(r"\d+ s$", "", line) for line in lines[:-6] if "begins" not in line]
     done = "demo x seed {}: finished, {:,} updates, "
-    updates = command_line.read(TINY).updates
+    updates = loading.read(TINY).updates
     assert ended == [f"1/5 {done.format(0, updates)}", *failures, f"5/5 {done.format(7, updates)}"]
     assert lines[-6:] == [
         "5 jobs: 2 finished, 3 failed",
@@ -320,7 +320,7 @@ def test_a_job_stops_when_its_sweep_has_gone(monkeypatch):
 
 def test_what_is_finished_is_told_from_the_files_alone(tmp_path, monkeypatch):
     words = [*TINY, "updates=2", f"run_root={tmp_path}"]
-    config = command_line.load(words)
+    config = loading.load(words)
     assert not run_folder.is_finished(config)
     assert runner.train(config) == 0
     before = contents(config.folder)
@@ -334,9 +334,9 @@ def test_what_is_finished_is_told_from_the_files_alone(tmp_path, monkeypatch):
         assert sweep.run(words) == 0
     assert contents(config.folder) == before
     for other in ("updates=3", "updates=1", "resume=never", "seed=1"):
-        assert not run_folder.is_finished(command_line.read([*words, other])), other
+        assert not run_folder.is_finished(loading.read([*words, other])), other
     name = f"name='{config.condition}'"
-    assert not run_folder.is_finished(command_line.read([*words, name, "agent.discount=0.5"]))
+    assert not run_folder.is_finished(loading.read([*words, name, "agent.discount=0.5"]))
     for file in ("metrics.csv", "evaluations.csv", "run.json", "config.yaml", "checkpoint.pt"):
         path = config.folder / file
         content = path.read_bytes()
@@ -381,9 +381,7 @@ def test_joblib_runs_jobs_beside_each_other(beside, capsys):
     root, words, code = beside
     assert code == 2
     for seed in (0, 1):
-        assert run_folder.is_finished(
-            command_line.read([*SHORT, f"run_root={root}", f"seed={seed}"])
-        )
+        assert run_folder.is_finished(loading.read([*SHORT, f"run_root={root}", f"seed={seed}"]))
     before = contents(root)
     assert sweep.run([word for word in words if "launcher" not in word]) == 2
     lines = capsys.readouterr().out.splitlines()

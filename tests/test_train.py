@@ -33,17 +33,16 @@ from worlds_of import cheapest_pairs, pairs_once
 import zipf.envs.family
 from zipf import envs, evaluate
 from zipf.errors import UserError
-from zipf.experiments.building import checkpoint, run_folder
+from zipf.experiments.building import checkpoint, loading, run_folder
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.evaluation import trained as run_trained
 from zipf.experiments.evaluation.trained import evaluate_run, load_agent
-from zipf.experiments.options import command_line
 from zipf.experiments.options.schema import EvaluateOptions
 from zipf.experiments.training import runner
 
 
 def folder_of(arguments: list[str]) -> Path:
-    return command_line.load(arguments).folder
+    return loading.load(arguments).folder
 
 
 @pytest.mark.parametrize(("experiment", "condition"), slow_but(cheapest_pairs(), *pairs_once()))
@@ -67,8 +66,8 @@ def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path)
         arguments += ["agent.storage=ram"]
     if "transformer" in condition:
         arguments += ["memory.heads=2", "memory.mlp_size=8", "memory.memory_length=6"]
-    whole = command_line.load([*arguments, f"run_root={tmp_path / 'whole'}"])
-    cut = command_line.load([*arguments, f"run_root={tmp_path / 'cut'}"])
+    whole = loading.load([*arguments, f"run_root={tmp_path / 'whole'}"])
+    cut = loading.load([*arguments, f"run_root={tmp_path / 'cut'}"])
     assert runner.train(whole) == 0
     train_until_gone(cut, update=1)
     assert runner.train(cut) == 0
@@ -134,8 +133,8 @@ def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
     train = ("gridworld/zipf_2", "gridworld/zipf_1")
     use_train_levels(monkeypatch, train)
     arguments = [*TINY, "updates=6", f"run_root={tmp_path}"]
-    assert runner.train(command_line.load(arguments)) == 0
-    assert runner.train(command_line.load([*arguments, "updates=8", "resume=must"])) == 0
+    assert runner.train(loading.load(arguments)) == 0
+    assert runner.train(loading.load([*arguments, "updates=8", "resume=must"])) == 0
     folder = folder_of(arguments)
 
     metrics = metrics_of(folder)
@@ -183,9 +182,9 @@ def test_levels_are_drawn_at_every_reset_in_proportion_to_their_weights(tmp_path
     use_train_levels(monkeypatch, (seldom, often), draw="resets")
     whole = [*TINY, "updates=4", f"run_root={tmp_path / 'whole'}"]
     cut = [*TINY, f"run_root={tmp_path / 'cut'}"]
-    assert runner.train(command_line.load(whole)) == 0
-    assert runner.train(command_line.load([*cut, "updates=2"])) == 0
-    assert runner.train(command_line.load([*cut, "updates=4", "resume=must"])) == 0
+    assert runner.train(loading.load(whole)) == 0
+    assert runner.train(loading.load([*cut, "updates=2"])) == 0
+    assert runner.train(loading.load([*cut, "updates=4", "resume=must"])) == 0
     assert_equal(learned(folder_of(whole)), learned(folder_of([*cut, "updates=4"])))
 
     described = run_folder.read_description(folder_of(whole))
@@ -204,7 +203,7 @@ def test_a_world_for_each_train_level(monkeypatch):
     train = ("gridworld/zipf_2", "gridworld/zipf_1", "gridworld/zipf_3")
     use_train_levels(monkeypatch, train)
     with pytest.raises(UserError) as error:
-        command_line.load([*TINY, "collector.num_envs=2"])
+        loading.load([*TINY, "collector.num_envs=2"])
     assert str(error.value) == (
         "collector.num_envs=2: should be at least 3, a world for each train level of gridworld"
     )
@@ -216,7 +215,7 @@ def test_twenty_updates_equal_ten_a_kill_and_ten_more(lag, tmp_path):
     arguments = [*TINY, "updates=20", f"collector.lag={lag}"]
     whole = [*arguments, f"run_root={tmp_path / 'whole'}"]
     cut = [*arguments, f"run_root={tmp_path / 'cut'}"]
-    assert runner.train(command_line.load(whole)) == 0
+    assert runner.train(loading.load(whole)) == 0
 
     process = subprocess.Popen(command(*cut), stdout=subprocess.DEVNULL)
     metrics = folder_of(cut) / "metrics.csv"
@@ -229,7 +228,7 @@ def test_twenty_updates_equal_ten_a_kill_and_ten_more(lag, tmp_path):
     interrupted = checkpoint.load(folder_of(cut) / "checkpoint.pt")["update"]
     assert 10 <= interrupted < 20
 
-    assert runner.train(command_line.load([*cut, "resume=must"])) == 0
+    assert runner.train(loading.load([*cut, "resume=must"])) == 0
     assert_equal(learned(folder_of(whole)), learned(folder_of(cut)))
     for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
         pd.testing.assert_frame_equal(
@@ -238,12 +237,8 @@ def test_twenty_updates_equal_ten_a_kill_and_ten_more(lag, tmp_path):
 
 
 def test_evaluation_does_not_disturb_training(tmp_path):
-    often = command_line.load(
-        [*TINY, "updates=6", f"run_root={tmp_path / 'a'}", "evaluation.every=1"]
-    )
-    never = command_line.load(
-        [*TINY, "updates=6", f"run_root={tmp_path / 'b'}", "evaluation.every=99"]
-    )
+    often = loading.load([*TINY, "updates=6", f"run_root={tmp_path / 'a'}", "evaluation.every=1"])
+    never = loading.load([*TINY, "updates=6", f"run_root={tmp_path / 'b'}", "evaluation.every=99"])
     assert runner.train(often) == 0
     assert runner.train(never) == 0
     one, other = learned(often.folder), learned(never.folder)
@@ -254,9 +249,7 @@ def test_evaluation_does_not_disturb_training(tmp_path):
 def test_seeds_differ_and_repeat(tmp_path):
     states = []
     for root, seed in (("a", 0), ("b", 0), ("c", 1)):
-        loaded = command_line.load(
-            [*TINY, "updates=2", f"run_root={tmp_path / root}", f"seed={seed}"]
-        )
+        loaded = loading.load([*TINY, "updates=2", f"run_root={tmp_path / root}", f"seed={seed}"])
         assert runner.train(loaded) == 0
         states.append(learned(loaded.folder)["agent"]["network"])
     assert_equal(states[0], states[1])
@@ -281,7 +274,7 @@ def test_a_run_that_a_signal_stopped_resumes_bit_for_bit(number, lag, tmp_path):
     update = checkpoint.load(folder_of(arguments) / "checkpoint.pt")["update"]
     assert update >= 2
     assert list(metrics_of(metrics.parent)["update"]) == list(range(1, update + 1))
-    cut = command_line.load([*arguments, f"updates={update + 2}", "resume=must"])
+    cut = loading.load([*arguments, f"updates={update + 2}", "resume=must"])
     assert runner.train(cut) == 0
     assert list(metrics_of(metrics.parent)["update"]) == list(range(1, update + 3))
     whole = cut.model_copy(update={"run_root": str(tmp_path / "whole"), "resume": "never"})
@@ -291,13 +284,13 @@ def test_a_run_that_a_signal_stopped_resumes_bit_for_bit(number, lag, tmp_path):
 
 def test_the_end_of_a_run_is_told(tmp_path, capsys):
     arguments = [*TINY, f"run_root='{tmp_path / 'my runs'}'"]
-    assert runner.train(command_line.load([*arguments, "updates=2"])) == 0
+    assert runner.train(loading.load([*arguments, "updates=2"])) == 0
     told = capsys.readouterr().out.splitlines()[-1]
     folder = folder_of([*arguments, "updates=2"])
     command = ["python", "-m", "zipf.report", str(folder.parent.parent), "window=last"]
     assert shlex.split(told) == ["finished;", *command]
     assert (folder / "train.log").read_text().endswith(" finished at update 2\n")
-    with runner.Run(command_line.load([*arguments, "updates=3"])):
+    with runner.Run(loading.load([*arguments, "updates=3"])):
         pass
     stopped = "stopped at update 2; the same command resumes"
     assert capsys.readouterr().out.splitlines()[-1] == stopped
@@ -306,19 +299,17 @@ def test_the_end_of_a_run_is_told(tmp_path, capsys):
 
 def test_resume_modes(trained, tmp_path):
     with pytest.raises(UserError, match="holds a run already"):
-        runner.train(command_line.load([*trained, "resume=never"]))
-    assert runner.train(command_line.load([*trained, "resume=must"])) == 0
+        runner.train(loading.load([*trained, "resume=never"]))
+    assert runner.train(loading.load([*trained, "resume=must"])) == 0
     with pytest.raises(UserError, match="no checkpoint"):
-        runner.train(command_line.load([*trained, "resume=must", "seed=5"]))
+        runner.train(loading.load([*trained, "resume=must", "seed=5"]))
 
 
 def test_a_checkpoint_of_another_configuration_is_refused(trained):
     folder = folder_of(trained)
     before = (folder / "checkpoint.pt").read_bytes()
     with pytest.raises(UserError, match=r"agent\.discount=0\.99 there, 0\.5 here"):
-        runner.train(
-            command_line.load([*trained, "agent.discount=0.5", f"name='{folder.parent.name}'"])
-        )
+        runner.train(loading.load([*trained, "agent.discount=0.5", f"name='{folder.parent.name}'"]))
     assert (folder / "checkpoint.pt").read_bytes() == before
 
 
@@ -341,10 +332,10 @@ def test_a_checkpoint_of_another_version_is_refused(trained):
     state["agent"]["network"]["renamed"] = state["agent"]["network"].pop("policy.weight")
     checkpoint.save(path, state)
     with pytest.raises(UserError, match="does not fit this version"):
-        runner.train(command_line.load(trained))
+        runner.train(loading.load(trained))
     checkpoint.save(path, {"update": 2})
     with pytest.raises(UserError, match="does not fit this version"):
-        runner.train(command_line.load(trained))
+        runner.train(loading.load(trained))
 
 
 def test_weights_that_are_damaged_or_of_another_network_are_refused(trained):
@@ -364,7 +355,7 @@ def test_weights_that_are_damaged_or_of_another_network_are_refused(trained):
 @pytest.mark.parametrize("has", [True, False])
 def test_agents_act_in_a_precision_that_the_device_has(has, tmp_path, monkeypatch):
     options = [*TINY, "updates=1", "precision=bfloat16", f"run_root={tmp_path}"]
-    config = command_line.load(options)
+    config = loading.load(options)
     assert runner.train(config) == 0
     monkeypatch.setattr(run_trained, "has_bfloat16", lambda device: has)
     for _ in ("checkpoint.pt", "weights.pt"):
@@ -376,7 +367,7 @@ def test_agents_act_in_a_precision_that_the_device_has(has, tmp_path, monkeypatc
 def test_training_does_not_go_on_from_weights_alone(trained):
     (folder_of(trained) / "checkpoint.pt").unlink()
     with pytest.raises(UserError, match="their checkpoint is missing"):
-        runner.train(command_line.load(trained))
+        runner.train(loading.load(trained))
 
 
 def test_evaluate_scores_a_run(trained, monkeypatch, capsys):
@@ -413,11 +404,11 @@ def test_evaluate_shows_scores_also_where_it_cannot_write(trained, monkeypatch, 
 def test_a_closing_evaluation_that_was_dropped_is_made_again(tmp_path):
     """Where a run that was to go on is stopped before its first update."""
     every = [*TINY, "evaluation.every=2", f"run_root={tmp_path}"]
-    ended = command_line.load([*every, "updates=3"])
+    ended = loading.load([*every, "updates=3"])
     assert runner.train(ended) == 0
     evaluations = ended.folder / "evaluations.csv"
     rows = evaluations.read_text()
-    with runner.Run(command_line.load([*every, "updates=5"])) as begun:
+    with runner.Run(loading.load([*every, "updates=5"])) as begun:
         begun.save()
     assert sorted(set(pd.read_csv(evaluations)["update"])) == [0, 2]
     assert runner.train(ended) == 0
@@ -426,7 +417,7 @@ def test_a_closing_evaluation_that_was_dropped_is_made_again(tmp_path):
 
 
 def test_a_run_that_is_asked_to_stop_in_its_last_evaluation_has_finished(tmp_path, monkeypatch):
-    config = command_line.load([*TINY, "updates=2", f"run_root={tmp_path}"])
+    config = loading.load([*TINY, "updates=2", f"run_root={tmp_path}"])
     evaluated = runner.Run.evaluate
 
     def stopped(run):
@@ -446,7 +437,7 @@ def test_a_run_that_is_asked_to_stop_gives_its_evaluation_up(update, lag, tmp_pa
     ends as one that was not stopped."""
     options = [*TINY, "updates=3", "evaluation.every=2", f"collector.lag={lag}"]
     cut, whole = (
-        command_line.load([*options, f"run_root={tmp_path / name}"]) for name in ("cut", "whole")
+        loading.load([*options, f"run_root={tmp_path / name}"]) for name in ("cut", "whole")
     )
     watch = runner.Run._watch_evaluation
 
@@ -548,7 +539,7 @@ def test_a_run_whose_checkpoint_is_gone_is_not_written_over(trained):
     before = (folder / "metrics.csv").read_text()
     for mode in ("auto", "never"):
         with pytest.raises(UserError, match="up to update 2"):
-            runner.train(command_line.load([*trained, f"resume={mode}"]))
+            runner.train(loading.load([*trained, f"resume={mode}"]))
     assert (folder / "metrics.csv").read_text() == before
 
 
@@ -559,7 +550,7 @@ def test_a_kill_before_the_first_checkpoint_starts_again(trained):
     rows[rows["update"] == 0].to_csv(folder / "evaluations.csv", index=False)
     (folder / "metrics.csv").write_text("")
     (folder / "situations.csv").write_text("update,level_k")
-    assert runner.train(command_line.load(trained)) == 0
+    assert runner.train(loading.load(trained)) == 0
     assert list(metrics_of(folder)["update"]) == [1, 2]
     assert sorted(pd.read_csv(folder / "evaluations.csv")["update"]) == [0] * 5 + [2] * 5
 
@@ -567,17 +558,17 @@ def test_a_kill_before_the_first_checkpoint_starts_again(trained):
 def test_a_run_stopped_at_its_start_is_not_scored_there_twice(tmp_path):
     arguments = [*TINY, "updates=2", f"run_root={tmp_path}"]
     run_folder.make(folder_of(arguments))
-    with runner.Run(command_line.load(arguments)) as begun:
+    with runner.Run(loading.load(arguments)) as begun:
         begun.evaluate()
         begun.save()
-    assert runner.train(command_line.load(arguments)) == 0
+    assert runner.train(loading.load(arguments)) == 0
     rows = pd.read_csv(folder_of(arguments) / "evaluations.csv")
     assert list(rows["update"]) == [0] * 5 + [2] * 5
 
 
 def test_a_finished_run_is_left_as_it_is(trained):
     before = contents(folder_of(trained))
-    assert runner.train(command_line.load(trained)) == 0
+    assert runner.train(loading.load(trained)) == 0
     assert contents(folder_of(trained)) == before
 
 
@@ -588,12 +579,12 @@ def test_more_updates_give_the_same_tables_as_if_they_had_been_asked_for_at_once
     common = [*TINY, f"evaluation.every={every}"]
     whole = [*common, "updates=8", f"run_root={tmp_path / 'whole'}"]
     cut = [*common, f"run_root={tmp_path / 'cut'}"]
-    assert runner.train(command_line.load(whole)) == 0
-    assert runner.train(command_line.load([*cut, "updates=6"])) == 0
+    assert runner.train(loading.load(whole)) == 0
+    assert runner.train(loading.load([*cut, "updates=6"])) == 0
     for _ in range(2):
-        with runner.Run(command_line.load([*cut, "updates=8"])):
+        with runner.Run(loading.load([*cut, "updates=8"])):
             pass  # nothing is saved
-    assert runner.train(command_line.load([*cut, "updates=8"])) == 0
+    assert runner.train(loading.load([*cut, "updates=8"])) == 0
     assert_equal(learned(folder_of(whole)), learned(folder_of([*cut, "updates=8"])))
     for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
         one, other = (untimed(folder_of(run) / name) for run in (whole, [*cut, "updates=8"]))
@@ -601,11 +592,11 @@ def test_more_updates_give_the_same_tables_as_if_they_had_been_asked_for_at_once
 
 
 def test_an_interrupted_run_that_ends_where_it_stopped_is_still_scored(trained):
-    longer = command_line.load([*trained, "updates=4", "evaluation.every=9"])
+    longer = loading.load([*trained, "updates=4", "evaluation.every=9"])
     with runner.Run(longer) as run:
         run.step()
         run.save()
-    assert runner.train(command_line.load([*trained, "updates=3", "evaluation.every=9"])) == 0
+    assert runner.train(loading.load([*trained, "updates=3", "evaluation.every=9"])) == 0
     assert list(pd.read_csv(longer.folder / "evaluations.csv")["update"])[-3:] == [3, 3, 3]
 
 
@@ -613,7 +604,7 @@ def test_a_resumed_run_describes_how_it_went_on(trained):
     folder = folder_of(trained)
     began = run_folder.read_description(folder)
     longer = [*trained, "updates=3", "schedule.window=[1,3]"]
-    assert runner.train(command_line.load(longer)) == 0
+    assert runner.train(loading.load(longer)) == 0
     now = run_folder.read_description(folder)
     assert now["started"] == began["started"]
     assert (now["window"], now["num_updates"]) == ([1, 3], 3)
@@ -629,7 +620,7 @@ def test_two_processes_do_not_train_in_one_folder(trained):
 
 def test_divergence_is_an_error_and_the_checkpoint_is_kept(trained):
     with pytest.raises(UserError, match="diverged"):
-        runner.train(command_line.load([*trained, "seed=1", "agent.learning_rate=1e30"]))
+        runner.train(loading.load([*trained, "seed=1", "agent.learning_rate=1e30"]))
 
 
 compiler = pytest.mark.skipif(shutil.which("c++") is None, reason="torch.compile calls a compiler")
@@ -638,8 +629,8 @@ compiler = pytest.mark.skipif(shutil.which("c++") is None, reason="torch.compile
 @pytest.mark.slow
 @compiler
 def test_what_is_compiled_learns_the_same(tmp_path):
-    plain = command_line.load([*TINY, "agent=vmpo", "updates=3", f"run_root={tmp_path / 'plain'}"])
-    compiled = command_line.load(
+    plain = loading.load([*TINY, "agent=vmpo", "updates=3", f"run_root={tmp_path / 'plain'}"])
+    compiled = loading.load(
         [*TINY, "agent=vmpo", "updates=3", "compile=true", f"run_root={tmp_path / 'compiled'}"]
     )
     assert plain.condition == compiled.condition
@@ -659,7 +650,7 @@ def test_what_is_compiled_learns_the_same(tmp_path):
 def test_a_run_tells_its_precision_and_where_that_is_slow(has, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runner, "has_bfloat16", lambda device: has)
     arguments = [*TINY, "updates=1", "precision=bfloat16", f"run_root={tmp_path}"]
-    config = command_line.load(arguments)
+    config = loading.load(arguments)
     assert runner.train(config) == 0
     for told in (capsys.readouterr().out, (config.folder / "train.log").read_text()):
         assert "a new run, on cpu in bfloat16" in told
@@ -673,7 +664,7 @@ def test_what_cannot_be_compiled_is_one_line(trained, monkeypatch):
     monkeypatch.setattr(inductor.cpp, "cxx", ("no-such-compiler",))
     torch._dynamo.reset()
     with pytest.raises(UserError, match=r"^compile=true: .*; choose compile=false$"):
-        runner.train(command_line.load([*trained, "seed=1", "compile=true"]))
+        runner.train(loading.load([*trained, "seed=1", "compile=true"]))
 
 
 FULL_DISK = """
@@ -685,7 +676,7 @@ from zipf.errors import UserError
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))
 try:
-    runner.train(command_line.load(sys.argv[2:]))
+    runner.train(loading.load(sys.argv[2:]))
 except UserError as error:
     print(error)
 """
@@ -702,4 +693,4 @@ def test_a_full_disk_is_one_line_and_loses_nothing(size, trained):
     assert result.stderr == ""
     after = learned(folder_of(trained))
     assert after["update"] >= before["update"]
-    assert runner.train(command_line.load([*trained, f"updates={after['update'] + 1}"])) == 0
+    assert runner.train(loading.load([*trained, f"updates={after['update'] + 1}"])) == 0

@@ -12,8 +12,8 @@ from PIL import Image, ImageSequence
 from run_folders import constant, refusal, write_external, write_run
 
 from zipf import envs, report
+from zipf.experiments.building import loading
 from zipf.experiments.evaluation.trained import load_agent
-from zipf.experiments.options import command_line
 from zipf.experiments.playing import videos as recorder
 from zipf.experiments.records import video_files
 from zipf.experiments.training import runner
@@ -23,7 +23,7 @@ from zipf.experiments.training import runner
 def trained_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of no updates: its agent acts almost at random."""
     root = tmp_path_factory.mktemp("runs")
-    config = command_line.load(
+    config = loading.load(
         [
             *("experiment=demo", "device=cpu", "updates=1", f"run_root={root}"),
             *("collector.num_envs=4", "collector.unroll_length=5", "evaluation.episodes=5"),
@@ -171,7 +171,7 @@ def test_a_damaged_checkpoint_is_not_loaded(run: Path, capsys: pytest.CaptureFix
 
 
 def test_objects_drawn_without_replacement_are_not_forced_to_be_the_same() -> None:
-    config = command_line.load(["experiment=playroom_lift"])
+    config = loading.load(["experiment=playroom_lift"])
     trained = SimpleNamespace(config=config)
     often = recorder.find_situation(trained, lambda ranks: int(ranks.min()))
     rarest = recorder.find_situation(trained, lambda ranks: int(ranks.max()))

@@ -14,8 +14,8 @@ from zipf.agents.agent import AgentSpec
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.vmpo import SMALLEST_DUAL, VMPO, VMPOOptions, is_top, vmpo_losses
-from zipf.experiments.building import checkpoint, run_folder
-from zipf.experiments.options import command_line, config_files
+from zipf.experiments.building import checkpoint, loading, run_folder
+from zipf.experiments.options import config_files
 from zipf.experiments.training.runner import Run
 
 ACTIONS, STEPS, BATCH = 3, 5, 5
@@ -415,7 +415,7 @@ def _number(value):
 
 
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
-    loaded = command_line.load(
+    loaded = loading.load(
         [
             "experiment=demo",
             "device=cpu",

@@ -18,6 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 import zipf
 from zipf.errors import TOLD, UserError, tell
+from zipf.experiments.building import loading
 from zipf.experiments.options import catalogue, command_line, composing, config_files
 from zipf.experiments.options.config_files import CONFIG_DIR, PRIMARY
 from zipf.experiments.options.schema import Config
@@ -33,7 +34,7 @@ def _run(_: DictConfig) -> None:
     from zipf.experiments.training import runner
 
     try:
-        config = command_line.load(list(HydraConfig.get().overrides.task))
+        config = loading.load(list(HydraConfig.get().overrides.task))
         stopped = runner.train(config, cluster.runtime_of(config))
     except TOLD as error:
         _tell(error)

@@ -22,8 +22,8 @@ from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.testing import check_vector_env
 from zipf.evaluate import score
-from zipf.experiments.building import run_folder
-from zipf.experiments.options import command_line, config_files
+from zipf.experiments.building import loading, run_folder
+from zipf.experiments.options import config_files
 from zipf.experiments.options.schema import Config
 from zipf.experiments.playing.playing import PlayOptions, play
 from zipf.experiments.training import runner
@@ -239,9 +239,7 @@ def test_runs_are_trained_and_resumed(tmp_path: Path, monkeypatch: pytest.Monkey
 
     def load(name: str) -> Config:
         config_files.add_folder("configs")
-        return command_line.load(
-            ["experiment=dmlab_forward", *SHORT, f"run_root={tmp_path / name}"]
-        )
+        return loading.load(["experiment=dmlab_forward", *SHORT, f"run_root={tmp_path / name}"])
 
     whole, cut = load("whole"), load("cut")
     for config, steps in ((whole, 2), (cut, 1), (cut, 1)):

@@ -1,8 +1,4 @@
-"""From a command line to a checked configuration.
-
-`load` composes `configs/` with Hydra's overrides and checks the result; it reports all mistakes at
-once. `sweeps.py` does so for every job of a sweep.
-"""
+"""From a command line to a configuration: Hydra's overrides, checked against the schema."""
 
 from __future__ import annotations
 
@@ -36,31 +32,24 @@ from zipf.options import Options
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 
-def load(overrides: list[str]) -> Config:
-    """The configuration of these overrides, checked.
+class Mistakes(UserError):
+    """Mistakes in options, a line each.
 
-    Raises:
-        UserError: with one line for every unknown, mistyped or impossible option.
+    Attributes:
+        config: the configuration without the options that are unknown; None where there is none.
     """
-    config = read(overrides)
-    check(config)
-    return config
 
-
-def check(config: Config) -> None:
-    """Raises `UserError` where options do not fit each other, the worlds or this machine."""
-    from zipf.experiments.building import feasibility
-
-    if problems := list(feasibility.problems(config)):
-        raise UserError("\n".join(problems))
+    def __init__(self, lines: list[str], config: Config | None = None):
+        super().__init__("\n".join(lines))
+        self.config = config
 
 
 def read(overrides: list[str]) -> Config:
-    """The configuration of these overrides; whether they fit each other is left to `check`.
+    """The configuration of these overrides; whether its options fit each other is not checked
+    here (`zipf.experiments.building.loading`).
 
     Raises:
-        UserError: with one line for every unknown or mistyped option; where there are any, also
-            for those that do not fit each other.
+        Mistakes: with one line for every unknown or mistyped option.
     """
     return read_composed(overrides)[0]
 
@@ -74,8 +63,6 @@ def read_composed(overrides: list[str]) -> tuple[Config, Composed]:
         raise UserError("\n".join(problems))
     if problems and not any(_is_of_a_part(one) for one in parse(known)):
         raise UserError("\n".join([*problems, *_mistyped(known)]))
-    from zipf.experiments.building import feasibility
-
     composed = _compose_condition(*known)
     values = dict(composed.values)
     name = values.pop("name")
@@ -87,11 +74,9 @@ def read_composed(overrides: list[str]) -> tuple[Config, Composed]:
     try:
         config = schema().model_validate(values)
     except ValidationError as error:
-        problems += _explain(error, values)
-    else:
-        problems += feasibility.problems(config) if problems else ()
+        raise Mistakes([*problems, *_explain(error, values)]) from None
     if problems:
-        raise UserError("\n".join(problems))
+        raise Mistakes(problems, config)
     return config, composed
 
 

@@ -20,6 +20,7 @@ from pydantic import Field, ValidationError
 
 from zipf import envs
 from zipf.errors import UserError
+from zipf.experiments.building import loading
 from zipf.experiments.options import catalogue, command_line, composing, config_files
 from zipf.experiments.options.schema import Config, Seed
 from zipf.experiments.records.paper import conditions_of_the_paper, paper_table
@@ -84,13 +85,13 @@ def check(overrides: list[str], is_finished: Callable[[Config], bool] = lambda _
     jobs: list[PlannedJob] = []
     for words, pair in expand(overrides):
         try:
-            config = command_line.read(list(words))
+            config = loading.read(list(words))
             finished = is_finished(config)
             if not finished:
                 if pair and (why := _misfit(*pair)):
                     left_out[why] = None
                     continue
-                command_line.check(config)
+                loading.check(config)
             jobs.append(PlannedJob(words, config, finished))
         except UserError as error:
             problems.update(dict.fromkeys(str(error).splitlines()))
@@ -237,7 +238,7 @@ def _of_the_papers_table(sweep: str, experiment: str) -> Iterable[str]:
 def _misfit(experiment: str, condition: str) -> str | None:
     """Why a condition does not go with an experiment, whatever else is chosen; None if it does."""
     try:
-        command_line.load([f"experiment={experiment}", f"condition={condition}"])
+        loading.load([f"experiment={experiment}", f"condition={condition}"])
     except UserError as error:
         return f"experiment={experiment} condition={condition}: {str(error).splitlines()[0]}"
     return None

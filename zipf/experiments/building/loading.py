@@ -1,0 +1,39 @@
+"""From a command line to a configuration that can be run here, with all mistakes at once."""
+
+from __future__ import annotations
+
+from zipf.errors import UserError
+from zipf.experiments.building import feasibility
+from zipf.experiments.options import command_line
+from zipf.experiments.options.schema import Config
+
+
+def load(overrides: list[str]) -> Config:
+    """The configuration of these overrides, checked.
+
+    Raises:
+        UserError: with one line for every unknown, mistyped or impossible option.
+    """
+    config = read(overrides)
+    check(config)
+    return config
+
+
+def check(config: Config) -> None:
+    """Raises `UserError` where options do not fit each other, the environments or this machine."""
+    if problems := list(feasibility.problems(config)):
+        raise UserError("\n".join(problems))
+
+
+def read(overrides: list[str]) -> Config:
+    """The configuration of these overrides; whether they fit each other is left to `check`.
+
+    Raises:
+        UserError: with one line for every unknown or mistyped option; where there are any, also
+            for those that do not fit each other.
+    """
+    try:
+        return command_line.read(overrides)
+    except command_line.Mistakes as error:
+        further = feasibility.problems(error.config) if error.config else ()
+        raise UserError("\n".join([str(error), *further])) from None
