@@ -89,8 +89,8 @@ def test_there_is_code_to_run():
 def overrides_of(arguments: list[str]) -> list[str]:
     """The overrides of a train command; its `--config-dir` is added."""
     words = [word for word in arguments if word not in FLAGS]
-    if "--cfg" in words:
-        words = words[: words.index("--cfg")]
+    for flag in {"--cfg", "--explain"} & set(words):  # at the end
+        words = words[: words.index(flag)]
     if "--config-dir" in words:
         i = words.index("--config-dir")
         config_files.add_folder(words[i + 1])
