@@ -40,8 +40,9 @@ docs: $(VENV)/.installed  ## build the documentation into site/; open site/index
 wheel: $(VENV)/.installed  ## build the wheel into dist/
 	$(BIN)/python -m build --wheel
 
-results: $(VENV)/.installed  ## write RESULTS.md from the files in results/
-	$(BIN)/python -m zipf.report results window=own record=RESULTS.md
+results: $(VENV)/.installed  ## write docs/record.md and the tables of RESULTS.md from the files in results/
+	$(BIN)/python -m zipf.report results window=own record=docs/record.md
+	$(BIN)/python scripts/write_tables.py
 
 clean:  ## remove the virtual environment and what was built; runs are kept
 	rm -rf $(VENV) dist build site

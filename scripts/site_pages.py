@@ -19,7 +19,7 @@ ROOT = Path(__file__).parent.parent
 TOP = {
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
-    "RESULTS.md": "record.md",
+    "RESULTS.md": "our-runs.md",
 }
 """Pages at the top of the repository, and what they are called on the site."""
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\((?!\w+:)([^)#\s]*)(#[^)\s]*)?\)")

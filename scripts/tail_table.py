@@ -9,10 +9,11 @@ from tables import code, markdown
 
 from zipf import envs
 from zipf.experiments.building.run_folder import describe_levels, mean_of_levels
-from zipf.experiments.options import composing
+from zipf.experiments.options import catalogue, composing
 from zipf.experiments.records.paper import paper_table
 from zipf.experiments.records.results import Run, load_runs
-from zipf.experiments.records.wording import KIND_NAMES, NONE, count_text, score_text
+from zipf.experiments.records.wording import KIND_NAMES, NONE, count_text, range_text, score_text
+from zipf.experiments.reporting.claims import check_claims
 from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.seed_statistics import (
     bootstrap_of_situations,
@@ -285,8 +286,36 @@ def situations() -> list[str]:
     return markdown(("Map", "Target", *columns), rows, right=("Map", "Target", *columns))
 
 
+def runs() -> list[str]:
+    """The lines of a table of the experiments of the record."""
+    rows = []
+    for name in sorted({run.description.experiment for run in _all_runs()}):
+        of_it = _runs(name)
+        conditions = {run.description.condition for run in of_it}
+        started = min(str(run.description.version) for run in of_it)
+        frames = range_text([run.frames for run in of_it])
+        what = (catalogue.summary("experiment", name), str(len(conditions)), str(len(of_it)))
+        rows.append((code(name), *what, frames, started))
+    numbers = ("Conditions", "Runs", "Frames of each")
+    return markdown(("Experiment", "What it is", *numbers, "From version"), rows, right=numbers)
+
+
+def claims() -> list[str]:
+    """The lines of a table of the paper's claims about which there are scores."""
+    header = ("Claim of the paper", "Table", "Outcome", "On the paper's numbers")
+    lines = check_claims(score_tables(_all_runs(), "own"))
+    return markdown(
+        header,
+        (
+            (line.claim.statement, code(line.table), line.outcome, line.paper or NONE)
+            for line in lines
+            if line.at_hand
+        ),
+    )
+
+
 def comparison(experiment: str) -> list[str]:
-    """The lines of a table of an experiment's conditions, in the order that RESULTS.md has."""
+    """The lines of a table of an experiment's conditions, in the order of all tables."""
     (table,) = score_tables(_runs(experiment), "own")
     scores = table.scores.set_index(["condition", "level_kind"])
     rows: list[tuple[str, ...]] = []

@@ -34,7 +34,7 @@ MARKS = re.compile(
 
 def pages() -> list[Path]:
     """The pages that may have tables."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    return [ROOT / "README.md", ROOT / "RESULTS.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def rewritten(text: str) -> str:
@@ -155,6 +155,8 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "tail_best": tail_table.best,
     "tail_situations": tail_table.situations,
     "comparison": tail_table.comparison,
+    "runs": tail_table.runs,
+    "claims": tail_table.claims,
 }
 
 

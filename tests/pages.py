@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md"))
-PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", *DOCS)
+RECORD = "docs/record.md"  # which the report writes
+FOUND = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md"))
+DOCS = [page for page in FOUND if page != RECORD]
+PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "RESULTS.md", *DOCS)
 TEXT = {page: (ROOT / page).read_text(encoding="utf-8") for page in PAGES}
 PLACEHOLDER = re.compile(r"<|\.\.\.|[A-Z]{4}")  # as in run=<folder>, which is no command to try
 

@@ -17,10 +17,12 @@ from run_folders import (
     write_run,
 )
 
+from zipf import report
 from zipf.errors import UserError
 from zipf.experiments.records import record
 from zipf.experiments.records.record import Record
 from zipf.experiments.records.results import Run, load_run, load_runs
+from zipf.experiments.reporting import draw_matplotlib
 
 METRICS = (
     "update,frames,seconds,episode_length,value\n100,409600,250.0,12.5,0.1\n200,819200,500.0,,nan\n"
@@ -200,3 +202,27 @@ def test_damage_is_named_in_one_line(
     path.write_bytes(path.read_bytes()[:-9])
     with pytest.raises(UserError, match=rf"{name}: is (damaged|missing)"):
         load_runs([results])
+
+
+def test_the_record_is_written_from_its_tables_as_from_run_folders(
+    tmp_path: Path, results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And differs as soon as a score there does."""
+    monkeypatch.setattr(draw_matplotlib, "draw", lambda *_: {})
+    folders = [run(tmp_path / "runs"), run(tmp_path / "runs", 1)]
+    kept(results, *folders)
+
+    def written(folder: Path) -> list[str]:
+        page = tmp_path / "record.md"
+        report.report([folder], tmp_path / "report", "own", record=page)
+        return page.read_text(encoding="utf-8").splitlines()[1:]  # the first is the command
+
+    before = written(tmp_path / "runs")
+    assert any(line.startswith("| IMPALA | 2/3 | 0.50 ± 0.00 |") for line in before)
+    assert written(results) == before
+    evaluations = folders[0] / "evaluations.csv"
+    evaluations.write_text(evaluations.read_text().replace(",0.5,", ",0.9,"))
+    found = record.read(results)
+    keep_results.keep(found, folders[0])
+    record.write(results, found)
+    assert written(results) == written(tmp_path / "runs") != before

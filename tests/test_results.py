@@ -1,8 +1,9 @@
-"""The record and the page on result files: RESULTS.md and docs/results.md agree with the files."""
+"""The record and the page on result files agree with the files."""
 
 import re
 from pathlib import Path
 
+import keep_results
 import pandas as pd
 import pytest
 from conftest import TINY
@@ -34,11 +35,13 @@ def documented(heading: str) -> list[str]:
 def test_the_record_is_up_to_date(tmp_path, monkeypatch):
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(draw_matplotlib, "draw", lambda *_: {})  # the record has none
-    record = tmp_path / "RESULTS.md"
+    record = tmp_path / "record.md"
     report([Path("results")], output=tmp_path / "report", window="own", record=record)
-    ours = (ROOT / "RESULTS.md").read_text().splitlines()
+    ours = (ROOT / "docs" / "record.md").read_text().splitlines()
     assert record.read_text().splitlines()[1:] == ours[1:]
-    assert "make results" in ours[0] or "zipf.report results" in ours[0]
+    assert "`python -m zipf.report results window=own record=docs/record.md`" in ours[0]
+    scores_of_runs = keep_results.scores(load_runs(["results"]), Path("results"))
+    assert scores_of_runs.to_csv(index=False) == Path("results/scores.csv").read_text()
 
 
 KEPT = sorted(path.parent for path in ROOT.glob("results/*/*/*/weights.pt"))

@@ -8,7 +8,7 @@ import pytest
 import site_pages
 import yaml
 from mkdocs.exceptions import PluginError
-from pages import DOCS, ROOT
+from pages import DOCS, RECORD, ROOT
 
 from zipf import envs
 from zipf.experiments.options import config_files
@@ -35,7 +35,7 @@ API = [page for page in PLACES if page.startswith("api/")]
 
 
 def test_every_page_has_its_place():
-    ours = [page.removeprefix("docs/") for page in DOCS]
+    ours = [page.removeprefix("docs/") for page in (*DOCS, RECORD)]
     assert sorted(PLACES) == sorted([*ours, *API, *site_pages.TOP.values()])
 
 
@@ -82,7 +82,7 @@ def test_a_link_that_leads_nowhere_stops_the_build():
     [
         ("play.md", "[a](protocol.md#scores)", "[a](protocol.md#scores)"),
         ("play.md", "[a](../CONTRIBUTING.md#words)", "[a](contributing.md#words)"),
-        ("agents/agent.md", "[a](../../RESULTS.md)", "[a](../record.md)"),
+        ("agents/agent.md", "[a](../../RESULTS.md)", "[a](../our-runs.md)"),
         ("agents/agent.md", "[a](../extending.md)", "[a](../extending.md)"),
         ("contributing.md", "[a](docs/design.md#the-parts)", "[a](design.md#the-parts)"),
         ("contributing.md", "[a](CHANGELOG.md)", "[a](changelog.md)"),
