@@ -1,5 +1,6 @@
 """Our batches in other libraries' classes: the same worlds, and nothing they tell is lost."""
 
+import importlib
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -166,13 +167,17 @@ def test_sb3_needs_batches_that_start_over_in_the_same_step():
         sb3_env(batch("Disabled"))
 
 
-def test_without_sb3_its_adapter_says_what_to_install(monkeypatch):
+@pytest.mark.parametrize(
+    ("adapter", "library", "extra"),
+    [("stable_baselines3", "stable_baselines3", "sb3"), ("onnx", "onnxruntime", "onnx")],
+)
+def test_without_its_library_an_adapter_says_what_to_install(adapter, library, extra, monkeypatch):
     for name in list(sys.modules):
-        if name.startswith(("stable_baselines3", "zipf.adapters.stable_baselines3")):
+        if name.startswith((library, f"zipf.adapters.{adapter}")):
             monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    with pytest.raises(ImportError, match=r"pip install 'zipf-rl\[sb3\]'"):
-        import zipf.adapters.stable_baselines3  # noqa: F401
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ImportError, match=rf"pip install 'zipf-rl\[{extra}\]'"):
+        importlib.import_module(f"zipf.adapters.{adapter}")
 
 
 class Quiet(GridworldVectorEnv):

@@ -169,7 +169,7 @@ def test_bad_requests():
     with pytest.raises(ValueError, match="gridworld"):
         evaluate.score(scripted, split="gridwrld")
     with pytest.raises(ValueError, match=r"split must be a split's name or .*, got a NoneType"):
-        evaluate.geometry(None)
+        evaluate.env_options(None)
 
 
 @pytest.mark.parametrize(
@@ -437,7 +437,7 @@ def test_details_hold_everything():
     details = evaluate.score(scripted, TWO, episodes=40, seed=3, details=True, **SMALL)
     assert details.scores == scores
     assert details.split == "two"
-    assert details.geometry["gridworld/rare"] == {
+    assert details.env_options["gridworld/rare"] == {
         "num_maps": 5,
         "num_rooms": [2, 2],
         "room_size": [3, 3],

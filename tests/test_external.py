@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 
 from zipf import envs, evaluate, play, report
 from zipf.errors import UserError
@@ -63,7 +64,7 @@ def test_a_record_is_a_run_that_the_report_reads(tmp_path):
         assert rows.loc[kind, "frames"] == rows.loc[kind, "update"] == 1000
     assert run.situations["episodes"].sum() == 5 * 12
     written = json.loads((tmp_path / "seed0" / "run.json").read_text())
-    assert written["external"]["geometry"] == evaluate.geometry("gridworld", **DEMO)
+    assert written["external"]["geometry"] == evaluate.env_options("gridworld", **DEMO)
     assert written["torch"] == sys.modules["torch"].__version__
     report.report([tmp_path], tmp_path / "report")
     assert "Theirs" in (tmp_path / "report" / "report.md").read_text()
@@ -278,7 +279,7 @@ def test_there_is_no_agent_in_a_record(tmp_path, monkeypatch, capsys, ours):
     assert told in refused(monkeypatch, capsys, evaluate.main, run)
     assert told in refused(monkeypatch, capsys, play.main, run, "record=a.gif")
     with pytest.raises(UserError, match="the agent is not there"):
-        evaluate.score(tmp_path / "seed0", **PLAY, **DEMO)
+        evaluate.trained(tmp_path / "seed0")
     # Nor does somebody else's configuration and checkpoint make it one.
     for name in ("config.yaml", "checkpoint.pt"):
         shutil.copy(ours / name, tmp_path / "seed0")
@@ -298,19 +299,25 @@ def test_a_checkpoint_of_other_options_is_no_agent_of_this_run(tmp_path, monkeyp
         assert "was made with other options (agent.discount=" in error
 
 
-def test_a_runs_agent_is_scored_by_its_folder(ours):
-    scores = evaluate.score(ours, seed=3, **PLAY, **DEMO)
+def test_a_runs_agent_is_scored(ours):
+    drawn = torch.get_rng_state()
+    policy = evaluate.trained(str(ours))
+    assert torch.equal(torch.get_rng_state(), drawn)
     config = run_folder.read_config(ours)
     from zipf.experiments.evaluation.trained import evaluate_agent, load_agent
 
     agent = load_agent(ours, "cpu").agent
     expected = evaluate_agent(config, agent, seed=3, **PLAY)
-    assert scores == evaluate.score(str(ours), seed=3, **PLAY, **DEMO)
-    assert list(scores.values()) == [result.score for result in expected]
+    for _ in range(2):
+        scores = evaluate.score(policy, seed=3, **PLAY, **DEMO)
+        assert list(scores.values()) == [result.score for result in expected]
     with pytest.raises(ValueError, match="num_objects=5 of the policy, 20 of gridworld/zipf_2"):
-        evaluate.score(ours)
+        evaluate.score(policy)
+    policy.env_options = {}
+    with pytest.raises(ValueError, match=r"seed0: its agent was trained in .*image.*tiles"):
+        evaluate.score(policy, observation="tiles", **DEMO)
     with pytest.raises(UserError, match="is no run's folder"):
-        evaluate.score(ours.parent)
+        evaluate.trained(ours.parent)
 
 
 def test_episodes_are_as_many_as_the_split_says(ours, monkeypatch, capsys):

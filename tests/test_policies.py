@@ -1,7 +1,7 @@
-"""Every kind of policy is scored as the same policy written as a function."""
+"""Agents of every library are scored as the same policy written by hand."""
 
 import json
-import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +12,7 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 
 from zipf import envs, evaluate
+from zipf.adapters import torchrl, torchscript
 
 SMALL = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
 TILES = {**SMALL, "observation": "tiles"}
@@ -54,36 +55,10 @@ def of_counting():
 
 
 def played(policy, **options):
-    return evaluate.score(policy, details=True, **PLAY, **SMALL, **options).episodes
+    return evaluate.score(policy, details=True, **{**PLAY, **SMALL, **options}).episodes
 
 
-# Functions and objects with `predict`
-
-
-def test_a_function_scores_what_is_known_exactly():
-    rng = np.random.default_rng(0)
-    scores = evaluate.score(
-        lambda observation: rng.integers(8, size=len(observation["image"])),
-        split="gridworld",
-        episodes=3000,
-        seed=2,
-    )
-    assert list(scores) == [*envs.KINDS]
-    for kind, exact in (("train", 0.0324), ("uniform", 0.0477), ("rare", 0.0859)):
-        assert abs(scores[kind] - exact) < 4 * np.sqrt(exact * (1 - exact) / 3000)
-
-
-class Predicting:
-    """`Counting` in the convention of Stable-Baselines3."""
-
-    def predict(self, observation, state=None, episode_start=None):
-        policy = Counting()
-        policy.steps = 0 if state is None else state
-        return policy(observation, None, episode_start), policy.steps
-
-
-def test_an_object_with_predict_keeps_its_state(of_counting):
-    assert played(Predicting()).equals(of_counting)
+# Functions and policies
 
 
 def test_a_policy_of_one_observation():
@@ -92,157 +67,148 @@ def test_a_policy_of_one_observation():
         return int(scripted({"image": observation["image"][None]})[0])
 
     single = evaluate.score(policy, episodes=30, seed=4, batched=False, **SMALL)
-    predicting = SimpleNamespace(predict=lambda observation, **_: (policy(observation), None))
-    batch = evaluate.score(scripted, episodes=30, num_envs=1, seed=4, **SMALL)
-    assert single == batch
-    assert evaluate.score(predicting, episodes=30, seed=4, batched=False, **SMALL) == batch
+    assert single == evaluate.score(scripted, episodes=30, num_envs=1, seed=4, **SMALL)
+
+
+@pytest.mark.parametrize("made", [Counting(), scripted])
+def test_a_policy_may_ask_what_it_is_to_play(made):
+    asked = []
+
+    def for_envs(*given):
+        asked.append(given)
+        return made
+
+    first = played(SimpleNamespace(for_envs=for_envs))
+    assert first.equals(played(made))
+    played(SimpleNamespace(for_envs=for_envs), seed=5)
+    (seen, actions, seed), (*_, other) = asked
+    assert seen == spaces.Dict({"image": spaces.Box(0, 255, IMAGE, np.uint8)})
+    assert actions == spaces.Discrete(8)
+    assert seed != other
 
 
 def test_what_plays_nothing_is_refused():
-    with pytest.raises(TypeError, match="policy is a SimpleNamespace"):
-        evaluate.score(SimpleNamespace(), episodes=5)
-    with pytest.raises(ValueError, match="deterministic=True"):
-        evaluate.score(scripted, deterministic=True)
-    with pytest.raises(ValueError, match="batched=False"):
-        evaluate.score(Counting(), batched=False)
-    with pytest.raises(ValueError, match=r"agent\.zip: should be a \.onnx file"):
-        evaluate.score("agent.zip")
-    with pytest.raises(ValueError, match=r"agent\.onnx: no such file"):
-        evaluate.score("agent.onnx")
+    for nothing in (SimpleNamespace(), SimpleNamespace(for_envs=lambda *_: None)):
+        with pytest.raises(TypeError, match=r"policy is a .*evaluate\.trained\(folder\) makes"):
+            evaluate.score(nothing, episodes=5)
+    for policy in (Counting(), SimpleNamespace(for_envs=lambda *_: scripted), "expert"):
+        with pytest.raises(ValueError, match="batched=False"):
+            evaluate.score(policy, batched=False)
+    for path in ("agent.onnx", Path("runs/demo")):
+        with pytest.raises(ValueError, match=rf"policy='{path}': .*or 'expert'.*zipf\.adapters\."):
+            evaluate.score(path)
 
 
-@pytest.mark.parametrize(
-    ("predict", "options", "error", "message"),
-    [
-        (lambda seen, **_: scripted(seen), {}, ValueError, r"\(actions, state\), got a ndarray"),
-        (lambda seen, **_: None, {}, ValueError, r"return \(actions, state\), got a NoneType"),
-        (lambda seen, **_: (None, None), {}, ValueError, "returned object of shape"),
-        (lambda seen: None, {}, TypeError, r"take \(observation, state=\.\.\., episode_start="),
-        (
-            lambda seen, state, episode_start: None,
-            {"deterministic": True},
-            TypeError,
-            r"must take \(observation, .*, deterministic=\.\.\.\): got an unexpected",
-        ),
-    ],
-)
-def test_what_predict_takes_and_returns_is_told(predict, options, error, message):
-    with pytest.raises(error, match=message):
-        evaluate.score(SimpleNamespace(predict=predict), **PLAY, **SMALL, **options)
+# Constructor options
 
 
-# Spaces and geometry
+def test_what_a_policy_was_trained_with_must_be_what_it_plays():
+    def policy(observation):
+        return scripted(observation)
 
-
-def declaring(observation_space, action_space=None, **more):
-    return SimpleNamespace(
-        predict=lambda observation, **_: (scripted(observation), None),
-        observation_space=observation_space,
-        action_space=action_space or spaces.Discrete(8),
-        **more,
-    )
-
-
-def test_declared_spaces_must_be_the_splits():
-    box = spaces.Box(0, 255, IMAGE, np.uint8)
-    first = spaces.Box(0, 255, (3, 63, 63), np.uint8)
-    for same in (box, first):
-        assert played(declaring(spaces.Dict({"image": same}))).equals(played(scripted))
-    tiles = spaces.Dict({"tiles": spaces.Box(0, 22, (7, 7), np.uint8)})
-    with pytest.raises(
-        ValueError, match=r"observation space, .*\(7, 7\).* differs .*\(63, 63, 3\)"
-    ):
-        played(declaring(tiles))
-    with pytest.raises(ValueError, match=r"\(72, 96, 3\).* differs .*'gridworld'"):
-        played(declaring(spaces.Dict({"image": spaces.Box(0, 255, (72, 96, 3), np.uint8)})))
-    with pytest.raises(ValueError, match=r"action space, Discrete\(46\), differs .* Discrete\(8\)"):
-        played(declaring(spaces.Dict({"image": box}), spaces.Discrete(46)))
-
-
-def test_a_policy_of_an_array_is_given_the_only_observation():
-    box = spaces.Box(0, 255, IMAGE, np.uint8)
-    policy = declaring(box)
-    policy.predict = lambda image, **_: (scripted({"image": image}), None)
+    policy.env_options = {"num_maps": 5, "num_rooms": (2, 2), "room_size": [3, 3]}
     assert played(policy).equals(played(scripted))
-
-
-def test_a_policys_geometry_must_be_the_splits():
-    box = spaces.Dict({"image": spaces.Box(0, 255, IMAGE, np.uint8)})
-    played(declaring(box, geometry={"num_maps": 5, "num_rooms": (2, 2), "room_size": [3, 3]}))
+    policy.env_options = {"num_maps": 20}
     with pytest.raises(
         ValueError, match="'gridworld': num_maps=20 of the policy, 5 of gridworld/zipf_2"
     ):
-        played(declaring(box, geometry={"num_maps": 20}))
+        played(policy)
+    policy.env_options = {"num_toys": 20}
     with pytest.raises(ValueError, match="and gridworld/rare has no num_toys"):
-        played(declaring(box, geometry={"num_toys": 20}))
+        played(policy)
 
 
-def test_geometry_has_the_defaults():
-    found = evaluate.geometry("gridworld", num_rooms=(2, 2))
+def test_constructor_options_have_the_defaults():
+    found = evaluate.env_options("gridworld", num_rooms=(2, 2))
     assert list(found) == [one.name for one in envs.split("gridworld").all_levels]
     assert found["gridworld/rare"]["num_maps"] == 20
     assert found["gridworld/rare"]["num_rooms"] == [2, 2]
     own = envs.SplitLevel(lambda n, **o: envs.make_vec("gridworld/rare", n, **o), options=SMALL)
     split = envs.Split("mine", own, "gridworld/uniform", "gridworld/rare")
-    found = evaluate.geometry(split, render_mode="rgb_array")
+    found = evaluate.env_options(split, render_mode="rgb_array")
     assert found[own.name] == {**SMALL, "num_rooms": [2, 2]}
 
 
 # Stable-Baselines3
 
 
-def test_models_of_stable_baselines3():
-    sb3 = pytest.importorskip("stable_baselines3")
-    contrib = pytest.importorskip("sb3_contrib")
-    from zipf.adapters.stable_baselines3 import ZipfVecEnv
+@pytest.fixture(scope="module")
+def sb3():
+    """The adapter."""
+    pytest.importorskip("sb3_contrib")
+    from zipf.adapters import stable_baselines3
 
-    env = ZipfVecEnv(envs.make_vec("gridworld/zipf_2", 2, **TILES))
-    ppo = sb3.PPO("MultiInputPolicy", env, n_steps=8, batch_size=16, seed=0)
-    recurrent = contrib.RecurrentPPO(
-        "MultiInputLstmPolicy",
-        env,
-        n_steps=8,
-        batch_size=16,
-        seed=0,
-        policy_kwargs={"lstm_hidden_size": 8, "net_arch": []},
+    return stable_baselines3
+
+
+def ppo(sb3, recurrent=False, policy=None, wrap=lambda env: env, **options):
+    import sb3_contrib
+    import stable_baselines3
+
+    env = wrap(sb3.ZipfVecEnv(envs.make_vec("gridworld/zipf_2", 2, **options)))
+    if recurrent:
+        small = {"lstm_hidden_size": 8, "net_arch": []}
+        return sb3_contrib.RecurrentPPO(
+            "MultiInputLstmPolicy", env, n_steps=8, batch_size=16, seed=0, policy_kwargs=small
+        )
+    return stable_baselines3.PPO(
+        policy or "MultiInputPolicy", env, n_steps=8, batch_size=16, seed=0
     )
-    for model in (ppo, recurrent):
-        before = torch.get_rng_state()
-        first = evaluate.score(model, details=True, **PLAY, **TILES).episodes
-        assert torch.equal(torch.get_rng_state(), before)
-        torch.manual_seed(99)
-        assert evaluate.score(model, details=True, **PLAY, **TILES).episodes.equals(first)
-        best = evaluate.score(model, deterministic=True, details=True, **PLAY, **TILES).episodes
-        assert not best.equals(first)
-        with pytest.raises(
-            ValueError, match=r"tiles.* differs from that of split 'gridworld', .*image"
-        ):
-            evaluate.score(model, episodes=5, **SMALL)
-    states = [None]
-
-    def predict(observation, state, episode_start):
-        if states[-1] is None or state is None:
-            assert episode_start.all()
-        else:
-            np.testing.assert_array_equal(state, states[-1])
-        action, state = recurrent.predict(observation, state, episode_start)
-        states.append(state)
-        return action, state
-
-    assert evaluate.score(SimpleNamespace(predict=predict), **PLAY, **TILES)
-    assert states[-1][0].shape == (1, 8, 8)
 
 
-def test_a_model_on_images_that_it_transposes(tmp_path):
-    sb3 = pytest.importorskip("stable_baselines3")
-    from zipf.adapters.stable_baselines3 import ZipfVecEnv
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_models_of_stable_baselines3(sb3, recurrent):
+    model = ppo(sb3, recurrent, **TILES)
+    before = torch.get_rng_state()
+    first = played(sb3.policy(model), **TILES)
+    assert torch.equal(torch.get_rng_state(), before)
+    torch.manual_seed(99)
+    assert played(sb3.policy(model), **TILES).equals(first)
+    assert not played(sb3.policy(model, deterministic=True), **TILES).equals(first)
+    with pytest.raises(ValueError, match=r"space, .*tiles.* differs from the env.*image"):
+        played(sb3.policy(model))
+    with pytest.raises(TypeError, match="policy is a"):
+        played(model)
+    with pytest.raises(TypeError, match=r"model is a str; should be one, as PPO\.load"):
+        sb3.policy("model.zip")
 
-    env = ZipfVecEnv(envs.make_vec("gridworld/zipf_2", 2, **SMALL))
-    model = sb3.PPO("MultiInputPolicy", env, n_steps=8, batch_size=16, seed=0)
-    model.geometry = {"num_maps": 5}
+
+def test_a_model_keeps_its_state(sb3, of_counting):
+    model = ppo(sb3, **SMALL)
+    assert not played(sb3.policy(model)).equals(of_counting)
+
+    def predict(observation, state, episode_start, deterministic):
+        policy = Counting()
+        policy.steps = 0 if state is None else state
+        return policy(observation, None, episode_start), policy.steps
+
+    model.predict = predict
+    assert played(sb3.policy(model)).equals(of_counting)
+
+
+def test_other_action_spaces_are_refused(sb3):
+    model = ppo(sb3, **SMALL)
+    model.action_space = spaces.Discrete(46)
+    with pytest.raises(ValueError, match=r"action space, Discrete\(46\), differs .* Discrete\(8\)"):
+        played(sb3.policy(model))
+
+
+def test_a_model_of_an_array_is_given_the_only_observation(sb3):
+    from stable_baselines3.common.vec_env import VecExtractDictObs
+
+    model = ppo(sb3, policy="CnnPolicy", wrap=lambda env: VecExtractDictObs(env, "image"), **SMALL)
+    assert isinstance(model.observation_space, spaces.Box)
+    model.predict = lambda image, *_: (scripted({"image": image}), None)
+    assert played(sb3.policy(model)).equals(played(scripted))
+
+
+@pytest.mark.parametrize("name", ["env_options", "geometry"])  # the latter in older files
+def test_a_model_on_images_that_it_transposes(sb3, name, tmp_path):
+    model = ppo(sb3, **SMALL)
+    setattr(model, name, {"num_maps": 5})
     model.save(tmp_path / "model")
-    loaded = sb3.PPO.load(tmp_path / "model")
-    evaluate.score(loaded, **PLAY, **SMALL)
+    loaded = sb3.policy(type(model).load(tmp_path / "model"))
+    played(loaded)
     with pytest.raises(ValueError, match="num_maps=5 of the policy, 20 of gridworld/zipf_2"):
         evaluate.score(loaded, **PLAY)
 
@@ -271,7 +237,7 @@ def counting_module(kind=CountModule, out="action"):
 def test_a_tensordict_module_keeps_its_state(of_counting):
     module = counting_module()
     module.train()
-    assert played(module).equals(of_counting)
+    assert played(torchrl.policy(module)).equals(of_counting)
     assert module.training
 
 
@@ -279,12 +245,12 @@ def test_actions_of_a_tensordict_module_may_be_one_hot(of_counting):
     indices = counting_module(out="index")
     for out in (lambda index: nn.functional.one_hot(index, 8), lambda index: index.unsqueeze(-1)):
         head = TensorDictModule(out, in_keys=["index"], out_keys=["action"])
-        assert played(TensorDictSequential(indices, head)).equals(of_counting)
+        assert played(torchrl.policy(TensorDictSequential(indices, head))).equals(of_counting)
     wrong = TensorDictModule(
         lambda index: nn.functional.one_hot(index, 8) * 2, in_keys=["index"], out_keys=["action"]
     )
     with pytest.raises(ValueError, match="not one-hot"):
-        played(TensorDictSequential(indices, wrong))
+        played(torchrl.policy(TensorDictSequential(indices, wrong)))
 
 
 def test_the_only_observation_may_be_called_observation():
@@ -293,7 +259,7 @@ def test_the_only_observation_may_be_called_observation():
         in_keys=["observation"],
         out_keys=["action"],
     )
-    assert played(module).equals(played(scripted))
+    assert played(torchrl.policy(module)).equals(played(scripted))
 
 
 def actor(lstm=True, **spec):
@@ -325,7 +291,7 @@ def test_recurrent_actors_of_torchrl():
     from torchrl.envs.utils import ExplorationType, set_exploration_type
 
     policy = actor()
-    episodes = evaluate.score(policy, deterministic=True, details=True, **PLAY, **TILES).episodes
+    episodes = played(torchrl.policy(policy, deterministic=True), **TILES)
     env = envs.make_vec("gridworld/zipf_2", 1, autoreset_mode="Disabled", **TILES)
     for situation, expected in episodes[episodes["level_kind"] == "train"].groupby(
         ["map", "target"]
@@ -346,40 +312,45 @@ def test_recurrent_actors_of_torchrl():
             over = bool(terminated | truncated)
         assert (expected["length"] == info["length"][0]).all()
         assert (expected["return"] == info["return"][0]).all()
-    drawn = evaluate.score(policy, details=True, **PLAY, **TILES).episodes
+    drawn = played(torchrl.policy(policy), **TILES)
     assert not drawn.equals(episodes)
     torch.manual_seed(99)
-    assert evaluate.score(policy, details=True, **PLAY, **TILES).episodes.equals(drawn)
+    assert played(torchrl.policy(policy), **TILES).equals(drawn)
 
 
 def test_a_tensordict_modules_spec_must_fit():
     from torchrl.data import Categorical, OneHot
 
     for spec in (Categorical(8), OneHot(8)):
-        evaluate.score(actor(lstm=False, spec=spec), **PLAY, **TILES)
+        played(torchrl.policy(actor(lstm=False, spec=spec)), **TILES)
     for spec in (Categorical(46), OneHot(46)):
         with pytest.raises(ValueError, match=r"spec has 46 actions.* Discrete\(8\)"):
-            evaluate.score(actor(lstm=False, spec=spec), **PLAY, **TILES)
+            played(torchrl.policy(actor(lstm=False, spec=spec)), **TILES)
 
 
 def test_what_a_tensordict_module_cannot_read_is_told():
-    with pytest.raises(ValueError, match="'tiles', which is no observation"):
-        played(actor())
+    with pytest.raises(ValueError, match=r"no observation among its inputs \(tiles,.* are image"):
+        played(torchrl.policy(actor()))
+    unknown = TensorDictModule(Count(), in_keys=["image", "steps"], out_keys=["action", "steps"])
+    with pytest.raises(ValueError, match=r"reads 'steps', which is no .* to \('next', 'steps'\)"):
+        played(torchrl.policy(unknown))
     with pytest.raises(ValueError, match="'steps' has no declared shape"):
-        played(counting_module(TensorDictModule))
+        played(torchrl.policy(counting_module(TensorDictModule)))
     with pytest.raises(ValueError, match="should write 'action'"):
-        played(counting_module(out="index"))
-    with pytest.raises(ValueError, match="batched=False"):
-        played(counting_module(), batched=False)
+        torchrl.policy(counting_module(out="index"))
+    with pytest.raises(TypeError, match="module is a Linear; should be a TensorDictModule"):
+        torchrl.policy(nn.Linear(1, 8))
+    with pytest.raises(TypeError, match=r"policy is a CountModule; .* torchrl"):
+        played(counting_module())
     module = counting_module()
-    module.geometry = {"max_steps": 100}
+    module.env_options = {"max_steps": 100}
     with pytest.raises(ValueError, match="max_steps=100 of the policy, 20 of"):
-        played(module)
+        played(torchrl.policy(module))
 
 
 # TorchScript, which PyTorch has deprecated and many people still use
 
-torchscript = pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
+deprecated = pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
 
 
 class Stateful(CountingNetwork):
@@ -388,20 +359,20 @@ class Stateful(CountingNetwork):
         return [torch.zeros(num_envs, 1, dtype=torch.int64)]
 
 
-def scripted_file(path, module, **geometry):
-    torch.jit.save(
-        torch.jit.script(module), path, _extra_files={"geometry.json": json.dumps(geometry)}
-    )
+def scripted_file(path, module, name="env_options", **options):
+    extra = {f"{name}.json": json.dumps(options)}
+    torch.jit.save(torch.jit.script(module), path, _extra_files=extra)
     return path
 
 
-@torchscript
-def test_a_torchscript_file_keeps_its_state(tmp_path, of_counting):
-    path = scripted_file(tmp_path / "agent.pt", Stateful(), num_maps=5)
-    assert played(path).equals(of_counting)
-    assert played(str(path)).equals(of_counting)
+@deprecated
+@pytest.mark.parametrize("name", ["env_options", "geometry"])  # the latter in older files
+def test_a_torchscript_file_keeps_its_state(name, tmp_path, of_counting):
+    path = scripted_file(tmp_path / "agent.pt", Stateful(), name, num_maps=5)
+    policy = torchscript.policy(str(path))
+    assert played(policy).equals(of_counting)
     with pytest.raises(ValueError, match="num_maps=5 of the policy, 20 of gridworld/zipf_2"):
-        evaluate.score(path, **PLAY)
+        evaluate.score(policy, **PLAY)
 
 
 class Alone(nn.Module):
@@ -414,7 +385,7 @@ class Alone(nn.Module):
         return action if bool(check) else action + 100
 
 
-@torchscript
+@deprecated
 def test_a_torchscript_file_is_told_of_the_last_step(tmp_path):
     class Following(Counting):
         def __call__(self, observation, reward, is_first):
@@ -423,7 +394,7 @@ def test_a_torchscript_file_is_told_of_the_last_step(tmp_path):
             return self.steps
 
     path = scripted_file(tmp_path / "agent.ts", Alone())
-    assert played(path).equals(played(Following()))
+    assert played(torchscript.policy(path)).equals(played(Following()))
 
 
 class Logits(nn.Module):
@@ -431,7 +402,7 @@ class Logits(nn.Module):
         return torch.log(torch.arange(1, 9).float() / 36).expand(image.shape[0], 8)
 
 
-@torchscript
+@deprecated
 def test_actions_are_drawn_from_logits(tmp_path):
     path = scripted_file(tmp_path / "agent.pt", Logits())
     counts = np.zeros(8)
@@ -448,11 +419,12 @@ def test_actions_are_drawn_from_logits(tmp_path):
         return env
 
     split = envs.Split("counted", make, "gridworld/uniform", "gridworld/rare")
-    evaluate.score(path, split, episodes=200, **SMALL)
+    evaluate.score(torchscript.policy(path), split, episodes=200, **SMALL)
     expected = np.arange(1, 9) / 36
     assert np.abs(counts / counts.sum() - expected).max() < 4 / np.sqrt(counts.sum())
     counts[:] = 0
-    evaluate.score(path, split, episodes=20, deterministic=True, **SMALL)
+    likeliest = torchscript.policy(path, deterministic=True)
+    evaluate.score(likeliest, split, episodes=20, **SMALL)
     assert np.flatnonzero(counts).tolist() == [7]
 
 
@@ -481,7 +453,7 @@ class Tiles(nn.Module):
         return torch.zeros(tiles.shape[0], 8)
 
 
-@torchscript
+@deprecated
 @pytest.mark.parametrize(
     ("module", "message"),
     [
@@ -495,22 +467,31 @@ class Tiles(nn.Module):
 def test_torchscript_files_that_do_not_fit_are_refused(module, message, tmp_path):
     path = scripted_file(tmp_path / "agent.pt", module)
     with pytest.raises(ValueError, match=rf"agent\.pt: .*{message}"):
-        played(path)
+        played(torchscript.policy(path))
 
 
 def test_a_file_of_weights_is_no_torchscript_module(tmp_path):
     torch.save({"weights": torch.zeros(3)}, tmp_path / "agent.pt")
-    with pytest.raises(ValueError, match="is not a TorchScript module"):
-        played(tmp_path / "agent.pt")
+    with pytest.raises(ValueError, match=r"agent\.pt: is not a TorchScript module"):
+        torchscript.policy(tmp_path / "agent.pt")
+    with pytest.raises(ValueError, match=r"none\.pt does not exist"):
+        torchscript.policy(tmp_path / "none.pt")
 
 
 # ONNX
 
 
-def onnx_file(path, *, image="UINT8", shape=("n", *IMAGE), state=("n", 1), geometry=None):
+@pytest.fixture(scope="module")
+def onnx_policy():
+    pytest.importorskip("onnxruntime")
+    from zipf.adapters import onnx
+
+    return onnx.policy
+
+
+def onnx_file(path, *, image="UINT8", shape=("n", *IMAGE), state=("n", 1), **properties):
     """`CountingNetwork` in ONNX; the image is read as the arguments say."""
     onnx = pytest.importorskip("onnx")
-    pytest.importorskip("onnxruntime")
     helper, kinds = onnx.helper, onnx.TensorProto
     constants = {
         "one": [1],
@@ -549,17 +530,17 @@ def onnx_file(path, *, image="UINT8", shape=("n", *IMAGE), state=("n", 1), geome
         ],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    if geometry:
-        helper.set_model_props(model, {"geometry": json.dumps(geometry)})
+    helper.set_model_props(model, {name: json.dumps(one) for name, one in properties.items()})
     onnx.save(model, path)
     return path
 
 
-def test_an_onnx_file_keeps_its_state(tmp_path, of_counting):
-    path = onnx_file(tmp_path / "agent.onnx", geometry={"num_maps": 5})
-    assert played(path).equals(of_counting)
+@pytest.mark.parametrize("name", ["env_options", "geometry"])  # the latter in older files
+def test_an_onnx_file_keeps_its_state(name, tmp_path, of_counting, onnx_policy):
+    policy = onnx_policy(onnx_file(tmp_path / "agent.onnx", **{name: {"num_maps": 5}}))
+    assert played(policy).equals(of_counting)
     with pytest.raises(ValueError, match="num_maps=5 of the policy, 20 of gridworld/zipf_2"):
-        evaluate.score(path, **PLAY)
+        evaluate.score(policy, **PLAY)
 
 
 @pytest.mark.parametrize(
@@ -567,25 +548,22 @@ def test_an_onnx_file_keeps_its_state(tmp_path, of_counting):
     [
         ({"shape": ("n", 72, 96, 3)}, r"uint8 \[N, 72, 96, 3\].* is uint8 \[N, 63, 63, 3\]"),
         ({"image": "FLOAT"}, r"float32 \[N, 63, 63, 3\].* is uint8 \[N, 63, 63, 3\]"),
-        ({"shape": (4, *IMAGE)}, "batches of 4 only, and 8 worlds are played; say num_envs=4"),
+        (
+            {"shape": (4, *IMAGE)},
+            r"batches of 4 only, and 8 .* are played; say num_envs=4",
+        ),
         ({"state": ("n", "k")}, r"'steps' .* fixed shape after the batch axis"),
     ],
 )
-def test_onnx_files_that_do_not_fit_are_refused(declared, message, tmp_path):
+def test_onnx_files_that_do_not_fit_are_refused(declared, message, tmp_path, onnx_policy):
     path = onnx_file(tmp_path / "agent.onnx", **declared)
     with pytest.raises(ValueError, match=rf"agent\.onnx: .*{message}"):
-        played(path)
+        played(onnx_policy(path))
 
 
-def test_what_is_no_onnx_model_is_refused(tmp_path):
-    pytest.importorskip("onnxruntime")
+def test_what_is_no_onnx_model_is_refused(tmp_path, onnx_policy):
     (tmp_path / "agent.onnx").write_bytes(b"nothing")
-    with pytest.raises(ValueError, match="is not an ONNX model"):
-        played(tmp_path / "agent.onnx")
-
-
-def test_without_onnxruntime_it_is_said_what_to_install(tmp_path, monkeypatch):
-    (tmp_path / "agent.onnx").write_bytes(b"")
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(ImportError, match=r"pip install 'zipf-rl\[onnx\]'"):
-        played(tmp_path / "agent.onnx")
+    with pytest.raises(ValueError, match=r"agent\.onnx: is not an ONNX model"):
+        onnx_policy(tmp_path / "agent.onnx")
+    with pytest.raises(FileNotFoundError, match=r"none\.onnx"):
+        onnx_policy(str(tmp_path / "none.onnx"))

@@ -481,12 +481,6 @@ def test_evaluate_scores_a_script(name, monkeypatch, capsys):
     for score in expected.values():
         assert f" {score:.3f} " in shown
     assert (min(expected.values()) == 1) == (name == "expert")
-    for told, options in {
-        "deterministic=True": {"deterministic": True},
-        "batched=False": {"batched": False},
-    }.items():
-        with pytest.raises(ValueError, match=told):
-            evaluate.score(name, "gridworld", **options)
 
 
 @pytest.mark.parametrize(

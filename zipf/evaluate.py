@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import zipf
 from zipf.errors import TOLD, UserError, tell
+from zipf.experiments.evaluation.evaluator import Policy
 from zipf.experiments.evaluation.external import record
-from zipf.experiments.evaluation.scoring import Evaluation, geometry, score
+from zipf.experiments.evaluation.policies import trained
+from zipf.experiments.evaluation.scoring import Evaluation, env_options, score
 from zipf.output import keep_going
 
 if TYPE_CHECKING:
     from zipf.experiments.evaluation.evaluator import Result, Watch
     from zipf.experiments.options.schema import EvaluateOptions
 
-__all__ = ["Evaluation", "geometry", "main", "record", "score"]
+__all__ = ["Evaluation", "Policy", "env_options", "main", "record", "score", "trained"]
 
 USAGE = """usage: python -m zipf.evaluate run=FOLDER [option=value ...]
        python -m zipf.evaluate policy=NAME split=NAME [option=value ...]

@@ -16,8 +16,7 @@ from torchrl.modules import ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from zipf.adapters.stable_baselines3 import ZipfVecEnv
-from zipf.adapters.torchrl import torchrl_env
+from zipf.adapters import stable_baselines3, torchrl
 from zipf.envs import make_vec
 from zipf.evaluate import record
 
@@ -28,12 +27,13 @@ ROW = {"experiment": "small_gridworld", "episodes": 500, **WORLDS}
 
 
 def train_stable_baselines3() -> None:
-    env = ZipfVecEnv(make_vec("gridworld/zipf_2", 64, **WORLDS))
+    env = stable_baselines3.ZipfVecEnv(make_vec("gridworld/zipf_2", 64, **WORLDS))
     model = PPO("MultiInputPolicy", env, n_steps=64, batch_size=1024, ent_coef=0.01, seed=0)
     model.learn(FRAMES)
     folder = "runs/small_gridworld/sb3_ppo/seed0"
+    policy = stable_baselines3.policy(model)
     frames = model.num_timesteps
-    record(model, "gridworld", folder, name="PPO (Stable-Baselines3)", frames=frames, **ROW)
+    record(policy, "gridworld", folder, name="PPO (Stable-Baselines3)", frames=frames, **ROW)
 
 
 def network(spaces: gym.spaces.Dict, outputs: int) -> nn.Module:
@@ -61,9 +61,9 @@ def train_torchrl() -> None:
     torch.manual_seed(0)
     worlds = make_vec("gridworld/zipf_2", 64, autoreset_mode="Disabled", **WORLDS)
     spaces, actions = worlds.single_observation_space, int(worlds.single_action_space.n)
-    env = torchrl_env(worlds)
+    env = torchrl.torchrl_env(worlds)
     env.set_seed(0)
-    policy = ProbabilisticActor(
+    actor = ProbabilisticActor(
         TensorDictModule(network(spaces, actions), SEEN, ["logits"]),
         in_keys=["logits"],
         spec=env.action_spec,
@@ -73,13 +73,13 @@ def train_torchrl() -> None:
     )
     value = ValueOperator(network(spaces, 1), in_keys=SEEN)
     advantage = GAE(gamma=0.99, lmbda=0.95, value_network=value)
-    loss = ClipPPOLoss(policy, value, entropy_coeff=0.01, normalize_advantage=True)
+    loss = ClipPPOLoss(actor, value, entropy_coeff=0.01, normalize_advantage=True)
     optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
     state, frames = env.reset(), 0
     while frames < FRAMES:
         with torch.no_grad():
             unroll = env.rollout(
-                64, policy, auto_reset=False, tensordict=state, break_when_any_done=False
+                64, actor, auto_reset=False, tensordict=state, break_when_any_done=False
             )
             state = step_mdp(unroll[:, -1])
             state = env.maybe_reset(state)
@@ -94,6 +94,7 @@ def train_torchrl() -> None:
                 nn.utils.clip_grad_norm_(loss.parameters(), 1.0)
                 optimiser.step()
     folder = "runs/small_gridworld/torchrl_ppo/seed0"
+    policy = torchrl.policy(actor)
     record(policy, "gridworld", folder, name="PPO (TorchRL)", frames=frames, **ROW)
 
 

@@ -1,1 +1,2 @@
-"""Our environments in the classes of other libraries, one library a module."""
+"""Our environments in the classes of other libraries, and their agents as policies that
+`zipf.evaluate.score` takes; one library a module."""

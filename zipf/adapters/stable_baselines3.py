@@ -1,18 +1,23 @@
-"""A batch of worlds as a `VecEnv` of Stable-Baselines3 (`pip install "zipf-rl[sb3]"`)."""
+"""Stable-Baselines3: a batch of environments as its `VecEnv`, and its models as policies.
+
+It needs `pip install "zipf-rl[sb3]"`.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 try:
+    from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
 except ImportError as error:
@@ -146,3 +151,81 @@ def _row(info: dict[str, Any], i: int) -> dict[str, Any]:
     """One world's entries as Python values."""
     own = {key: value[i] for key, value in info.items() if not key.startswith("_")}
     return {key: one.item() if isinstance(one, np.generic) else one for key, one in own.items()}
+
+
+def policy(model: BaseAlgorithm, *, deterministic: bool = False) -> ModelPolicy:
+    """A model of Stable-Baselines3 or sb3-contrib as a policy; it may be recurrent.
+
+    Args:
+        model: the model. Its attribute `env_options`, where you give it one, names the constructor
+            options that it was trained with, and is saved with it.
+        deterministic: its most probable actions in the place of draws.
+
+    Raises:
+        TypeError: `model` is no such model.
+    """
+    if not isinstance(model, BaseAlgorithm):
+        raise TypeError(f"model is a {type(model).__name__}; should be one, as PPO.load(path) is")
+    return ModelPolicy(model, deterministic)
+
+
+class ModelPolicy:
+    """A model for `zipf.evaluate.score`."""
+
+    def __init__(self, model: BaseAlgorithm, deterministic: bool) -> None:
+        self.model = model
+        self.deterministic = deterministic
+        # In models that were saved by older programs the attribute is called `geometry`.
+        self.env_options = getattr(model, "env_options", getattr(model, "geometry", None))
+
+    def for_envs(
+        self, observation_space: spaces.Dict, action_space: spaces.Discrete, seed: int
+    ) -> ModelPolicy:
+        """Prepares for environments with these spaces; draws are from PyTorch's global generator.
+
+        Raises:
+            ValueError: the model has other spaces.
+        """
+        declared = self.model.observation_space
+        expected: spaces.Space = observation_space
+        self.alone: str | None = None  # the only observation, for a model that reads an array
+        if len(observation_space) == 1 and not isinstance(declared, spaces.Dict):
+            self.alone = next(iter(observation_space))
+            expected = observation_space[self.alone]
+        if not _same_space(declared, expected):
+            raise ValueError(
+                f"the model's observation space, {declared}, differs from the environments', "
+                f"{expected}"
+            )
+        if self.model.action_space != action_space:
+            raise ValueError(
+                f"the model's action space, {self.model.action_space}, differs from the "
+                f"environments', {action_space}"
+            )
+        return self
+
+    def start(self, num_envs: int) -> None:
+        self.state: Any = None
+
+    def __call__(
+        self, observation: Mapping[str, NDArray], reward: NDArray, is_first: NDArray
+    ) -> NDArray:
+        given: Any = observation[self.alone] if self.alone else observation
+        actions, self.state = self.model.predict(given, self.state, is_first, self.deterministic)
+        return actions
+
+
+def _same_space(declared: spaces.Space, expected: spaces.Space) -> bool:
+    """Whether they are equal, or the declared one has an image's channels first.
+
+    Stable-Baselines3 declares images so where they came with channels last, and transposes what
+    `predict` is given.
+    """
+    if isinstance(declared, spaces.Dict) and isinstance(expected, spaces.Dict):
+        return declared.keys() == expected.keys() and all(
+            _same_space(declared[name], expected[name]) for name in expected
+        )
+    if isinstance(declared, spaces.Box) and len(declared.shape) == 3:
+        low, high = (np.moveaxis(bound, 0, -1) for bound in (declared.low, declared.high))
+        return expected in (declared, spaces.Box(low, high, dtype=declared.dtype.type))
+    return declared == expected

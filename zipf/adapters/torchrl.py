@@ -1,18 +1,25 @@
-"""A batch of worlds as an environment of TorchRL."""
+"""TorchRL: a batch as its environment, and its actors as policies."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
-from tensordict import TensorDictBase
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import GymWrapper
 from torchrl.envs.gym_like import BaseInfoDictReader
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from zipf.adapters.networks import NetworkPolicy
 from zipf.envs.vector import ZipfVectorEnv
 
 _TAKEN = (
@@ -99,3 +106,108 @@ class _EpisodeReader(BaseInfoDictReader):
             else:
                 tensordict.set(name, spec.zero())
         return tensordict
+
+
+def policy(module: TensorDictModuleBase, *, deterministic: bool = False) -> NetworkPolicy:
+    """A TensorDict module, such as an actor of TorchRL, as a policy.
+
+    The module is given a TensorDict of batch size [N] with its inputs at the root, which are those
+    of `zipf.adapters.networks`. A recurrent state is an input `name` that it writes to
+    `("next", name)`, as TorchRL's `LSTMModule` does; it begins at what the module's
+    `make_tensordict_primer` declares, mostly zeros, and again where an episode begins. The module
+    writes `action`, an index (integers [N] or [N, 1]) or one-hot ([N, actions]).
+
+    Args:
+        module: played in evaluation mode, without gradients, on its parameters' device. Its
+            attribute `env_options`, where you give it one, names the constructor options that it
+            was trained with.
+        deterministic: TorchRL's `ExplorationType.DETERMINISTIC` in the place of `RANDOM`.
+
+    Raises:
+        TypeError: `module` is no such module.
+        ValueError: it writes no action.
+    """
+    if not isinstance(module, TensorDictModuleBase):
+        raise TypeError(f"module is a {type(module).__name__}; should be a TensorDictModule")
+    if "action" not in module.out_keys:
+        raise ValueError(f"the policy writes {module.out_keys}; should write 'action'")
+    return _ModulePolicy(module, deterministic)
+
+
+class _ModulePolicy(NetworkPolicy):
+    def __init__(self, module: TensorDictModuleBase, deterministic: bool) -> None:
+        self.module = module
+        parameter = next(module.parameters(), None)
+        self.device = torch.device("cpu") if parameter is None else parameter.device
+        # In modules that were saved by older programs the attribute is called `geometry`.
+        trained_with = getattr(module, "env_options", getattr(module, "geometry", None))
+        super().__init__("the policy", module.in_keys, trained_with, deterministic)
+
+    def for_envs(
+        self, observation_space: spaces.Dict, action_space: spaces.Discrete, seed: int
+    ) -> NetworkPolicy:
+        declared = _declared_actions(self.module)
+        if declared not in (None, action_space.n):
+            raise ValueError(
+                f"the policy's spec has {declared} actions, and the action space is {action_space}"
+            )
+        return super().for_envs(observation_space, action_space, seed)
+
+    def initial_state(self, num_envs: int) -> list[NDArray]:
+        initial = _primers(self.module)
+        for key in self.states:
+            if ("next", key) not in self.module.out_keys:
+                raise ValueError(
+                    f"the policy reads {key!r}, which is no observation, not 'is_init', and no "
+                    f"recurrent state that it writes to ('next', {key!r})"
+                )
+            if key not in initial:
+                raise ValueError(
+                    f"the policy's recurrent state {key!r} has no declared shape; give its module "
+                    "a make_tensordict_primer, as TorchRL's LSTMModule has"
+                )
+        return [initial[key].expand(num_envs, *initial[key].shape).numpy() for key in self.states]
+
+    def run(self, inputs: dict[str, NDArray]) -> list[NDArray]:
+        kind = ExplorationType.DETERMINISTIC if self.deterministic else ExplorationType.RANDOM
+        given = {name: torch.from_numpy(part).to(self.device) for name, part in inputs.items()}
+        was_training = self.module.training
+        self.module.eval()
+        try:
+            with torch.no_grad(), set_exploration_type(kind):
+                output = self.module(TensorDict(given, batch_size=[len(self.action)]))
+        finally:
+            self.module.train(was_training)
+        written = [output["action"], *(output["next", key] for key in self.states)]
+        return [one.cpu().numpy() for one in written]
+
+    def choose(self, output: NDArray) -> NDArray:
+        if output.ndim == 2 and output.shape[1] == self.actions > 1:
+            if not (((output == 0) | (output == 1)).all() and (output.sum(-1) == 1).all()):
+                raise ValueError(
+                    f"the policy returned actions of shape {output.shape} that are not one-hot; "
+                    "should be indices [N] or one-hot [N, actions]"
+                )
+            return output.argmax(-1)
+        return output[:, 0] if output.ndim == 2 and output.shape[1] == 1 else output
+
+
+def _primers(module: TensorDictModuleBase) -> dict[str, Tensor]:
+    """The recurrent states with which an episode begins, for one environment."""
+    initial = {}
+    for part in module.modules():
+        if hasattr(part, "make_tensordict_primer"):
+            primer: Any = part.make_tensordict_primer()
+            for key, spec in primer.primers.items(True, True):
+                default = primer.default_value
+                value = default.get(key, 0.0) if isinstance(default, Mapping) else default
+                initial[key] = torch.full_like(spec.zero(), value or 0.0)
+    return initial
+
+
+def _declared_actions(module: TensorDictModuleBase) -> int | None:
+    """The number of actions by the policy's spec; None where it has none."""
+    spec = getattr(module, "spec", None)
+    if spec is not None and hasattr(spec, "keys"):
+        spec = spec["action"] if "action" in spec.keys() else None
+    return getattr(getattr(spec, "space", None), "n", None)

@@ -23,11 +23,11 @@ from zipf.envs.arguments import whole
 from zipf.errors import UserError
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation.scoring import (
-    NOT_GEOMETRY,
+    HOW_STEPPED,
     Evaluation,
     as_split,
     check_options,
-    geometry,
+    env_options,
     score,
 )
 from zipf.experiments.records import checksums
@@ -59,7 +59,6 @@ def record(
     episodes: int | None = None,
     num_envs: int = 250,
     batched: bool = True,
-    deterministic: bool = False,
     chance_episodes: int = 0,
     **level_options: Any,
 ) -> Evaluation:
@@ -86,13 +85,13 @@ def record(
         order: the row's place among the conditions; None: after those that have one, by name.
         colour: of the row's curves, "#rrggbb"; None: one is chosen.
         line: of its curves.
-        episodes, num_envs, batched, deterministic: see `score`.
+        episodes, num_envs, batched: see `score`.
         chance_episodes: measure the score of random actions over so many episodes, at the first
             record, on levels on which it is not known; 0: do not.
         level_options: constructor options of the levels; see `score`.
 
     Raises:
-        ValueError, TypeError, ImportError: see `score`; or the report could not read what is given
+        ValueError, TypeError: see `score`; or the report could not read what is given
             here: a count that is not whole or negative, an empty name. Nothing is played then.
         zipf.errors.UserError: the folder holds another run, or cannot be written.
     """
@@ -128,7 +127,7 @@ def record(
         "environment": _environment(split, level_options),
         "paper": _paper(split, level_options),
         "situation": _situation(split, level_options),
-        "external": {"name": name, "geometry": geometry(split, **level_options)},
+        "external": {"name": name, "geometry": env_options(split, **level_options)},
         "version": zipf.__version__,
         "python": platform.python_version(),
         **{library: _version(library) for library in LIBRARIES},
@@ -151,7 +150,6 @@ def record(
         num_envs=num_envs,
         seed=derive_seed(seed, "evaluation", update),
         batched=batched,
-        deterministic=deterministic,
         details=True,
         **level_options,
     )
@@ -209,7 +207,7 @@ def _environment(split: envs.Split, level_options: Mapping[str, Any]) -> dict[st
     plain = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in level_options.items()
-        if name not in NOT_GEOMETRY
+        if name not in HOW_STEPPED
     }
     return options | plain
 

@@ -9,12 +9,12 @@ from typing import Any, Literal, overload
 
 import numpy as np
 import pandas as pd
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from zipf import envs
 from zipf.envs.arguments import whole
 from zipf.experiments.building.seeds import derive_seed
-from zipf.experiments.evaluation.compatibility import Worlds
 from zipf.experiments.evaluation.evaluator import (
     OUTCOMES,
     Result,
@@ -22,12 +22,13 @@ from zipf.experiments.evaluation.evaluator import (
     scores,
     situations,
 )
-from zipf.experiments.evaluation.policies import as_policy, own_torch_draws
+from zipf.experiments.evaluation.policies import as_policy, check_env_options, own_torch_draws
 from zipf.experiments.reporting.statistics import RESAMPLES, bootstrap, wilson_interval
 
 FEWEST_MET = 5  # times, on average, that a situation is met where situations are drawn
 
-NOT_GEOMETRY = {"autoreset_mode", "copy", "render_mode"}
+HOW_STEPPED = {"autoreset_mode", "copy", "render_mode"}
+"""Constructor options that say how environments are stepped and drawn, and not what is played."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ class Evaluation:
 
     Attributes:
         split: the split's name.
-        geometry: for each level's name the constructor options of the worlds that were played,
-            defaults included. Worlds of your own levels have those that were given.
+        env_options: for each level's name the constructor options of the environments that were
+            played, defaults included. Those of your own levels are the ones that were given.
         episodes: a row per episode, in the order in which they started on their level:
             `level_kind` (of `zipf.envs.KINDS`), `level_name`, the situation's ranks
             (0 = most frequent), `success` (where the worlds report it), `return` and `length` (in
@@ -63,7 +64,7 @@ class Evaluation:
     """
 
     split: str
-    geometry: Mapping[str, Mapping[str, Any]]
+    env_options: Mapping[str, Mapping[str, Any]]
     episodes: pd.DataFrame = field(repr=False)
     situations: pd.DataFrame = field(repr=False)
     levels: pd.DataFrame
@@ -85,7 +86,6 @@ def score(
     num_envs: int = ...,
     seed: int = ...,
     batched: bool = ...,
-    deterministic: bool = ...,
     details: Literal[False] = ...,
     **level_options: Any,
 ) -> dict[str, float]: ...
@@ -98,7 +98,6 @@ def score(
     num_envs: int = ...,
     seed: int = ...,
     batched: bool = ...,
-    deterministic: bool = ...,
     details: Literal[True],
     **level_options: Any,
 ) -> Evaluation: ...
@@ -110,7 +109,6 @@ def score(
     num_envs: int = 250,
     seed: int = 0,
     batched: bool = True,
-    deterministic: bool = False,
     details: bool = False,
     **level_options: Any,
 ) -> dict[str, float] | Evaluation:
@@ -121,60 +119,55 @@ def score(
     kind of levels is the mean over them, by their weights.
 
     Args:
-        policy: one of
-            a function from observations `{name: [N, ...]}` to actions [N];
-            an object with `predict(observation, state, episode_start)` that returns actions and
-            state: a model of Stable-Baselines3 or sb3-contrib, recurrent or not, or your own;
-            a TensorDict module, for instance an actor of TorchRL, recurrent or not
-            (`zipf.experiments.evaluation.tensordict_policy` says what it reads and writes);
-            the path of a TorchScript (.pt, .ts) or ONNX file
-            (`zipf.experiments.evaluation.network_files` says what its inputs and outputs are);
-            the path of a run's folder: the agent of its checkpoint;
-            a `Policy` of `zipf.experiments.evaluation.evaluator`;
-            "expert" or "generalist": a scripted player of the split's family (a folder of this
-            name is `Path("expert")`).
+        policy: a function from observations `{name: [N, ...]}` to actions [N], or a
+            `zipf.evaluate.Policy`, which may have a memory; "expert" or "generalist" for a scripted
+            policy of the split's family. `zipf.evaluate.trained` makes one of the agent of a run,
+            `policy` in each module of `zipf.adapters` one of an agent of another library.
         split: the benchmark, for instance "gridworld", or a `zipf.envs.Split` of your own.
         episodes: played on each level; None: as many as the split says: 1000, in the labyrinth's
             splits 100 of each task.
-        num_envs: worlds played at a time; `batched=False` plays one.
-        seed: of the worlds and of the policy's draws, as far as they come from PyTorch's global
-            generator or are drawn from a file's logits; at least 0.
-        batched: False for a function, or an object with `predict`, that takes one observation
-            `{name: [...]}` and returns one action, as agents of a single Gymnasium environment do.
-        deterministic: the policy's most probable actions in the place of draws; for all but
-            functions and runs.
+        num_envs: environments played at a time; `batched=False` plays one.
+        seed: of the environments and of the policy's draws, as far as they come from PyTorch's
+            global generator or the policy is given a seed; at least 0.
+        batched: False for a function that takes one observation `{name: [...]}` and returns one
+            action, as agents of a single Gymnasium environment do.
         details: return an `Evaluation` in the place of the scores.
         level_options: constructor options of the levels, for instance `num_maps=5`.
 
-    A policy may carry the constructor options that it was trained with in a mapping `geometry`, for
-    instance `model.geometry = {"num_maps": 5}`; Stable-Baselines3 saves it with the model. It is
-    then refused in other worlds.
+    A policy that depends on what it is to play has a method `for_envs(observation_space,
+    action_space, seed)`, of one environment's spaces, that returns a function or `Policy` that is
+    played in its place, or raises a `ValueError`.
+
+    A policy may carry the constructor options that it was trained with in a mapping `env_options`,
+    for instance `policy.env_options = {"num_maps": 5}`. It is then refused in other environments.
 
     Raises:
-        ValueError: an unknown split, no episodes, no worlds, a seed that is no whole number >= 0,
-            options that no level can have; a policy whose spaces or geometry differ from the
-            split's, or that returns something else than an action for each world.
-        TypeError: the policy is none of these, or its `predict` takes other arguments.
-        ImportError: a file needs a library that is not installed.
-        zipf.errors.UserError: a run's folder from which no agent can be loaded.
+        ValueError: an unknown split, no episodes, no environments, a seed that is no whole number
+            >= 0, options that no level can have; a policy whose spaces or `env_options` differ from
+            the split's, or that returns something else than an action for each environment; the
+            path of a file or folder.
+        TypeError: the policy cannot be called.
     """
     split = as_split(split)
     check_options(level_options)
     seed = whole("seed", seed, 0)
-    worlds = _worlds(split, level_options)
-    with own_torch_draws(derive_seed(seed, "actions")):
+    observation_space, action_space = _spaces(split, level_options)
+    played = env_options(split, **level_options)
+    check_env_options(getattr(policy, "env_options", None), split.name, played)
+    draws = derive_seed(seed, "actions")
+    with own_torch_draws(draws):
         results = evaluate(
-            as_policy(policy, worlds, batched=batched, deterministic=deterministic, seed=seed),
+            as_policy(policy, observation_space, action_space, batched=batched, seed=draws),
             split,
             episodes=episodes,
             num_envs=num_envs if batched else 1,
             seed=seed,
             **level_options,
         )
-    return _evaluation(worlds, results) if details else scores(results)
+    return _evaluation(split.name, played, results) if details else scores(results)
 
 
-def geometry(split: str | envs.Split, **level_options: Any) -> dict[str, dict[str, Any]]:
+def env_options(split: str | envs.Split, **level_options: Any) -> dict[str, dict[str, Any]]:
     """The constructor options of a split's levels, defaults included, by level name.
 
     Raises:
@@ -195,7 +188,7 @@ def geometry(split: str | envs.Split, **level_options: Any) -> dict[str, dict[st
         found[level.name] = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in options.items()
-            if name not in NOT_GEOMETRY
+            if name not in HOW_STEPPED
         }
     return found
 
@@ -221,28 +214,32 @@ def check_options(level_options: Mapping[str, Any]) -> None:
         if name in level_options:
             raise ValueError(
                 f"{name}={level_options[name]!r} is no option here: a split has its levels, and "
-                "worlds are reset in the step that ends an episode"
+                "environments are reset in the step that ends an episode"
             )
 
 
-def _worlds(split: envs.Split, level_options: Mapping[str, Any]) -> Worlds:
-    """What a policy must match. Raises ValueError where the split's levels are not alike."""
-    spaces: dict[str, tuple[Any, Any]] = {}
+def _spaces(
+    split: envs.Split, level_options: Mapping[str, Any]
+) -> tuple[spaces.Dict, spaces.Discrete]:
+    """Of one environment. Raises ValueError where the split's levels are not alike."""
+    found: dict[str, tuple[Any, Any]] = {}
     for level in split.all_levels:
         env = envs.make_vec(level, 1, **level_options)
-        spaces[level.name] = env.single_observation_space, env.single_action_space
+        found[level.name] = env.single_observation_space, env.single_action_space
         env.close()
-    first = next(iter(spaces))
-    for name, found in spaces.items():
-        if found != spaces[first]:
+    first = next(iter(found))
+    for name, one in found.items():
+        if one != found[first]:
             raise ValueError(
-                f"split {split.name!r}: its levels have different spaces: {name} has {found[0]} "
-                f"and {found[1]}, {first} has {spaces[first][0]} and {spaces[first][1]}"
+                f"split {split.name!r}: its levels have different spaces: {name} has {one[0]} "
+                f"and {one[1]}, {first} has {found[first][0]} and {found[first][1]}"
             )
-    return Worlds(split.name, *spaces[first], geometry(split, **level_options))
+    return found[first]
 
 
-def _evaluation(worlds: Worlds, results: list[Result]) -> Evaluation:
+def _evaluation(
+    split: str, played: Mapping[str, Mapping[str, Any]], results: list[Result]
+) -> Evaluation:
     episodes = []
     levels = []
     for result in results:
@@ -273,8 +270,8 @@ def _evaluation(worlds: Worlds, results: list[Result]) -> Evaluation:
         )
     by_level = pd.DataFrame(levels)
     return Evaluation(
-        split=worlds.split,
-        geometry=worlds.geometry,
+        split=split,
+        env_options=played,
         episodes=pd.concat(episodes, ignore_index=True),
         situations=situations(results).reset_index(drop=True),
         levels=by_level,

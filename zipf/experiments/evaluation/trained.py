@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from gymnasium import spaces
+
 from zipf import envs
 from zipf.agents.agent import Agent
 from zipf.agents.learner import Learner
@@ -15,7 +17,6 @@ from zipf.experiments.building.factory import build_agent
 from zipf.experiments.building.out_of_ram import enough_ram
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
-from zipf.experiments.evaluation.compatibility import Worlds, check_geometry
 from zipf.experiments.evaluation.evaluator import Result, Watch, evaluate, unwatched
 from zipf.experiments.evaluation.scripted import ScriptedPolicy
 from zipf.experiments.options import composing
@@ -140,21 +141,36 @@ def evaluate_scripted(
             raise UserError(str(error)) from None
 
 
-def agent_of_run(folder: Path, worlds: Worlds, seed: int) -> AgentPolicy:
-    """The agent of a run, for worlds like those that it was trained in.
+class TrainedPolicy:
+    """The agent of a run's checkpoint, for `zipf.evaluate.score`.
+
+    Attributes:
+        env_options: the constructor options of its levels.
 
     Raises:
         UserError: no agent can be loaded from the folder.
-        ValueError: the agent was trained with other options, or in worlds with other spaces.
     """
-    trained = load_agent(folder, "cpu")
-    check_geometry(trained.config.level_options, worlds)
-    env = envs.make_vec(trained.config.split.uniform[0], 1, **trained.config.level_options)
-    spaces = env.single_observation_space, env.single_action_space
-    env.close()
-    if spaces != (worlds.observation_space, worlds.action_space):
-        raise ValueError(
-            f"{folder}: its agent was trained in worlds with {spaces[0]} and {spaces[1]}; split "
-            f"{worlds.split!r} has {worlds.observation_space} and {worlds.action_space}"
-        )
-    return AgentPolicy(trained.agent, seed=seed, device="cpu")
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.trained = load_agent(folder, "cpu")
+        self.env_options = self.trained.config.level_options
+
+    def for_envs(
+        self, observation_space: spaces.Dict, action_space: spaces.Discrete, seed: int
+    ) -> AgentPolicy:
+        """The policy that plays environments with these spaces; its actions are drawn from `seed`.
+
+        Raises:
+            ValueError: the agent was trained in environments with other spaces.
+        """
+        config = self.trained.config
+        env = envs.make_vec(config.split.uniform[0], 1, **config.level_options)
+        known = env.single_observation_space, env.single_action_space
+        env.close()
+        if known != (observation_space, action_space):
+            raise ValueError(
+                f"{self.folder}: its agent was trained in environments with {known[0]} and "
+                f"{known[1]}; those to play have {observation_space} and {action_space}"
+            )
+        return AgentPolicy(self.trained.agent, seed=seed, device="cpu")
