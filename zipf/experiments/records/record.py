@@ -78,7 +78,8 @@ def read(folder: Path) -> Record:
     for file in TABLES:
         path = folder / f"{file}{SUFFIX}"
         texts = _texts(path)
-        for name, rows in texts.groupby("run", sort=False):
+        for key, rows in texts.groupby("run", sort=False):
+            name = str(key)
             if name not in runs:
                 raise UserError(f"{path.as_posix()}, line {rows.index[0]}: {RUNS} has no {name}")
             rows = rows.drop(columns="run")
