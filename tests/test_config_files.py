@@ -194,7 +194,7 @@ def test_mistakes_in_our_layout_are_one_line(file, text, told, folder):
     assert len(str(error.value).splitlines()) == 1
 
 
-def test_choices_are_known_before_what_learns_is_imported():
+def test_choices_are_known_without_pytorch():
     text = (
         "from zipf.experiments.options import composing\n"
         "def known():\n"

@@ -2,7 +2,7 @@
 
 import json
 import re
-import shutil
+import shlex
 import sys
 
 import pytest
@@ -135,13 +135,12 @@ def test_the_command_explains_a_run_and_a_part(tmp_path, monkeypatch, capsys):
 
 
 @pytest.fixture
-def recorded(tmp_path):
-    """The files that describe a run, made by hand."""
-    source = config_files.CONFIG_DIR.parent / "results" / "demo_conditions" / "impala" / "seed0"
-    if not (source / "run.json").is_file():
-        pytest.skip("needs a run of results/")
-    folder = tmp_path / "seed0"
-    shutil.copytree(source, folder)
+def recorded(trained, tmp_path):
+    """The folder of a run that says by which command it was made."""
+    (folder,) = tmp_path.glob("demo/*/seed0")
+    described = json.loads((folder / "run.json").read_text())
+    described["command"] = shlex.join(["python", "-m", "zipf.train", *trained])
+    (folder / "run.json").write_text(json.dumps(described))
     return folder
 
 
@@ -153,7 +152,8 @@ def explained(folder):
 def test_a_runs_folder_is_explained(recorded):
     found = {one.option: one for one in explained(recorded)}
     assert found["agent.name"].value == "impala"
-    assert found["memory.size"].place.file.is_relative_to(config_files.CONFIG_DIR)
+    assert found["network.patch"].place.file.is_relative_to(config_files.CONFIG_DIR)
+    assert found["memory.size"].where == "command line: memory.size=16"
     config = OmegaConf.load(recorded / "config.yaml")
     config.agent.discount = 0.7
     OmegaConf.save(config, recorded / "config.yaml")
