@@ -125,9 +125,17 @@ def trained(options: str) -> dict[str, str]:
 
 def table(path: Path) -> str:
     """Of a table's columns but those of times; what follows the header's columns, or a line that is
-    no row, is not read."""
+    no row, is not read. One with a row for each metric is read as one with a column for each."""
     header, *rows = path.read_text().splitlines()
     names = header.split(",")
+    if "metric" in names:
+        updates: dict[str, dict[str, str]] = {}
+        for row in rows:
+            update, frames, _, metric, value = row.split(",")
+            updates.setdefault(update, {"update": update, "frames": frames})[metric] = value
+        names = list(dict.fromkeys(name for of_update in updates.values() for name in of_update))
+        header = ",".join(names)
+        rows = [",".join(one.get(name, "") for name in names) for one in updates.values()]
     kept = [i for i, name in enumerate(names) if not TIMES.fullmatch(name) and name != "rows"]
     kept = sorted(kept, key=lambda i: names[i])
     text = [",".join(names[i] for i in kept)]

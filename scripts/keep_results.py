@@ -73,7 +73,7 @@ def keep(kept: Record, folder: Path, *, weights: bool = False) -> str:
 def scores(runs: list[Run], folder: Path) -> pd.DataFrame:
     """A row for each run and kind of level: its score, and what that rests on."""
     rows = []
-    for run in runs:
+    for run in sorted(runs, key=lambda one: one.folder.as_posix()):
         updates = evaluations_inside(run, OwnWindows())["update"]
         for kind in KINDS:
             means = run.mean_scores(run.description.levels_of(kind))

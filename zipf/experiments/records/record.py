@@ -71,7 +71,7 @@ def read(folder: Path) -> Record:
     levels = _read_levels(folder / LEVELS)
     runs = {}
     for name, values in _read_nested(folder / RUNS).items():
-        if values.get("levels") not in levels:
+        if str(values.get("levels")) not in levels:
             raise UserError(f"{(folder / RUNS).as_posix()}: {name} has levels that {LEVELS} lacks")
         runs[name] = {**values, "levels": levels[values["levels"]]}
     tables: dict[str, dict[str, pd.DataFrame]] = {name: {} for name in runs}
@@ -85,7 +85,7 @@ def read(folder: Path) -> Record:
             rows = rows.drop(columns="run")
             if file == "situations.csv":  # ranks that its situations do not have
                 rows = rows.loc[:, [bool(rows[one].any()) or one == "successes" for one in rows]]
-            tables[str(name)][file] = rows
+            tables[name][file] = rows
     return Record(runs, _read_nested(folder / OPTIONS), tables)
 
 
