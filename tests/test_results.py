@@ -6,7 +6,6 @@ from pathlib import Path
 import keep_results
 import pandas as pd
 import pytest
-from conftest import TINY
 
 from zipf import envs
 from zipf.experiments.building import loading, run_folder
@@ -17,7 +16,6 @@ from zipf.experiments.reporting import draw_matplotlib
 from zipf.experiments.reporting.claims import CLAIM_COLUMNS
 from zipf.experiments.reporting.scores import CSV_COLUMNS
 from zipf.experiments.reporting.seed_statistics import STATISTICS_COLUMNS
-from zipf.experiments.training import runner
 from zipf.report import report
 
 ROOT = Path(__file__).parent.parent
@@ -62,9 +60,8 @@ def test_agents_whose_weights_are_kept_score_as_they_did(folder):
         assert score == pytest.approx(expected, abs=0.15)
 
 
-def test_every_column_is_documented(tmp_path):
-    config = loading.load([*TINY, "updates=1", f"run_root={tmp_path}"])
-    assert runner.train(config) == 0
+def test_every_column_is_documented(trained):
+    config = loading.load(trained)
     evaluations = pd.read_csv(config.folder / "evaluations.csv")
     assert documented("evaluations.csv") == list(evaluations.columns)
     situations = pd.read_csv(config.folder / "situations.csv")
