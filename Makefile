@@ -17,7 +17,7 @@ conditions: $(VENV)/.installed  ## every agent on the same gridworld, three seed
 	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m sweep=demo $(BESIDE)
 	$(BIN)/python -m zipf.report runs/demo_conditions
 
-tail: conditions  ## parts for learning the tail, on the larger worlds, too: some days on 2 cores
+tail: conditions  ## parts for learning the tail, on the larger environments, too: some days on 2 cores
 	OMP_NUM_THREADS=1 $(BIN)/python -m zipf.train -m sweep=tail $(BESIDE)
 	$(BIN)/python -m zipf.report runs/
 

@@ -105,7 +105,7 @@ def memcpy(frames: int, bytes_per_frame: int) -> Row:
 
 
 def bytes_per_world() -> float:
-    """Bytes of RAM that a batch takes for each further world, besides `out`."""
+    """Bytes of RAM that a batch takes for each further env, besides `out`."""
 
     def taken(num_envs: int) -> int:
         tracemalloc.start()
@@ -133,10 +133,10 @@ def rows() -> Iterator[Row]:
 
 
 class Parts:
-    """A batch of worlds, and where the time of its steps goes.
+    """A batch of envs, and where the time of its steps goes.
 
     Args:
-        level: of the worlds.
+        level: of the envs.
         num_envs: how many.
         methods: of the batch, and the part of the time that is spent in them.
         rest: the part that is spent elsewhere.
@@ -158,7 +158,7 @@ class Parts:
         self.forget()
 
     def stagger(self, steps: int) -> None:
-        """Begins the worlds' episodes one after another over so many steps.
+        """Begins the envs' episodes one after another over so many steps.
 
         A measurement is shorter than an episode: this way its share of resets is the right one.
         """
@@ -183,7 +183,7 @@ class Parts:
         self.spent[self._rest] += time.process_time() - start - elsewhere
 
     def microseconds(self) -> dict[str, float]:
-        """Of a world's step, by what they are spent on."""
+        """Of an env's step, by what they are spent on."""
         return {part: 1e6 * spent / self._steps for part, spent in self.spent.items()}
 
     def _time(self, method: str, part: str) -> None:
@@ -312,7 +312,7 @@ def print_gridworld(console: Console, repetitions: int, seconds: float) -> None:
         f"Microseconds of a step of the batch of 256 with out=: {spent}.", highlight=False
     )
     console.print(
-        f"RAM: {bytes_per_world():.0f} bytes for each further world, besides the observations "
+        f"RAM: {bytes_per_world():.0f} bytes for each further env, besides the observations "
         "(goal < 1024)",
         highlight=False,
     )

@@ -159,7 +159,7 @@ def measure(
     rows, worlds = config.collector.unroll_length + 1, worlds or config.collector.num_envs
     with FlopCounterMode(display=False) as counter:
         agent.update(unroll_of(agent, spaces, 3, 2, device))
-    flops = counter.get_total_flops() / 8 * rows * worlds  # of 4 rows of 2 worlds
+    flops = counter.get_total_flops() / 8 * rows * worlds  # of 4 rows of 2 envs
     see = agent.network.encoder.reader("image")
     if not variant.channels_last and isinstance(see, ResNet):
         see.layers.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]

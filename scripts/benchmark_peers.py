@@ -12,7 +12,7 @@ disturb less. A row's ratio is the median, over rounds, of the table's first row
 
 Other libraries have virtual environments in `--environments`, made at the first run; zipf's rows
 take the interpreter that runs this script. A frame is what an agent sees after an action: in the
-playroom, the labyrinth and ViZDoom four steps of the simulation and one image. Worlds are made
+playroom, the labyrinth and ViZDoom four steps of the simulation and one image. Envs are made
 ready before anything is measured: those of a batch begin one after another over an episode's
 length, so that resets have the share that they have in long runs.
 

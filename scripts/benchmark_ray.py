@@ -4,7 +4,7 @@
     python scripts/benchmark_ray.py --training --seconds 20
 
 For each experiment: bytes of an unroll and of its weights; frames per second that one process plays
-(the actor), from a few steps with as many worlds as the experiment has; and what passes from
+(the actor), from a few steps with as many envs as the experiment has; and what passes from
 another process through the object store into the learner's tensors, with arrays of the unroll's
 size. Of the latter the first figure is by the clock on the wall, with both processes in turn, the
 second by the learner's processor time alone. The actor's is by processor time: what a core of its

@@ -1,4 +1,4 @@
-"""Frames learned from per second, beside other libraries: same worlds, network and cores.
+"""Frames learned from per second, beside other libraries: same envs, network and cores.
 
     python scripts/benchmark_training.py
     python scripts/benchmark_training.py --rounds 5 --seconds 20 --match "Stable-Baselines3"
@@ -8,11 +8,11 @@ the versions of constraints.txt and this checkout. Every row is a process that t
 go in turn, `--seconds` of wall clock each, `--rounds` times over, while the others wait. A row's
 ratio is the median, over rounds, of its speed beside that of zipf in float32 in the same round.
 
-All rows learn the same worlds with the experiment's network and `memory=mlp` (built from zipf's
+All rows learn the same envs with the experiment's network and `memory=mlp` (built from zipf's
 modules), on unrolls of the same size, in float32 unless they say otherwise, and learn from
 every frame once: advantage actor-critic, or PPO with one epoch of one batch, which is the least
 that it can do (its usual four or ten epochs take as many times as long). "gym.make" rows step
-worlds one by one, as `make_vec_env` of Stable-Baselines3 does; the others use zipf's batches
+envs one by one, as `make_vec_env` of Stable-Baselines3 does; the others use zipf's batches
 through zipf's adapters.
 """
 
@@ -47,7 +47,7 @@ class Task:
     Attributes:
         level: the environment's id in zipf.
         options: of the level's constructor.
-        worlds: in a batch.
+        envs: in a batch.
         steps: of an unroll.
         learning_rate: of the optimiser.
     """
@@ -198,7 +198,7 @@ def train_torchrl(experiment: str, pause: turns.Pause) -> None:
     env.set_seed(0)
     layers = trunk(task, space)
 
-    class Flat(nn.Module):  # over [worlds, steps]
+    class Flat(nn.Module):  # over [envs, steps]
         def forward(self, *parts: torch.Tensor) -> torch.Tensor:
             first = next(iter(space))
             batch = parts[0].shape[: parts[0].dim() - len(space[first].shape)]
@@ -301,7 +301,7 @@ def main() -> None:
         return
     for experiment in arguments.experiments:
         rows = measure(experiment, arguments)
-        turns.show(f"training on the worlds of {experiment}", rows)
+        turns.show(f"training on the envs of {experiment}", rows)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     print(f"{cores} cores, wall clock, {arguments.rounds} rounds of {arguments.seconds} s")
 

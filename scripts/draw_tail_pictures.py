@@ -41,14 +41,14 @@ class Agent(NamedTuple):
 
 
 class World(NamedTuple):
-    """Worlds that agents are drawn in.
+    """Envs that agents are drawn in.
 
     Attributes:
         name: of the pictures.
         split: what is trained on, and its levels.
         experiment: the folder of results/.
         agents: by folder in that.
-        reference: a scripted player whose score is drawn.
+        reference: a scripted policy whose score is drawn.
         share: of the training episodes that each of some situations has.
     """
 

@@ -1,4 +1,4 @@
-"""Tables and sections of the pages about families of worlds, from the registry of families."""
+"""Tables and sections of the pages about families of envs, from the registry of families."""
 
 import importlib
 import inspect
@@ -40,7 +40,7 @@ def families(folder: str) -> list[str]:
 
 
 def family(name: str) -> list[str]:
-    """What a family's worlds are: a table of facts, and the docstring of its single world."""
+    """What a family's envs are: a table of facts, and the docstring of its single env."""
     found = envs.find_family(name)
     assert isinstance(found.make, str)
     single = _attribute(found.make)
@@ -52,7 +52,7 @@ def family(name: str) -> list[str]:
         ("Observations", "; ".join(_spaces(batch.single_observation_space))),
         ("Actions", code(str(batch.single_action_space))),
         ("Situation", _situation(batch.situation)),
-        ("One world, a batch", f"{_path(single)}, {_path(of_a_level)}"),
+        ("One env, a batch", f"{_path(single)}, {_path(of_a_level)}"),
         ("Scripted players", ", ".join(code(one) for one in envs.SCRIPTED if getattr(found, one))),
         ("Says what an episode asks for", _yes(found.goal is not None)),
         ("Tells what an episode achieved", _yes(batch.achieves)),

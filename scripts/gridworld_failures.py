@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def first_episodes(env: GridworldVectorEnv, policy: AgentPolicy, seed: int) -> pd.DataFrame:
-    """The first episode of each world: `end`, `length`, `seen` and `squares`."""
+    """The first episode of each env: `end`, `length`, `seen` and `squares`."""
     n = env.num_envs
     cells = env.level.maps.cells
     running, seen = np.ones(n, np.bool_), np.zeros(n, np.bool_)

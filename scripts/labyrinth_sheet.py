@@ -50,7 +50,7 @@ class Shot:
 
 
 def shots(level: str, seed: int = 3) -> list[Shot]:
-    """Of every world the view with the most colours, sorted by their number."""
+    """Of every env the view with the most colours, sorted by their number."""
     name = f"labyrinth/{level}"
     env = zipf.envs.make_vec(name, WORLDS, render_mode="rgb_array")
     observation, _ = env.reset(seed=seed)

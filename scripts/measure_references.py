@@ -6,7 +6,7 @@
 
 Writes `references.json` in the family's package, which evaluations, reports and the documentation
 read, and `results/<family>_references.md`, which `make results` copies into the record. What is
-exact is not measured. A scripted player is measured where the family has it in `references` and
+exact is not measured. A scripted policy is measured where the family has it in `references` and
 `zipf.envs` has a function of the reference's name that makes it, as `zipf.envs.expert` does.
 
 Every draw comes from fixed seeds. Images are of a few pixels: no player looks at them.
@@ -43,7 +43,7 @@ LEVELS: Mapping[str, Sequence[str]] = {
 
 
 def experiments_of(family: str) -> list[tuple[envs.Split, Mapping[str, Any]]]:
-    """For each experiment with the family's worlds its split, and the constructor options that are
+    """For each experiment with the family's envs its split, and the constructor options that are
     not the family's defaults."""
     found = []
     own = envs.find_family(family)
@@ -63,7 +63,7 @@ def experiments_of(family: str) -> list[tuple[envs.Split, Mapping[str, Any]]]:
 
 def to_measure(family: str) -> Measured:
     """Levels, and the constructor options that are not the family's defaults: none, and those of
-    the experiments with the family's worlds."""
+    the experiments with the family's envs."""
     found: list[tuple[str, Mapping[str, Any]]] = [(level, {}) for level in LEVELS[family]]
     for split, others in experiments_of(family):
         if others:

@@ -34,7 +34,7 @@ from zipf.protocol import says_little
 
 TABLE = RESULTS / "floors.csv"
 ROWS = {"gridworld": 512, "playroom": 256, "labyrinth": 64}
-"""How many worlds are stepped together; more of them take more RAM."""
+"""How many envs are stepped together; more of them take more RAM."""
 PLACE = ["family", "level", "options"]
 Task = tuple[str, str, dict[str, Any]]
 """Family, level and constructor options."""
@@ -63,7 +63,7 @@ def split_level(family: str, level: str) -> envs.SplitLevel:
 
 
 def arena(family: str, level: str, options: Mapping[str, Any]) -> floors.Arena:
-    """The level's worlds, with images of a few pixels: nobody looks at them."""
+    """The level's envs, with images of a few pixels: nobody looks at them."""
     small = {"image_size": (3, 4)} if family != "gridworld" else {"observation": "tiles"}
     return floors.Arena(f"{family}/{level}", ROWS[family], options={**small, **options})
 

@@ -5,7 +5,7 @@
     python scripts/soak.py damages --count 1000
     python scripts/soak.py lines --count 1000
 
-`kills` trains every shipped condition, with `collector.lag` 0 and 1, on a few small worlds, kills
+`kills` trains every shipped condition, with `collector.lag` 0 and 1, on a few small envs, kills
 it by SIGKILL at random times, lets the same command resume until it has finished, and compares
 tables and checkpoint with those of a run that was left alone. `ray_kills` does so with
 `runtime=ray` on a cluster of this machine, kills learners and actors, and compares the numbers of
@@ -130,7 +130,7 @@ def found(kind: str, what: str, outcome: Outcome | None = None) -> None:
 
 
 def small_runs(variants: Sequence[list[str]]) -> Iterator[list[str]]:
-    """The arguments of a small run of every condition, on the first worlds that it can learn, with
+    """The arguments of a small run of every condition, on the first envs that it can learn, with
     each of the variants that its agent can do with."""
     for condition in command_line.choices("condition"):
         problems = ""
@@ -150,7 +150,7 @@ def small_runs(variants: Sequence[list[str]]) -> Iterator[list[str]]:
                 yield arguments
             break
         else:
-            print(f"no small worlds for condition={condition}:{problems}")
+            print(f"no small envs for condition={condition}:{problems}")
 
 
 def state_of(root: Path, arguments: list[str]) -> dict[str, Any]:

@@ -62,7 +62,7 @@ def record_rewards(monkeypatch: Any) -> list[float]:
 
 
 def play_out(env: LabyrinthVectorEnv, act: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Plays one episode in every world; returns and lengths. The batch does not reset itself."""
+    """Plays one episode in every env; returns and lengths. The batch does not reset itself."""
     returns, lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, np.int64)
     left = np.ones(env.num_envs, np.bool_)
     while left.any():

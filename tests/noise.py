@@ -1,4 +1,4 @@
-"""Worlds whose observations are samples of any space: action 1 is rewarded, three steps each."""
+"""Envs whose observations are samples of any space: action 1 is rewarded, three steps each."""
 
 import numpy as np
 from gymnasium import spaces

@@ -23,7 +23,7 @@ AWAY = ((1.7, 1.7), (-1.7, 1.7), (1.7, -1.7), (-1.7, -1.7), (-0.6, 1.7), (-0.6, 
 
 
 def playroom(level: str = "lift/lift_shape_uniform", **options: Any) -> PlayroomVectorEnv:
-    """One world without autoreset, with an image of one pixel unless `image_size` is given."""
+    """One env without autoreset, with an image of one pixel unless `image_size` is given."""
     options = {"image_size": (1, 1), "autoreset_mode": "Disabled", **options}
     return PlayroomVectorEnv(1, level, **options)
 
@@ -41,7 +41,7 @@ def arrange(
     """Begins an episode and then sets the poses.
 
     Args:
-        env: one world.
+        env: one env.
         agent: x, y, yaw and pitch.
         items: x, y, angle and height of objects, 0 being the target; the others are in corners.
         names: the objects, target first.
@@ -113,7 +113,7 @@ def wait(env: PlayroomVectorEnv, limit: int = 12) -> tuple[float, bool, bool, bo
 
 
 def check_held(env: PlayroomVectorEnv, i: int) -> None:
-    """Raises unless the held object of world `i` is in view, in the room and outside of the agent.
+    """Raises unless the held object of env `i` is in view, in the room and outside of the agent.
 
     By the corners of its rotated bounding box and points between them.
     """

@@ -23,7 +23,7 @@ BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 
 
 def begin(level: str, seed: int = 0, **options: Any) -> tuple[LabyrinthVectorEnv, Any]:
-    """A world whose steps are single frames, and its episode."""
+    """An env whose steps are single frames, and its episode."""
     options = {"action_repeat": 1, "autoreset_mode": "Disabled", **options}
     env = batch(level, 1, **options)
     env.reset(seed=seed)

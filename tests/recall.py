@@ -1,4 +1,4 @@
-"""A world that needs memory: a cue, k steps of waiting, then the action that the cue named.
+"""An env that needs memory: a cue, k steps of waiting, then the action that the cue named.
 
 While waiting, any action but `wait` loses the reward, so that the last action, which is an input of
 agents, cannot carry the cue. Without memory the success rate is at most 1 / CUES.

@@ -1,9 +1,9 @@
-"""A world whose situations are new every few episodes: what was learned from one goes to waste.
+"""An env whose situations are new every few episodes: what was learned from one goes to waste.
 
 An episode is one step: the image is one of `CUES` patterns, and one of `ACTIONS` actions is right.
-All worlds have the same patterns and answers, and begin their episodes together; after `LASTS` of
+All envs have the same patterns and answers, and begin their episodes together; after `LASTS` of
 them both are drawn anew. Who recalls earlier episodes knows the answers after a few of them. Who
-does not has to learn `CUES` images in `LASTS` episodes of each world.
+does not has to learn `CUES` images in `LASTS` episodes of each env.
 """
 
 from functools import cache
@@ -27,7 +27,7 @@ def rules(generation):
 
 
 class Renewal(ZipfVectorEnv):
-    """The batch of worlds; their cues are drawn uniformly at every episode."""
+    """The batch of envs; their cues are drawn uniformly at every episode."""
 
     def __init__(self, num_envs: int):
         super().__init__(

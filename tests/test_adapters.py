@@ -1,4 +1,4 @@
-"""Our batches in other libraries' classes: the same worlds, and nothing they tell is lost."""
+"""Our batches in other libraries' classes: the same envs, and nothing they tell is lost."""
 
 import importlib
 import subprocess
@@ -27,7 +27,7 @@ def batch(autoreset_mode: str = "SameStep", **options: Any) -> ZipfVectorEnv:
 
 
 def episodes_of(env: ZipfVectorEnv, actions: NDArray[np.int64]) -> list[dict[str, Any]]:
-    """What the batch itself tells about every episode that ends, with its step and world."""
+    """What the batch itself tells about every episode that ends, with its step and env."""
     env.reset(seed=0)
     ended = []
     for step, action in enumerate(actions):
@@ -144,7 +144,7 @@ def test_sb3_forces_situations_and_draws_frames():
     env.reset()
     assert [info["target"] for info in env.reset_infos] == [0, 1, 2, 3, 4, 0]
     env.set_options([{"target": 1}] + [{}] * (WORLDS - 1))
-    with pytest.raises(ValueError, match="same ranks in every world"):
+    with pytest.raises(ValueError, match="same ranks in every env"):
         env.reset()
     assert env.render().ndim == 3
     assert len(env.get_images()) == WORLDS
@@ -181,7 +181,7 @@ def test_without_its_library_an_adapter_says_what_to_install(adapter, library, e
 
 
 class Quiet(GridworldVectorEnv):
-    """Worlds whose episodes neither succeed nor fail."""
+    """Envs whose episodes neither succeed nor fail."""
 
     reports_success = False
 
@@ -330,7 +330,7 @@ MODES = ["SameStep", "NextStep", "Disabled"]
 
 
 def played(env: Any, actions: NDArray[np.int64]) -> Iterator[Any]:
-    """`info` of every step; in `DISABLED` mode worlds are reset as their episodes end."""
+    """`info` of every step; in `DISABLED` mode envs are reset as their episodes end."""
     env.reset(seed=0)
     for action in actions:
         observation, _, terminated, truncated, info = env.step(action)

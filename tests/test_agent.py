@@ -50,7 +50,7 @@ def build(name, seed=0, space=SPACE, actions=ACTION_SPACE, network=NETWORK, **ch
 
 
 class RandomLabels:
-    """A teacher of worlds without a scripted player."""
+    """A teacher of envs without a scripted policy."""
 
     def __init__(self):
         self.rng = np.random.default_rng(0)

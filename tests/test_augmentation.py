@@ -38,7 +38,7 @@ def random_images(n, shape=(6, 8, 3)):
 
 @pytest.mark.parametrize("more", [{}, {"scale": [0.4, 2.5]}], ids=["as large", "scaled"])
 def test_images_are_changed_as_the_options_say(more):
-    """Each pixel by its definition; the worlds outside of the mask as they were."""
+    """Each pixel by its definition; the envs outside of the mask as they were."""
     n = 40
     chosen = options(channels=True, shift=2, cutout=3, **more)
     augmentation = Augmentation(chosen, IMAGE, n, seed=0)
@@ -111,7 +111,7 @@ def test_declared_symmetries_are_permutations_with_inverses(split):
 
 @pytest.mark.parametrize("observation", ["image", "tiles"])
 def test_a_turned_gridworld_has_the_same_rules(observation):
-    """Where the agent moves, what is in view moves against it, as in a world that is not turned,
+    """Where the agent moves, what is in view moves against it, as in an env that is not turned,
     and the cue stays as it is."""
     n = 64
     env = envs.make_vec("gridworld/uniform", n, observation=observation)
@@ -123,7 +123,7 @@ def test_a_turned_gridworld_has_the_same_rules(observation):
         shown = {name: part.copy() for name, part in seen.items()}
         symmetries(shown, which, everywhere(n))
         if observation == "tiles":
-            assert (shown["tiles"][:, 0, 0] == 0).all()  # hidden, as in the worlds
+            assert (shown["tiles"][:, 0, 0] == 0).all()  # hidden, as in the envs
             return shown["tiles"].reshape(n, 7, 7, 1), shown["cue"]
         grid = shown["image"].reshape(n, 7, 9, 7, 9, 3).swapaxes(2, 3).reshape(n, 7, 7, -1)
         return grid, grid[:, 0, 0]
@@ -193,7 +193,7 @@ def test_a_mirrored_playroom_is_turned_the_other_way():
 
 
 def test_the_collector_shows_and_acts_through_the_augmentation():
-    """A twin batch that is given the worlds' actions shows, once augmented, what is in the unroll;
+    """A twin batch that is given the envs' actions shows, once augmented, what is in the unroll;
     labels and final observations are the agent's, too; saved and loaded it goes on alike."""
     n, steps = 16, 40
     env = envs.make_vec("gridworld/uniform", n, max_steps=7)
@@ -251,7 +251,7 @@ def test_what_cannot_be_augmented_is_refused():
 
 
 def test_hindsight_relabels_what_the_augmentation_shows():
-    """A relabelled episode is what a world that was asked for what it achieved would have shown,
+    """A relabelled episode is what an env that was asked for what it achieved would have shown,
     through the augmentation of the episode."""
     n, steps = 6, 40
     split, env = envs.split("gridworld"), envs.make_vec("gridworld/uniform", n)

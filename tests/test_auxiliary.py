@@ -199,7 +199,7 @@ def mlp_by_hand(mlp, rows):
 
 @pytest.mark.parametrize(("options", "horizon"), [(FRAME, 0), (BYOL, 1), (HORIZON, 3)])
 def test_the_byol_loss_equals_the_definition(options, horizon):
-    """One world, row and distance at a time, except batch normalisation, which is over all rows."""
+    """One env, row and distance at a time, except batch normalisation, which is over all rows."""
     _, loss_of = build(options)
     data, core = inputs(), cores()
     with torch.no_grad():  # as after some updates

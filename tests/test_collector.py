@@ -1,4 +1,4 @@
-"""Unrolls: what they hold is what happened, in worlds played one by one."""
+"""Unrolls: what they hold is what happened, in envs played one by one."""
 
 import math
 from copy import deepcopy
@@ -112,7 +112,7 @@ def test_an_unroll_is_what_single_worlds_would_have_been(memory):
 
 @pytest.mark.parametrize("places", [1, 3])
 def test_an_unroll_holds_the_observations_that_episodes_were_truncated_at(places):
-    """The first of each world, for an agent that asks for them."""
+    """The first of each env, for an agent that asks for them."""
     agent, collector = build("condition=r2d2", f"agent.final_observations={places}")
     singles = [envs.make("gridworld/zipf_2", **{**SMALL, "max_steps": 3}) for _ in range(WORLDS)]
     env = envs.make_vec("gridworld/zipf_2", WORLDS, **{**SMALL, "max_steps": 3})
@@ -324,7 +324,7 @@ def test_episodes_are_told_apart_by_level():
 
 
 class Silent(Noise):
-    """Reports no success, and cannot restore the episode of its first world."""
+    """Reports no success, and cannot restore the episode of its first env."""
 
     reports_success = False
 

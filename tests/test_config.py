@@ -32,7 +32,7 @@ KINDS_OF_WORLDS = list(
 
 
 def of_choices():
-    """Every choice with every kind of worlds; in the quick tier, with the first possible one."""
+    """Every choice with every kind of envs; in the quick tier, with the first possible one."""
     first = {}
     for experiment, (group, choice) in product(KINDS_OF_WORLDS, CHOICES):
         if needs(experiment, **{group: choice}) is None:
@@ -43,7 +43,7 @@ def of_choices():
 
 def of_conditions():
     """As much of the product as what is composed depends on: every condition with every kind of
-    worlds, and with every experiment one of each agent, which experiments have values for."""
+    envs, and with every experiment one of each agent, which experiments have values for."""
     agents = {chosen("gridworld", one)["agent"]: one for one in CONDITIONS_OF_TABLES}
     pairs = {**dict.fromkeys(product(KINDS_OF_WORLDS, CONDITIONS_OF_TABLES))}
     pairs |= dict.fromkeys(product(EXPERIMENTS, agents.values())) | dict.fromkeys(pairs_once())
@@ -320,7 +320,10 @@ MISTAKES = [
         ["experiment=demo", "environment.num_maps=1000000000"],
         ["environment.num_maps=1000000000", "less than or equal to 10000"],
     ),
-    (["experiment=demo", "environment.max_steps=99999999999999999999"], ["max_steps must be at"]),
+    (
+        ["experiment=demo", "environment.max_steps=99999999999999999999"],
+        ["environment.max_steps=99999999999999999999: should be less"],
+    ),
     (["experiment=demo", "schedule.window=3"], ["schedule.window=3: should be a list in square"]),
     (
         ["experiment=demo", "exploration.weight=1"],
@@ -393,7 +396,7 @@ def test_options_of_other_worlds_are_told_one_by_one():
     with pytest.raises(UserError) as error:
         loading.load(["experiment=labyrinth_compact", "environment.split=gridworld"])
     assert str(error.value).splitlines() == [
-        f"environment.{option}: the worlds of split=gridworld have no such option"
+        f"environment.{option}: the envs of split=gridworld have no such option"
         for option in ("backend", "image_size", "num_actions", "action_repeat")
     ]
 

@@ -103,7 +103,7 @@ def test_conditions_train_and_are_scored(cuda, experiment, condition, tmp_path):
 @pytest.mark.parametrize(("agent", "lag"), AGENTS)
 @pytest.mark.parametrize("begins_there", [True, False])
 def test_a_run_goes_on_on_another_device(cuda, begins_there, agent, lag, tmp_path):
-    """With the weights, worlds and random numbers that it had; as it would have gone on, up to how
+    """With the weights, envs and random numbers that it had; as it would have gone on, up to how
     each device rounds."""
     first, then = (cuda, "cpu") if begins_there else ("cpu", cuda)
     chosen = [f"collector.lag={lag}", "agent.learning_rate=1e-5"]

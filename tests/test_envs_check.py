@@ -96,7 +96,7 @@ def test_observing_more_worlds_than_asked_is_caught(kind: Any) -> None:
     class Shown(IgnoredMask):
         dtype = kind
 
-    with pytest.raises(AssertionError, match=r"final_out.* of worlds whose episode goes on"):
+    with pytest.raises(AssertionError, match=r"final_out.* of envs whose episode goes on"):
         check_vector_env(Shown, partial(SingleWorld, Shown), steps=60)
 
 
@@ -303,14 +303,14 @@ class LengthOffByOne(GridworldVectorEnv):
 
 BROKEN = [
     (SharedSeed, "reset.seed=0. differs"),
-    (NewSituationInFinalInfo, "final_info of world"),
-    (FinalObservationOfTheNextEpisode, "final_obs of world"),
+    (NewSituationInFinalInfo, "final_info of env"),
+    (FinalObservationOfTheNextEpisode, "final_obs of env"),
     (MergedEnds, "reward and ends differs"),
     (NarrowReward, "reward must be float64"),
     (ReusedReward, "overwrites what an earlier step returned, with copy=True"),
     (IgnoredOut, "must return out"),
     (IgnoredCopy, "overwrites what an earlier step returned, with copy=True"),
-    (MaskResetsAll, "reset of worlds"),
+    (MaskResetsAll, "reset of envs"),
     (ForgottenStreams, "after set_state"),
     (ForgottenEnds, r"after set_state \(NEXT_STEP\)"),
     (UnpicklableEnds, "unpickled an episode that has ended"),
@@ -324,7 +324,7 @@ BROKEN = [
     (ResetOnceMore, r"step .* \(NEXT_STEP\): observation and info"),
     (SteppedWhenClosed, r"after close\(\) must raise ClosedEnvironmentError, and was accepted"),
     (SharedState, "after its environment went on"),
-    (LengthOffByOne, "final_info of world"),
+    (LengthOffByOne, "final_info of env"),
 ]
 
 
@@ -364,7 +364,7 @@ class Succeeding(Endless):
 
 def test_a_family_may_report_no_success() -> None:
     check_vector_env(Endless, partial(SingleWorld, Endless), steps=60)
-    with pytest.raises(AssertionError, match=r"final_info of world .* differs: keys"):
+    with pytest.raises(AssertionError, match=r"final_info of env .* differs: keys"):
         check_vector_env(Succeeding, partial(SingleWorld, Endless), steps=60)
 
 

@@ -140,7 +140,7 @@ def test_worlds_are_reset_after_an_error(
         changed.setattr(env, method, fails)
         with pytest.raises(RuntimeError, match="the engine is gone"):
             steps()
-    with pytest.raises(ResetNeeded, match="reset worlds"):
+    with pytest.raises(ResetNeeded, match="reset envs"):
         env.step(np.zeros(3, np.int64))
     env.reset()
     env.step(np.zeros(3, np.int64))

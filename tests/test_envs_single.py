@@ -1,4 +1,4 @@
-"""One world from a batch of one is the environment that Gymnasium's users expect."""
+"""One env from a batch of one is the environment that Gymnasium's users expect."""
 
 import warnings
 from functools import partial
@@ -140,7 +140,7 @@ def test_what_cannot_be_done_is_refused() -> None:
     [
         (np.zeros((3, 1), np.int64), r"integers of shape \(3,\).* got int64 of shape \(3, 1\)"),
         (np.zeros(3), r"integers of shape \(3,\).* got float64 of shape \(3,\)"),
-        (np.int64(5), r"integers of shape \(3,\), one for each world, got a single one"),
+        (np.int64(5), r"integers of shape \(3,\), one for each env, got a single one"),
     ],
 )
 def test_actions_of_another_shape_are_explained(actions: Any, message: str) -> None:

@@ -224,7 +224,7 @@ def test_an_unroll_equals_step_by_step(options):
 
 def slow_rows(data, sources, discount):
     """The rows of the episodes of unrolls that follow one another: for each episode that ended, by
-    time and world, candidates (core, action, return) of every frame since it began."""
+    time and env, candidates (core, action, return) of every frame since it began."""
     running = [[] for _ in range(BATCH)]
     ended = []
     for steps, core in zip(data, sources, strict=True):
@@ -576,7 +576,7 @@ def score_in_training(episodic, seed, updates=200):
 
 @pytest.mark.slow
 def test_what_earlier_episodes_showed_is_used():
-    """Situations that are new every 16 episodes of a world; chance is a quarter. Rows of the first
+    """Situations that are new every 16 episodes of an env; chance is a quarter. Rows of the first
     4 are there when the next are played, so that at most 0.81 is possible."""
     options = {"capacity": 512, "neighbours": 8, "key_size": 16, "kernel_delta": 1e-3}
     assert score_in_training(DICTIONARY.model_copy(update=options), 0) > 0.5  # 0.65 to 0.73

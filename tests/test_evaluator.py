@@ -101,7 +101,7 @@ def test_an_evaluation_tells_how_far_it_is():
 
 
 def test_short_episodes_are_not_over_counted():
-    """Random play on the small world scores what is known exactly, whatever the batch."""
+    """Random play on the small env scores what is known exactly, whatever the batch."""
     chance = envs.reference("chance", "gridworld/uniform", **SMALL).score
     for num_envs in (7, 1000):
         env = envs.make_vec("gridworld/uniform", num_envs, **SMALL)
@@ -297,13 +297,13 @@ def test_levels_drawn_at_resets_are_scored_one_at_a_time():
 
 
 class Quiet(GridworldVectorEnv):
-    """Worlds whose episodes neither succeed nor fail."""
+    """Envs whose episodes neither succeed nor fail."""
 
     reports_success = False
 
 
 def test_one_mixture_serves_all_levels(monkeypatch):
-    """As worlds of their own for every level would; a level of several kinds is played once."""
+    """As envs of their own for every level would; a level of several kinds is played once."""
     names = ["gridworld/zipf_2", "gridworld/uniform", "gridworld/rare"]
     train = [envs.SplitLevel(name, weight) for name, weight in zip(names, (3, 2, 1), strict=True)]
     split = envs.Split("drawn", train, names[:2], names[2], draw="resets")

@@ -152,7 +152,7 @@ class Corridor(ZipfVectorEnv):
 
 
 def explore(exploration, seed, learns=True):
-    """How far 16 worlds got in training, and the share of all episodes that arrived."""
+    """How far 16 envs got in training, and the share of all episodes that arrived."""
     env = Corridor(16)
     options = IMPALA.model_copy(
         update={

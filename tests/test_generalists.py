@@ -161,7 +161,7 @@ def test_in_the_gridworld_it_knows_what_has_been_in_view() -> None:
 
 @pytest.mark.parametrize("memory", [True, False])
 def test_in_the_gridworld_what_is_unseen_changes_nothing(memory: bool) -> None:
-    """The same answers in worlds with other walls and objects where nothing has been seen."""
+    """The same answers in envs with other walls and objects where nothing has been seen."""
     n = 20
     env, other = gridworld(n, "rare"), gridworld(n, "rare")
     player = GridworldGeneralist(env, memory=memory)
@@ -174,7 +174,7 @@ def test_in_the_gridworld_what_is_unseen_changes_nothing(memory: bool) -> None:
     for t in range(40):
         labels = player()
         goals = made.cells[env._worlds[:, 0], env._worlds[:, 1]] + PAD
-        # A map for each world, so that what is unseen differs from world to world.
+        # A map for each env, so that what is unseen differs from env to env.
         codes = made.codes[env._worlds[:, 0]].copy()
         hidden = player._known == UNSEEN
         hidden[np.arange(n), goals[:, 0], goals[:, 1]] = False  # the cue is shown
@@ -246,7 +246,7 @@ def test_playroom_scores(level: str) -> None:
 
 
 def seen(env: PlayroomVectorEnv) -> tuple[list[bool], list[bool]]:
-    """Toys, and bed and tray in view of the first world, in an image of 4 x 3."""
+    """Toys, and bed and tray in view of the first env, in an image of 4 x 3."""
     items, supports = np.zeros((1, env.worlds.ranks.shape[1]), np.bool_), np.zeros((1, 2), np.bool_)
     wide = np.tan(np.radians(37.5))
     look(env.worlds, wide, 0.75 * wide, items, supports)

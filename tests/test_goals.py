@@ -55,7 +55,7 @@ def test_what_the_playrooms_expert_does_is_achieved(level):
 
 
 def played(level, seed, script, **kwargs):
-    """Observations, and the outcome, of an episode of one world under fixed actions."""
+    """Observations, and the outcome, of an episode of one env under fixed actions."""
     env = envs.make_vec(level, 1, **kwargs)
     env.report_achieved()
     first, info = env.reset(seed=seed, options=script["situation"])
@@ -182,7 +182,7 @@ def test_goals_and_players_are_of_batches():
     with pytest.raises(ValueError, match="the expert plays what make_vec makes, got GridworldEnv"):
         envs.expert("gridworld/rare", single)
     with pytest.raises(
-        ValueError, match=r"unknown scripted player 'exprt' \(did you mean 'expert'"
+        ValueError, match=r"unknown scripted policy 'exprt' \(did you mean 'expert'"
     ):
         envs.scripted("exprt", "gridworld/rare", envs.make_vec("gridworld/rare", 1))
 

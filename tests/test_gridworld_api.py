@@ -153,7 +153,7 @@ def test_a_state_with_an_agent_in_a_wall_is_refused() -> None:
         state["worlds"][1, 2:] = cell
         with pytest.raises(ValueError, match="an agent in a wall"):
             env.set_state(state)
-    env.set_state(unbegun)  # worlds that have not begun are at (0, 0), and cannot be stepped
+    env.set_state(unbegun)  # envs that have not begun are at (0, 0), and cannot be stepped
     state = env.get_state()
     state["running"][:] = True
     with pytest.raises(ValueError, match="running that have not begun"):

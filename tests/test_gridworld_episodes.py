@@ -111,7 +111,7 @@ def way(maps: Maps, map: int, target: int) -> list[int]:
 def act(
     env: GridworldVectorEnv, actions: list[int], target: int
 ) -> list[tuple[float, bool, bool, dict[str, Any]]]:
-    """Rewards, ends and infos of both worlds of `env` on map 0; the two must agree."""
+    """Rewards, ends and infos of both envs of `env` on map 0; the two must agree."""
     env.reset(seed=0, options={"map": 0, "target": target})
     results = []
     for action in actions:
@@ -288,7 +288,7 @@ def test_random_actions_do_as_computed(level: str) -> None:
     env = make_vec(f"gridworld/{level}", 500, observation="tiles", autoreset_mode="Disabled")
     rng = np.random.default_rng(5)
     outcomes = []
-    # Worlds wait for the last one, so that short episodes are not counted more often.
+    # Envs wait for the last one, so that short episodes are not counted more often.
     for seed in range(0, 20_000, 500):
         env.reset(seed=seed)
         waiting = np.ones(500, dtype=np.bool_)

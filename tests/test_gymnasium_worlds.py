@@ -1,4 +1,4 @@
-"""Existing Gymnasium environments keep the contract of batched worlds."""
+"""Existing Gymnasium environments keep the contract of batched envs."""
 
 import copy
 import pickle
@@ -278,7 +278,7 @@ def test_a_mixture_keeps_the_contract() -> None:
 
 
 def test_it_equals_gymnasiums_own_vector_env() -> None:
-    """With the seeds that the worlds draw; Gymnasium's goes on with the environment's own."""
+    """With the seeds that the envs draw; Gymnasium's goes on with the environment's own."""
     env = GymnasiumVectorEnv(3, "CartPole-v1", autoreset_mode=AutoresetMode.DISABLED)
     other = SyncVectorEnv(
         [partial(gym.make, "CartPole-v1")] * 3, autoreset_mode=AutoresetMode.DISABLED

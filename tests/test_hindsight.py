@@ -79,7 +79,7 @@ def episode_of(episodes, e):
 
 
 def replayed(situation, actions, observation):
-    """Every observation of an episode of one world under these actions, and what ended it."""
+    """Every observation of an episode of one env under these actions, and what ended it."""
     env = envs.make_vec(LEVEL, 1, observation=observation, max_steps=80)
     first, _ = env.reset(seed=0, options=situation)
     seen = [{name: part[0].copy() for name, part in first.items()}]
@@ -91,7 +91,7 @@ def replayed(situation, actions, observation):
 
 @pytest.mark.parametrize("observation", ["tiles", "image"])
 def test_relabelled_episodes_are_those_that_ask_for_what_was_touched(observation, monkeypatch):
-    """Exactly, in worlds in which that object is the target. Episodes span unrolls."""
+    """Exactly, in envs in which that object is the target. Episodes span unrolls."""
     monkeypatch.setattr(relabelling, "_FIRST_ROWS", 8)
     collector = collector_of(observation=observation)
     twin = envs.make_vec(LEVEL, WORLDS, observation=observation, max_steps=80)
@@ -215,7 +215,7 @@ def test_the_last_episodes_of_each_goal_are_kept_and_goals_are_drawn_alike():
 
 
 def test_kept_episodes_are_the_worlds_own_and_are_augmented_when_drawn():
-    """What is kept is what a world shows that has the goal, under the kept actions; what is drawn
+    """What is kept is what an env shows that has the goal, under the kept actions; what is drawn
     is that under one of the symmetries, with the actions that belong to it."""
     env = envs.make_vec(LEVEL, WORLDS, observation="tiles", max_steps=80)
     symmetries = envs.symmetries(envs.split("gridworld"), env)

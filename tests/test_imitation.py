@@ -140,7 +140,7 @@ def test_it_learns_what_its_teacher_does():
     [("playroom_put", {"image_size": (3, 4), "max_steps": 9}), ("gridworld", {"max_steps": 30})],
 )
 def test_a_teachers_memory_is_restored(split, options):
-    """In worlds where random actions are taken, with several levels in a batch or one."""
+    """In envs where random actions are taken, with several levels in a batch or one."""
     found = envs.split(split)
     one, other = (envs.make_train(found, 3, **options) for _ in range(2))
     teacher, resumed = (Teacher("generalist", found, env) for env in (one, other))

@@ -49,7 +49,7 @@ def agent(**changes):
 
 
 def by_hand(impala, data):
-    """The losses of the definition, one world and one step at a time."""
+    """The losses of the definition, one env and one step at a time."""
     o, steps = impala.options, data.steps
     with torch.no_grad():
         outputs = impala.network(Inputs.of(steps), data.memory)

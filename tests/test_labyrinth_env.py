@@ -139,7 +139,7 @@ def test_a_mixture_of_all_levels_steps_as_one() -> None:
     assert all(one.worlds is env.batches[0].worlds for one in env.batches)
     assert [one.level.name for one in env.batches] == list(LEVELS)
     env.reset(seed=0)
-    # Each world is as in a batch of its own level: the level is drawn before the episode.
+    # Each env is as in a batch of its own level: the level is drawn before the episode.
     for i, level in enumerate(env.levels_of_worlds.tolist()):
         assert env.batches[0].episodes[i].__class__ is LEVELS[list(LEVELS)[level]].load()
 
@@ -289,7 +289,7 @@ def test_worlds_that_have_not_begun_are_drawn_empty(level: str) -> None:
 
 
 def test_worlds_of_several_engines_are_drawn() -> None:
-    """In a batch of an engine the worlds of others have no episodes."""
+    """In a batch of an engine the envs of others have no episodes."""
     names = ("rooms_watermaze", "psychlab_visual_search", "explore_goal_locations_small")
     options = {name: {"max_steps": 5 + k} for k, name in enumerate(names)}
     makers = {name: MAKERS[name] for name in names}

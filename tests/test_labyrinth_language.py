@@ -1,4 +1,4 @@
-"""The worlds of the language levels: what is there, is said, is seen, and is rewarded."""
+"""The envs of the language levels: what is there, is said, is seen, and is rewarded."""
 
 import math
 

@@ -44,7 +44,7 @@ GONE = 10**9
 
 
 class Scene:
-    """One world, emptied: a floor of 19 x 19 cells, the player, and opponents that stand still."""
+    """One env, emptied: a floor of 19 x 19 cells, the player, and opponents that stand still."""
 
     def __init__(self, opponents: int = 1, **options: object) -> None:
         name = "lasertag_one_opponent_small" if opponents == 1 else "lasertag_three_opponents_large"

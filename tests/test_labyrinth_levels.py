@@ -30,7 +30,7 @@ def touch(env: LabyrinthVectorEnv, world: int, item: int) -> None:
 
 
 def wait(env: LabyrinthVectorEnv) -> tuple[float, bool, bool]:
-    """Fires, which does nothing, in the only world; reward, terminated and truncated."""
+    """Fires, which does nothing, in the only env; reward, terminated and truncated."""
     _, reward, terminated, truncated, _ = env.step(np.full(env.num_envs, 14))
     return float(reward[0]), bool(terminated[0]), bool(truncated[0])
 

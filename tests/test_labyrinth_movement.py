@@ -43,7 +43,7 @@ class Player:
 
 
 def grid(solid: list[str]) -> Worlds:
-    """A world with a text map, rows from the north; `#` is solid, a digit a height of 10 units."""
+    """An env with a text map, rows from the north; `#` is solid, a digit a height of 10 units."""
     worlds = make_worlds(1)
     rows, columns = len(solid), len(solid[0])
     worlds.cells[0] = rows, columns

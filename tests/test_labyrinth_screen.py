@@ -130,7 +130,7 @@ def test_a_screen_is_restored_with_its_episode(level: str) -> None:
 
 
 def test_other_levels_have_no_screen() -> None:
-    """Not even in worlds that had one in the episode before."""
+    """Not even in envs that had one in the episode before."""
     names = (RECOGNITION, "rooms_watermaze")
     makers = {name: partial(make_vec, f"labyrinth/{name}") for name in names}
     env = Mixture(makers, 16, draw="resets", exponent=0.0, image_size=(9, 12))

@@ -246,7 +246,7 @@ def test_learners_that_start_again_do_not_meet_those_before_them():
 
 
 def test_what_is_sent_arrives():
-    """Generators of worlds have states of this type, tensors after they were read from a file."""
+    """Generators of envs have states of this type, tensors after they were read from a file."""
     state = {
         "array": np.arange(3, dtype=np.uint64),
         "tensor": torch.tensor([2**63], dtype=torch.uint64),

@@ -188,7 +188,7 @@ def test_lstm_equals_torch(layers):
 
 
 def gtrxl_by_hand(memory, options, inputs, is_first):
-    """One world's frames [T, F] in float64, one pair of frames at a time."""
+    """One env's frames [T, F] in float64, one pair of frames at a time."""
     p = {name: part.detach().double().numpy() for name, part in memory.named_parameters()}
     size, heads, head_size = options.size, options.heads, options.size // options.heads
 

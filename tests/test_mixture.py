@@ -44,7 +44,7 @@ def mixture(num_envs: int = 7, levels: tuple[str, ...] = LEVELS, **options: Any)
 
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_it_keeps_the_contract(count: int) -> None:
-    """Of levels that are all the same, so that every world has the same single world."""
+    """Of levels that are all the same, so that every env has the same single env."""
     level = "gridworld/zipf_1"
     makers = {str(number): partial(make_vec, level, **SMALL) for number in range(count)}
     check_vector_env(partial(Mixture, makers), partial(make, level, **SMALL))
@@ -198,8 +198,8 @@ def test_what_cannot_be_mixed_is_refused() -> None:
 @pytest.mark.parametrize(
     ("make_other", "message"),
     [
-        (lambda n, **_: EASY["rare"](n - 1), "level 'b' must have the 4 worlds .*, got 3"),
-        (lambda n, **_: make("gridworld/rare"), "level 'b' must be a ZipfVectorEnv of 4 worlds, g"),
+        (lambda n, **_: EASY["rare"](n - 1), "level 'b' must have the 4 envs .*, got 3"),
+        (lambda n, **_: make("gridworld/rare"), "level 'b' must be a ZipfVectorEnv of 4 envs, g"),
     ],
 )
 def test_levels_must_be_the_batches_asked_for(make_other: Any, message: str) -> None:
@@ -404,7 +404,7 @@ PLAYROOM: Any = {
 
 
 def test_drawn_levels_of_the_playroom_are_replayed() -> None:
-    """Its states and pickles hold actions: only worlds on a level are replayed by it."""
+    """Its states and pickles hold actions: only envs on a level are replayed by it."""
     options = {"image_size": (6, 8), "draw": "resets", "exponent": 0.0}
     levels = {**PLAYROOM, "lift": partial(PLAYROOM["lift"], max_steps=7)}
     env, other = (Mixture(levels, 5, **options) for _ in range(2))
@@ -446,7 +446,7 @@ def test_mixtures_are_levels_of_mixtures() -> None:
     ("options", "message"),
     [
         ({"level_options": {"rare": 3}}, r"level_options\['rare'\] must be a mapping, got 3"),
-        ({"draw": "steps"}, "draw must be 'worlds' or 'resets', got 'steps'"),
+        ({"draw": "steps"}, "draw must be 'envs' or 'resets', got 'steps'"),
         ({"exponent": None}, "draw='resets' needs either exponent or probabilities"),
         ({"probabilities": [1, 1, 1, 1]}, "needs either exponent or probabilities"),
         ({"exponent": -1}, "exponent of Zipf's law must be finite and >= 0, got -1"),

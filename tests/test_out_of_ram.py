@@ -26,10 +26,10 @@ def on_a_gpu():
     ids=["pytorch", "numpy", "python", "gpu"],
 )
 def test_a_lack_of_ram_is_one_line(allocate, told):
-    with pytest.raises(UserError) as error, enough_ram("fewer worlds need less"):
+    with pytest.raises(UserError) as error, enough_ram("fewer envs need less"):
         allocate()
     assert told in str(error.value)
-    assert str(error.value).endswith("; fewer worlds need less")
+    assert str(error.value).endswith("; fewer envs need less")
     assert len(str(error.value).splitlines()) == 1
 
 

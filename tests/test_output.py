@@ -173,7 +173,7 @@ def test_ctrl_c_while_options_are_checked_is_no_traceback(tmp_path: Path) -> Non
     ignores it, and so would this process without the first line."""
     program = (
         "import os, signal, sys, time; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "from zipf import train; from zipf.experiments import command_line;"
+        "from zipf import train; from zipf.experiments.building import loading;"
         "loading.read = lambda job: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60));"
         "sys.argv = ['zipf.train', 'experiment=demo']; train.main()"
     )

@@ -415,7 +415,7 @@ def test_a_family_may_have_neither_keys_nor_scripts(monkeypatch, tmp_path):
 
 def test_a_family_may_draw_no_pictures(monkeypatch, tmp_path):
     monkeypatch.delitem(GridworldVectorEnv.metadata, "render_modes")
-    with pytest.raises(UserError, match="render_mode must be None: these worlds draw no pictures"):
+    with pytest.raises(UserError, match="render_mode must be None: these envs draw no pictures"):
         play("level=gridworld/rare", "policy=random", f"record={tmp_path}/x.gif")
 
 

@@ -254,7 +254,7 @@ def test_the_agents_top_speed() -> None:
 
 
 def holding(name: str = "duck", facing: float = 0.0, distance: float = 1.2) -> PlayroomVectorEnv:
-    """A world whose agent holds an object near the floor, turned by `facing` radians."""
+    """An env whose agent holds an object near the floor, turned by `facing` radians."""
     env = watched("put/put_on_bed_tray_all")  # lifting does not end the episode
     arrange(
         env, (0, 0, 0, 0), {0: (distance, 0, facing)}, [name, "candle", "dice"], furniture=APART

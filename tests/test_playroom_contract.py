@@ -50,7 +50,7 @@ def test_other_worlds_keep_the_contract(changed: dict[str, Any]) -> None:
 
 
 def test_a_mixture_keeps_the_contract() -> None:
-    """The levels are all the same, because the check compares with one single world."""
+    """The levels are all the same, because the check compares with one single env."""
     name = "playroom/put/put_near_bed_tray_frequent"
     makers = {str(number): partial(make_vec, name, **SMALL) for number in range(2)}
     check_vector_env(partial(Mixture, makers), partial(make, name, **SMALL), num_envs=3, steps=45)

@@ -42,7 +42,7 @@ def inside(pose: NDArray, size: NDArray, x: float, y: float) -> float:
 
 
 def check(env: PlayroomVectorEnv, ranks: NDArray[np.int64], overlap: float = OVERLAP) -> None:
-    """Raises unless the state of all worlds is consistent."""
+    """Raises unless the state of all envs is consistent."""
     worlds, half = env.worlds, ROOM / 2
     np.testing.assert_array_equal(worlds.ranks, ranks)
     for values in (worlds.agents, worlds.objects, worlds.orientation):
@@ -133,7 +133,7 @@ def test_the_state_stays_consistent_under_any_actions(
 @given(actions=st.lists(st.integers(0, 45), min_size=1, max_size=60), seed=st.integers(0, 1000))
 @settings(max_examples=25, deadline=None)
 def test_the_same_actions_give_the_same_episode(actions: list[int], seed: int) -> None:
-    """Whatever was played before, and whatever happens in other worlds."""
+    """Whatever was played before, and whatever happens in other envs."""
     options = {"image_size": (3, 4), "autoreset_mode": "Disabled"}
     env, other = (PlayroomVectorEnv(n, LEVELS[1], **options) for n in (1, 2))
     other.reset(seed=77)
@@ -167,7 +167,7 @@ def test_a_state_can_be_continued_from_any_step() -> None:
 
 
 def test_pushing_into_corners_for_minutes() -> None:
-    """In every world the agent moves with full force and turns now and then."""
+    """In every env the agent moves with full force and turns now and then."""
     env = Endless(N, LEVELS[2], image_size=(1, 1))
     for seed in range(2):
         env.reset(seed=seed)

@@ -236,7 +236,7 @@ def test_any_task_may_be_forced() -> None:
 
 
 def begun(level: str, num_envs: int, **forced: int) -> PlayroomVectorEnv:
-    """Many worlds at the beginning of an episode."""
+    """Many envs at the beginning of an episode."""
     env = PlayroomVectorEnv(num_envs, level, image_size=(1, 1))
     env.reset(seed=0, options=forced)
     return env

@@ -29,7 +29,7 @@ def rooms(seed: int) -> list[Room]:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_compiled_physics_is_pymunks(seed: int) -> None:
-    """To the bit, for the worlds of the mask, where others stay as they are."""
+    """To the bit, for the envs of the mask, where others stay as they are."""
     ours, theirs = rooms(seed), rooms(seed)
     found = [room.addresses() for room in ours]
     spaces = np.array([space for space, _ in found])
@@ -78,7 +78,7 @@ def carry(room: Room, held: int, agent: Any, item: Any, drive: Any) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_held_moves_as_by_pymunk(seed: int) -> None:
-    """To the bit: held, just released and neither, in the worlds of the mask."""
+    """To the bit: held, just released and neither, in the envs of the mask."""
     ours, theirs = rooms(seed), rooms(seed)
     bodies = np.array([room.addresses()[1] for room in ours])
     rng = np.random.default_rng(seed)
@@ -114,7 +114,7 @@ def test_a_world_without_a_room_is_not_simulated() -> None:
     env = PlayroomVectorEnv(2, image_size=(1, 1))
     env.reset(seed=0)
     env._spaces[1] = 0
-    with pytest.raises(AssertionError, match="no physics of a world"):
+    with pytest.raises(AssertionError, match="no physics of an env"):
         env.step(np.zeros(2, np.int64))
 
 

@@ -1,4 +1,4 @@
-"""Worlds, agents and experiments from outside the package, by `plugins` and `--config-dir`."""
+"""Envs, agents and experiments from outside the package, by `plugins` and `--config-dir`."""
 
 import json
 import sys

@@ -676,7 +676,7 @@ def test_the_papers_values():
     assert options.target_period == 400
     assert options.burn_in == 20
     assert options.replay_capacity == 10**5
-    assert options.samples_per_insert * 32 == 32  # minibatch, with 32 worlds
+    assert options.samples_per_insert * 32 == 32  # minibatch, with 32 envs
 
 
 # Runs

@@ -109,12 +109,12 @@ def test_an_actor_that_never_plays_ends_the_run(tmp_path, monkeypatch):
     assert len(begun) == 7
 
 
-# What agents carry from an unroll to the next of the same worlds
+# What agents carry from an unroll to the next of the same envs
 
 
 @pytest.mark.parametrize("name", [name for name, one in agents().items() if one.largest_lag])
 def test_what_is_carried_is_that_of_the_worlds(name, tmp_path):
-    """It is the same whatever was learned from other worlds in between, and goes on from there."""
+    """It is the same whatever was learned from other envs in between, and goes on from there."""
     if agents()[name].answers_questions:
         pytest.skip("its episodes are a frame long")
     config = load(tmp_path, f"agent={name}", "collector.lag=0", *MORE.get(name, []))
@@ -142,7 +142,7 @@ def test_what_is_carried_is_that_of_the_worlds(name, tmp_path):
     assert_equal(between.carried(), alone.carried())
     for agent in (alone, between):
         agent.update(second)
-    if name == "r2d2":  # others have learned from the other worlds, or draw by the update
+    if name == "r2d2":  # others have learned from the other envs, or draw by the update
         assert_equal(between.state_dict(), alone.state_dict())
 
 

@@ -95,7 +95,7 @@ def test_a_pattern_that_does_not_exist_is_refused():
     scenes = Scenes(2, instances=1)
     scenes.mesh[1] = 0
     scenes.pattern[1] = len(STACK)
-    with pytest.raises(ValueError, match="world 1 shows a texture"):
+    with pytest.raises(ValueError, match="env 1 shows a texture"):
         view(scenes)
 
 
@@ -498,21 +498,21 @@ def test_textures_meshes_and_screens_that_do_not_exist():
     scenes.wall_count[:] = scenes.flat_count[:] = 1
     for array in (scenes.wall_looks[1, 0], scenes.flat_looks[1, 0], scenes.mesh[1]):
         array[0] = 99
-        with pytest.raises(ValueError, match="world 1 shows a texture from 20 on, a mesh from 2"):
+        with pytest.raises(ValueError, match="env 1 shows a texture from 20 on, a mesh from 2"):
             view(scenes)
         array[0] = -1
     scenes.wall_looks[1, 0, 0] = SCREEN
-    with pytest.raises(ValueError, match="world 1 shows"):
+    with pytest.raises(ValueError, match="env 1 shows"):
         view(scenes)
 
 
 def test_capacities():
     scenes = Scenes(1, walls=1, flats=1, tile_cells=3)
     scenes.add_wall(0, (0, 0, 1, 0), (0, 1), 0)
-    with pytest.raises(ValueError, match="world 0 has room for 1 walls"):
+    with pytest.raises(ValueError, match="env 0 has room for 1 walls"):
         scenes.add_wall(0, (0, 0, 1, 0), (0, 1), 0)
-    with pytest.raises(ValueError, match="4 tiles in a world with room for 3"):
+    with pytest.raises(ValueError, match="4 tiles in an env with room for 3"):
         scenes.add_flat(0, (0, 0, 1, 1), 0, 0, tiles=np.zeros((2, 2), int))
     scenes.flat_count[0] = 1
-    with pytest.raises(ValueError, match="world 0 has room for 1 flats"):
+    with pytest.raises(ValueError, match="env 0 has room for 1 flats"):
         scenes.add_flat(0, (0, 0, 1, 1), 0, 0)

@@ -32,7 +32,7 @@ def over(scenes, world, x, y):
 
 
 def add_terrain(scenes, rng, looks=None, eye=(0.1, 1.5), pitch=0.8):
-    """Adds hills with some holes, with every world's camera above them."""
+    """Adds hills with some holes, with every env's camera above them."""
     shape = scenes.terrain_looks.shape[1:]
     for world in range(scenes.num_worlds):
         cells = rng.integers(len(STACK), size=shape) if looks is None else looks[world]
@@ -263,5 +263,5 @@ def test_bad_terrains():
     with pytest.raises(ValueError, match=r"heights must be \(1, 1\), not"):
         Scenes(1).set_terrain(0, (0, 0), 1, heights, 0)
     scenes.set_terrain(0, (0, 0), 1, heights, len(STACK))
-    with pytest.raises(ValueError, match="world 0 shows a texture from 20 on"):
+    with pytest.raises(ValueError, match="env 0 shows a texture from 20 on"):
         view(scenes)

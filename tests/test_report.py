@@ -572,7 +572,7 @@ def test_an_external_agent_stands_in_every_table_of_its_worlds(tmp_path: Path) -
         "gridworld_compact": ["IMPALA", "PPO †"],
         "small": ["IMPALA"],
     }
-    # Its own experiment, where that has a table of the same worlds.
+    # Its own experiment, where that has a table of the same envs.
     change_description(tmp_path / "external/PPO/seed0", experiment="gridworld_compact")
     found = tables.score_tables(results.load_runs([tmp_path]))
     assert [len(table.rows) for table in found] == [1, 2, 1]

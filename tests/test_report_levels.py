@@ -367,7 +367,7 @@ def test_capped_scores_by_hand(tmp_path: Path) -> None:
         "Capped: each level counts as at most 1, the score of a human, before the mean, as is the "
         "convention on DMLab-30 (Espeholt et al. 2018)."
     ) in text
-    assert "Expert: a scripted player that reads the whole state of the world." in text
+    assert "Expert: a scripted policy that reads the whole state of the env." in text
     assert r"\label{tab:gridworld-capped}" in (tmp_path / "out/report.tex").read_text("utf-8")
     rows = pd.read_csv(tmp_path / "out/report.csv")
     assert rows["capped_score"].tolist()[:3] == pytest.approx([4.3 / 7, 1.3 / 3, 0.4])

@@ -78,7 +78,7 @@ def test_the_right_answer_is_the_side_of_the_object_on_the_levels_first_frame():
     asked.reset(seed=3)
     _, reward, *_ = asked.step(1 - side)
     np.testing.assert_array_equal(reward > 0, alike)
-    # After an episode comes the next of the world's stream, as in the level itself.
+    # After an episode comes the next of the env's stream, as in the level itself.
     assert (step["target"] != info["target"]).any()
 
 
@@ -143,7 +143,7 @@ def test_states_that_no_question_has_are_refused():
     asked.reset(seed=0)
     before = asked.get_state()
     played.reset(seed=0)
-    asked.set_state(played.get_state())  # the same worlds, at their first frames
+    asked.set_state(played.get_state())  # the same envs, at their first frames
     played.step(np.zeros(2, np.int64))
     ended = {**before, "lengths": np.array([2, 0]), "running": np.array([False, True])}
     for state in (played.get_state(), ended):

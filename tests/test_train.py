@@ -113,6 +113,7 @@ def train_until_gone(config, update):
     """A run with a checkpoint after an update, and nothing of what came later."""
     run_folder.make(config.folder)
     with runner.Run(config) as run:
+        run.evaluate()
         while run.update < update:
             run.log(*run.step())
         run.save()
@@ -205,7 +206,7 @@ def test_a_world_for_each_train_level(monkeypatch):
     with pytest.raises(UserError) as error:
         loading.load([*TINY, "collector.num_envs=2"])
     assert str(error.value) == (
-        "collector.num_envs=2: should be at least 3, a world for each train level of gridworld"
+        "collector.num_envs=2: should be at least 3, an env for each train level of gridworld"
     )
 
 
@@ -669,9 +670,8 @@ def test_what_cannot_be_compiled_is_one_line(trained, monkeypatch):
 
 FULL_DISK = """
 import resource, sys
-from zipf.experiments.options import command_line, composing
+from zipf.experiments.building import loading
 from zipf.experiments.training import runner
-from zipf.experiments.options.schema import EvaluateOptions
 from zipf.errors import UserError
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))

@@ -66,7 +66,7 @@ def test_a_success_and_a_failure_of_both_situations(
 
 
 def test_an_episode_is_played_again_as_it_was(run: Path) -> None:
-    """Of the agent's own actions, in a world that starts where the recorded one did."""
+    """Of the agent's own actions, in an env that starts where the recorded one did."""
     trained = load_agent(run, "cpu")
     situation = recorder.find_situation(trained, lambda ranks: int(ranks.max()))
     episodes, tried, successes = recorder.play(trained, situation, "rarest")
@@ -155,7 +155,7 @@ def test_worlds_without_success_or_situation(
 
     monkeypatch.setattr(recorder, "_worlds", without)
     told = refusal(capsys, str(run), "videos=gif")
-    assert f"the worlds of {run.as_posix()} {message}" in told
+    assert f"the envs of {run.as_posix()} {message}" in told
     assert not (run / "videos").exists()
 
 

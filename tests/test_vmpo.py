@@ -77,7 +77,7 @@ def assert_equal(one, other):
 
 
 def by_hand(vmpo, data):
-    """The four losses of the definition in double precision, one world and one step at a time."""
+    """The four losses of the definition in double precision, one env and one step at a time."""
     o, steps = vmpo.options, data.steps
     eta, alpha = vmpo.duals["eta"].item(), vmpo.duals["alpha"].item()
     with torch.no_grad():

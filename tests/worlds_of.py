@@ -1,4 +1,4 @@
-"""What the worlds of an experiment have, and which choices they lack something for."""
+"""What the envs of an experiment have, and which choices they lack something for."""
 
 from functools import cache
 
@@ -9,7 +9,7 @@ from zipf.experiments.options import composing, config_files
 
 @cache
 def world_of(experiment):
-    """One world of an experiment, closed."""
+    """One env of an experiment, closed."""
     worlds = composing.composed(f"experiment={experiment}").values["environment"]
     options = {name: value for name, value in worlds.items() if name != "split"}
     env = envs.make_vec(envs.split(worlds["split"]).uniform[0], 1, **options)
@@ -18,7 +18,7 @@ def world_of(experiment):
 
 
 def speaks(experiment):
-    """Whether the worlds of an experiment have an instruction."""
+    """Whether the envs of an experiment have an instruction."""
     return "instruction" in world_of(experiment).single_observation_space.spaces
 
 
@@ -33,7 +33,7 @@ def asks(split):
 
 
 def achieves(experiment):
-    """Whether the worlds of an experiment tell what an episode has achieved."""
+    """Whether the envs of an experiment tell what an episode has achieved."""
     return world_of(experiment).achieves
 
 
@@ -53,7 +53,7 @@ def needs(
     hindsight="none",
     **_,
 ):
-    """What worlds of this experiment lack for it, in the words of the message; None for nothing."""
+    """What envs of this experiment lack for it, in the words of the message; None for nothing."""
     split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
     if agents()[agent].answers_questions and not asks(split):
         return f"splits with such questions: {', '.join(filter(asks, envs.all_splits()))}"
@@ -69,7 +69,7 @@ def needs(
 
 
 def chosen(experiment, condition):
-    """What a condition's file chooses for these worlds, by group."""
+    """What a condition's file chooses for these envs, by group."""
     file = config_files.find("condition", condition).values
     parts = dict(file["choose"])
     if not speaks(experiment):

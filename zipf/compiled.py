@@ -2,7 +2,7 @@
 
 Compiled code contains the constants and functions that the function's module imports, but numba's
 own cache only notices changes to the file of the function itself. Here compiled code is valid for
-one state of all source files of the package that it can depend on. Worlds and agents do not import
+one state of all source files of the package that it can depend on. Envs and agents do not import
 each other, so that a change of one leaves the code of the other valid; and the files of
 `zipf/experiments`, which neither imports, count for their own functions alone.
 """

@@ -25,7 +25,7 @@ __all__ = ["Evaluation", "Policy", "env_options", "main", "record", "score", "tr
 USAGE = """usage: python -m zipf.evaluate run=FOLDER [option=value ...]
        python -m zipf.evaluate policy=NAME split=NAME [option=value ...]
 
-Plays the agent of a run's last checkpoint, or a scripted player, on the train, uniform and rare
+Plays the agent of a run's last checkpoint, or a scripted policy, on the train, uniform and rare
 levels of a split, and prints its scores beside those of chance and other references.
 
 Examples:
@@ -37,15 +37,15 @@ Examples:
 Options:
 
     run=FOLDER      a run's folder with a checkpoint or, without one, weights
-    policy=NAME     in the place of a run, a scripted player of the split's family: expert, which
-                    reads the state of the worlds, or generalist, which knows what has been in view
+    policy=NAME     in the place of a run, a scripted policy of the split's family: expert, which
+                    reads the state of the envs, or generalist, which knows what has been in view
     split=NAME      with policy=, whose levels to play, for instance gridworld or playroom_lift
     episodes=N      episodes of each level; default: as many as the split says: 1000, in the
                     labyrinth's splits 100 of each task
-    num_envs=N      worlds played at a time; default: 250
-    seed=N          of the worlds and the agent's actions; default: 0
+    num_envs=N      envs played at a time; default: 250
+    seed=N          of the envs and the agent's actions; default: 0
     device=NAME     with run=: auto, cpu, cuda or cuda:<number>; default: auto, CUDA if there is one
-    plugins=NAMES   modules to import, for worlds and agents from outside the package; default: none
+    plugins=NAMES   modules to import, for envs and agents from outside the package; default: none
 
 The scores of a run are also written to its folder, as evaluation-<update>-seed<seed>.csv (with
 -episodes<N> after the update where episodes= is given), and the situations to a file beside it."""

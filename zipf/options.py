@@ -18,8 +18,8 @@ class Context:
     """What options are used with, for their own checks (`Options.problems`).
 
     Attributes:
-        family: the name of the worlds' family.
-        has_goals: whether its worlds say what an episode asks for.
+        family: the name of the envs' family.
+        has_goals: whether its envs say what an episode asks for.
         num_envs, unroll_length: B and T of the unrolls that an agent learns from.
         chosen: the options of other groups, by the groups' names.
     """

@@ -16,7 +16,7 @@ __all__ = ["main"]
 USAGE = """usage: python -m zipf.play level=NAME [option=value ...]
        python -m zipf.play run=FOLDER [option=value ...]
 
-Opens a window, or the terminal, in which you play a level by hand or watch a scripted player or a
+Opens a window, or the terminal, in which you play a level by hand or watch a scripted policy or a
 trained agent; or records episodes to a file. The screen lists the keys; q leaves.
 
 Examples:
@@ -30,14 +30,14 @@ Options:
     level=NAME      a level; with run=: also train, uniform or rare, the run's levels of that kind;
                     default with run=: train
     run=FOLDER      a run's folder with a checkpoint or, without one, weights: its agent plays, in
-                    the worlds of the run
+                    the envs of the run
     policy=NAME     keyboard, random, agent (of the run), or a script: expert, which reads the state
-                    of the world, or generalist, which knows what has been in view;
+                    of the env, or generalist, which knows what has been in view;
                     default: agent with run=, otherwise keyboard
     record=FILE     a .gif, for short recordings, or an .mp4 (pip install "zipf-rl[video]"); no
                     screen opens unless you play; default: nothing is recorded
     episodes=N      default: 1 without a screen, otherwise until you leave
-    seed=N          of the worlds and the actions; default: a new one each time, which is printed
+    seed=N          of the envs and the actions; default: a new one each time, which is printed
     fps=N           frames per second, 1 to 120; default: those of the family
     scale=N         side of a pixel in windows and recordings, in pixels of the screen, 1 to 16;
                     default: what makes a picture 288 pixels high, or more
@@ -45,7 +45,7 @@ Options:
                     terminal
     screen=NAME     window (pip install "zipf-rl[human]"), terminal, or auto: a window if possible;
                     default: auto
-    plugins=NAMES   modules to import, for worlds and agents from outside the package; default: none
+    plugins=NAMES   modules to import, for envs and agents from outside the package; default: none
 """
 
 

@@ -47,13 +47,13 @@ REFERENCES = (
         "generalist",
         "Generalist",
         "scripted, acts on what it has seen",
-        "a scripted player that acts only on what it has seen in the episode, and knows no map",
+        "a scripted policy that acts only on what it has seen in the episode, and knows no map",
     ),
     Reference(
         "expert",
         "Expert",
         "scripted, reads the state",
-        "a scripted player that reads the whole state of the world",
+        "a scripted policy that reads the whole state of the env",
     ),
 )
 """All references, in the order of tables."""

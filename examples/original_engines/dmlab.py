@@ -43,10 +43,10 @@ _CONTROLS = {
 
 
 class Labs:
-    """The instances of DeepMind Lab of a batch's worlds: at most one for each world.
+    """The instances of DeepMind Lab of a batch's envs: at most one for each env.
 
-    The levels of a mixture share them: a world that begins an episode of another level closes its
-    instance. An instance has an engine of its own, and thirty levels times many worlds of them
+    The levels of a mixture share them: an env that begins an episode of another level closes its
+    instance. An instance has an engine of its own, and thirty levels times many envs of them
     would take more RAM than most machines have.
     """
 
@@ -54,7 +54,7 @@ class Labs:
         self._open: list[tuple[str, Any] | None] = [None] * num_envs
 
     def of(self, world: int, level: str, make: Callable[[], Any]) -> Any:
-        """The world's instance of a level, made if it has none."""
+        """The env's instance of a level, made if it has none."""
         found = self._open[world]
         if found is None or found[0] != level:
             self.close(world)
@@ -62,13 +62,13 @@ class Labs:
         return found[1]
 
     def close(self, world: int) -> None:
-        """Closes a world's instance, if it has one."""
+        """Closes an env's instance, if it has one."""
         found, self._open[world] = self._open[world], None
         if found is not None:
             found[1].close()
 
     def close_all(self) -> None:
-        """Closes the instances of all worlds."""
+        """Closes the instances of all envs."""
         for world in range(len(self._open)):
             self.close(world)
 
@@ -86,7 +86,7 @@ class DmlabOptions(Options):
 
 
 class DmlabVectorEnv(ReplayedVectorEnv):
-    """`N` worlds of a task in DeepMind Lab, with the interface of `LabyrinthVectorEnv`.
+    """`N` envs of a task in DeepMind Lab, with the interface of `LabyrinthVectorEnv`.
 
     Written from DeepMind Lab's documentation (`docs/users/python_api.md` and the sources of its
     Python module) and tested against a stand-in that follows it, never on the engine itself.
@@ -100,14 +100,14 @@ class DmlabVectorEnv(ReplayedVectorEnv):
     - **Instructions.** All instructions of the thirty levels are made of the words of our
       vocabulary. A word that is not there is an error rather than a code for unknown words: it
       shows that the levels are other ones.
-    - **Engines.** One instance of DeepMind Lab for each world, stepped one after another, with the
+    - **Engines.** One instance of DeepMind Lab for each env, stepped one after another, with the
       software renderer, the only one that may be called from any thread. An instance is made when
-      its world begins an episode of another level than before.
+      its env begins an episode of another level than before.
     - **States** are replayed, see `ReplayedVectorEnv`. The engine documents that it is
       deterministic on one platform only.
 
     Args:
-        num_envs: number of worlds N.
+        num_envs: number of envs N.
         level: a name of `zipf.envs.labyrinth.levels.LEVELS`.
         autoreset_mode, copy: see `ZipfVectorEnv`.
         render_mode: "rgb_array", the image four times as large, or None.
@@ -158,7 +158,7 @@ class DmlabVectorEnv(ReplayedVectorEnv):
         self._vectors: NDArray[np.intc] | None = None  # of the actions, once an engine has told
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One frame of each world, uint8 [4 height, 4 width, 3], with `render_mode="rgb_array"`."""
+        """One frame of each env, uint8 [4 height, 4 width, 3], with `render_mode="rgb_array"`."""
         if self.render_mode is None:
             return None
         return tuple(image.repeat(4, axis=0).repeat(4, axis=1) for image in self._current["image"])
@@ -221,7 +221,7 @@ class DmlabVectorEnv(ReplayedVectorEnv):
         return lab
 
     def _read(self, lab: Any) -> Observation:
-        """What a running world shows."""
+        """What a running env shows."""
         told = lab.observations()
         image, space = told["RGB_INTERLEAVED"], self.single_observation_space["image"]
         if image.shape != space.shape or image.dtype != space.dtype:

@@ -44,12 +44,12 @@ class Room:
 
 
 class Service(dm_env_rpc_pb2_grpc.EnvironmentServicer):
-    """Serves a world to each connection.
+    """Serves an env to each connection.
 
     Attributes:
         requests: of all connections: the names of the payloads.
         controls: what a step of a running episode was given.
-        worlds: names of the worlds that there are.
+        envs: names of the envs that there are.
         sound: False: the seed does not determine an episode.
         channels: of the image.
     """
@@ -96,7 +96,7 @@ class Session:
 
     def join_world(self, request: Any) -> Any:
         _require(not self.joined, "joined already")
-        _require(request.world_name in self.made, f"no world {request.world_name!r}")
+        _require(request.world_name in self.made, f"no env {request.world_name!r}")
         self.settings = _settings(request.settings, JOINED)
         self.joined = request.world_name
         self.room = Room(int(self.made[self.joined]["seed"]), self.service.sound)
@@ -133,7 +133,7 @@ class Session:
             _require(abs(value) <= 1, f"{name}={value}")
             room.controls[name] = float(value)
         if room.first:
-            room.first = False  # the first step shows the world and takes no action
+            room.first = False  # the first step shows the env and takes no action
         else:
             self.service.controls.append(dict(room.controls))
             room.advance()
@@ -160,7 +160,7 @@ class Session:
         return rpc.LeaveWorldResponse()
 
     def destroy_world(self, request: Any) -> Any:
-        _require(self.joined != request.world_name, "cannot destroy a world that is joined")
+        _require(self.joined != request.world_name, "cannot destroy an env that is joined")
         del self.made[request.world_name]
         self.service.worlds.remove(request.world_name)
         return rpc.DestroyWorldResponse()

@@ -1,4 +1,4 @@
-"""One world of the released Playroom, which talks dm_env_rpc, in a container or elsewhere.
+"""One env of the released Playroom, which talks dm_env_rpc, in a container or elsewhere.
 
 Messages, settings and names are those of the released loader (github.com/google-deepmind/
 zipfian_environments, `playroom/load_environment.py`) and of dm_env_rpc's documentation.
@@ -28,7 +28,7 @@ _OBSERVATIONS = ("RGB_INTERLEAVED", "TEXT")
 
 
 class Shown(NamedTuple):
-    """What the world returned for a frame: `discount` is 0 at the end of a task."""
+    """What the env returned for a frame: `discount` is 0 at the end of a task."""
 
     image: Any
     text: str
@@ -56,9 +56,9 @@ def check(address: str | None) -> None:
 
 
 class World:
-    """A connection to a server, and the world that it is joined to.
+    """A connection to a server, and the env that it is joined to.
 
-    Every episode is a world of its own, created with the episode's seed.
+    Every episode is an env of its own, created with the episode's seed.
 
     Args:
         address: `host:port` of a server on this machine; None: a container is started.
@@ -120,12 +120,12 @@ class World:
         )
 
     def close(self) -> None:
-        """Leaves the world and stops the container, if one was started."""
+        """Leaves the env and stops the container, if one was started."""
         try:
             if self._connection is not None:
                 self._leave()
                 self._connection.close()
-        except Exception:  # the server is gone, and the world with it
+        except Exception:  # the server is gone, and the env with it
             pass
         finally:
             self._connection = None
@@ -168,7 +168,7 @@ def _connect(address: str) -> Any:
         try:  # a server that starts may accept a channel before it answers
             found.send(dm_env_rpc_pb2.StepRequest())
         except error.DmEnvRpcError:
-            return found  # there is no world to step yet: an answer
+            return found  # there is no env to step yet: an answer
         except grpc.RpcError:
             found.close()
     raise ConnectionError(f"no dm_env_rpc server answers at {address}")

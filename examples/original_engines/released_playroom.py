@@ -66,7 +66,7 @@ class ReleasedPlayroomOptions(Options):
 
 
 class DockerVectorEnv(ReplayedVectorEnv):
-    """`N` worlds of a level of the released Playroom, with the interface of `PlayroomVectorEnv`.
+    """`N` envs of a level of the released Playroom, with the interface of `PlayroomVectorEnv`.
 
     Written from the released loader and the documentation of dm_env_rpc, and tested against a
     server of ours with the documented names, never on the released environment.
@@ -82,14 +82,14 @@ class DockerVectorEnv(ReplayedVectorEnv):
       trained with one engine cannot play in the other.
     - **Situations.** The release does not tell which toys it has drawn: there are no ranks. An
       episode is a success if its return is positive.
-    - **Engines.** One container for each world, which is started when the world's first episode
-      begins, or a connection for each world to the server at `address`, which has to be on this
-      machine. Worlds are stepped one after another.
-    - **Episodes.** Each is a world of its own, created with the episode's seed, and states are
+    - **Engines.** One container for each env, which is started when the env's first episode
+      begins, or a connection for each env to the server at `address`, which has to be on this
+      machine. Envs are stepped one after another.
+    - **Episodes.** Each is an env of its own, created with the episode's seed, and states are
       replayed, see `ReplayedVectorEnv`. Whether the release is deterministic is not documented.
 
     Args:
-        num_envs: number of worlds N.
+        num_envs: number of envs N.
         level: a level of the family, without its name.
         address: `host:port` of a running server; None: that of the environment variable
             `ZIPF_PLAYROOM_ADDRESS`, and containers where there is none.
@@ -145,7 +145,7 @@ class DockerVectorEnv(ReplayedVectorEnv):
         self._texts = np.full(num_envs, "", "<U200")
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One frame of each world, uint8 [4 height, 4 width, 3], with `render_mode="rgb_array"`."""
+        """One frame of each env, uint8 [4 height, 4 width, 3], with `render_mode="rgb_array"`."""
         if self.render_mode is None:
             return None
         return tuple(image.repeat(4, axis=0).repeat(4, axis=1) for image in self._current["image"])

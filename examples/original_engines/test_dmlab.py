@@ -46,7 +46,7 @@ def alive() -> list[str]:
 
 
 def uniform(num_envs: int, **options: Any) -> Any:
-    """Worlds of all tasks, of which each reset draws one."""
+    """Envs of all tasks, of which each reset draws one."""
     return envs.make_train(envs.split("dmlab_uniform"), num_envs, **SMALL, **options)
 
 

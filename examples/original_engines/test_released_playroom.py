@@ -153,7 +153,7 @@ def test_policies_are_scored_in_shared_worlds(served: fake_playroom_server.Servi
 
 
 def test_containers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A container for each world, stopped when the batch is closed."""
+    """A container for each env, stopped when the batch is closed."""
     address = os.environ[rpc.ADDRESS]
     log = tmp_path / "log"
     script = tmp_path / "docker"

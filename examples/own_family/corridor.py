@@ -1,4 +1,4 @@
-"""A family of worlds of one's own: a corridor of doors, of which one is to be opened.
+"""A family of envs of one's own: a corridor of doors, of which one is to be opened.
 
 The agent sees where it stands and which door to open. Which door that is follows Zipf's law in
 training, so that some doors are hardly ever asked for. The family registers itself on import.
@@ -39,7 +39,7 @@ class Corridor(ZipfVectorEnv):
 
     def _begin(self, mask, forced):
         for i in np.flatnonzero(mask):
-            drawn = pcg64.choice(self._streams[i], self.cumulative)  # the world's random stream
+            drawn = pcg64.choice(self._streams[i], self.cumulative)  # the env's random stream
             self.targets[i] = drawn if forced[0, i] < 0 else forced[0, i]
             self.places[i] = len(self.one_hot) // 2
 

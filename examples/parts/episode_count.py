@@ -18,7 +18,7 @@ class EpisodeCountOptions(Options):
 class EpisodeCount(Bonus):
     def __init__(self, options, space, seed):
         self.scale = options.scale
-        self.seen = {}  # by world
+        self.seen = {}  # by env
 
     def begin(self, observation, mask):
         for world in mask.nonzero().flatten().tolist():

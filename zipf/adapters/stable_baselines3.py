@@ -27,12 +27,12 @@ except ImportError as error:
 
 
 class ZipfVecEnv(VecEnv):
-    """The worlds of a batch, stepped together, for agents of Stable-Baselines3.
+    """The envs of a batch, stepped together, for agents of Stable-Baselines3.
 
         model = PPO("MultiInputPolicy", ZipfVecEnv(make_vec("gridworld/zipf_2", 64)))
 
     Observations are dictionaries of arrays `[N, ...]`, rewards float32 [N] and dones bool [N].
-    `reset_infos[i]` has what the environment's `info` tells about the episode that runs in world
+    `reset_infos[i]` has what the environment's `info` tells about the episode that runs in env
     `i`: its ranks (int) and descriptions. `infos[i]` of the step that ends an episode has those of
     that episode and:
 
@@ -68,7 +68,7 @@ class ZipfVecEnv(VecEnv):
         """Starts new episodes, with the seeds of `seed` and the options of `set_options`, once.
 
         Raises:
-            ValueError: the options force ranks in some worlds and not in others, or there are no
+            ValueError: the options force ranks in some envs and not in others, or there are no
                 such ranks.
         """
         options = self._forced(self._options)
@@ -110,18 +110,18 @@ class ZipfVecEnv(VecEnv):
         self.env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """The frame of each world; None without `render_mode="rgb_array"`."""
+        """The frame of each env; None without `render_mode="rgb_array"`."""
         frames: Any = self.env.render()
         return [None] * self.num_envs if frames is None else frames
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The batch's attribute, once for every world asked about."""
+        """The batch's attribute, once for every env asked about."""
         value = getattr(self.env, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Worlds of a batch have no attributes of their own: raises `NotImplementedError`."""
-        raise NotImplementedError(f"worlds of a batch have no {attr_name!r} of their own to set")
+        """Envs of a batch have no attributes of their own: raises `NotImplementedError`."""
+        raise NotImplementedError(f"envs of a batch have no {attr_name!r} of their own to set")
 
     def env_method(
         self,
@@ -130,9 +130,9 @@ class ZipfVecEnv(VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Worlds of a batch have no methods of their own: raises `NotImplementedError`."""
+        """Envs of a batch have no methods of their own: raises `NotImplementedError`."""
         raise NotImplementedError(
-            f"worlds of a batch have no method {method_name!r} of their own; "
+            f"envs of a batch have no method {method_name!r} of their own; "
             "call the batch's, by the attribute `env`"
         )
 
@@ -141,14 +141,14 @@ class ZipfVecEnv(VecEnv):
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
     def _forced(self, options: list[dict[str, Any]]) -> dict[str, NDArray[Any]]:
-        """Options of each world as arrays [N]."""
+        """Options of each env as arrays [N]."""
         if any(one.keys() != options[0].keys() for one in options):
-            raise ValueError("options must name the same ranks in every world")
+            raise ValueError("options must name the same ranks in every env")
         return {name: np.array([one[name] for one in options]) for name in options[0]}
 
 
 def _row(info: dict[str, Any], i: int) -> dict[str, Any]:
-    """One world's entries as Python values."""
+    """One env's entries as Python values."""
     own = {key: value[i] for key, value in info.items() if not key.startswith("_")}
     return {key: one.item() if isinstance(one, np.generic) else one for key, one in own.items()}
 

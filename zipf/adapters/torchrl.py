@@ -37,7 +37,7 @@ _TAKEN = (
 
 
 def torchrl_env(env: ZipfVectorEnv, *, device: str | None = None) -> GymWrapper:
-    """The worlds of a batch as a TorchRL environment of batch size [N].
+    """The envs of a batch as a TorchRL environment of batch size [N].
 
         env = torchrl_env(make_vec("gridworld/zipf_2", 64, autoreset_mode="Disabled"))
 
@@ -50,7 +50,7 @@ def torchrl_env(env: ZipfVectorEnv, *, device: str | None = None) -> GymWrapper:
       (int64) of the episode, where `("next", "done")` is True; zero elsewhere.
 
     Args:
-        env: a batch in `AutoresetMode.DISABLED`: TorchRL resets the worlds that are done itself.
+        env: a batch in `AutoresetMode.DISABLED`: TorchRL resets the envs that are done itself.
         device: where TorchRL puts the tensors.
 
     Raises:
@@ -67,7 +67,7 @@ def torchrl_env(env: ZipfVectorEnv, *, device: str | None = None) -> GymWrapper:
     names = [*_TAKEN, *env.single_observation_space, *env.situation]
     if twice := [name for name in names if names.count(name) > 1]:
         raise ValueError(
-            f"{twice[0]!r} cannot be both an observation or a rank of these worlds and another "
+            f"{twice[0]!r} cannot be both an observation or a rank of these envs and another "
             "entry of TorchRL's TensorDicts: give it another name"
         )
     with warnings.catch_warnings():
@@ -99,7 +99,7 @@ class _EpisodeReader(BaseInfoDictReader):
     def __call__(self, info: dict[str, Any], tensordict: TensorDictBase) -> TensorDictBase:
         for name, spec in self._spec.items():
             if name in info:
-                # Outcomes come with a mask of the worlds whose episodes have ended.
+                # Outcomes come with a mask of the envs whose episodes have ended.
                 told = np.where(info.get(f"_{name}", True), info[name], 0)
                 value = torch.as_tensor(told, dtype=spec.dtype, device=tensordict.device)
                 tensordict.set(name, value.unsqueeze(-1))

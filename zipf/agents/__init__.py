@@ -1,4 +1,4 @@
-"""Agents: learning. They know no world, only observation and action spaces."""
+"""Agents: learning. They know no env, only observation and action spaces."""
 
 from zipf.agents.agent import Agent, AgentSpec, agents, register
 

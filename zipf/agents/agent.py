@@ -51,7 +51,7 @@ class AgentSpec:
     """What an agent is built from, beside its own options.
 
     Attributes:
-        observation_space, action_space: of one world.
+        observation_space, action_space: of one env.
         network, memory, auxiliary, critic, episodic: options of the encoder, the memory, the
             auxiliary loss, what is learned about returns, and episodic memory.
         num_envs, unroll_length: B and T of the unrolls that the agent will learn from; with several
@@ -85,7 +85,7 @@ class AgentSpec:
 
     @property
     def context(self) -> Context:
-        """What an agent's options check themselves against; of the worlds only the spaces are
+        """What an agent's options check themselves against; of the envs only the spaces are
         known."""
         chosen = {name: getattr(self, name) for name in _PARTS}
         return Context("", True, self.num_envs, self.unroll_length, chosen)
@@ -141,7 +141,7 @@ class Agent(ABC):
         self.device = spec.device
 
     def initial_memory(self, batch: int) -> State:
-        """The memory before the first frame of `batch` worlds, {name: [B, ...]}; empty for an agent
+        """The memory before the first frame of `batch` envs, {name: [B, ...]}; empty for an agent
         without one."""
         return {}
 
@@ -149,7 +149,7 @@ class Agent(ABC):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """One action in each of B worlds.
+        """One action in each of B envs.
 
         Args:
             inputs: of one frame, with leading axis [B].

@@ -1,6 +1,6 @@
 """Several learners of one run: processes that make the same updates, from mean gradients.
 
-Each learns from worlds of its own. They begin with the same weights and change them by the same
+Each learns from envs of its own. They begin with the same weights and change them by the same
 gradients, so that the weights stay the same, bit for bit. Without `join` there is one learner, and
 everything here leaves what it is given as it is.
 """

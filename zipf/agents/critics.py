@@ -9,7 +9,7 @@ A critic turns `size` outputs of a head into
 
 `scalar` learns the mean alone; `hl_gauss` and `quantile` learn a distribution. An agent's targets
 are estimates of returns, such as those of V-trace: rewards up to some step, and the value there.
-So the distribution is that of these targets, over actions, over what the worlds do, and in replay
+So the distribution is that of these targets, over actions, over what the envs do, and in replay
 over older policies, too. What varies behind the step where a target bootstraps is not in it. This
 is simpler than a distributional Bellman equation (Bellemare et al. 2017), and the same for every
 agent.

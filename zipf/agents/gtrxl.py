@@ -34,7 +34,7 @@ Size = Annotated[int, Field(ge=1)]
 class GTrXLOptions(Options):
     """The options; `configs/memory.yaml` has the sources of their values.
 
-    `size` is the Transformer's d_model. The state of a world takes 8 x layers x memory_length x
+    `size` is the Transformer's d_model. The state of an env takes 8 x layers x memory_length x
     size bytes.
     """
 

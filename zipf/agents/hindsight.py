@@ -63,7 +63,7 @@ class AchievedOptions(Options):
     def problems(self, context: Context) -> Iterator[str]:
         if not context.has_goals:
             yield (
-                f"hindsight={self.name}: the worlds of {context.family} do not say what an episode "
+                f"hindsight={self.name}: the envs of {context.family} do not say what an episode "
                 "asks for; choose hindsight=none"
             )
 

@@ -1,6 +1,6 @@
 """Imitation by DAgger (Ross et al. 2011): the agent acts, and a teacher says what it would do.
 
-The teacher is a scripted player of the worlds' family (`zipf.envs.SCRIPTED`). The learner takes one
+The teacher is a scripted policy of the envs' family (`zipf.envs.SCRIPTED`). The learner takes one
 optimiser step per unroll on
 
     -mean_{t,b}[ log pi(label_t|x_t) ]
@@ -40,7 +40,7 @@ from zipf.options import Options
 class ImitationOptions(LearnerOptions):
     """The options; `configs/agent.yaml` has the sources of their values.
 
-    `teacher` is a scripted player of the worlds, `teacher_share` the probability that it acts in a
+    `teacher` is a scripted policy of the envs, `teacher_share` the probability that it acts in a
     step in the agent's place.
     """
 
@@ -94,7 +94,7 @@ class Imitation(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Actions in each of B worlds, int64 [B]: samples in training, else the likeliest ones,
+        """Actions in each of B envs, int64 [B]: samples in training, else the likeliest ones,
         which are what the agent takes for its teacher's (as in Ross et al. 2011)."""
         with self.autocast():
             outputs, _, memory = self.actor(inputs.unsqueeze(), memory)

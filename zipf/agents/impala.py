@@ -69,7 +69,7 @@ class Impala(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Samples an action in each of B worlds, in training and evaluation alike.
+        """Samples an action in each of B envs, in training and evaluation alike.
 
         Returns actions int64 [B], the memory after this frame, and the behaviour policy's `logits`
         float32 [B, actions], which `update` needs.
@@ -81,7 +81,7 @@ class Impala(Learner):
 
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
-        """V of each of B worlds, float32 [B]."""
+        """V of each of B envs, float32 [B]."""
         with self.autocast():
             return self.actor(inputs.unsqueeze(), memory).value[0]
 

@@ -195,12 +195,12 @@ class Learner(Agent):
         self.updates = state["updates"]
 
     def carried(self) -> dict[str, Any]:
-        """State that the last update keeps for the next unroll of the same worlds, such as R2D2's
+        """State that the last update keeps for the next unroll of the same envs, such as R2D2's
         burn-in rows; later updates do not change its tensors."""
         return self.recorder.carried()
 
     def carry(self, carried: dict[str, Any]) -> None:
-        """Restores what `carried()` was after the previous unroll of the worlds that the next
+        """Restores what `carried()` was after the previous unroll of the envs that the next
         update learns from; empty if that unroll was not learned from."""
         self.recorder.carry(carried)
 

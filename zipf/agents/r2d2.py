@@ -1,6 +1,6 @@
 """R2D2 (Kapturowski et al. 2019): recurrent double Q-learning from replay, top to bottom.
 
-Replay holds sequences: the unroll of one world, the `burn_in` rows before it, the agent's memory
+Replay holds sequences: the unroll of one env, the `burn_in` rows before it, the agent's memory
 before those, and the observations at which the unroll's episodes were truncated. From there, the
 online and the target network each unroll the burn-in rows without gradient, to bring their memory
 up to date; then, on the T rows of the unroll, the online network takes one optimiser step on
@@ -219,7 +219,7 @@ class R2D2(Learner):
         self.parts["target"] = self.target
         self.epsilon = torch.full((self.num_envs,), options.epsilon, dtype=torch.float64)
         if options.epsilon_ladder and self.num_envs > 1:
-            # At random, since several levels have a row of worlds each, and should explore alike.
+            # At random, since several levels have a row of envs each, and should explore alike.
             places = torch.randperm(self.num_envs, generator=torch.Generator().manual_seed(0))
             self.epsilon **= 1 + LADDER * places / (self.num_envs - 1)
         self._inserts = spec.num_envs  # sequences of an update, at most
@@ -247,7 +247,7 @@ class R2D2(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """The greedy action in each of B worlds; in training, world i of `num_envs` takes a random
+        """The greedy action in each of B envs; in training, env i of `num_envs` takes a random
         one with probability `epsilon`, or with the ladder (Horgan et al. 2018)
         epsilon^(1 + 7 k / (num_envs - 1)), k a place of its own in 0 .. num_envs - 1.
 
@@ -444,7 +444,7 @@ class R2D2(Learner):
         self.replay.load_state_dict(state["replay"])
 
     def carried(self) -> dict[str, Any]:
-        """The burn-in of the next sequences of these worlds."""
+        """The burn-in of the next sequences of these envs."""
         return self.sequences.carried()
 
     def carry(self, carried: dict[str, Any]) -> None:

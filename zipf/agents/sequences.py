@@ -1,6 +1,6 @@
 """Cutting of unrolls and relabelled episodes into the sequences that R2D2's replay holds.
 
-A sequence is a TensorDict: `steps` [burn_in + T + 1], the rows of one world; `memory`, the agent's
+A sequence is a TensorDict: `steps` [burn_in + T + 1], the rows of one env; `memory`, the agent's
 before them; and, where there is room for them, `final` [K], the observations that the unroll's
 episodes were truncated at.
 """
@@ -22,8 +22,8 @@ class Sequences:
     """Cuts what a collector gives into sequences, and keeps the burn-in of the next ones.
 
     Args:
-        observation_space: of one world.
-        num_envs: B, the worlds of an unroll.
+        observation_space: of one env.
+        num_envs: B, the envs of an unroll.
         unroll_length: T.
         burn_in: rows of a sequence before its unroll.
         final_observations: K, for how many of these a sequence has room; 0: it has none.
@@ -52,7 +52,7 @@ class Sequences:
         self._prefix_memory: State = {}  # before them
 
     def empty(self, memory: State) -> TensorDict:
-        """A sequence of zeros; `memory` is that of a batch of one world."""
+        """A sequence of zeros; `memory` is that of a batch of one env."""
         item = {"steps": self._empty(self.rows, self._fields)}
         if self.final_observations:
             item["final"] = self._empty(self.final_observations, FINAL)
@@ -92,7 +92,7 @@ class Sequences:
 
         Args:
             episodes: see `Unroll`.
-            memory: before the first frame of E worlds.
+            memory: before the first frame of E envs.
             advance: from steps [rows, E] and the memory before them, that after them.
         """
         rows, count = episodes.shape
@@ -132,7 +132,7 @@ class Sequences:
         return zeros
 
     def carried(self) -> dict[str, Any]:
-        """The burn-in of the next sequences of these worlds."""
+        """The burn-in of the next sequences of these envs."""
         if self._prefix is None:
             return {}
         return {"steps": self._prefix.to_dict(), "memory": dict(self._prefix_memory)}

@@ -1,6 +1,6 @@
 """The paper's supervised classifier: left or right, from an episode's first frame.
 
-It is trained by cross-entropy and has the network of the agents that act. Its worlds ask one
+It is trained by cross-entropy and has the network of the agents that act. Its envs ask one
 question an episode: the action is the answer, and the reward is 1 if it is right. In training the
 answers are random, which gives the label just as well: of two answers, either this one or the
 other is right. Where both are right, because the two objects are the same, the label is random.
@@ -88,7 +88,7 @@ class Supervised(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Answers in each of B worlds, int64 [B]: random in training, else the likelier one."""
+        """Answers in each of B envs, int64 [B]: random in training, else the likelier one."""
         batch = len(inputs.is_first)
         if training:
             return torch.randint(2, (batch,), generator=generator), memory, {}

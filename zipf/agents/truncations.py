@@ -34,7 +34,7 @@ class Finals:
 
     def insert(self, inputs: Inputs) -> Inputs:
         """`[T + 1, B]` -> `[T + 1 + K, B]`; the last rows repeat row T where a
-        world has fewer observations than others."""
+        env has fewer observations than others."""
         if not len(self.places):
             return inputs
 

@@ -56,10 +56,10 @@ class Needs:
     Attributes:
         burn_in: rows at an unroll's end that are also the prefix of the next; where it is not 0
             an unroll holds the memory before them (`Unroll.late_memory`).
-        final_observations: of each world an unroll holds up to so many of the observations at
+        final_observations: of each env an unroll holds up to so many of the observations at
             which episodes were truncated (`Unroll.final`), for agents that compute their values
             when they learn; those agents need no `value`.
-        teacher: name of the scripted player of the worlds that labels every step of an unroll with
+        teacher: name of the scripted policy of the envs that labels every step of an unroll with
             the action that it would take (`zipf.envs.SCRIPTED`); None: no labels.
         teacher_share: the probability that the teacher acts in a step in the agent's place.
     """
@@ -72,7 +72,7 @@ class Needs:
 
 @dataclass
 class Unroll:
-    """T steps of B worlds, time-major; row T is the first row of the next unroll.
+    """T steps of B envs, time-major; row T is the first row of the next unroll.
 
     `steps`, a TensorDict [T + 1, B], holds in row t
         observation: {name: [T + 1, B, ...]} in the environment's dtypes
@@ -94,7 +94,7 @@ class Unroll:
     T - burn_in, for agents that learn from the last `burn_in` rows and the next unroll together.
 
     `final`, a TensorDict [K, B] for agents that ask for K `final_observations`, holds the inputs of
-    the observations that episodes were cut at, the first K of each world:
+    the observations that episodes were cut at, the first K of each env:
         step: int64, after the action of which row the episode was cut, ascending; -1: not in use
         observation: {name: [K, B, ...]}
         previous_action: int64, the action of that row

@@ -95,7 +95,7 @@ class VMPO(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Samples an action of the target policy in each of B worlds, in training and evaluation
+        """Samples an action of the target policy in each of B envs, in training and evaluation
         alike.
 
         Returns actions int64 [B], the memory after this frame, and the target policy's `logits`
@@ -108,7 +108,7 @@ class VMPO(Learner):
 
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
-        """The target network's V of each of B worlds, float32 [B]; the memory is the target's."""
+        """The target network's V of each of B envs, float32 [B]; the memory is the target's."""
         with self.autocast():
             return self.actor(inputs.unsqueeze(), memory).value[0]
 

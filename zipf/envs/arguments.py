@@ -1,4 +1,4 @@
-"""Checks of arguments that the worlds have in common."""
+"""Checks of arguments that the envs have in common."""
 
 import difflib
 import operator
@@ -132,7 +132,7 @@ def reset_options(value: Any, known: Collection[str]) -> Mapping[str, Any]:
 
 
 def single_action(action: Any, count: int) -> int:
-    """The action of one world as an int; whether it is in range is not checked.
+    """The action of one env as an int; whether it is in range is not checked.
 
     Args:
         count: how many actions there are, for the message.

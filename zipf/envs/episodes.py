@@ -1,4 +1,4 @@
-"""Plays episodes on a level, and measures the scores of random actions and of scripted players."""
+"""Plays episodes on a level, and measures the scores of random actions and of scripted policies."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ def measure_chance(
     Raises:
         ValueError: no episodes, an unknown level, or options out of range.
     """
-    generator = np.random.default_rng([seed, 1])  # worlds are seeded seed, seed + 1, ...
+    generator = np.random.default_rng([seed, 1])  # envs are seeded seed, seed + 1, ...
 
     def random_player(env: ZipfVectorEnv) -> Player:
         return lambda: generator.integers(int(env.single_action_space.n), size=env.num_envs)
@@ -45,7 +45,7 @@ def measure(
     num_envs: int = 250,
     **options: Any,
 ) -> ReferenceScore:
-    """Plays a level with the actions of a scripted player.
+    """Plays a level with the actions of a scripted policy.
 
     The same arguments give the same figure on every machine.
 
@@ -53,12 +53,12 @@ def measure(
         player: `player(env)` plays a batch: called, it gives actions [N].
         level: what `make_vec` takes.
         episodes: how many episodes, at least 1.
-        seed: of the worlds, and of random actions.
-        num_envs: worlds played at a time; more of them take more RAM and less time.
+        seed: of the envs, and of random actions.
+        num_envs: envs played at a time; more of them take more RAM and less time.
         options: constructor options of the level.
 
     Raises:
-        ValueError: no episodes, no worlds, an unknown level, or options out of range.
+        ValueError: no episodes, no envs, an unknown level, or options out of range.
     """
     episodes = whole("episodes", episodes, 1)
     num_envs = whole("num_envs", num_envs, 1)
@@ -80,23 +80,23 @@ def play_episodes(
 ) -> dict[str, NDArray]:
     """Plays episodes of a batch.
 
-    The first `episodes` episodes to start are counted, however long they are: of many worlds played
+    The first `episodes` episodes to start are counted, however long they are: of many envs played
     at a time those with short episodes finish more of them, and counting the first to end would
     count short ones too often.
 
     Args:
-        env: the batch, which resets worlds in the step that ends their episodes.
-        act: `act(observation, reward, is_first)` gives the actions of all worlds, [N]. The reward
+        env: the batch, which resets envs in the step that ends their episodes.
+        act: `act(observation, reward, is_first)` gives the actions of all envs, [N]. The reward
             is that of the step before, float32 [N]; `is_first` says where an episode begins, bool
             [N]. The observation is overwritten by the next.
         episodes: how many, at least 1.
-        seed: of the worlds.
+        seed: of the envs.
         watch: called after every step with the number of counted episodes that have ended; what it
             raises ends the playing.
 
     Returns:
         By name, an array [episodes] in the order in which the episodes started: the situation's
-        ranks, `success` (where the worlds report it), `return` and `length`.
+        ranks, `success` (where the envs report it), `return` and `length`.
 
     Raises:
         ValueError: the batch has another autoreset mode.
@@ -105,7 +105,7 @@ def play_episodes(
         raise ValueError(f"autoreset_mode must be SAME_STEP, got {env.autoreset_mode.name}")
     names = [*env.situation, *(["success"] if env.reports_success else []), "return", "length"]
     records: dict[str, NDArray] = {}
-    # The episode that each world plays, numbered as they start; from `episodes` on, not counted.
+    # The episode that each env plays, numbered as they start; from `episodes` on, not counted.
     playing = np.arange(env.num_envs)
     started, unfinished = env.num_envs, episodes
     out = env.allocate()

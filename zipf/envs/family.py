@@ -6,7 +6,7 @@ A level is its family's name and its own, for instance `gridworld/zipf_2` or
     for family in zipf.envs.families().values():
         for split in family.splits: ...
 
-A family of your own needs a batch of worlds (`ZipfVectorEnv`) and one call:
+A family of your own needs a batch of envs (`ZipfVectorEnv`) and one call:
 
     zipf.envs.register(Family(name="bandit", levels=("zipf_2", "uniform", "rare"), ...))
 """
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from zipf.envs.vector import ZipfVectorEnv
 
 Player = Callable[[], NDArray[np.int64]]
-"""A scripted player of a batch of worlds: called, it gives actions [N]."""
+"""A scripted policy of a batch of envs: called, it gives actions [N]."""
 
 Scripted = Literal["expert", "generalist"]
 SCRIPTED: tuple[Scripted, ...] = get_args(Scripted)
-"""The fields of a `Family` that are scripted players."""
+"""The fields of a `Family` that are scripted policies."""
 
 
 class EngineError(RuntimeError):
@@ -52,12 +52,12 @@ class NoOptions(Options):
 
 
 class Symmetries(Protocol):
-    """Ways to show worlds otherwise, such as turned or in a mirror.
+    """Ways to show envs otherwise, such as turned or in a mirror.
 
     Attributes:
         count: how many there are. Number 0 changes nothing.
         actions: int64 [count, actions]; row `k` is a permutation, which maps each action of an
-            agent that sees the world under symmetry `k` to the action in the unchanged world.
+            agent that sees the env under symmetry `k` to the action in the unchanged env.
     """
 
     count: int
@@ -80,38 +80,38 @@ class Family:
 
     Attributes:
         name: unique; levels are called `<name>/<level>`.
-        summary: what the worlds are, a few words for help and tables.
+        summary: what the envs are, a few words for help and tables.
         levels: names of the levels, without the family's; see `check`.
         make_vec: makes a batch: `make_vec(num_envs, level=..., autoreset_mode=..., copy=...,
             render_mode=..., **options)`, with the level's name without the family's.
         options: class of the constructor options, with the benchmark's values as defaults.
         splits: the benchmarks of the family.
-        make: makes one world: `make(level=..., render_mode=..., **options)`; None: a batch of one.
+        make: makes one env: `make(level=..., render_mode=..., **options)`; None: a batch of one.
         id: the Gymnasium id; None: the family is not registered with Gymnasium.
         check: raises ValueError for a name that is not a level; None: those in `levels` are.
         references: scores of players that do not learn, by the name that the player has in
             `zipf.protocol.REFERENCES`: "chance" is of uniformly random actions, "blind" the best
             that is known of policies that neither read what an episode asks for nor look,
-            "generalist" and "expert" of scripted players. Each is a function:
+            "generalist" and "expert" of scripted policies. Each is a function:
             `function(level, **options)` gives a `ReferenceScore`, or None where it is not known.
             References that are known of no level are left out.
         appearance: names of options that change what is shown and nothing else; the functions in
             `references` are not told of them.
         keys: what a keyboard's keys do, for `zipf.play`; None: nobody can play by hand.
-        expert: `expert(env)` is a scripted player of a batch that reads the state of its worlds;
+        expert: `expert(env)` is a scripted policy of a batch that reads the state of its envs;
             None: there is none.
-        blind_policies: by name, `policy(env)` is a scripted player of a batch that does not read
+        blind_policies: by name, `policy(env)` is a scripted policy of a batch that does not read
             what an episode asks for; `zipf.envs.floors` tries them beside those that act without
             a look.
-        generalist: `generalist(env)` is a scripted player of a batch that knows of each world what
-            has been in view in the episode, and no map. It may be called at any time on worlds in
+        generalist: `generalist(env)` is a scripted policy of a batch that knows of each env what
+            has been in view in the episode, and no map. It may be called at any time on envs in
             which another policy acts, leaves them as they are, and gives the same actions again
             where they have not moved. None: there is none.
         questions: `questions(split)` is a variant of a split whose episodes are questions about
             their first frame, for agents that answer and do not act (raises ValueError where there
             is none); None: there is none.
-        symmetries: `symmetries(observations, actions)`, of the spaces of one world, makes the ways
-            in which all its worlds may be shown otherwise without changing what is right, see
+        symmetries: `symmetries(observations, actions)`, of the spaces of one env, makes the ways
+            in which all its envs may be shown otherwise without changing what is right, see
             `Symmetries`; None: there are none.
         goal: `goal(env)` is the `zipf.envs.goals.Goal` of a batch: it reads from observations what
             an episode asks for; None: they do not say.
@@ -171,12 +171,12 @@ class Family:
                 raise unknown(f"{self.name} option", name, known)
 
     def make_batch(self, level: str, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
-        """`num_envs` worlds of a level, named without the family's name."""
+        """`num_envs` envs of a level, named without the family's name."""
         self.check_options(kwargs, "autoreset_mode", "copy", "render_mode")
         return _loaded(self.make_vec)(num_envs, level=level, **kwargs)
 
     def make_single(self, level: str, **kwargs: Any) -> gym.Env:
-        """One world of a level, named without the family's name."""
+        """One env of a level, named without the family's name."""
         self.check_options(kwargs, *(["copy"] if self.make is None else []), "render_mode")
         if self.make is not None:
             return _loaded(self.make)(level=level, **kwargs)
@@ -298,7 +298,7 @@ def find_level(level: str) -> tuple[Family, str]:
 
 
 def make(level: str, **kwargs: Any) -> gym.Env:
-    """One world of a level; `kwargs` are its family's constructor options and `render_mode`.
+    """One env of a level; `kwargs` are its family's constructor options and `render_mode`.
 
     Raises:
         ValueError: for an unknown level, or options out of range.
@@ -310,12 +310,12 @@ def make(level: str, **kwargs: Any) -> gym.Env:
 def make_vec(
     level: Level | SplitLevel | Sequence[Level | SplitLevel], num_envs: int, **kwargs: Any
 ) -> ZipfVectorEnv:
-    """`num_envs` worlds of a level that step together.
+    """`num_envs` envs of a level that step together.
 
     Args:
         level: a full name, or what a `Split` may hold in a name's place. Several levels share the
-            worlds evenly, see `Mixture`.
-        num_envs: number of worlds N.
+            envs evenly, see `Mixture`.
+        num_envs: number of envs N.
         kwargs: `autoreset_mode`, `copy`, `render_mode` and constructor options; a `SplitLevel`'s
             own options go before those.
 
@@ -338,10 +338,10 @@ def make_vec(
 
 
 def make_train(split: Split, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
-    """The worlds to train on, as the split shares them among its train levels.
+    """The envs to train on, as the split shares them among its train levels.
 
     Raises:
-        ValueError: options that a level cannot have, or fewer worlds than levels to share them.
+        ValueError: options that a level cannot have, or fewer envs than levels to share them.
     """
     if split.draw == "resets":
         ranked = _ranked(split)
@@ -353,9 +353,9 @@ def make_train(split: Split, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
 
 
 def make_scored(split: Split, level: SplitLevel, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
-    """Worlds of one level of a split, to score an agent on.
+    """Envs of one level of a split, to score an agent on.
 
-    Where levels are drawn at resets these are worlds of the same mixture in which only this level
+    Where levels are drawn at resets these are envs of the same mixture in which only this level
     is drawn, so that situations have its rank in training and its name. Levels that are not trained
     on have the ranks after those.
 
@@ -445,7 +445,7 @@ def keys(level: str) -> Keys | None:
 
 
 def expert(level: str, env: ZipfVectorEnv) -> Player | None:
-    """A scripted player that reads the state of worlds which `make_vec` made of a level.
+    """A scripted policy that reads the state of envs which `make_vec` made of a level.
 
     The arguments and the rest are those of `scripted`.
     """
@@ -453,7 +453,7 @@ def expert(level: str, env: ZipfVectorEnv) -> Player | None:
 
 
 def generalist(level: str, env: ZipfVectorEnv) -> Player | None:
-    """A scripted player that knows of worlds what has been in view in the episode, see `Family`.
+    """A scripted policy that knows of envs what has been in view in the episode, see `Family`.
 
     The arguments and the rest are those of `scripted`.
     """
@@ -461,17 +461,17 @@ def generalist(level: str, env: ZipfVectorEnv) -> Player | None:
 
 
 def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> Player | None:
-    """A scripted player of worlds that `make_vec` made of a level; None in a family without one.
+    """A scripted policy of envs that `make_vec` made of a level; None in a family without one.
 
     Args:
         name: which one, of `SCRIPTED`.
         level: the level's full name.
-        env: the worlds.
+        env: the envs.
 
     Raises:
-        ValueError: for an unknown player or level, or worlds that the player cannot play.
+        ValueError: for an unknown player or level, or envs that the player cannot play.
     """
-    _named("scripted player", name, dict.fromkeys(SCRIPTED))
+    _named("scripted policy", name, dict.fromkeys(SCRIPTED))
     found, _ = find_level(level)
     _check_batch(f"the {name} plays", env)
     make = getattr(found, name)
@@ -479,11 +479,11 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> Player | None:
 
 
 def goal(level: str, env: ZipfVectorEnv) -> Goal | None:
-    """The `Goal` of worlds that `make_vec` made of a level: it reads from observations what an
+    """The `Goal` of envs that `make_vec` made of a level: it reads from observations what an
     episode asks for. None if the family defines no goals.
 
     Raises:
-        ValueError: for an unknown level, or worlds that `make_vec` did not make.
+        ValueError: for an unknown level, or envs that `make_vec` did not make.
     """
     found, _ = find_level(level)
     _check_batch("a goal is of", env)
@@ -510,7 +510,7 @@ def questions(split: Split) -> Split:
 
 
 def symmetries(split: Split, env: ZipfVectorEnv) -> Symmetries | None:
-    """The symmetries that the family of a split declares, for its worlds; None where there are
+    """The symmetries that the family of a split declares, for its envs; None where there are
     none."""
     found = family_of_split(split.name)
     if found.symmetries is None:

@@ -63,12 +63,12 @@ class Floor:
 
 @dataclass
 class Arena:
-    """Worlds of a level in which policies are played without a look.
+    """Envs of a level in which policies are played without a look.
 
     Args:
         level: what `make_vec` takes for a single level, for instance its full name.
-        rows: how many worlds are stepped together.
-        own: the family's own blind policies by name, each `policy(env)` a scripted player; None:
+        rows: how many envs are stepped together.
+        own: the family's own blind policies by name, each `policy(env)` a scripted policy; None:
             those of the level's family.
         options: constructor options of the level.
     """
@@ -89,7 +89,7 @@ class Arena:
         """The return of the episode of each seed, [policies, seeds].
 
         Raises:
-            ValueError: a text is no policy of these worlds.
+            ValueError: a text is no policy of these envs.
         """
         found = np.zeros((len(policies), len(seeds)))
         drawn = [k for k, text in enumerate(policies) if text not in (self.own or {})]
@@ -108,7 +108,7 @@ class Arena:
         return found
 
     def _play(self, player: Player, seeds: Sequence[int]) -> NDArray[np.float64]:
-        """The returns of the first episodes of worlds with these seeds."""
+        """The returns of the first episodes of envs with these seeds."""
         env = self.env
         spare = [SEARCHED - 1] * (env.num_envs - len(seeds))
         out = env.allocate()
@@ -134,7 +134,7 @@ def play(
     """Measures policies on the episodes of the seeds from `first` on.
 
     Raises:
-        ValueError: a text is no policy of these worlds, or fewer than two episodes.
+        ValueError: a text is no policy of these envs, or fewer than two episodes.
     """
     if episodes < 2:
         raise ValueError(f"episodes must be at least 2, got {episodes}")
@@ -281,7 +281,7 @@ class _Search:
 
 
 def _open_loop(texts: Sequence[str], count: int, seed: int) -> Player:
-    """Plays a policy in each world, from the first step of an episode on."""
+    """Plays a policy in each env, from the first step of an episode on."""
     rng = np.random.default_rng([seed, 2])
     n = len(texts)
     table, lengths = np.zeros((n, LONGEST), np.int64), np.ones(n, np.int64)
@@ -346,7 +346,7 @@ def _shortened(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _unseen(env: ZipfVectorEnv) -> ZipfVectorEnv:
-    """The same worlds without their observations, which nobody looks at and which cost most."""
+    """The same envs without their observations, which nobody looks at and which cost most."""
     env._observe = lambda out, mask: None  # type: ignore[method-assign]
     return env
 

@@ -1,4 +1,4 @@
-"""What the keys of a keyboard do in a family of worlds, as data."""
+"""What the keys of a keyboard do in a family of envs, as data."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class Keys:
 
     Attributes:
         bindings, toggles: what the keys do.
-        goal: what to do in these worlds, a sentence for the person who plays; empty: the
+        goal: what to do in these envs, a sentence for the person who plays; empty: the
             instruction says it.
 
     Raises:

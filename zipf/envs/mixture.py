@@ -1,4 +1,4 @@
-"""Several levels in one batch: shared among the worlds, or drawn at every reset."""
+"""Several levels in one batch: shared among the envs, or drawn at every reset."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -19,11 +19,11 @@ _SHARED = ("_streams", "_running", "_lengths", "_returns", "_restarted")
 
 
 class Mixture(ZipfVectorEnv):
-    """`N` worlds of several levels.
+    """`N` envs of several levels.
 
-    - `draw="worlds"`: the worlds are shared evenly among the levels, in contiguous blocks, for
+    - `draw="worlds"`: the envs are shared evenly among the levels, in contiguous blocks, for
       good. World `i` of `reset(seed=s)` is that of its level's own batch seeded `s + i`.
-    - `draw="resets"`: at every reset a world draws its level, by one number of its random stream,
+    - `draw="resets"`: at every reset an env draws its level, by one number of its random stream,
       and then the episode as the level does. The situation of an episode begins with the rank of
       its level (0 = most frequent), named `level` unless `rank` says otherwise.
       `info["level"]` is the rank, int64 [N], and `info["level_name"]` the level's name;
@@ -36,13 +36,13 @@ class Mixture(ZipfVectorEnv):
         makers = {name: partial(make_vec, f"gridworld/{name}") for name in ("zipf_2", "uniform")}
         env = Mixture(makers, num_envs=64, draw="resets", exponent=1.0)
 
-    Batched levels stay batched: worlds of the same level are stepped together, and so are those of
+    Batched levels stay batched: envs of the same level are stepped together, and so are those of
     levels with the same engine (`ZipfVectorEnv._engine`), which differ only in how episodes begin.
 
     Args:
         levels: for the name of each level a function that makes a batch of it, called as
             `make(num_envs, autoreset_mode=..., render_mode=..., **options)`.
-        num_envs: number of worlds. With `draw="worlds"`, where they cannot be shared evenly, the
+        num_envs: number of envs. With `draw="worlds"`, where they cannot be shared evenly, the
             first levels get one more.
         draw: "worlds" or "resets".
         exponent: with "resets", the exponent of Zipf's law by which levels are drawn.
@@ -55,14 +55,14 @@ class Mixture(ZipfVectorEnv):
         level_options: constructor options of single levels, by level name; they override `options`.
 
     Attributes:
-        level_names: the levels by rank; with "worlds", in the order of their worlds.
-        levels_of_worlds: int64 [N], the place in `level_names` of each world's level.
+        level_names: the levels by rank; with "worlds", in the order of their envs.
+        levels_of_worlds: int64 [N], the place in `level_names` of each env's level.
         batches: the levels' batches, in the order of `level_names`. Each has N rows and keeps the
-            worlds that are on its level; those with the same engine share their arrays.
+            envs that are on its level; those with the same engine share their arrays.
 
     Raises:
-        ValueError: for no level, fewer worlds than levels with "worlds", levels with different
-            observations, actions or (with "worlds") situations or other numbers of worlds than
+        ValueError: for no level, fewer envs than levels with "worlds", levels with different
+            observations, actions or (with "worlds") situations or other numbers of envs than
             asked for, a bad law or order, or options of an unknown level.
     """
 
@@ -83,7 +83,7 @@ class Mixture(ZipfVectorEnv):
         **options: Any,
     ) -> None:
         if draw not in ("worlds", "resets"):
-            raise ValueError(f"draw must be 'worlds' or 'resets', got {draw!r}")
+            raise ValueError(f"draw must be 'envs' or 'resets', got {draw!r}")
         if not mapping("levels", levels):
             raise ValueError("a mixture needs at least one level, got none")
         num_envs = whole("num_envs", num_envs, 1)
@@ -106,7 +106,7 @@ class Mixture(ZipfVectorEnv):
                 raise ValueError("exponent, probabilities and order need draw='resets'")
             if num_envs < count:
                 raise ValueError(
-                    f"num_envs must be at least {count}, a world for each of the levels "
+                    f"num_envs must be at least {count}, an env for each of the levels "
                     f"{', '.join(levels)}; got {num_envs}"
                 )
             self.level_names = tuple(levels)
@@ -121,15 +121,15 @@ class Mixture(ZipfVectorEnv):
             for name in self.level_names
         ]
         for name, batch in zip(self.level_names, self.batches, strict=True):
-            # The worlds of a smaller batch would be sought outside its arrays.
+            # The envs of a smaller batch would be sought outside its arrays.
             if not isinstance(batch, ZipfVectorEnv):
                 raise ValueError(
-                    f"level {name!r} must be a ZipfVectorEnv of {num_envs} worlds, got a "
+                    f"level {name!r} must be a ZipfVectorEnv of {num_envs} envs, got a "
                     f"{type(batch).__name__}"
                 )
             if batch.num_envs != num_envs:
                 raise ValueError(
-                    f"level {name!r} must have the {num_envs} worlds that it was asked for, got "
+                    f"level {name!r} must have the {num_envs} envs that it was asked for, got "
                     f"{batch.num_envs}"
                 )
         self._require_alike("single_observation_space", "single_action_space")
@@ -164,8 +164,8 @@ class Mixture(ZipfVectorEnv):
         if draw == "resets":
             self.probabilities = zipfian(count, exponent) if exponent is not None else probabilities
         self._engine_of = _engines(self.batches)
-        # [levels, N]: worlds by level, once they have begun; worlds by engine, in the row of its
-        # first level; worlds that begin now, by level.
+        # [levels, N]: envs by level, once they have begun; envs by engine, in the row of its
+        # first level; envs that begin now, by level.
         self._begun = np.zeros((count, num_envs), np.bool_)
         self._on_engine = np.zeros((count, num_envs), np.bool_)
         self._beginning = np.zeros((count, num_envs), np.bool_)
@@ -187,7 +187,7 @@ class Mixture(ZipfVectorEnv):
     @property
     def engines(self) -> NDArray[np.int64]:
         """For each level the place in `batches` of the first one with its engine, int64 [levels].
-        That batch has the state of all worlds on the engine."""
+        That batch has the state of all envs on the engine."""
         return self._engine_of
 
     @property
@@ -221,7 +221,7 @@ class Mixture(ZipfVectorEnv):
         self._cumulative = pcg64.cumulative(self._probabilities)
 
     def render(self) -> tuple[Any, ...] | None:
-        """The worlds' frames, as their levels draw them; None without a `render_mode`."""
+        """The envs' frames, as their levels draw them; None without a `render_mode`."""
         if self.render_mode is None:
             return None
         frames: list[Any] = [None] * self.num_envs
@@ -264,7 +264,7 @@ class Mixture(ZipfVectorEnv):
     def _share(self) -> None:
         """Makes the levels' batches work on this batch's random streams, lengths and so on.
 
-        A batch's `_seeded` says which worlds have an episode of its level: what it replays after
+        A batch's `_seeded` says which envs have an episode of its level: what it replays after
         `set_state`.
         """
         for k, batch in enumerate(self.batches):
@@ -285,7 +285,7 @@ class Mixture(ZipfVectorEnv):
         self._engines_now = np.flatnonzero(self._on_engine.any(1)).tolist()
 
     def _parts(self, mask: NDArray[np.bool_]) -> Iterator[tuple[ZipfVectorEnv, NDArray[np.bool_]]]:
-        """The batches that step and draw the worlds of `mask`, with a mask of these worlds each."""
+        """The batches that step and draw the envs of `mask`, with a mask of these envs each."""
         if len(self._engines_now) == 1:
             yield self.batches[self._engines_now[0]], mask
             return
@@ -352,7 +352,7 @@ class Mixture(ZipfVectorEnv):
     def _joined(
         self, entries: Callable[[ZipfVectorEnv], dict[str, NDArray[Any]]], names: list[str]
     ) -> dict[str, NDArray[Any]]:
-        """These entries of the batches, each world's from its level's batch."""
+        """These entries of the batches, each env's from its level's batch."""
         if not names:
             return {}
         parts = [(entries(batch), mask) for batch, mask in self._parts(self._everywhere)]
@@ -400,7 +400,7 @@ class Mixture(ZipfVectorEnv):
             self.levels_of_worlds[:] = state["levels"]
         self._locate(state["seeded"])
         for k, batch in enumerate(self.batches):
-            # To a level's batch, worlds that are on other levels have not begun yet.
+            # To a level's batch, envs that are on other levels have not begun yet.
             here = self.levels_of_worlds == k
             common = {key: state[key] * here for key in ("seeded", "running", "lengths", "returns")}
             name = self.level_names[self._engine_of[k]]
@@ -412,10 +412,10 @@ class Mixture(ZipfVectorEnv):
 def _begin_levels(
     mask, draw, forced, cumulative, streams, engine_of, levels, begun, on_engine, beginning
 ):
-    """Gives the worlds of `mask` their levels, drawn if `draw`, and keeps the masks up to date.
+    """Gives the envs of `mask` their levels, drawn if `draw`, and keeps the masks up to date.
 
     Forced levels (>= 0) replace what was drawn. Returns which levels begin an episode and which
-    engines have worlds, bool [levels] both.
+    engines have envs, bool [levels] both.
     """
     beginning[:] = False
     begin = np.zeros(len(engine_of), np.bool_)
@@ -439,7 +439,7 @@ def _begin_levels(
 
 
 def _engines(batches: Sequence[ZipfVectorEnv]) -> NDArray[np.int64]:
-    """For each level the place of the batch that steps its worlds: the first with its engine."""
+    """For each level the place of the batch that steps its envs: the first with its engine."""
     keys = [batch._engine() for batch in batches]
     engines = [
         (type(batch), k if key is None else key)
@@ -449,7 +449,7 @@ def _engines(batches: Sequence[ZipfVectorEnv]) -> NDArray[np.int64]:
 
 
 def _without_episodes(batch: ZipfVectorEnv) -> ZipfVectorEnv:
-    """A shallow copy of a batch for pickling, of which no world has begun."""
+    """A shallow copy of a batch for pickling, of which no env has begun."""
     twin: ZipfVectorEnv = object.__new__(type(batch))
     none = np.zeros_like(batch._seeded)
     twin.__dict__.update(batch.__dict__, _seeded=none, _running=none)

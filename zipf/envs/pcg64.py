@@ -1,8 +1,8 @@
 """NumPy's default random generator (PCG64) inside numba kernels.
 
-A world's stream is four uint64: state high, state low, increment high, increment low. It gives
+An env's stream is four uint64: state high, state low, increment high, increment low. It gives
 the same doubles as `numpy.random.default_rng(seed)`, so that episodes can begin inside a kernel
-and still be those of a world that draws with NumPy.
+and still be those of an env that draws with NumPy.
 
 Source: M. E. O'Neill, "PCG: A Family of Simple Fast Space-Efficient Statistically Good Algorithms
 for Random Number Generation", 2014 (the XSL-RR 128/64 member), as in NumPy.

@@ -1,4 +1,4 @@
-"""Scripted players of the worlds that a split trains on, and how their memory is saved."""
+"""Scripted policies of the envs that a split trains on, and how their memory is saved."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Remembering:
-    """The base of scripted players that remember something of their episodes.
+    """The base of scripted policies that remember something of their episodes.
 
     Attributes:
         remembered: names of the attributes, arrays [N, ...], that its next actions depend on.
@@ -31,20 +31,20 @@ class Remembering:
         return {name: getattr(self, name).copy() for name in self.remembered}
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Continues from `get_state()`, in the same worlds."""
+        """Continues from `get_state()`, in the same envs."""
         for name in self.remembered:
             getattr(self, name)[:] = state[name]
 
 
 class Teacher:
-    """A scripted player of the worlds that `zipf.envs.make_train` makes of a split.
+    """A scripted policy of the envs that `zipf.envs.make_train` makes of a split.
 
     Called, it gives the actions, int64 [N], that it would take.
 
     Args:
         name: which player, of `zipf.envs.SCRIPTED`.
         split: the split.
-        env: the worlds.
+        env: the envs.
 
     Raises:
         ValueError: a train level has no such player.
@@ -53,7 +53,7 @@ class Teacher:
     def __init__(self, name: Scripted, split: Split, env: ZipfVectorEnv):
         self._env = env
         batches = {0: (split.train[0].name, env)}
-        if isinstance(env, Mixture):  # one player for all worlds on an engine
+        if isinstance(env, Mixture):  # one player for all envs on an engine
             firsts = np.unique(env.engines).tolist()
             batches = {k: (env.level_names[k], env.batches[k]) for k in firsts}
         self._players: dict[int, Player] = {}
@@ -81,7 +81,7 @@ class Teacher:
         return state
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Continues from `get_state()`, in the same worlds."""
+        """Continues from `get_state()`, in the same envs."""
         for k, player in self._players.items():
             if isinstance(player, Remembering):
                 start = f"{k}:"

@@ -1,4 +1,4 @@
-"""One world as a Gymnasium environment, for families written as batches."""
+"""One env as a Gymnasium environment, for families written as batches."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,14 +13,14 @@ from zipf.envs.vector import Observation, ZipfVectorEnv
 
 
 class SingleWorld(gym.Env[dict[str, Any], Any]):
-    """A batch of one world, without its batch axis.
+    """A batch of one env, without its batch axis.
 
         env = SingleWorld(GridworldVectorEnv, level="rare")
 
-    After `reset(seed=s + i)` it equals world `i` of a batch after `reset(seed=s)`. As the single
-    world of `check_vector_env` it reveals worlds that affect each other, wrong masks, states and
+    After `reset(seed=s + i)` it equals env `i` of a batch after `reset(seed=s)`. As the single
+    env of `check_vector_env` it reveals envs that affect each other, wrong masks, states and
     buffers, but not wrong rules, because both sides share them; to check the rules, write a single
-    world independently of the batch.
+    env independently of the batch.
 
     `info` holds the ranks of the situation as integers, and the batch's other entries as Python
     values (text as str). The step that ends an episode adds `success` (bool, if the batch reports
@@ -74,7 +74,7 @@ class SingleWorld(gym.Env[dict[str, Any], Any]):
         return _row(observation), float(reward[0]), *ends, _items(info)
 
     def render(self) -> Any:
-        """The world's frame, as the batch draws it; None without a `render_mode`."""
+        """The env's frame, as the batch draws it; None without a `render_mode`."""
         frames = None if self.render_mode is None else self.batch.render()
         return None if frames is None else frames[0]
 
@@ -87,6 +87,6 @@ def _row(observation: Observation) -> dict[str, Any]:
 
 
 def _items(info: dict[str, Any]) -> dict[str, Any]:
-    """The single world's entries as Python values, without masks (`_success`, ...)."""
+    """The single env's entries as Python values, without masks (`_success`, ...)."""
     own = {key: value[0] for key, value in info.items() if not key.startswith("_")}
     return {key: one.item() if isinstance(one, np.generic) else one for key, one in own.items()}

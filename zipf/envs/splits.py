@@ -16,7 +16,7 @@ from zipf.envs.arguments import mapping, whole
 from zipf.protocol import KINDS, PAPER_KINDS
 
 Level = str | Callable[..., Any]
-"""A level's full name (`"gridworld/rare"`), or a function that makes a batch of its worlds,
+"""A level's full name (`"gridworld/rare"`), or a function that makes a batch of its envs,
 called as `make(num_envs, autoreset_mode=..., **options)`."""
 
 
@@ -111,8 +111,8 @@ class Split:
         name: unique among all splits.
         train, uniform, rare: the levels of each kind.
         validation, fresh: the same of the kinds that not every split has; empty where it has none.
-        draw: how worlds share several train levels: "worlds": evenly, each world has one level for
-            good; "resets": at every reset a world draws its level in proportion to the weights.
+        draw: how envs share several train levels: "worlds": evenly, each env has one level for
+            good; "resets": at every reset an env draws its level in proportion to the weights.
         episodes: of each level of a kind, in an evaluation that is not told otherwise; for
             "validation" and "fresh", where they are not named, those of "uniform".
         spread: what the +- of a table is: "seeds": the median absolute deviation across seeds;
@@ -156,7 +156,7 @@ class Split:
                     "different names"
                 )
         if self.draw not in ("worlds", "resets"):
-            raise ValueError(f"draw must be 'worlds' or 'resets', got {self.draw!r}")
+            raise ValueError(f"draw must be 'envs' or 'resets', got {self.draw!r}")
         if self.spread not in ("seeds", "tasks"):
             raise ValueError(f"spread must be 'seeds' or 'tasks', got {self.spread!r}")
         given = set(mapping("episodes", self.episodes))

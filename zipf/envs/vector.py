@@ -72,7 +72,7 @@ def rank_name(what: str, name: Any) -> str:
 
 
 class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
-    """`N` worlds that step together and report the situation of every episode.
+    """`N` envs that step together and report the situation of every episode.
 
     A `gymnasium.vector.VectorEnv` in any of Gymnasium's autoreset modes, with:
 
@@ -95,18 +95,18 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
       arrays [N, ...]. Both are valid only where the masks `_final_info` and `_final_obs` (bool [N])
       are set. `final_obs` is written to `final_out`; with `out` and no `final_out` it is left out,
       which saves drawing it.
-    - `NEXT_STEP`: in the next step, which ignores the actions of these worlds and returns the
+    - `NEXT_STEP`: in the next step, which ignores the actions of these envs and returns the
       first observations of the new episodes, with reward 0 and neither terminated nor truncated.
       The step that ends an episode returns its last observation, and `info` holds the outcome,
       valid where the masks `_success`, `_return` and `_length` are set.
-    - `DISABLED`: when the caller resets these worlds, by
+    - `DISABLED`: when the caller resets these envs, by
       `reset(options={"reset_mask": mask})` (bool [N]), which leaves the others as they are. The
       outcome is in `info` as in `NEXT_STEP`.
 
     Args:
-        num_envs: number of worlds N.
-        single_observation_space: the observations of one world.
-        single_action_space: the actions of one world, counted from 0.
+        num_envs: number of envs N.
+        single_observation_space: the observations of one env.
+        single_action_space: the actions of one env, counted from 0.
         situation: name and size of each rank an episode is drawn at; may be empty. The names in
             `RESERVED` and `COLUMNS` and those that begin with an underscore are taken.
         autoreset_mode: a `gymnasium.vector.AutoresetMode` or its value: "SameStep", "NextStep" or
@@ -158,7 +158,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             )
         drawn = self.metadata.get("render_modes") or []
         if render_mode is not None and render_mode not in drawn:
-            known = f"one of {drawn} or None" if drawn else "None: these worlds draw no pictures"
+            known = f"one of {drawn} or None" if drawn else "None: these envs draw no pictures"
             raise ValueError(f"render_mode must be {known}, got {render_mode!r}")
         self.num_envs = num_envs
         self.single_observation_space = single_observation_space
@@ -191,7 +191,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def observation_space(self) -> spaces.Dict:  # type: ignore[override]
         """The batched space, made when asked for.
 
-        Gymnasium keeps the bounds of every pixel of every world, four times what a batch of images
+        Gymnasium keeps the bounds of every pixel of every env, four times what a batch of images
         takes itself. They are all alike, so here they are views of the single space's.
         """
         batched = cast(spaces.Dict, batch_space(self.single_observation_space, self.num_envs))
@@ -206,7 +206,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     @abstractmethod
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
-        """Starts an episode in the worlds of `mask`, drawing from `self._streams`.
+        """Starts an episode in the envs of `mask`, drawing from `self._streams`.
 
         World `i` draws from its own stream only: a rank by
         `zipf.envs.pcg64.choice(self._streams[i], cdf)`, where `cdf` is
@@ -221,18 +221,18 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _advance(
         self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-        """Steps the worlds of `mask`, without autoreset.
+        """Steps the envs of `mask`, without autoreset.
 
         Returns reward, terminated, truncated and success [N].
 
-        The arrays are fresh ones; their entries of other worlds are not used. `self._lengths`
+        The arrays are fresh ones; their entries of other envs are not used. `self._lengths`
         counts this step already. Success is used only where an episode ends, and nowhere if
         `reports_success` is False.
         """
 
     @abstractmethod
     def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
-        """Writes the observations of the worlds of `mask` to their rows of `out`."""
+        """Writes the observations of the envs of `mask` to their rows of `out`."""
 
     @abstractmethod
     def _situations(self) -> dict[str, NDArray[np.int64]]:
@@ -247,7 +247,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         return {}
 
     def _achieved(self, ended: NDArray[np.bool_]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Goals that the episodes achieved which have just ended in the worlds of `ended`; for
+        """Goals that the episodes achieved which have just ended in the envs of `ended`; for
         families with `achieves`.
 
         Returns a fresh array [N, K] of goals, as the family's `Goal` reads them, and bool [N]:
@@ -264,11 +264,11 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Restores the family's own state from a complete one, which has `_get_worlds`' keys too.
 
-        A family that cannot restore the running episode of a world begins one and sets the
-        world's entry of `self._restarted`.
+        A family that cannot restore the running episode of an env begins one and sets the
+        env's entry of `self._restarted`.
 
         Raises ValueError, with nothing restored, if a kernel could not work on it: a kernel checks
-        no bounds. Numbers may be anything; those of worlds that have not begun (`state["seeded"]`)
+        no bounds. Numbers may be anything; those of envs that have not begun (`state["seeded"]`)
         are never stepped.
         """
 
@@ -278,7 +278,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _engine(self) -> Hashable:
         """A value that is equal for batches which differ only in how their episodes begin.
 
-        A `Mixture` steps and draws the worlds of such levels together. None, as here, if there are
+        A `Mixture` steps and draws the envs of such levels together. None, as here, if there are
         no such batches; otherwise the family implements `_use_engine`, too.
         """
         return None
@@ -288,8 +288,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         raise NotImplementedError
 
     def _use_processes(self, other: "ZipfVectorEnv") -> None:
-        """In a mixture: shares the external processes (an engine for each world) of `other`, the
-        mixture's first batch, since a world is of one level at a time. Most families have none."""
+        """In a mixture: shares the external processes (an engine for each env) of `other`, the
+        mixture's first batch, since an env is of one level at a time. Most families have none."""
 
     # What users call.
 
@@ -303,14 +303,14 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         """Starts new episodes.
 
         Args:
-            seed: `s` seeds world `i` with `s + i`; a list seeds each world by itself, and None
-                lets a world's stream go on (from fresh entropy if it was never seeded).
-            options: `reset_mask` (bool [N]) limits the reset to some worlds. The name of a rank
-                of the situation forces it: an integer for all worlds or integers [N].
+            seed: `s` seeds env `i` with `s + i`; a list seeds each env by itself, and None
+                lets an env's stream go on (from fresh entropy if it was never seeded).
+            options: `reset_mask` (bool [N]) limits the reset to some envs. The name of a rank
+                of the situation forces it: an integer for all envs or integers [N].
             out: where to write the observations, else as the constructor's `copy` says.
 
         Returns:
-            Observations of all worlds and `info` about all running episodes.
+            Observations of all envs and `info` about all running episodes.
 
         Raises:
             ValueError: for seeds, options or `out` of the wrong length, type or range.
@@ -339,7 +339,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         out: Observation | None = None,
         final_out: Observation | None = None,
     ) -> Step:
-        """Takes one action in every world.
+        """Takes one action in every env.
 
         Args:
             actions: integers [N].
@@ -353,19 +353,19 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         Raises:
             ValueError: for actions or buffers of the wrong shape, dtype or range, or buffers that
                 share memory; nothing has happened then.
-            ResetNeeded: if a world has to be reset first. After an exception of the worlds' engine
-                all worlds that it was stepping have to be.
+            ResetNeeded: if an env has to be reset first. After an exception of the envs' engine
+                all envs that it was stepping have to be.
         """
         if self.closed:
             raise ClosedEnvironmentError("step() of an environment that was closed")
-        begins = not self._all_running  # some worlds begin an episode in this step
+        begins = not self._all_running  # some envs begin an episode in this step
         mask = self._everywhere
         if begins:
             next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
             waiting = ~(self._seeded if next_step else self._running)
             if waiting.any():
                 worlds = np.flatnonzero(waiting).tolist()
-                raise ResetNeeded(f"step() needs a running episode: reset worlds {worlds} first")
+                raise ResetNeeded(f"step() needs a running episode: reset envs {worlds} first")
             mask = self._running.copy()
         actions = self._read_actions(actions, mask)
         observation = self._writable(out, "out")
@@ -387,7 +387,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         try:
             reward, terminated, truncated, success = self._advance(actions, mask)
         except BaseException:
-            # Some worlds may have been stepped and others not.
+            # Some envs may have been stepped and others not.
             self._running &= ~mask
             self._all_running = False
             raise
@@ -429,10 +429,10 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         valid where `has_achieved` (bool [N]) is set.
 
         Raises:
-            ValueError: these worlds do not tell what an episode has achieved.
+            ValueError: these envs do not tell what an episode has achieved.
         """
         if not self.achieves:
-            raise ValueError("these worlds do not tell what an episode has achieved")
+            raise ValueError("these envs do not tell what an episode has achieved")
         self._reports_achieved = True
 
     def observations(self, out: Observation | None = None) -> Observation:
@@ -466,7 +466,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             does.
 
         Raises:
-            ValueError: if the state is of another kind or number of worlds, or damaged. The worlds
+            ValueError: if the state is of another kind or number of envs, or damaged. The envs
                 are then as they were.
         """
         own = self.get_state()
@@ -487,7 +487,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                     f"got {state[key].dtype} {state[key].shape}"
                 )
         if (state["running"] & ~state["seeded"]).any():
-            raise ValueError("the state is damaged: worlds are running that have not begun")
+            raise ValueError("the state is damaged: envs are running that have not begun")
         if (state["lengths"] < 0).any() or not np.isfinite(state["returns"]).all():
             raise ValueError("the state is damaged: lengths or returns of episodes out of range")
         self._restarted[:] = False
@@ -548,13 +548,12 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         return out
 
     def _read_actions(self, actions: Any, mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """The actions of the worlds of `mask`, int64 [N], 0 for the others."""
+        """The actions of the envs of `mask`, int64 [N], 0 for the others."""
         actions = np.asarray(actions)
         if actions.shape != (self.num_envs,) or actions.dtype.kind not in "iu":
             got = f"{actions.dtype} of shape {actions.shape}" if actions.shape else "a single one"
             raise ValueError(
-                f"actions must be integers of shape ({self.num_envs},), one for each world, "
-                f"got {got}"
+                f"actions must be integers of shape ({self.num_envs},), one for each env, got {got}"
             )
         actions = np.ascontiguousarray(actions, dtype=np.int64)
         if mask is not self._everywhere:
@@ -584,7 +583,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _read_options(
         self, options: Mapping[str, Any] | None
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """The worlds to reset, bool [N], and the ranks to force, int64 [ranks, N]."""
+        """The envs to reset, bool [N], and the ranks to force, int64 [ranks, N]."""
         options = reset_options(options, ["reset_mask", *self.situation])
         mask = np.asarray(options.get("reset_mask", self._everywhere))
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:

@@ -60,7 +60,7 @@ class Auxiliary(nn.Module):
         The loss is a mean over time and batch, as all losses here (`zipf.agents.agent`).
 
         Args:
-            inputs: of T + 1 steps of B worlds.
+            inputs: of T + 1 steps of B envs.
             core: the memory's output there, [T + 1, B, size].
         """
         return torch.zeros((), device=core.device), {}

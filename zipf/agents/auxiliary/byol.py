@@ -30,7 +30,7 @@ Rate = Annotated[float, Field(ge=0, le=1)]
 
 
 class BYOLSizes(AuxiliaryOptions):
-    """Options of all forms; they learn from a random `fraction` of the worlds."""
+    """Options of all forms; they learn from a random `fraction` of the envs."""
 
     weight: Weight
     fraction: Fraction

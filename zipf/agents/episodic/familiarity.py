@@ -176,7 +176,7 @@ def alike(image: Tensor, noise: float) -> Tensor:
     in every block of 8 x 8 pixels the mean squared difference is at most what two copies with noise
     of this standard deviation are expected to have.
 
-    In the mean over the whole image, two goals of a world would often be the same: they may differ
+    In the mean over the whole image, two goals of an env would often be the same: they may differ
     in few pixels. In float32 under autocast, too: bfloat16 rounds by more than such a difference.
     """
     rows, columns = (_blocks(size, image.device) for size in image.shape[1:3])
@@ -230,7 +230,7 @@ def build_recorder(
 
     Args:
         space: of observations.
-        worlds: B of the unrolls.
+        envs: B of the unrolls.
         core_size: of the memory's outputs.
         actions: how many there are.
         seed: of its draws.

@@ -58,11 +58,11 @@ class Recorder(nn.Module):
         """
 
     def carried(self) -> dict[str, Tensor]:
-        """A copy of what is kept of the episodes that the worlds are in."""
+        """A copy of what is kept of the episodes that the envs are in."""
         return {}
 
     def carry(self, carried: dict[str, Tensor]) -> None:
-        """Goes on with other worlds, of which this is what `carried()` was; empty: none of their
+        """Goes on with other envs, of which this is what `carried()` was; empty: none of their
         episodes' frames has been learned from."""
 
 
@@ -70,7 +70,7 @@ class DictionaryRecorder(Recorder):
     """Draws a row of every episode and writes it when the episode ends.
 
     Args:
-        worlds: B of the unrolls.
+        envs: B of the unrolls.
         core_size: of the memory's outputs.
         actions: how many there are.
         options: of the dictionary.
@@ -99,7 +99,7 @@ class DictionaryRecorder(Recorder):
         self.actions = actions
         self.seed = seed
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
-        # Of the episode that each world is in: its frames so far, and the row drawn among them.
+        # Of the episode that each env is in: its frames so far, and the row drawn among them.
         self.register_buffer("age", torch.zeros(worlds, dtype=torch.int64))
         self.register_buffer("core", torch.zeros(worlds, core_size))
         self.register_buffer("action", torch.zeros(worlds, dtype=torch.int64))
@@ -149,11 +149,11 @@ class DictionaryRecorder(Recorder):
         self.updates += 1
 
     def carried(self) -> dict[str, Tensor]:
-        """A copy of what is kept of the episodes that the worlds are in, [B, ...] each."""
+        """A copy of what is kept of the episodes that the envs are in, [B, ...] each."""
         return {name: getattr(self, name).clone() for name in self._of_episodes()}
 
     def carry(self, carried: dict[str, Tensor]) -> None:
-        """Goes on with other worlds; the age of an episode says whether the rest is in use."""
+        """Goes on with other envs; the age of an episode says whether the rest is in use."""
         if not carried:
             self.age.zero_()
         for name, value in carried.items():
@@ -210,7 +210,7 @@ def pick(before: Tensor, unroll: Tensor, source: Tensor, world: Tensor) -> Tenso
     Args:
         before: [B, ...].
         unroll: [T + 1, B, ...].
-        source, world: int64 [N].
+        source, env: int64 [N].
     """
     inside = (source >= 0).view(-1, *[1] * (before.ndim - 1))
     return torch.where(inside, unroll[source.clamp(min=0), world], before[world])

@@ -16,7 +16,7 @@ Steps = Annotated[int, Field(ge=1, le=10**9)]
 
 
 class GridworldOptions(Options):
-    """Constructor options. Other values than these make other worlds than the paper's."""
+    """Constructor options. Other values than these make other envs than the paper's."""
 
     num_maps: Maps = 20  # paper
     num_rooms: Pair = Field(default=[3, 3])  # paper: 3 x 3 rooms

@@ -16,7 +16,7 @@ from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 
 class Expert:
-    """Plays all worlds of a batch from their state: `Expert(env)()` is actions, int64 [N].
+    """Plays all envs of a batch from their state: `Expert(env)()` is actions, int64 [N].
 
     It succeeds wherever the target can be reached in `max_steps`, as on all released maps.
 
@@ -36,7 +36,7 @@ class Expert:
 
 
 def require_gridworld(env: object, player: str) -> None:
-    """Raises ValueError if a scripted player, named in the message, cannot play these worlds."""
+    """Raises ValueError if a scripted policy, named in the message, cannot play these envs."""
     if not isinstance(env, GridworldVectorEnv):
         raise ValueError(
             f"the {player} plays a batch of one gridworld level, got {type(env).__name__}"

@@ -25,7 +25,7 @@ _HALF, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
 
 
 class Generalist(Remembering):
-    """Plays all worlds of a batch from what has been in view: `Generalist(env)()` is actions [N].
+    """Plays all envs of a batch from what has been in view: `Generalist(env)()` is actions [N].
 
     It knows the cue, the rules of moving, and the cells that have been in its 7 x 7 view in this
     episode, but not the top left one, which the cue covers. Once it has seen the cued object, and a
@@ -33,14 +33,14 @@ class Generalist(Remembering):
     whichever neighbouring floor cell it has been to least often in this episode, and touches no
     object.
 
-    It may be asked in worlds in which another policy acts. It then remembers what was in view, and
+    It may be asked in envs in which another policy acts. It then remembers what was in view, and
     where the agent stood, at every step at which it was asked. Where it was not asked from the
-    first step of an episode on, its memory begins when it was. Asked again before the worlds have
+    first step of an episode on, its memory begins when it was. Asked again before the envs have
     moved, it gives the same actions.
 
     Args:
         env: the batch.
-        seed: between cells alike, it chooses by a hash of this, of the world's random stream and
+        seed: between cells alike, it chooses by a hash of this, of the env's random stream and
             of the step: the same in a batch of any size. The stream is left as it is.
         memory: False: it knows what is in view now and nothing else, and moves to a random
             neighbouring cell until it sees a way to the cued object.
@@ -66,7 +66,7 @@ class Generalist(Remembering):
         self._lengths = np.full(env.num_envs, -1, dtype=np.int64)
 
     def __call__(self) -> NDArray[np.int64]:
-        """The next action of every world, int64 [N]."""
+        """The next action of every env, int64 [N]."""
         env, maps = self._env, self._env.level.maps
         _look(
             self._memory, env._worlds, env._streams, env._lengths, maps.codes,
@@ -84,13 +84,13 @@ class Generalist(Remembering):
 
 @compiled()
 def _look(memory, worlds, streams, lengths, codes, episodes, last, asked, known, visits):
-    """Follows the worlds: forgets the episodes before, and adds what is in view now.
+    """Follows the envs: forgets the episodes before, and adds what is in view now.
 
     Args:
         memory: False: everything is forgotten first.
-        worlds, streams, lengths: the state of the worlds.
+        envs, streams, lengths: the state of the envs.
         codes: of `Maps`.
-        episodes, last, asked: map and target, stream, and length of the episode when a world was
+        episodes, last, asked: map and target, stream, and length of the episode when an env was
             last looked at, int64 [N, 2], uint64 [N, 4] and int64 [N], written.
         known: cell codes that have been seen, uint8 [N, rows + 6, columns + 6], written.
         visits: at how many steps the agent was in a cell, int32 of that shape, written.
@@ -118,7 +118,7 @@ def _look(memory, worlds, streams, lengths, codes, episodes, last, asked, known,
 
 @compiled()
 def _hashes(streams, lengths, seed):
-    """A pseudo-random number for each world and step, uint64 [N]."""
+    """A pseudo-random number for each env and step, uint64 [N]."""
     found = np.empty(len(lengths), np.uint64)
     for i in range(len(lengths)):
         value = streams[i, 0] ^ seed
@@ -133,7 +133,7 @@ def _hashes(streams, lengths, seed):
 
 @compiled()
 def _choose(places, cues, known, visits, ties, actions):
-    """Chooses actions from what is known of the worlds, and from nothing else.
+    """Chooses actions from what is known of the envs, and from nothing else.
 
     Args:
         places: row and column of the agents in `known`, int64 [N, 2].

@@ -1,4 +1,4 @@
-"""Zipf's Gridworld, one world."""
+"""Zipf's Gridworld, one env."""
 
 from typing import Any
 
@@ -100,7 +100,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
 
     `zipf/Gridworld-v0`, by `import zipf.envs`, or in one go
     `gymnasium.make("zipf.envs:zipf/Gridworld-v0", level="zipf_2")`. With `gymnasium.make_vec` the
-    same id gives `GridworldVectorEnv`, which steps many worlds at once.
+    same id gives `GridworldVectorEnv`, which steps many envs at once.
 
     Raises:
         ValueError: for arguments out of range, or more objects than a map has places for.

@@ -1,6 +1,6 @@
-"""The gridworld's rules and observations for a batch of worlds, compiled.
+"""The gridworld's rules and observations for a batch of envs, compiled.
 
-A world's state is one row of `worlds`, int64 [N, 4]: map, target, row, column. Its observation
+An env's state is one row of `worlds`, int64 [N, 4]: map, target, row, column. Its observation
 depends on nothing else.
 """
 
@@ -53,10 +53,10 @@ _copy_half = _copier(_BLOCK // 2)
 
 @compiled()
 def begin(mask, forced, map_cdf, target_cdf, cells, streams, worlds):
-    """Starts an episode in every world of `mask` (bool [N]).
+    """Starts an episode in every env of `mask` (bool [N]).
 
     Map and target are always drawn, in this order, and then replaced by `forced` (int64 [2, N])
-    where that is not negative: forcing a situation does not shift a world's random stream.
+    where that is not negative: forcing a situation does not shift an env's random stream.
     """
     for i in range(len(worlds)):
         if not mask[i]:
@@ -78,7 +78,7 @@ def move_one(world, action, codes, cells):
     """Steps one environment.
 
     Args:
-        world: its state, int64 [4], written.
+        env: its state, int64 [4], written.
         action: in 0 .. 7.
         codes, cells: of `Maps`.
 
@@ -104,14 +104,14 @@ def move_one(world, action, codes, cells):
 
 @compiled()
 def move(mask, actions, codes, cells, max_steps, lengths, worlds, reward, terminated, truncated):
-    """Steps the worlds of `mask`.
+    """Steps the envs of `mask`.
 
     Args:
         mask, actions: bool [N] and int64 [N].
         codes, cells: of `Maps`.
         max_steps: the length at which an episode is truncated.
         lengths: of the episodes with this step, int64 [N].
-        worlds: the state, written.
+        envs: the state, written.
         reward, terminated, truncated: float64, bool, bool [N], written.
     """
     for i in range(len(worlds)):
@@ -124,11 +124,11 @@ def move(mask, actions, codes, cells, max_steps, lengths, worlds, reward, termin
 
 @compiled()
 def draw_tiles(mask, worlds, codes, cells, tiles, cue):
-    """Writes the observations of the worlds of `mask` as cell codes.
+    """Writes the observations of the envs of `mask` as cell codes.
 
     Args:
         mask: bool [N].
-        worlds: the state.
+        envs: the state.
         codes, cells: of `Maps`.
         tiles: the agent's view, uint8 [N, 7, 7], written.
         cue: the code of the target, uint8 [N, 1], written.
@@ -147,7 +147,7 @@ def draw_tiles(mask, worlds, codes, cells, tiles, cue):
 
 @compiled()
 def draw_images(mask, worlds, codes, cells, stripes, image):
-    """Draws the observations of the worlds of `mask` to `image`, uint8 [N, 63, 63, 3].
+    """Draws the observations of the envs of `mask` to `image`, uint8 [N, 63, 63, 3].
 
     A pixel row of a cell has 27 bytes. It is written as one block of 32, of which the next cell
     overwrites the last 5. In the last cell of a line it is written as two blocks of 16 that

@@ -1,4 +1,4 @@
-"""What a gridworld level is: its maps, its distributions, its spaces; one world's or many's."""
+"""What a gridworld level is: its maps, its distributions, its spaces; one env's or many's."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ OBSERVATIONS: dict[str, dict[str, tuple[int, ...]]] = {
     "image": {"image": (VIEW * CELL, VIEW * CELL, 3)},
     "tiles": {"tiles": (VIEW, VIEW), "cue": (1,)},
 }
-"""Keys and shapes of what one world shows, all uint8, by the `observation` option."""
+"""Keys and shapes of what one env shows, all uint8, by the `observation` option."""
 
 
 def distribution(name: str) -> Distribution:
@@ -118,7 +118,7 @@ class Level:
         mask: NDArray[np.bool_],
         worlds: NDArray[np.int64],
     ) -> None:
-        """Writes what is seen in the worlds of `mask` to their rows of `out`."""
+        """Writes what is seen in the envs of `mask` to their rows of `out`."""
         codes, cells = self.maps.codes, self.maps.cells
         if self.observation == "image":
             kernels.draw_images(mask, worlds, codes, cells, kernels.STRIPES, out["image"])

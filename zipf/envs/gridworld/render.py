@@ -1,4 +1,4 @@
-"""Frames for people to watch: the whole map of one world."""
+"""Frames for people to watch: the whole map of one env."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ _SPRITES = _SPRITES.repeat(_SCALE, axis=2).repeat(_SCALE, axis=3)
 
 
 def frame(maps: Maps, map: int, target: int, row: int, column: int) -> NDArray[np.uint8]:
-    """The whole map of one world, with the cue above it.
+    """The whole map of one env, with the cue above it.
 
     The agent's view is bright and outlined in white, the rest is darker. The cue and the target
     on the map are outlined in amber.

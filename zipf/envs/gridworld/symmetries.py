@@ -16,7 +16,7 @@ SQUARE = np.array(_TURNS + [turn @ np.diag([1, -1]) for turn in _TURNS])
 
 
 class Symmetries:
-    """Shows worlds of another board: the same rules hold there.
+    """Shows envs of another board: the same rules hold there.
 
     With images there are 32: 8 of the board times 4 turns of the objects' pictures, which are their
     own mirror images. The board turns about the agent while the cue stays in its corner. What the
@@ -24,7 +24,7 @@ class Symmetries:
     hidden instead. With tiles there are the 8 of the board.
 
     Args:
-        observations, actions: spaces of one world.
+        observations, actions: spaces of one env.
     """
 
     def __init__(self, observations: gym.spaces.Dict, actions: gym.Space):

@@ -1,4 +1,4 @@
-"""Zipf's Gridworld, many worlds at once."""
+"""Zipf's Gridworld, many envs at once."""
 
 from collections.abc import Hashable, Mapping
 from typing import Any, Self
@@ -16,10 +16,10 @@ from zipf.envs.vector import Observation, ZipfVectorEnv
 
 
 class GridworldVectorEnv(ZipfVectorEnv):
-    """`N` worlds of Zipf's Gridworld; see `GridworldEnv` for the task and its arguments.
+    """`N` envs of Zipf's Gridworld; see `GridworldEnv` for the task and its arguments.
 
     World `i` of `reset(seed=s)` is a `GridworldEnv` of `reset(seed=s + i)`. Every episode takes
-    two numbers from its world's random stream, for the map and for the target, forced or not.
+    two numbers from its env's random stream, for the map and for the target, forced or not.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 8}  # noqa: RUF012
@@ -48,7 +48,7 @@ class GridworldVectorEnv(ZipfVectorEnv):
         self._worlds = np.zeros((num_envs, 4), dtype=np.int64)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One frame of each world, uint8 [height, width, 3], with `render_mode="rgb_array"`."""
+        """One frame of each env, uint8 [height, width, 3], with `render_mode="rgb_array"`."""
         if self.render_mode is None:
             return None
         return tuple(frame(self.level.maps, *world) for world in self._worlds.tolist())
@@ -117,7 +117,7 @@ class GridworldVectorEnv(ZipfVectorEnv):
         maps, worlds = self.level.maps, state["worlds"]
         limits = (maps.num_maps, maps.num_objects, *maps.boards.shape[1:])
         if (worlds < 0).any() or (worlds >= limits).any():
-            raise ValueError("the state is of other maps, or damaged: worlds outside the board")
+            raise ValueError("the state is of other maps, or damaged: envs outside the board")
         map, _, row, column = worlds[state["seeded"]].T
         if (maps.boards[map, row, column] == sprites.WALL).any():
             raise ValueError("the state is of other maps, or damaged: an agent in a wall")

@@ -1,4 +1,4 @@
-"""Batches of worlds of other engines, which cannot save their state: episodes are replayed."""
+"""Batches of envs of other engines, which cannot save their state: episodes are replayed."""
 
 import hashlib
 import struct
@@ -21,7 +21,7 @@ _NOT_DETERMINISTIC: set[str] = set()
 
 
 class Outcome(NamedTuple):
-    """What one world returned for an action.
+    """What one env returned for an action.
 
     `observation` has the parts of the observation space, without a batch axis; `info` is for
     `_succeeded` alone.
@@ -35,13 +35,13 @@ class Outcome(NamedTuple):
 
 
 class ReplayedVectorEnv(ZipfVectorEnv):
-    """`N` worlds of another engine, stepped one after another.
+    """`N` envs of another engine, stepped one after another.
 
-    Every episode is begun with a seed from the world's own stream, so seed and actions determine an
+    Every episode is begun with a seed from the env's own stream, so seed and actions determine an
     episode of a deterministic engine. Engines cannot save their state in general: `get_state` holds
     seed, actions and a digest of the observations, rewards and ends of the running episodes, and
     `set_state` replays them, which takes as long as playing them did. If a digest differs, the
-    engine is not deterministic: a warning names it, once in a process, and all its worlds begin
+    engine is not deterministic: a warning names it, once in a process, and all its envs begin
     their episodes again. Pickling replays likewise.
 
     The situation has no ranks. Arguments are those of `ZipfVectorEnv`.
@@ -63,11 +63,11 @@ class ReplayedVectorEnv(ZipfVectorEnv):
 
     @abstractmethod
     def _open(self, i: int, seed: int) -> Observation:
-        """Begins an episode of world `i` with a seed of 0 .. `SEEDS` - 1: its first observation."""
+        """Begins an episode of env `i` with a seed of 0 .. `SEEDS` - 1: its first observation."""
 
     @abstractmethod
     def _act(self, i: int, action: int) -> Outcome:
-        """Takes an action in world `i`. `self._actions[i]` has the episode's actions, this one
+        """Takes an action in env `i`. `self._actions[i]` has the episode's actions, this one
         included."""
 
     def _succeeded(self, episode_return: float, outcome: Outcome) -> bool:
@@ -105,7 +105,7 @@ class ReplayedVectorEnv(ZipfVectorEnv):
         return outcome
 
     def _keep(self, i: int, outcome: Outcome) -> None:
-        """Keeps a world's observation, and what the world returned in its digest."""
+        """Keeps an env's observation, and what the env returned in its digest."""
         observation, *returned, _ = outcome
         content = [struct.pack("<Qd??", self._digests[i], *returned)]
         for name, array in self._current.items():
@@ -163,7 +163,7 @@ class ReplayedVectorEnv(ZipfVectorEnv):
                 self._restarted[i] = True
 
     def _replay(self, i: int, seed: int, actions: list[int]) -> bool:
-        """Plays a world's episode again; whether it was as long as these actions."""
+        """Plays an env's episode again; whether it was as long as these actions."""
         self._begin_world(i, seed)
         ended = False
         for action in actions:
@@ -178,7 +178,7 @@ class ReplayedVectorEnv(ZipfVectorEnv):
             _NOT_DETERMINISTIC.add(self.replayed_name)
             warnings.warn(
                 f"{self.replayed_name} is not deterministic: an episode replayed from its seed "
-                "and actions was another one. Its worlds begin their episodes again, here and "
+                "and actions was another one. Its envs begin their episodes again, here and "
                 "whenever a state of it is restored",
                 stacklevel=2,
             )

@@ -1,4 +1,4 @@
-"""Existing Gymnasium environments as batched worlds."""
+"""Existing Gymnasium environments as batched envs."""
 
 import hashlib
 import math
@@ -26,7 +26,7 @@ _REPORTED = ("is_success", "success")
 
 
 class GymnasiumVectorEnv(ReplayedVectorEnv):
-    """`N` worlds of an existing Gymnasium environment, each made when it is first needed.
+    """`N` envs of an existing Gymnasium environment, each made when it is first needed.
 
         env = GymnasiumVectorEnv(16, "CartPole-v1")
         env = GymnasiumVectorEnv(
@@ -48,13 +48,13 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
 
     **Actions** are Discrete, counted from 0.
 
-    **Randomness.** Every episode is seeded by `reset(seed=...)` with a number of the world's own
+    **Randomness.** Every episode is seeded by `reset(seed=...)` with a number of the env's own
     stream. A saved state is replayed, see `ReplayedVectorEnv`.
 
     The situation has no ranks; `Mixture` and `zipfian` give it one.
 
     Args:
-        num_envs: number of worlds N.
+        num_envs: number of envs N.
         id: the environment's Gymnasium id; `module:id` imports the module that registers it.
         options: further arguments of `gymnasium.make`.
         wrap: applied to each environment made, for instance a wrapper's class.
@@ -129,9 +129,9 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         self._envs[0] = first
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One frame of each world, uint8 [height, width, 3], with `render_mode="rgb_array"`.
+        """One frame of each env, uint8 [height, width, 3], with `render_mode="rgb_array"`.
 
-        Worlds that have not begun are a single black pixel.
+        Envs that have not begun are a single black pixel.
         """
         if self.render_mode is None:
             return None

@@ -56,7 +56,7 @@ def zipfian(
         name: the family's; None: made from what the ids have in common, `minigrid` in the example.
         chance: measured chance by level name, without the family's, as `measure_chance` returns it.
         options: arguments of `gymnasium.make` for all environments.
-        worlds: further arguments of `GymnasiumVectorEnv`: `wrap`, `codes`, `success`,
+        envs: further arguments of `GymnasiumVectorEnv`: `wrap`, `codes`, `success`,
             `text_length`, `vocabulary`.
 
     Returns:

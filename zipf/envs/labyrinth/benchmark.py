@@ -76,10 +76,10 @@ def check(name: str) -> None:
 def make_vec(
     num_envs: int, level: str = "explore_goal_locations_small", **options: Any
 ) -> ZipfVectorEnv:
-    """`num_envs` worlds of a level: of one task, or of tasks drawn at every reset.
+    """`num_envs` envs of a level: of one task, or of tasks drawn at every reset.
 
     Args:
-        num_envs: number of worlds N.
+        num_envs: number of envs N.
         level: with or without `labyrinth/` before it.
         options: of `LabyrinthVectorEnv`, which all tasks have.
 

@@ -1,8 +1,8 @@
-"""Runs the frames of a step in all worlds, compiled, and stops where a level's rules are needed.
+"""Runs the frames of a step in all envs, compiled, and stops where a level's rules are needed.
 
 A frame is: turn and move (in combat: fight), touch items, enter zones, timers, the gaze, the
-clock. Whatever happens is told to the episode of that world, in Python; then its frames go on where
-they stopped. Worlds do not wait for each other: most steps have no event at all.
+clock. Whatever happens is told to the episode of that env, in Python; then its frames go on where
+they stopped. Envs do not wait for each other: most steps have no event at all.
 """
 
 from zipf.compiled import compiled
@@ -22,14 +22,14 @@ _MOVING, _TOUCHING = 0, 1
 
 @compiled(error_model="numpy")
 def run(mask, commands, left, part, worlds, over, timed_out, event, index):
-    """Runs the worlds of `mask` until their frames are used up or something happens.
+    """Runs the envs of `mask` until their frames are used up or something happens.
 
     Args:
         mask: bool [N].
         commands: float64 [N, 5], see `actions.commands`.
         left: int64 [N], frames of the step that are left; written.
-        part: int64 [N], the part of a frame at which a world stopped; written.
-        worlds: `Worlds`, written.
+        part: int64 [N], the part of a frame at which an env stopped; written.
+        envs: `Worlds`, written.
         over, timed_out: bool [N], set where the level or the clock ends the episode.
         event, index: int64 [N], what happened and to which item, zone, timer or widget, or how many
             points were won; written.

@@ -13,13 +13,13 @@ from zipf.envs.labyrinth.world import World
 
 
 class Episode(ABC):
-    """The rules of a level, for one episode of one world.
+    """The rules of a level, for one episode of one env.
 
     The constructor builds what stays for the episode, then `begin_map` what a map begins with. A
     map ends with `World.finish_map`; the clock goes on.
 
     Args:
-        world: empty.
+        env: empty.
         rng: for this episode's layout.
     """
 
@@ -32,9 +32,9 @@ class Episode(ABC):
 
     @abstractmethod
     def act(self, known: Knowledge) -> int:
-        """What the level's scripted player does now: one of the fifteen actions.
+        """What the level's scripted policy does now: one of the fifteen actions.
 
-        It knows the rules, the instruction, and of the state of the world what `known` says: the
+        It knows the rules, the instruction, and of the state of the env what `known` says: the
         expert everything, to show that the level can be solved; the generalist what it has seen.
         """
 

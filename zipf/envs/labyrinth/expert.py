@@ -1,4 +1,4 @@
-"""The scripted experts of all levels, for a batch of worlds."""
+"""The scripted experts of all levels, for a batch of envs."""
 
 import math
 
@@ -18,13 +18,13 @@ _BACK, _ASIDE = 6, 4  # steps back, then aside, with which it does
 
 
 class Expert(Remembering):
-    """Plays a batch with the fifteen actions by reading the state of its worlds.
+    """Plays a batch with the fifteen actions by reading the state of its envs.
 
     Of an episode it remembers where it was in the last steps at which it was asked, in levels
     where it can get stuck (`Episode.aside`).
 
     Args:
-        env: the batch, also one that draws a task at every reset; a world's episode says what to
+        env: the batch, also one that draws a task at every reset; an env's episode says what to
             do, `Episode.act`.
 
     Raises:
@@ -44,7 +44,7 @@ class Expert(Remembering):
         self._lengths = np.full(n, -1, np.int64)
 
     def __call__(self) -> NDArray[np.int64]:
-        """Actions, int64 [N]; 0 in worlds without an episode."""
+        """Actions, int64 [N]; 0 in envs without an episode."""
         actions = np.zeros(self.env.num_envs, np.int64)
         for i, episode in enumerate(self.env.episodes):
             if episode is None:
@@ -80,15 +80,15 @@ class Expert(Remembering):
 
 
 def batch_of(env: LabyrinthVectorEnv | Mixture, player: str) -> LabyrinthVectorEnv:
-    """The worlds that a scripted player reads.
+    """The envs that a scripted policy reads.
 
     Raises:
         ValueError: it cannot play them.
     """
-    batch = env.batches[0] if isinstance(env, Mixture) else env  # they share their worlds
+    batch = env.batches[0] if isinstance(env, Mixture) else env  # they share their envs
     if not isinstance(batch, LabyrinthVectorEnv):
         raise ValueError(
-            f"the {player} reads the state of labyrinth worlds, got {type(batch).__name__}"
+            f"the {player} reads the state of labyrinth envs, got {type(batch).__name__}"
         )
     if env.single_action_space.n != 15:
         raise ValueError(f"the {player} needs num_actions=15, got {env.single_action_space.n}")

@@ -13,7 +13,7 @@ _GRAZING = 0.01
 
 @compiled(error_model="numpy")
 def gaze(worlds, i):
-    """x and y of the point of the screen's plane that the player of world `i` looks at, as shares
+    """x and y of the point of the screen's plane that the player of env `i` looks at, as shares
     of the screen's side from its top left corner; NOWHERE if the player looks away from it."""
     body = worlds.bodies[i]
     x, y, z, side = worlds.screen[i]

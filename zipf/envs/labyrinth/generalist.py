@@ -21,7 +21,7 @@ _STUCK, _FREEING = 12, 10  # steps without moving, and those that leave such a p
 
 
 class Generalist(Remembering):
-    """Plays all worlds of a batch from what has been in view: `Generalist(env)()` is actions [N].
+    """Plays all envs of a batch from what has been in view: `Generalist(env)()` is actions [N].
 
     It does what the level's expert does with what it has seen, see `Episode.act`, and explores or
     looks around until it has seen enough. It knows the rules of the level, the instruction, where
@@ -29,7 +29,7 @@ class Generalist(Remembering):
     image and not behind something else (`in_view.py`). Of a map's walls what was seen stays
     remembered as long as the map does.
 
-    It may be asked in worlds in which another policy acts. It then remembers what was in view at
+    It may be asked in envs in which another policy acts. It then remembers what was in view at
     every step at which it was asked.
 
     Args:
@@ -64,7 +64,7 @@ class Generalist(Remembering):
         self._poses = np.zeros((n, 3))
 
     def __call__(self) -> NDArray[np.int64]:
-        """Actions, int64 [N]; 0 in worlds without an episode."""
+        """Actions, int64 [N]; 0 in envs without an episode."""
         env = self.env
         actions = np.zeros(env.num_envs, np.int64)
         for i, episode in enumerate(env.episodes):

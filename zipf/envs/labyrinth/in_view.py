@@ -105,11 +105,11 @@ def see_ground(heights, size, body, wide, high, now, seen_at):
 
 @compiled(error_model="numpy")
 def see_items(worlds, i, opaque, see_through, wide, high, known):
-    """Marks the items of a world that are in view, and forgets those that are not there.
+    """Marks the items of an env that are in view, and forgets those that are not there.
 
     Args:
-        worlds: of the batch.
-        i: the world's number.
+        envs: of the batch.
+        i: the env's number.
         opaque: bool [rows, columns] at least, walls of a text map that are seen.
         see_through: bool [boxes], solid boxes that hide nothing.
         wide, high: see `is_ahead`.

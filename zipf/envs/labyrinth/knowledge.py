@@ -1,4 +1,4 @@
-"""What a scripted player knows of a labyrinth: everything, or what has been in view."""
+"""What a scripted policy knows of a labyrinth: everything, or what has been in view."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ _THERE = 60.0  # units from a spot at which it is reached
 
 @dataclass(frozen=True)
 class Memory:
-    """What the generalist remembers of N worlds.
+    """What the generalist remembers of N envs.
 
     Attributes:
         wide, high: tangents of half the field of view across and upwards.
@@ -45,13 +45,13 @@ class Memory:
 
 
 class Knowledge:
-    """What a scripted player knows of one world, in addition to the rules of its level, the
+    """What a scripted policy knows of one env, in addition to the rules of its level, the
     instruction, where it is itself and what it has taken: what has been in view.
 
     Args:
         memory: of the batch, written by what looks around.
-        world: the world.
-        number: the world's.
+        env: the env.
+        number: the env's.
     """
 
     def __init__(self, memory: Memory, world: World, number: int) -> None:

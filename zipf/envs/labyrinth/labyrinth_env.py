@@ -1,4 +1,4 @@
-"""Zipf's Labyrinth, one world."""
+"""Zipf's Labyrinth, one env."""
 
 from typing import Any
 
@@ -96,7 +96,7 @@ class LabyrinthEnv(SingleWorld):
 
     `zipf/Labyrinth-v0`, by `import zipf.envs`, or in one go
     `gymnasium.make("zipf.envs:zipf/Labyrinth-v0", level="rooms_watermaze")`. With
-    `gymnasium.make_vec` the same id gives `LabyrinthVectorEnv`, which steps many worlds at once.
+    `gymnasium.make_vec` the same id gives `LabyrinthVectorEnv`, which steps many envs at once.
 
     Raises:
         ValueError: for an unknown level, engine or number of actions, or sizes below 1.

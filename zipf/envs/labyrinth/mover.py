@@ -34,11 +34,11 @@ _SKIN = 1e-6
 
 @compiled(error_model="numpy")
 def move(worlds, i, turn, rise, strafe, forward):
-    """Moves the player of world `i` by one frame.
+    """Moves the player of env `i` by one frame.
 
     Args:
-        worlds: `Worlds`, written.
-        i: the world.
+        envs: `Worlds`, written.
+        i: the env.
         turn, rise: of the view, to the left and upwards, radians.
         strafe, forward: 1, 0 or -1: to the right, forward.
     """

@@ -1,4 +1,4 @@
-"""What the worlds of a batch look like: walls, floors, items, and the views of the players."""
+"""What the envs of a batch look like: walls, floors, items, and the views of the players."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ FIELD_OF_VIEW = 90.0
 LARGE = 288, 384
 """Height and width of the views for people to watch."""
 WALLS, FLATS, OVERLAYS = 768, 288, view.BARS
-"""Capacities of each world. The most are those of a skymaze of 10 x 10 nodes that all connect: 280
+"""Capacities of each env. The most are those of a skymaze of 10 x 10 nodes that all connect: 280
 platforms, 760 sides."""
 SCREEN_PIXELS = 128
-"""Height and width of a world's screen: twice what is seen of it in a view of 96 x 72."""
+"""Height and width of an env's screen: twice what is seen of it in a view of 96 x 72."""
 BOB, TURN = 4.0, 2.05
 """How far an item that is not static rises and sinks, units, and seconds of a turn."""
 SIDES = (
@@ -64,7 +64,7 @@ def _combat_meshes() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 
 class Scenery:
-    """The scenes of N worlds.
+    """The scenes of N envs.
 
     Attributes:
         scenes: in metres.
@@ -87,7 +87,7 @@ class Scenery:
         self._large: Renderer | None = None
 
     def clear(self, world: int) -> None:
-        """Empties a world's scene for a new episode."""
+        """Empties an env's scene for a new episode."""
         scenes = self.scenes
         scenes.wall_count[world] = scenes.flat_count[world] = scenes.overlay_count[world] = 0
         scenes.grid[world] = scenes.terrain[world] = 0
@@ -97,12 +97,12 @@ class Scenery:
         self.spins[world] = False
 
     def draw(self, out: NDArray[np.uint8], mask: NDArray[np.bool_]) -> None:
-        """Writes the views of the worlds of `mask` to their rows of `out`."""
+        """Writes the views of the envs of `mask` to their rows of `out`."""
         self._update(mask)
         self.renderer.render(self.scenes, out, mask)
 
     def large_views(self) -> NDArray[np.uint8]:
-        """The views of all worlds for people to watch, uint8 [N, 288, 384, 3]."""
+        """The views of all envs for people to watch, uint8 [N, 288, 384, 3]."""
         n = len(self.shape)
         views = np.zeros((n, *LARGE, 3), np.uint8)
         self._update(np.ones(n, np.bool_))
@@ -115,7 +115,7 @@ class Scenery:
         return {**self.__dict__, "_large": None}
 
     def _update(self, mask: NDArray[np.bool_]) -> None:
-        """Copies the poses of players and items to the scenes of the worlds of `mask`."""
+        """Copies the poses of players and items to the scenes of the envs of `mask`."""
         scenes, worlds = self.scenes, self.worlds
         actors, supplies = _combat_meshes()
         fights = worlds.combat.fighters.any()
@@ -142,7 +142,7 @@ class Scenery:
         """Adds walls with a texture each and returns the first one's number.
 
         Args:
-            world: the world.
+            env: the env.
             ends: [walls, 4], x0, y0, x1, y1 in units; see `Scenes`.
             heights: bottom and top, units.
             textures, faces: [walls].
@@ -154,7 +154,7 @@ class Scenery:
         first = int(scenes.wall_count[world])
         last = first + len(ends)
         if last > WALLS:
-            raise ValueError(f"{last} walls in a world with room for {WALLS}")
+            raise ValueError(f"{last} walls in an env with room for {WALLS}")
         rows = np.s_[world, first:last]
         scenes.walls[rows][:, :4] = ends * METRES
         scenes.walls[rows][:, 4:] = np.array(heights) * METRES
@@ -213,7 +213,7 @@ def _faces(rows: int, signs: bytes) -> tuple[NDArray[np.float64], ...]:
 
 @compiled(error_model="numpy")
 def _pose(mask, bodies, clock, places, present, shape, spins, camera, mesh, position, rotation):
-    """Copies the poses of players and items to the scenes of the worlds of `mask`."""
+    """Copies the poses of players and items to the scenes of the envs of `mask`."""
     for i in range(mask.size):
         if not mask[i]:
             continue

@@ -18,13 +18,13 @@ Place = tuple[float, float, float, float]
 
 
 class Screen:
-    """The screen of a world: white, without widgets.
+    """The screen of an env: white, without widgets.
 
     What is shown is painted at once into the image that the renderer samples, at events only.
 
     Args:
-        worlds, scenery: of the batch, written.
-        number: the world's.
+        envs, scenery: of the batch, written.
+        number: the env's.
     """
 
     def __init__(self, worlds: Worlds, scenery: Scenery, number: int) -> None:

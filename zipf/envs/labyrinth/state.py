@@ -28,11 +28,11 @@ GRID = 21
 ITEMS, BOXES, PLANES, PILLARS, ZONES, TIMERS = 184, 64, 16, 100, 10, 4
 QUADS = 63
 WIDGETS = 4
-"""Capacities of each world."""
+"""Capacities of each env."""
 
 
 class Worlds(NamedTuple):
-    """The state of N worlds."""
+    """The state of N envs."""
 
     clock: NDArray[np.int64]
     """[N]: frames since the episode began."""
@@ -106,7 +106,7 @@ class Worlds(NamedTuple):
 
 
 def make_worlds(num_worlds: int) -> Worlds:
-    """The state of worlds in which no episode has begun."""
+    """The state of envs in which no episode has begun."""
     n = num_worlds
     return Worlds(
         clock=np.zeros(n, np.int64),
@@ -146,7 +146,7 @@ def make_worlds(num_worlds: int) -> Worlds:
 
 
 def clear(worlds: Worlds, world: int) -> None:
-    """Empties a world for a new episode."""
+    """Empties an env for a new episode."""
     for name, value in (
         ("clock", 0), ("limit", 1), ("ending", -1), ("finishing", False), ("bodies", 0.0),
         ("pushed", 0), ("cells", 0), ("solid", False), ("opaque", False), ("floor", 0.0),

@@ -13,7 +13,7 @@ def build_maze(world: World, maze: Maze, rng: np.random.Generator, *, alike: boo
     """Builds a maze with pictures on its walls.
 
     Args:
-        world: empty.
+        env: empty.
         maze: the maze.
         rng: draws the look of the rooms and the pictures.
         alike: whether all rooms have the same look; corridors always have.

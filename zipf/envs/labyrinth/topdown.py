@@ -1,4 +1,4 @@
-"""A world from above, for people to watch: floors, walls, doors, items, arrows of players."""
+"""An env from above, for people to watch: floors, walls, doors, items, arrows of players."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ Colour = tuple[int, int, int]
 
 
 def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
-    """The map of a world, uint8 [SIZE, SIZE, 3], the north above.
+    """The map of an env, uint8 [SIZE, SIZE, 3], the north above.
 
     Platforms and hills are lighter the higher they are. Thin white outlines are zones in which
     something happens, whether they can be seen or not. Items are in their two colours. The
-    player's arrow is white, those of opponents have their colour. In the place of a map, worlds
+    player's arrow is white, those of opponents have their colour. In the place of a map, envs
     with a screen have the screen, with a ring where the player looks.
     """
     if worlds.screen[world, 3] > 0:
@@ -57,12 +57,12 @@ def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
 
 
 def empty_map() -> NDArray[np.uint8]:
-    """The map of a world without an episode, uint8 [SIZE, SIZE, 3]."""
+    """The map of an env without an episode, uint8 [SIZE, SIZE, 3]."""
     return np.full((SIZE, SIZE, 3), _NOTHING, np.uint8)
 
 
 class _Page:
-    """An image that is drawn on in units of the world."""
+    """An image that is drawn on in units of the env."""
 
     def __init__(self, bounds: tuple[float, float, float, float]) -> None:
         x0, y0, x1, y1 = bounds

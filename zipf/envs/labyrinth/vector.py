@@ -1,4 +1,4 @@
-"""Zipf's Labyrinth, many worlds at once."""
+"""Zipf's Labyrinth, many envs at once."""
 
 from collections.abc import Hashable, Mapping
 from typing import Any, Self
@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from zipf.envs import pcg64
 from zipf.envs.arguments import checked
-from zipf.envs.labyrinth import LabyrinthOptions, engine
+from zipf.envs.labyrinth import engine
 from zipf.envs.labyrinth.actions import commands
 from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.levels import LEVELS, Level, by_name
+from zipf.envs.labyrinth.options import LabyrinthOptions
 from zipf.envs.labyrinth.scenery import Scenery
 from zipf.envs.labyrinth.state import FRAMES_PER_SECOND, clear, make_worlds
 from zipf.envs.labyrinth.topdown import draw_map, empty_map
@@ -23,9 +24,9 @@ from zipf.envs.vector import Observation, ZipfVectorEnv
 
 
 class LabyrinthVectorEnv(ZipfVectorEnv):
-    """`N` worlds of a level of Zipf's Labyrinth; see `LabyrinthEnv`.
+    """`N` envs of a level of Zipf's Labyrinth; see `LabyrinthEnv`.
 
-    An episode takes one number of its world's random stream, which seeds generators of its own:
+    An episode takes one number of its env's random stream, which seeds generators of its own:
     one for the layout and one for each map. A saved state is that number and the actions since:
     `set_state` replays them.
     """
@@ -80,8 +81,8 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self._event, self._index = np.zeros((2, n), np.int64)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One frame of each world, uint8 [288, 672, 3], with `render_mode="rgb_array"`: the view
-        of the player, and beside it the map from above, which is empty before a world's first
+        """One frame of each env, uint8 [288, 672, 3], with `render_mode="rgb_array"`: the view
+        of the player, and beside it the map from above, which is empty before an env's first
         episode."""
         if self.render_mode is None:
             return None
@@ -108,7 +109,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self._start(mask)
 
     def _start(self, mask: NDArray[np.bool_]) -> None:
-        """Begins the episodes of the worlds of `mask` from their seeds."""
+        """Begins the episodes of the envs of `mask` from their seeds."""
         for i in np.flatnonzero(mask).tolist():
             clear(self.worlds, i)
             self._scenery.clear(i)
@@ -153,7 +154,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         return self._rewards.copy(), over, timed_out, over
 
     def _tell(self, world: int, event: int, index: int) -> None:
-        """Tells a world's episode what has happened."""
+        """Tells an env's episode what has happened."""
         episode = self.episodes[world]
         assert episode is not None
         if event == engine.MAP:
@@ -210,7 +211,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self._replay(state["seeded"], state["lengths"])
 
     def _replay(self, begun: NDArray[np.bool_], lengths: NDArray[np.int64]) -> None:
-        """Replays the episodes of the worlds of `begun`."""
+        """Replays the episodes of the envs of `begun`."""
         self._start(begun)
         for t in range(int(lengths.max(where=begun, initial=0))):
             self._play(begun & (lengths > t), self._actions[:, t].astype(np.int64))

@@ -21,7 +21,7 @@ Backend = Annotated[Literal["own"], BeforeValidator(own_engine("released_playroo
 
 
 class PlayroomOptions(Options):
-    """Constructor options. Other values than these make other worlds than the paper's."""
+    """Constructor options. Other values than these make other envs than the paper's."""
 
     backend: Backend = "own"  # ours; runs of before name it: the released one is an example now
     image_size: ImageSize = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width

@@ -8,11 +8,11 @@ from zipf.envs.playroom.levels import LIFT, NEAR, ON
 from zipf.envs.playroom.state import FLOOR, ON_BED, Worlds, X, Y
 
 Achievement = tuple[int, int]
-"""Which of the world's objects, and the task that was done with it."""
+"""Which of the env's objects, and the task that was done with it."""
 
 
 def achieved(worlds: Worlds, i: int) -> Achievement | None:
-    """What was done in world `i`, of the kind that its task asks for; None: nothing.
+    """What was done in env `i`, of the kind that its task asks for; None: nothing.
 
     By the rules of `judgement.py`, with any object and any place in the place of the right ones.
     Where that was done with several objects, it is with the target if that is one of them.

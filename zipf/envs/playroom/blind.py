@@ -33,7 +33,7 @@ class BlindExpert:
         self.generator = np.random.default_rng(seed)
         n, count = env.worlds.ranks.shape
         tasks = env.level.tasks or (0,)
-        # Every guess: a toy and a task. `guesses` has their order in each world.
+        # Every guess: a toy and a task. `guesses` has their order in each env.
         self.all = np.array([(toy, task) for toy in range(count) for task in tasks])
         self.guesses = np.tile(np.arange(len(self.all)), (n, 1))
         self.number = np.zeros(n, np.int64)  # of the guess, in that order
@@ -48,7 +48,7 @@ class BlindExpert:
         self.expert = Expert(believed)
 
     def __call__(self) -> NDArray[np.int64]:
-        """The next action of every world, int64 [N]."""
+        """The next action of every env, int64 [N]."""
         env = self.env
         for i in np.flatnonzero(env.lengths == 0).tolist():
             self.guesses[i] = self.generator.permutation(len(self.all))
@@ -79,7 +79,7 @@ class BlindExpert:
         return self.held & (worlds.hands < 0) & rests
 
     def _worlds(self) -> Any:
-        """The worlds with their objects in the believed order."""
+        """The envs with their objects in the believed order."""
         worlds = self.env.worlds
         rows = np.arange(len(self.order))[:, None]
         swapped = {name: getattr(worlds, name)[rows, self.order] for name in _OF_OBJECTS}

@@ -98,12 +98,12 @@ def _angle(typingctx: Any, function: Any, body: Any) -> Any:
 
 @compiled(references=False)
 def simulate(mask, called, spaces, bodies, forces, agents, objects):
-    """Simulates the frames of one action in the worlds of `mask`.
+    """Simulates the frames of one action in the envs of `mask`.
 
     Args:
         mask: bool [N].
         called: of `functions()`.
-        spaces: addresses of the worlds' spaces, int64 [N].
+        spaces: addresses of the envs' spaces, int64 [N].
         bodies: addresses of the agent and the C objects, int64 [N, C + 1].
         forces: on the agents, float64 [N, 2], newtons.
         agents, objects: of `Worlds`; places, and angles of objects, are written.

@@ -72,7 +72,7 @@ class _Spot(NamedTuple):
 
 
 def require_playable(env: PlayroomVectorEnv, player: str) -> None:
-    """Raises ValueError if a scripted player, named in the message, cannot play these worlds."""
+    """Raises ValueError if a scripted policy, named in the message, cannot play these envs."""
     if not hasattr(env, "worlds"):
         raise ValueError(
             f"the {player} reads the state of a batch of one playroom level, "
@@ -89,7 +89,7 @@ class Expert:
         expert = Expert(env)
         env.step(expert())
 
-    It may take over at any step: it keeps no more than the ways that it found last in each world,
+    It may take over at any step: it keeps no more than the ways that it found last in each env,
     which it follows as long as nothing that they depend on has moved.
 
     Raises:
@@ -100,11 +100,11 @@ class Expert:
         require_playable(env, "expert")
         self.env = env
         self.worlds = env.worlds
-        # By search and world: the state that the search depends on, and its result.
+        # By search and env: the state that the search depends on, and its result.
         self._found: dict[tuple[str, int], tuple[bytes, NDArray[Any]]] = {}
 
     def __call__(self) -> NDArray[np.int64]:
-        """The next action of every world, int64 [N]."""
+        """The next action of every env, int64 [N]."""
         return np.array([self.act(i) for i in range(self.env.num_envs)])
 
     def act(self, i: int) -> int:
@@ -257,7 +257,7 @@ class Expert:
     def _search(
         self, what: str, i: int, depends_on: bytes, search: Callable[[], NDArray[Any]]
     ) -> NDArray[Any]:
-        """What `search` finds in world `i`, or what it found last if that depended on the same."""
+        """What `search` finds in env `i`, or what it found last if that depended on the same."""
         found = self._found.get((what, i))
         if found is None or found[0] != depends_on:
             found = self._found[what, i] = depends_on, search()
@@ -322,7 +322,7 @@ def _centre(row, column):
 
 @compiled()
 def _points_at(agent, worlds, i):
-    """The object of world `i` that an agent in this pose could grip, or -1."""
+    """The object of env `i` that an agent in this pose could grip, or -1."""
     return hand.pick(agent, one_world(worlds, i))
 
 
@@ -393,7 +393,7 @@ def _is_blocked(x, y, world, pushing):
 
 @compiled()
 def _blocked(worlds, i, pushing):
-    """The cells that the agent of world `i` keeps out of: bool [rows, columns].
+    """The cells that the agent of env `i` keeps out of: bool [rows, columns].
 
     With `pushing` the way may lead through objects.
     """

@@ -19,11 +19,11 @@ STILL_MOTION = 0.01
 
 @compiled(references=False)
 def fall(worlds, i, before):
-    """Updates heights, orientations and the status of the objects of world `i`.
+    """Updates heights, orientations and the status of the objects of env `i`.
 
     Args:
-        worlds: `objects`, `orientation`, `status`, `still` and `lifted` are written.
-        i: the world.
+        envs: `objects`, `orientation`, `status`, `still` and `lifted` are written.
+        i: the env.
         before: the objects' x, y before the physics of this step, float64 [C, 2].
     """
     status, still = worlds.status[i], worlds.still[i]

@@ -22,7 +22,7 @@ _HALVES = np.array([[0, 0, 1, 0.5], [0, 0.5, 1, 1]], np.float32)  # top, left, b
 
 
 class FirstFrameVectorEnv(PlayroomVectorEnv):
-    """`N` worlds of a `supervised/` level in which an episode is its first frame.
+    """`N` envs of a `supervised/` level in which an episode is its first frame.
 
     The action says on which side the object is that the instruction names: `LEFT` or `RIGHT`. The
     reward is 1 if that is right, and the episode ends. Where both objects are the same, either
@@ -105,7 +105,7 @@ class FirstFrames:
         """What a player that does not learn scores with its answers, see `zipf.envs.reference`.
 
         Random answers name a random one of the two objects, and so does a policy that cannot read:
-        both score as a blind policy that walks to an object. No scripted player answers questions.
+        both score as a blind policy that walks to an object. No scripted policy answers questions.
         """
         if name not in ("chance", "blind"):
             return None

@@ -39,7 +39,7 @@ _WALK = 60
 
 
 class Generalist(Remembering):
-    """Plays all worlds of a batch from what has been in view: `Generalist(env)()` is actions [N].
+    """Plays all envs of a batch from what has been in view: `Generalist(env)()` is actions [N].
 
     It turns to the right until it sees the toy that the instruction names, and then does as the
     expert does; where it holds the toy and has not yet seen the bed or the tray that is named, it
@@ -52,7 +52,7 @@ class Generalist(Remembering):
     seen last, that place is forgotten. What has not been seen is to it not there, but it notices
     when it bumps into a bed that it has not seen, and turns until it sees it.
 
-    It may be asked in worlds in which another policy acts. It then remembers what was in view at
+    It may be asked in envs in which another policy acts. It then remembers what was in view at
     every step at which it was asked, and how far the agent turned. Where it was not asked from the
     first step of an episode on, its memory begins when it was.
 
@@ -60,7 +60,7 @@ class Generalist(Remembering):
         env: the batch.
 
     Raises:
-        ValueError: the worlds are of another engine, or have other actions: their episodes are
+        ValueError: the envs are of another engine, or have other actions: their episodes are
             questions.
     """
 
@@ -102,7 +102,7 @@ class Generalist(Remembering):
         self._expert = Expert(believed)
 
     def __call__(self) -> NDArray[np.int64]:
-        """The next action of every world, int64 [N]."""
+        """The next action of every env, int64 [N]."""
         env = self.env
         moved = self._follow()
         worlds = self._look()
@@ -111,7 +111,7 @@ class Generalist(Remembering):
         return np.array([self._act(worlds, i, bool(moved[i])) for i in range(env.num_envs)])
 
     def _follow(self) -> NDArray[np.bool_]:
-        """Forgets the episodes before; returns which worlds have moved since the last call, [N]."""
+        """Forgets the episodes before; returns which envs have moved since the last call, [N]."""
         worlds, lengths = self.env.worlds, self.env.lengths
         same = (lengths > 0) & (lengths >= self._lengths)
         same &= (worlds.scenery == self._scenery).all(1) & (worlds.ranks == self._ranks).all(1)
@@ -127,7 +127,7 @@ class Generalist(Remembering):
         return moved
 
     def _look(self) -> Worlds:
-        """Adds what is in view now; returns the worlds as they are remembered."""
+        """Adds what is in view now; returns the envs as they are remembered."""
         worlds = self.env.worlds
         items, supports = np.zeros_like(self._items), np.zeros_like(self._supports)
         look(worlds, self._wide, self._high, items, supports)

@@ -75,12 +75,12 @@ _COAST = FRAME * sum(math.exp(-DAMPING * FRAME * k) for k in range(FRAMES))
 
 @compiled()
 def control(mask, actions, worlds, commands):
-    """Applies the actions of the worlds of `mask`, and tells the physics what to do.
+    """Applies the actions of the envs of `mask`, and tells the physics what to do.
 
     Args:
         mask: bool [N].
         actions: int64 [N].
-        worlds: read and written.
+        envs: read and written.
         commands: written.
     """
     pose, turned = np.empty(6), np.empty((3, 3))
@@ -150,7 +150,7 @@ def pick(agent, world):
 
     Args:
         agent: a row of `Worlds.agents` or a pose that is tried out, float64 [6]; HOLD is written.
-        world: `World`, read.
+        env: `World`, read.
     """
     ranks, furniture = world.ranks, world.furniture
     objects, orientation = world.objects, world.orientation
@@ -261,13 +261,13 @@ def _reach_out(agent, item, spot, drive):
 
 @compiled()
 def keep_in_hand(worlds, i, start):
-    """After the physics, puts the held object of world `i` back in front of the agent.
+    """After the physics, puts the held object of env `i` back in front of the agent.
 
     Other objects may have stopped it on its way, but do not push it aside.
 
     Args:
-        worlds: read and written.
-        i: the world.
+        envs: read and written.
+        i: the env.
         start: the agent's x, y before the physics, float64 [2], where there was room.
     """
     held = worlds.hands[i]

@@ -36,7 +36,7 @@ def find_room(agent, world, held, spot):
 
     Args:
         agent: a row of `Worlds.agents`; its place and its pitch may be changed.
-        world: `World`, read.
+        env: `World`, read.
         held: the object.
         spot: float64 [3], written where there is room: the least and greatest distance of the
             object's middle from the agent's on the floor plane, and the height of its lowest

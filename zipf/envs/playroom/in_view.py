@@ -23,7 +23,7 @@ def look(worlds, wide, high, items, supports):
     A bounding box hides what is behind it.
 
     Args:
-        worlds: `Worlds`, read.
+        envs: `Worlds`, read.
         wide, high: tangents of half the horizontal and half the vertical field of view.
         items: bool [N, C], the objects in view, written.
         supports: bool [N, 2], bed and tray, written; False without furniture.

@@ -19,10 +19,10 @@ def settle(mask, start, before, worlds, reward, terminated, success):
     """After the physics, objects are held or fall, and episodes are judged.
 
     Args:
-        mask: the worlds concerned, bool [N].
+        mask: the envs concerned, bool [N].
         start: the agents' x, y before the physics of this step, float64 [N, 2].
         before: the objects' x, y before the physics of this step, float64 [N, C, 2].
-        worlds: read and written.
+        envs: read and written.
         reward, terminated, success: float64, bool, bool [N], written.
     """
     for i in range(mask.size):

@@ -1,4 +1,4 @@
-"""Zipf's Playroom, one world."""
+"""Zipf's Playroom, one env."""
 
 from typing import Any
 
@@ -124,7 +124,7 @@ class PlayroomEnv(SingleWorld):
 
     `zipf/Playroom-v0`, by `import zipf.envs`, or in one go
     `gymnasium.make("zipf.envs:zipf/Playroom-v0", level="lift/lift_shape_zipf3")`. With
-    `gymnasium.make_vec` the same id gives `PlayroomVectorEnv`, which steps many worlds at once.
+    `gymnasium.make_vec` the same id gives `PlayroomVectorEnv`, which steps many envs at once.
 
     Raises:
         ValueError: for an option of the wrong type or out of range.

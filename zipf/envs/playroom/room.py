@@ -52,7 +52,7 @@ _ELONGATED = 1.3  # above this ratio of sides a footprint is a box, below it a d
 
 
 class Room:
-    """The bodies of a world, for one episode after the other.
+    """The bodies of an env, for one episode after the other.
 
     Every episode has a new space, so that it does not depend on the episodes before it. Bodies and
     shapes are used again, because making them takes longer than everything else in a reset.

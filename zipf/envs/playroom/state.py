@@ -20,7 +20,7 @@ GROUND_LAYER, RAISED_LAYER, LOW_LAYER, CARRIED_LAYER, HELD_LAYER, BED_LAYER, TRA
 
 
 class Worlds(NamedTuple):
-    """The state of N worlds of one level, with C objects each, of which the target is the first.
+    """The state of N envs of one level, with C objects each, of which the target is the first.
 
     Compiled functions check no bounds: ranks, tasks and held objects must be in range.
     """
@@ -113,7 +113,7 @@ def make_worlds(
     reach: float,
     extents: NDArray[np.float64],
 ) -> Worlds:
-    """The state of worlds in which no episode has begun."""
+    """The state of envs in which no episode has begun."""
     n, count = num_worlds, num_objects
     return Worlds(
         finding=finding,

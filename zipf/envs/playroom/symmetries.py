@@ -14,7 +14,7 @@ class Symmetries:
     """Shows rooms in a mirror. Instructions name no sides.
 
     Args:
-        observations, actions: spaces of one world, a room or a question about its first frame.
+        observations, actions: spaces of one env, a room or a question about its first frame.
     """
 
     count = 2

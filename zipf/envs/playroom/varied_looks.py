@@ -51,7 +51,7 @@ def vary(mask, streams, walls, floors, toys, wall_looks, flat_looks, sun, lamp, 
         mask: bool [N].
         streams: uint64 [N, 4], advanced.
         walls, floors: numbers of textures to choose from, int64 [any]; walls get different ones.
-        toys: how many of a world's instances are toys.
+        toys: how many of an env's instances are toys.
         wall_looks, flat_looks, sun, lamp, scale: arrays of `Scenes`, written.
     """
     order = walls.copy()

@@ -1,4 +1,4 @@
-"""Zipf's Playroom, many worlds at once."""
+"""Zipf's Playroom, many envs at once."""
 
 from collections.abc import Hashable, Mapping
 from typing import Any, Self
@@ -19,14 +19,14 @@ from zipf.envs.vector import Observation, ZipfVectorEnv
 
 
 class PlayroomVectorEnv(ZipfVectorEnv):
-    """`N` worlds of Zipf's Playroom; see `PlayroomEnv` for the tasks and the arguments.
+    """`N` envs of Zipf's Playroom; see `PlayroomEnv` for the tasks and the arguments.
 
-    Every episode takes the same number of draws from its world's random stream: one for each
+    Every episode takes the same number of draws from its env's random stream: one for each
     object, one each to choose the target and the task, and two that seed a stream of the
     episode's own for poses, colours and looks.
 
-    A saved state is how each world's episode began and the actions since: `set_state` replays
-    them, which takes up to a few hundredths of a second for each world.
+    A saved state is how each env's episode began and the actions since: `set_state` replays
+    them, which takes up to a few hundredths of a second for each env.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 7.5}  # noqa: RUF012
@@ -95,7 +95,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         return self._lengths
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One frame of each world, uint8 [288, 384, 3], with `render_mode="rgb_array"`."""
+        """One frame of each env, uint8 [288, 384, 3], with `render_mode="rgb_array"`."""
         if self.render_mode is None:
             return None
         return self._view.frames(self._texts.tolist())
@@ -106,7 +106,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._start(mask, self._streams)
 
     def _start(self, mask: NDArray[np.bool_], streams: NDArray[np.uint64]) -> None:
-        """Begins the episodes of the worlds of `mask`, drawing from `streams`, uint64 [N, 4]."""
+        """Begins the episodes of the envs of `mask`, drawing from `streams`, uint64 [N, 4]."""
         level, worlds = self.level, self.worlds
         tasks = np.array(level.tasks, np.int64)
         layout.draw_situations(mask, self._forced, level.probabilities, tasks, streams, worlds)
@@ -126,7 +126,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._view.begin(mask)
 
     def _furnish(self, i: int) -> None:
-        """Begins an episode in the physics of world `i`, from the poses in `worlds`."""
+        """Begins an episode in the physics of env `i`, from the poses in `worlds`."""
         worlds = self.worlds
         room = self.rooms[i]
         if room is None:
@@ -152,7 +152,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
     def _play(
         self, mask: NDArray[np.bool_], actions: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
-        """Steps the worlds of `mask`; returns reward, terminated and success [N]."""
+        """Steps the envs of `mask`; returns reward, terminated and success [N]."""
         before = self.worlds.objects[:, :, :2].copy()
         reward = np.zeros(self.num_envs)
         terminated = np.zeros(self.num_envs, np.bool_)
@@ -164,7 +164,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         return reward, terminated, success
 
     def _simulate(self, mask: NDArray[np.bool_]) -> None:
-        """Runs the physics of a step: moves the agents and objects of the worlds of `mask`."""
+        """Runs the physics of a step: moves the agents and objects of the envs of `mask`."""
         worlds, commands = self.worlds, self._commands
         for i, j in np.argwhere(mask[:, None] & (commands.layers != self._layers)).tolist():
             self._room(i).set_layer(j, int(commands.layers[i, j]))
@@ -173,7 +173,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             item = int(commands.turned[i])
             self._room(i).place(item, *worlds.objects[i, item, :3].tolist())
         # The compiled code works on whatever is at these addresses.
-        assert self._spaces.all(where=mask), "there is no physics of a world that is to be stepped"
+        assert self._spaces.all(where=mask), "there is no physics of an env that is to be stepped"
         chipmunk.move_held(
             mask,
             chipmunk.functions(),
@@ -267,7 +267,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._replay(state["seeded"], state["lengths"])
 
     def _replay(self, begun: NDArray[np.bool_], lengths: NDArray[np.int64]) -> None:
-        """Replays the episodes of the worlds of `begun`."""
+        """Replays the episodes of the envs of `begun`."""
         self._start(begun, self._began.copy())
         for t in range(int(lengths.max(where=begun, initial=0))):
             self._play(begun & (lengths > t), self._actions[:, t].astype(np.int64))

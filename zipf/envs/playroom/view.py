@@ -45,7 +45,7 @@ class View:
 
     Args:
         names: the objects' names by rank.
-        worlds: the state of the worlds, read again by every method.
+        envs: the state of the envs, read again by every method.
         width, height: of the agent's image, pixels.
         varied: whether every episode has its own looks, see `varied_looks.py`.
     """
@@ -68,7 +68,7 @@ class View:
         self._large: Renderer | None = None
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
-        """Reads or draws what stays the same for an episode, in the worlds of `mask`.
+        """Reads or draws what stays the same for an episode, in the envs of `mask`.
 
         Varied looks are drawn from `worlds.scenery`, after everything else of the episode.
         """
@@ -98,12 +98,12 @@ class View:
             )  # fmt: skip
 
     def draw(self, out: NDArray[np.uint8], mask: NDArray[np.bool_]) -> None:
-        """Writes the images of the worlds of `mask` to their rows of `out`."""
+        """Writes the images of the envs of `mask` to their rows of `out`."""
         self._update(mask)
         self.renderer.render(self.scenes, out, mask)
 
     def frames(self, texts: list[str]) -> tuple[NDArray[np.uint8], ...]:
-        """Larger images with the worlds' texts below, uint8 [288, 384, 3]."""
+        """Larger images with the envs' texts below, uint8 [288, 384, 3]."""
         height, width = _FRAME
         images = np.zeros((len(texts), height, width, 3), np.uint8)
         everywhere = np.ones(len(texts), np.bool_)
@@ -117,7 +117,7 @@ class View:
         return {**self.__dict__, "_large": None}
 
     def _update(self, mask: NDArray[np.bool_]) -> None:
-        """Copies the poses of cameras and objects to the scenes of the worlds of `mask`."""
+        """Copies the poses of cameras and objects to the scenes of the envs of `mask`."""
         worlds, scenes = self.worlds, self.scenes
         _pose(
             mask, worlds.agents, worlds.objects, worlds.orientation, worlds.ranks, worlds.extents,

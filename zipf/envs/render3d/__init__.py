@@ -1,4 +1,4 @@
-"""A software renderer of small first-person views, for whole batches of worlds at once."""
+"""A software renderer of small first-person views, for whole batches of envs at once."""
 
 from zipf.envs.render3d import textures
 from zipf.envs.render3d.assets import pack_textures

@@ -1,7 +1,7 @@
 """The arrays that the compiled functions of the renderer work on, in groups.
 
 Numba unpacks plain tuples of arrays in half the time that named ones take, which matters when few
-worlds are drawn at a time. So `drawing.draw` is called with plain tuples, in the order of the
+envs are drawn at a time. So `drawing.draw` is called with plain tuples, in the order of the
 fields here, and `named_scenes` and the like name them in compiled code, at no cost.
 """
 
@@ -99,7 +99,7 @@ class Meshes(NamedTuple):
 
 
 class Assets(NamedTuple):
-    """Textures and meshes, the same for all worlds."""
+    """Textures and meshes, the same for all envs."""
 
     texels: Any
     """uint32 [K, 64 * 128], see `pack_textures`."""
@@ -184,7 +184,7 @@ class TerrainBuffers(NamedTuple):
 
 
 class Buffers(NamedTuple):
-    """Scratch arrays for drawing one world; every thread has its own."""
+    """Scratch arrays for drawing one env; every thread has its own."""
 
     image: ImageBuffers
     world: WorldBuffers
@@ -195,7 +195,7 @@ class Buffers(NamedTuple):
 
 
 class Lens(NamedTuple):
-    """The projection of a renderer, the same for all worlds."""
+    """The projection of a renderer, the same for all envs."""
 
     focal: Any
     """Focal length in pixels."""
@@ -204,7 +204,7 @@ class Lens(NamedTuple):
 
 
 class View(NamedTuple):
-    """The camera of one world, as float64 numbers; see `drawing.py` for the equations."""
+    """The camera of one env, as float64 numbers; see `drawing.py` for the equations."""
 
     x: Any
     y: Any
@@ -237,7 +237,7 @@ class Sector(NamedTuple):
 
 
 class Projection(NamedTuple):
-    """Where the points of triangles appear in the image of one world."""
+    """Where the points of triangles appear in the image of one env."""
 
     frame: Any
     """float64 [3, 3]: right, up and forward, as rows."""

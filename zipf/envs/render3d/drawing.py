@@ -1,4 +1,4 @@
-"""Draws the images of a batch of worlds, compiled.
+"""Draws the images of a batch of envs, compiled.
 
 A camera never rolls, which makes the projection simple. The ray of the pixel at column x, row y is
 `forward + a(x) right + b(y) up`, its length t being the depth along the view. With `h` the heading,
@@ -49,10 +49,10 @@ from zipf.envs.render3d.walls import draw_wall
 
 @compiled(references=False, error_model="numpy")
 def draw(mask, scene_fields, asset_fields, lens_fields, buffer_fields, out):
-    """Draws the worlds that are in `mask` [N] to `out`, uint8 [N, H, W, 3].
+    """Draws the envs that are in `mask` [N] to `out`, uint8 [N, H, W, 3].
 
     The fields are those of `SceneArrays`, `Assets`, `Lens` and `Buffers` as plain tuples. Returns
-    the first world that names a texture, screen or mesh that does not exist, or -1.
+    the first env that names a texture, screen or mesh that does not exist, or -1.
     """
     scenes, assets = named_scenes(scene_fields), named_assets(asset_fields)
     lens, buffers = Lens(*lens_fields), named_buffers(buffer_fields)

@@ -28,7 +28,7 @@ def draw_flat(
 
     Args:
         place, looks, tiling, repeat, tint: rows of `Flats`.
-        tiles, sun, lamp: of the flat's world.
+        tiles, sun, lamp: of the flat's env.
         view: `View`.
         texels: of `Assets`.
         image, span: `ImageBuffers` and `SpanBuffers`, written.

@@ -33,7 +33,7 @@ def draw_instance(
         texels: of `Assets`.
         meshes: `Meshes`.
         palette: the colours of the mesh's parts in the light of the lamp, float32 [6, 3].
-        sun: of the mesh's world.
+        sun: of the mesh's env.
         eye: a row of `Scenes.camera`.
         projection, canvas: `Projection`, `Canvas`.
         buffers: `MeshBuffers`, written.

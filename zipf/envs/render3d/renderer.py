@@ -18,7 +18,7 @@ from zipf.envs.render3d.textures import SIZE
 class Renderer:
     """Draws the views of the cameras of `Scenes`.
 
-    The pixels of a scene do not depend on the other worlds or the mask.
+    The pixels of a scene do not depend on the other envs or the mask.
 
     Args:
         meshes: the atlas that the scenes' instances index.
@@ -75,7 +75,7 @@ class Renderer:
         Args:
             scenes: read. The textures in `tiles` must exist; this is not checked.
             out: written.
-            mask: bool [N], the worlds to draw; the other rows of `out` are left as they are.
+            mask: bool [N], the envs to draw; the other rows of `out` are left as they are.
 
         Raises:
             ValueError: for an `out` or a `mask` of another shape, dtype or layout, and for scenes
@@ -101,7 +101,7 @@ class Renderer:
         if wrong >= 0:
             texels, meshes, _ = self._assets
             raise ValueError(
-                f"world {wrong} shows a texture from {len(texels)} on, a mesh from "
+                f"env {wrong} shows a texture from {len(texels)} on, a mesh from "
                 f"{len(meshes[-1])} on, or a screen without Scenes(screen=...)"
             )
 

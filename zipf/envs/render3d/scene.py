@@ -1,4 +1,4 @@
-"""The scenes of a batch of worlds, as arrays that environments write in place.
+"""The scenes of a batch of envs, as arrays that environments write in place.
 
 Metres; x east, y north, z up. Yaw 0 looks along +x and grows counter-clockwise, positive pitch
 looks up; both are in radians.
@@ -18,11 +18,11 @@ SEE_THROUGH = 2
 FACES_DOWN = 4
 """A flat that is visible from below: a ceiling."""
 SCREEN = -2
-"""The texture of a wall that shows its world's `Scenes.screen`."""
+"""The texture of a wall that shows its env's `Scenes.screen`."""
 
 
 class Scenes:
-    """The scenes of N worlds, each with a fixed capacity; arrays are C-contiguous.
+    """The scenes of N envs, each with a fixed capacity; arrays are C-contiguous.
 
     A wall is an upright rectangle above the line from (x0, y0) to (x1, y1). It is visible from the
     left of that direction, so the walls of a room are listed counter-clockwise. From there its
@@ -53,7 +53,7 @@ class Scenes:
     - `tiles` int16 [N, tile_cells]: textures of tiles (negative: a hole)
     - `mesh` int32 [N, M]: index into the atlas; -1 (initially): nothing
     - `position` float32 [N, M, 3]; `rotation` float32 [N, M, 3, 3] (initially the identity);
-      `scale` float32 [N, M] (initially 1): world = rotation @ (scale * vertex) + position
+      `scale` float32 [N, M] (initially 1): env = rotation @ (scale * vertex) + position
     - `colours` uint8 [N, M, 2, 3]: main and accent colour
     - `pattern` int32 [N, M]: negative (initially): parts of the mesh are in its main or its accent
       colour; else a texture, laid on these parts in the mesh's own coordinates along the axis that
@@ -87,7 +87,7 @@ class Scenes:
 
     Args:
         num_worlds: N.
-        walls, flats, instances, tile_cells, overlays, shadows: the capacity of each world.
+        walls, flats, instances, tile_cells, overlays, shadows: the capacity of each env.
         grid, terrain: rows and columns of cells.
         screen: height and width.
 
@@ -182,7 +182,7 @@ class Scenes:
     ) -> int:
         """Adds a wall along `ends` (x0, y0, x1, y1) and returns its index.
 
-        Raises ValueError if the world's walls are at their capacity.
+        Raises ValueError if the env's walls are at their capacity.
         """
         index = _take(self.wall_count, world, self.walls.shape[1], "walls")
         self.walls[world, index, :4] = ends
@@ -209,7 +209,7 @@ class Scenes:
         """Adds a flat over `rectangle` (x0, y0, x1, y1) and returns its index.
 
         `tiles` [rows, columns] makes it a patchwork, written to `tiles[world]` from `first_tile`.
-        Raises ValueError if the world's flats or tiles are at their capacity.
+        Raises ValueError if the env's flats or tiles are at their capacity.
         """
         index = _take(self.flat_count, world, self.flats.shape[1], "flats")
         self.flats[world, index, :4] = rectangle
@@ -221,7 +221,7 @@ class Scenes:
         if tiles is not None:
             end = first_tile + tiles.size
             if end > self.tiles.shape[1]:
-                raise ValueError(f"{end} tiles in a world with room for {self.tiles.shape[1]}")
+                raise ValueError(f"{end} tiles in an env with room for {self.tiles.shape[1]}")
             self.tiles[world, first_tile:end] = tiles.reshape(-1)
             self.flat_tiles[world, index] = first_tile, *tiles.shape
         return index
@@ -237,10 +237,10 @@ class Scenes:
         repeat: float = 0.0,
         tint: ArrayLike = 255,
     ) -> None:
-        """Sets a world's terrain.
+        """Sets an env's terrain.
 
         Args:
-            world: the world.
+            env: the env.
             corner: x, y of the south-west corner.
             size: of a cell, metres.
             heights: [rows + 1, columns + 1], metres.
@@ -266,9 +266,9 @@ class Scenes:
 
 
 def _take(counts: NDArray[np.int32], world: int, capacity: int, kind: str) -> int:
-    """The next free index of a world."""
+    """The next free index of an env."""
     index = int(counts[world])
     if index >= capacity:
-        raise ValueError(f"world {world} has room for {capacity} {kind}")
+        raise ValueError(f"env {world} has room for {capacity} {kind}")
     counts[world] += 1
     return index

@@ -42,8 +42,8 @@ def draw_terrain(
     """Draws a terrain where nothing has been drawn yet but the sky.
 
     Args:
-        heights, looks, place, tint: of `Terrains`, for one world.
-        sun, lamp: of the world.
+        heights, looks, place, tint: of `Terrains`, for one env.
+        sun, lamp: of the env.
         view, projection, canvas: `View`, `Projection`, `Canvas`.
         texels: of `Assets`.
         image, buffers: `ImageBuffers` and `TerrainBuffers`, written.

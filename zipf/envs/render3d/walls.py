@@ -1,4 +1,4 @@
-"""Draws walls: upright rectangles with a texture or with a world's screen."""
+"""Draws walls: upright rectangles with a texture or with an env's screen."""
 
 import math
 
@@ -30,7 +30,7 @@ def draw_wall(
 
     Args:
         place, looks, repeat, tint: rows of `Walls`.
-        screen, sun, lamp: of the wall's world.
+        screen, sun, lamp: of the wall's env.
         view, sector: `View`, `Sector`.
         texels: of `Assets`.
         image, span: `ImageBuffers` and `SpanBuffers`, written.

@@ -1,4 +1,4 @@
-"""The self-check of environments: of a batch, of what reads its goals, of a scripted player."""
+"""The self-check of environments: of a batch, of what reads its goals, of a scripted policy."""
 
 from zipf.envs.testing.batch import check_vector_env
 from zipf.envs.testing.goal import check_goal

@@ -1,4 +1,4 @@
-"""A self-check of batched environments: N worlds of a batch against N single worlds.
+"""A self-check of batched environments: N envs of a batch against N single envs.
 
     from functools import partial
     from zipf.envs import make, make_vec
@@ -58,15 +58,15 @@ def check_vector_env(
     Args:
         make_vec: `make_vec(num_envs, **kwargs)` makes the batch; it is given `autoreset_mode` and
             `copy` at times.
-        make_single: makes one world of the same level.
+        make_single: makes one env of the same level.
         num_envs: size of the batch, at least 2.
         steps: random actions per rollout; enough for several episodes to end.
-        seed: of the worlds and of the actions.
+        seed: of the envs and of the actions.
 
     Raises:
         AssertionError: saying what is wrong and where.
     """
-    require(num_envs >= 2, "check at least two worlds: one cannot show that worlds differ")
+    require(num_envs >= 2, "check at least two envs: one cannot show that envs differ")
     check = _Check(make_vec, make_single, num_envs, steps, seed)
     check.spaces()
     modes = AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED
@@ -96,7 +96,7 @@ class _Check:
         env.close()
 
     def spaces(self) -> None:
-        """Spaces are those of the single world, batched, and contain what is returned."""
+        """Spaces are those of the single env, batched, and contain what is returned."""
         env, single = self.make_vec(self.n), self.make_single()
         require_same(env.num_envs, self.n, "num_envs")
         require_same(
@@ -187,7 +187,7 @@ class _Check:
             now = given[0], {name: given[4][name] for name in told}
             require_same(now, stacked(current), f"{where}: observation and info")
             if mode is AutoresetMode.DISABLED and done.any() and ended == done.sum():
-                with must_raise(ResetNeeded, f"{where}: stepping a world whose episode has ended"):
+                with must_raise(ResetNeeded, f"{where}: stepping an env whose episode has ended"):
                     env.step(actions)
             begins = done & (mode is AutoresetMode.NEXT_STEP)
             # Now and then one whose episode is running or has just ended is reset, too.
@@ -197,7 +197,7 @@ class _Check:
                 for i in np.flatnonzero(mask):
                     current[i] = singles[i].reset()
                 now = env.reset(options={"reset_mask": mask})
-                require_same(now, stacked(current), f"{where}: reset of worlds {mask}")
+                require_same(now, stacked(current), f"{where}: reset of envs {mask}")
                 begins &= ~mask
         if mode is not AutoresetMode.NEXT_STEP:
             enough = self.n if mode is AutoresetMode.SAME_STEP else 0
@@ -226,14 +226,14 @@ class _Check:
             require_same(info[f"_{name}"], done, f"{where}: info['_{name}']")
             for i in np.flatnonzero(done):
                 require_same(
-                    row_of(info[name], int(i)), last[i][name], f"{where}: {name} of world {i}"
+                    row_of(info[name], int(i)), last[i][name], f"{where}: {name} of env {i}"
                 )
 
     def _singles(self) -> list[gym.Env]:
         return [self.make_single() for _ in range(self.n)]
 
     def determinism(self) -> None:
-        """The seed determines everything, however it is given; worlds do not affect each other."""
+        """The seed determines everything, however it is given; envs do not affect each other."""
         env = self.make_vec(self.n)
         first = self._rollout(env, self.seed)
         require_same(self._rollout(env, self.seed), first, "a second rollout from the same seed")
@@ -251,7 +251,7 @@ class _Check:
         worlds = [[{k: v[0] for k, v in info.items()} for info in infos] for infos in starts]
         require(
             any(not are_equal(worlds[0], world) for world in worlds[1:]),
-            "worlds of different seeds draw the same episodes",
+            "envs of different seeds draw the same episodes",
         )
         require(
             any(not are_equal(worlds[0][0], start) for start in worlds[0][1:]),
@@ -282,7 +282,7 @@ class _Check:
                 require_same(
                     array[running],
                     untouched[key][running],
-                    f"{where}: final_out[{key!r}] of worlds whose episode goes on",
+                    f"{where}: final_out[{key!r}] of envs whose episode goes on",
                 )
         env.reset(seed=self.seed)
         for t, actions in enumerate(self.actions):
@@ -348,7 +348,7 @@ class _Check:
         require_same(state, kept, f"a state, after the environment it was set in went on, {where}")
         with must_raise(ValueError, "set_state with a key too few"):
             env.set_state(dict(list(state.items())[1:]))
-        with must_raise(ValueError, "set_state of more worlds"):
+        with must_raise(ValueError, "set_state of more envs"):
             env.set_state({key: np.concatenate([value] * 2) for key, value in state.items()})
         _close(env, other)
 
@@ -364,7 +364,7 @@ class _Check:
 
     def _play_to_an_end(self, env: ZipfVectorEnv) -> Callable[[ZipfVectorEnv], list[Any]]:
         """Plays up to half of the steps, if possible to the end of an episode, where in some modes
-        worlds wait for their reset.
+        envs wait for their reset.
 
         Returns what goes on from there in an environment, half of the steps, and returns what they
         returned.
@@ -384,7 +384,7 @@ class _Check:
     ) -> Iterator[tuple[Any, NDArray[np.bool_]]]:
         """Takes these actions; yields what each step returned, and which episodes it has ended.
 
-        Worlds that have ended, at first those of `ended`, are reset if they are not by themselves.
+        Envs that have ended, at first those of `ended`, are reset if they are not by themselves.
         """
         for these in actions:
             if env.autoreset_mode is AutoresetMode.DISABLED and ended.any():
@@ -394,7 +394,7 @@ class _Check:
             yield visible(step), ended
 
     def forcing(self) -> None:
-        """`reset(options=...)` forces a situation, as it does in a single world."""
+        """`reset(options=...)` forces a situation, as it does in a single env."""
         env = self.make_vec(self.n, autoreset_mode=AutoresetMode.DISABLED)
         single = self.make_single()
         for name, size in env.situation.items():
@@ -403,7 +403,7 @@ class _Check:
                 require_same(given[1][name], np.full(self.n, rank), f"options={{{name!r}: {rank}}}")
                 alone = single.reset(seed=self.seed, options={name: rank})
                 require_same(
-                    row_of(given, 0), alone, f"options={{{name!r}: {rank}}} in a single world"
+                    row_of(given, 0), alone, f"options={{{name!r}: {rank}}} in a single env"
                 )
             ranks = np.arange(self.n) % size
             require_same(
@@ -421,7 +421,7 @@ class _Check:
         everything = {name: size - 1 for name, size in env.situation.items()}
         given = env.reset(seed=self.seed, options=everything)
         alone = single.reset(seed=self.seed, options=everything)
-        require_same(row_of(given, 0), alone, f"options={everything} in a single world")
+        require_same(row_of(given, 0), alone, f"options={everything} in a single env")
         given, alone = env.reset(), single.reset()
         require_same(row_of(given, 0), alone, "the episode after a forced one")
         with must_raise(ValueError, "an unknown reset option"):
@@ -459,7 +459,7 @@ class _Check:
             env.step(self.actions[0])
         with must_raise(ClosedEnvironmentError, "reset() after close()"):
             env.reset()
-        with must_raise(ValueError, "a batch of no worlds"):
+        with must_raise(ValueError, "a batch of no envs"):
             self.make_vec(0)
         with must_raise(ValueError, "an unknown autoreset_mode"):
             self.make_vec(self.n, autoreset_mode="no such mode")
@@ -484,7 +484,7 @@ def _bad_buffers(env: ZipfVectorEnv) -> Iterator[tuple[str, Observation]]:
     array = good[key]
     yield "a missing key", {k: v for k, v in good.items() if k != key}
     yield "an extra key", {**good, "no_such_key": array}
-    yield "a world too few", {**good, key: array[1:]}
+    yield "an env too few", {**good, key: array[1:]}
     other = np.float64 if array.dtype == np.float32 else np.float32
     yield "another dtype", {**good, key: array.astype(other)}
     yield "an array that is not contiguous", {**good, key: array.repeat(2, axis=-1)[..., ::2]}

@@ -30,13 +30,13 @@ def check_goal(
     seed: int = 0,
     actions: Callable[[ZipfVectorEnv], NDArray[np.int64]] | None = None,
 ) -> dict[str, int]:
-    """Checks in played worlds that goals are read, replaced and achieved as `Goal` says.
+    """Checks in played envs that goals are read, replaced and achieved as `Goal` says.
 
     Args:
         make_goal: makes the family's goals from a batch.
         make_vec: `make_vec(num_envs)` makes a batch.
-        num_envs, steps: of the worlds that are played.
-        seed: of the worlds and of the actions.
+        num_envs, steps: of the envs that are played.
+        seed: of the envs and of the actions.
         actions: `actions(env)` gives those to take, [N]; None: random ones.
 
     Returns:

@@ -1,4 +1,4 @@
-"""A self-check of scripted players: that they can label what another policy does.
+"""A self-check of scripted policies: that they can label what another policy does.
 
     from functools import partial
     from zipf.envs import generalist, make_vec
@@ -30,17 +30,17 @@ def check_player(
     steps: int = 60,
     seed: int = 0,
 ) -> None:
-    """Asks a scripted player in worlds in which random actions and its own are taken.
+    """Asks a scripted policy in envs in which random actions and its own are taken.
 
     In every autoreset mode its answers have to be actions, be the same when it is asked again and
-    in a second rollout, and leave the worlds as they are.
+    in a second rollout, and leave the envs as they are.
 
     Args:
         player: `player(env)` plays a batch: called, it gives actions int64 [N].
         make_vec: `make_vec(num_envs, autoreset_mode=...)` makes the batch.
         num_envs: size of the batch.
         steps: of a rollout.
-        seed: of the worlds and of the random actions.
+        seed: of the envs and of the random actions.
 
     Raises:
         AssertionError: saying what is wrong and where.
@@ -78,11 +78,11 @@ def _rollout(
         again = ask()
         require(
             np.array_equal(answer, again),
-            f"{where}: asked again before the worlds moved, it answers {again}, first {answer}",
+            f"{where}: asked again before the envs moved, it answers {again}, first {answer}",
         )
         after = env.get_state()
         changed = [key for key in before if not np.array_equal(before[key], after[key])]
-        require(not changed, f"{where}: asking it changed the state of the worlds: {changed}")
+        require(not changed, f"{where}: asking it changed the state of the envs: {changed}")
         answers.append(answer)
         own = rng.random(env.num_envs) < 0.5
         actions = np.where(own, answer, rng.integers(count, size=env.num_envs))

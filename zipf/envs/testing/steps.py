@@ -38,7 +38,7 @@ def arrays_in(value: Any) -> Iterator[NDArray[Any]]:
 
 
 def stacked(rows: list[Any]) -> Any:
-    """Results of single worlds, as a batch."""
+    """Results of single envs, as a batch."""
     if isinstance(rows[0], dict):
         return {key: stacked([row[key] for row in rows]) for key in rows[0]}
     if isinstance(rows[0], tuple):
@@ -53,7 +53,7 @@ def first_step(start: Any) -> Any:
 
 
 def row_of(batch: Any, i: int) -> Any:
-    """What a batch's result has for world `i`."""
+    """What a batch's result has for env `i`."""
     if isinstance(batch, dict):
         return {key: row_of(value, i) for key, value in batch.items()}
     if isinstance(batch, tuple):

@@ -11,7 +11,7 @@ from zipf.experiments.options.schema import Config
 
 
 def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
-    """The agent that the configuration names, for these worlds, with weights from its seed; its
+    """The agent that the configuration names, for these envs, with weights from its seed; its
     image encoders are compiled with `compile=true`.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Checks of combinations of options: do they fit each other, the worlds and this machine?"""
+"""Checks of combinations of options: do they fit each other, the envs and this machine?"""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def problems(config: Config) -> Iterator[str]:
         of_each = ", for each learner" if config.learners > 1 else ""
         yield (
             f"collector.num_envs={config.collector.num_envs}: should be at least "
-            f"{len(train) * config.learners}, a world for each train level of {split.name}{of_each}"
+            f"{len(train) * config.learners}, an env for each train level of {split.name}{of_each}"
         )
     agent, collector = agents()[config.agent.name], config.collector
     if config.learning_rate_decay and not issubclass(agent, Learner):
@@ -143,7 +143,7 @@ def _not_by_several_learners(config: Config) -> Iterator[str]:
     if num_envs % learners or num_envs < learners:
         yield (
             f"collector.num_envs={num_envs}: should be a multiple of runtime.learners={learners}, "
-            "which share the worlds"
+            "which share the envs"
         )
     if not agents()[config.agent.name].averages_gradients:
         able = [name for name, agent in agents().items() if agent.averages_gradients]
@@ -175,7 +175,7 @@ def _reads_itself(config: Config) -> Iterator[str]:
 
 
 def too_many_worlds(config: Config, num_envs: int, episodes: int | None, option: str) -> str | None:
-    """Why an evaluation with so many worlds does not fit into RAM, or None."""
+    """Why an evaluation with so many envs does not fit into RAM, or None."""
     played = min(num_envs, episodes or max(config.split.episodes.values()))
     # What is seen, what was seen last, and the agent's copy.
     return _too_large(f"{option}={num_envs}", "its worlds", played, 3 * _frame_bytes(config))
@@ -192,7 +192,7 @@ def _too_large(options: str, what: str, count: int, each: int) -> str | None:
 
 
 def _frame_bytes(config: Config) -> int:
-    """RAM for a frame of one world: the observation and what is kept beside it."""
+    """RAM for a frame of one env: the observation and what is kept beside it."""
     env = envs.make_vec(config.split.uniform[0], 1, **config.level_options)
     env.close()
     return sum(part.nbytes for part in env.allocate().values()) + BESIDE_A_FRAME
@@ -244,12 +244,12 @@ def _try_to_build(config: Config) -> Iterator[str]:
         yield f"environment: {error}"
         return
     except MemoryError as error:
-        yield f"environment: one world does not fit into RAM ({error})"
+        yield f"environment: one env does not fit into RAM ({error})"
         return
     family = envs.family_of_split(config.environment.split)
     if config.hindsight.name != "none" and family.goal is not None and not env.achieves:
         yield (
-            f"hindsight={config.hindsight.name}: these worlds do not tell what an episode has "
+            f"hindsight={config.hindsight.name}: these envs do not tell what an episode has "
             "achieved; choose hindsight=none"
         )
     if lacking := list(_lacking_ram(config, env)):
@@ -301,7 +301,7 @@ def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
         _too_large(
             f"collector.num_envs={collector.num_envs}, "
             f"collector.unroll_length={collector.unroll_length}",
-            "the worlds of an unroll",
+            "the envs of an unroll",
             collector.num_envs,
             frames * _frame_bytes(config),
         ),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from zipf.errors import UserError
-from zipf.experiments.building import feasibility
 from zipf.experiments.options import command_line
 from zipf.experiments.options.schema import Config
 
@@ -21,6 +20,8 @@ def load(overrides: list[str]) -> Config:
 
 def check(config: Config) -> None:
     """Raises `UserError` where options do not fit each other, the environments or this machine."""
+    from zipf.experiments.building import feasibility  # here: it imports PyTorch
+
     if problems := list(feasibility.problems(config)):
         raise UserError("\n".join(problems))
 
@@ -35,5 +36,9 @@ def read(overrides: list[str]) -> Config:
     try:
         return command_line.read(overrides)
     except command_line.Mistakes as error:
-        further = feasibility.problems(error.config) if error.config else ()
+        if error.config is None:
+            raise
+        from zipf.experiments.building import feasibility
+
+        further = feasibility.problems(error.config)
         raise UserError("\n".join([str(error), *further])) from None

@@ -66,13 +66,15 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
             f"{path}: is of an earlier version, with tables of another form; finish the run with "
             "that version, or choose another run_root or name"
         )
-    if update == config.updates and last_update(config.folder / "evaluations.csv") == str(update):
+    scored = config.folder / "evaluations.csv"
+    whole = scored.is_file() and scored.read_bytes().endswith(b"\n")
+    if update == config.updates and whole and last_update(scored) == str(update):
         saved["evaluated"] = update  # the evaluation that ends a run comes after its checkpoint
     return saved
 
 
 def is_finished(config: Config) -> bool:
-    """Whether a run has nothing left to do, by its files alone: no worlds or networks are made.
+    """Whether a run has nothing left to do, by its files alone: no envs or networks are made.
 
     False also where something is wrong, such as a damaged file: the run itself will tell.
     """
@@ -322,7 +324,7 @@ def check_description(config: Config, situation: dict[str, int] | None = None) -
     """The contents of `run.json`, in the folder of a run that there is.
 
     Args:
-        situation: of the worlds; None: not compared.
+        situation: of the envs; None: not compared.
 
     Raises:
         UserError: `run.json` or `config.yaml` is gone, damaged or another run's.

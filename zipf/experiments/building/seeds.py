@@ -1,4 +1,4 @@
-"""Seeds of a run's purposes: worlds, actions, networks, evaluations."""
+"""Seeds of a run's purposes: envs, actions, networks, evaluations."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Actors in a Ray cluster that play for one learner (`runtime=ray`).
 
-Every actor is a process with worlds, seeds and a `Collector` of its own. The learner gives it
+Every actor is a process with envs, seeds and a `Collector` of its own. The learner gives it
 weights, and it plays one unroll with them, which it puts into Ray's object store. The learner
 learns from unrolls as they arrive, the longest asked for first, one update from each.
 
@@ -64,7 +64,7 @@ class Player:
     """What runs in an actor's process."""
 
     def begin(self, options: dict[str, Any], actor: int, incarnation: int) -> str:
-        """Makes the worlds and the agent; returns the version of this package.
+        """Makes the envs and the agent; returns the version of this package.
 
         Args:
             options: of the run, `Config.model_dump()`.
@@ -107,7 +107,7 @@ class _Actor:
     Attributes:
         incarnation: counts the processes that were this actor; -1 before the first.
         handle: Ray's, of the process.
-        begun: whether it has worlds.
+        begun: whether it has envs.
         learned: number of the last unroll of this incarnation that was learned from; 0 for none.
         carried: what the agent keeps for its next unroll.
         has_played: whether an unroll of this incarnation has been taken.
@@ -155,7 +155,7 @@ class RayActors:
     Args:
         config: of the run.
         options: `config.runtime`.
-        env: worlds like those of the actors.
+        env: envs like those of the actors.
         agent: learns.
     """
 

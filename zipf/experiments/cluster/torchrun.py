@@ -1,6 +1,6 @@
 """The learners of a run that torchrun has started (`runtime=torchrun`).
 
-Every learner has a share of the worlds and all of the weights, and they make the same updates
+Every learner has a share of the envs and all of the weights, and they make the same updates
 (`zipf.agents.averaging`). Their ranks count from 0. The first one alone writes files, shows the run
 and evaluates. It collects what it needs of the others at fixed points of the program, where all
 learners wait for each other.
@@ -121,7 +121,7 @@ class Learner(OnlyLearner):
 
 
 class TorchrunRuntime(Runtime):
-    """`runtime=torchrun`: learners that torchrun has started, each with a share of the worlds."""
+    """`runtime=torchrun`: learners that torchrun has started, each with a share of the envs."""
 
     name = "torchrun"
 

@@ -37,13 +37,13 @@ def unwatched(ended: int, episodes: int) -> None:
 
 
 class Policy(Protocol):
-    """Plays a batch of worlds; may have a memory.
+    """Plays a batch of envs; may have a memory.
 
     The arrays of an observation are overwritten by the next step: copy what is to be kept.
     """
 
     def start(self, num_envs: int) -> None:
-        """Clears the memory: `num_envs` new worlds begin."""
+        """Clears the memory: `num_envs` new envs begin."""
 
     def __call__(
         self, observation: dict[str, NDArray], reward: NDArray, is_first: NDArray
@@ -63,7 +63,7 @@ class Result:
     Attributes:
         kind: of `zipf.envs.KINDS`.
         split_level: the level as the split has it, with weight and normalisation.
-        episodes: a row each: the situation's ranks, `success` (not in worlds that report none),
+        episodes: a row each: the situation's ranks, `success` (not in envs that report none),
             `return` and `length`.
     """
 
@@ -109,7 +109,7 @@ def play(
         watch: called after every step with the number of episodes that have ended.
 
     Raises:
-        ValueError: the policy returns something else than an action for each world.
+        ValueError: the policy returns something else than an action for each env.
     """
     policy.start(env.num_envs)
 
@@ -134,7 +134,7 @@ def _checked(actions: Any, env: ZipfVectorEnv) -> NDArray:
             got = f"values from {array.min()} to {array.max()}"
     raise ValueError(
         f"the policy returned {got} as actions; should be integers in 0 .. {count - 1} of shape "
-        f"({env.num_envs},), one for each world (batched=False is for policies of one observation)"
+        f"({env.num_envs},), one for each env (batched=False is for policies of one observation)"
     )
 
 
@@ -150,20 +150,20 @@ def evaluate(
 ) -> list[Result]:
     """Plays a policy on every level of a split, of all kinds that it has.
 
-    Worlds are seeded from `seed` and the level's kind and place in the split; no other random
+    Envs are seeded from `seed` and the level's kind and place in the split; no other random
     generator is touched. Where the split draws a level at every reset, levels are played one at a
     time all the same, and situations begin with the level's rank, as in training. A level that
     stands in several kinds is played once, and its episodes count in each of them.
 
     Args:
         episodes: on each level; None: as many as the split says.
-        num_envs: worlds played at a time.
+        num_envs: envs played at a time.
         watch: told how far the evaluation is.
         level_options: constructor options of the levels.
 
     Raises:
-        ValueError: no episodes, no worlds, options that a level cannot have, actions that are none,
-            or a scripted player that a level does not have.
+        ValueError: no episodes, no envs, options that a level cannot have, actions that are none,
+            or a scripted policy that a level does not have.
     """
     if episodes is not None:
         episodes = whole("episodes", episodes, 1)
@@ -195,7 +195,7 @@ def evaluate(
 
 
 def _level_seed(seed: int, kind: str, place: int) -> int:
-    """The seed of the worlds of a level. That of `PAPER_KINDS` does not depend on which other kinds
+    """The seed of the envs of a level. That of `PAPER_KINDS` does not depend on which other kinds
     there are."""
     kinds = envs.PAPER_KINDS
     if kind in kinds:
@@ -214,8 +214,8 @@ def _key(level: envs.SplitLevel, episodes: int) -> tuple[str, str, int]:
 
 
 class _Worlds:
-    """Worlds of one level of a split after another. Where the split draws levels at resets, and a
-    level has the same options in all kinds, the same worlds serve them all."""
+    """Envs of one level of a split after another. Where the split draws levels at resets, and a
+    level has the same options in all kinds, the same envs serve them all."""
 
     def __init__(self, split: envs.Split, level_options: dict[str, Any]):
         self._split = split
@@ -235,7 +235,7 @@ class _Worlds:
             self._env.close()
 
     def of(self, level: envs.SplitLevel, num_envs: int) -> ZipfVectorEnv:
-        """Worlds of a level, to be reset; those of the level before are gone."""
+        """Envs of a level, to be reset; those of the level before are gone."""
         env = self._env
         if self._one_for_all and isinstance(env, Mixture) and env.num_envs == num_envs:
             env.probabilities = [float(name == level.name) for name in env.level_names]

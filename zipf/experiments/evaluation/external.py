@@ -79,7 +79,7 @@ def record(
         frames: environment steps that it was trained for so far; 1e6 is 1000000.
         update: by which its evaluations are counted; None: `frames`.
         seconds: that training has taken so far, 0 where it is not known.
-        seed: of the agent's training. The worlds of the evaluation are seeded from it and `update`.
+        seed: of the agent's training. The envs of the evaluation are seeded from it and `update`.
         experiment: whose table the row stands in; None: the split's name.
         order: the row's place among the conditions; None: after those that have one, by name.
         colour: of the row's curves, "#rrggbb"; None: one is chosen.
@@ -211,7 +211,7 @@ def _environment(split: envs.Split, level_options: Mapping[str, Any]) -> dict[st
 
 
 def _paper(split: envs.Split, level_options: Mapping[str, Any]) -> str | None:
-    """The paper's experiment, where the worlds are those of the benchmark."""
+    """The paper's experiment, where the envs are those of the benchmark."""
     return split.paper if _environment(split, level_options) == _environment(split, {}) else None
 
 

@@ -51,13 +51,13 @@ class Evaluation:
             played, defaults included. Those of your own levels are the ones that were given.
         episodes: a row per episode, in the order in which they started on their level:
             `level_kind` (of `zipf.envs.KINDS`), `level_name`, the situation's ranks
-            (0 = most frequent), `success` (where the worlds report it), `return` and `length` (in
+            (0 = most frequent), `success` (where the envs report it), `return` and `length` (in
             frames).
         situations: a row per situation met on a kind of levels: `level_kind`, its ranks,
-            `episodes`, `successes` (None where the worlds report none) and `return_sum`.
+            `episodes`, `successes` (None where the envs report none) and `return_sum`.
         levels: a row per level: `level_kind`, `level_name`, `weight`, `episodes`, `score` with its
             interval `score_low` to `score_high`, `success` with `success_low` and `success_high`
-            (NaN where the worlds report none), and the means `return` and `length`.
+            (NaN where the envs report none), and the means `return` and `length`.
         kinds: a row per kind of levels: `level_kind`, `score` (the mean over its levels, by their
             weights), `score_low`, `score_high`, `plain` (the mean over its levels, all weighing the
             same), `plain_low` and `plain_high`.

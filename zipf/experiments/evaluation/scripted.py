@@ -1,4 +1,4 @@
-"""Scripted players as policies of the evaluator."""
+"""Scripted policies as policies of the evaluator."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from zipf.envs.vector import ZipfVectorEnv
 
 
 class ScriptedPolicy:
-    """A scripted player of a family, for one level after another.
+    """A scripted policy of a family, for one level after another.
 
     Args:
         name: which one, of `zipf.envs.SCRIPTED`.
@@ -20,10 +20,10 @@ class ScriptedPolicy:
         self.name = name
 
     def enter(self, level: Level, env: ZipfVectorEnv) -> None:
-        """Plays these worlds of a level from now on.
+        """Plays these envs of a level from now on.
 
         Raises:
-            ValueError: the level has no such player, or it cannot play these worlds.
+            ValueError: the level has no such player, or it cannot play these envs.
         """
         player = envs.scripted(self.name, level, env) if isinstance(level, str) else None
         if player is None:

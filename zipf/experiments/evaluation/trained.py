@@ -95,7 +95,7 @@ def evaluate_run(options: EvaluateOptions, watch: Watch = unwatched) -> tuple[in
     """Scores the agent of a run; returns the update that it is of, and the scores.
 
     Raises:
-        UserError: as `load_agent`, or so many worlds do not fit into RAM.
+        UserError: as `load_agent`, or so many envs do not fit into RAM.
     """
     assert options.run is not None
     trained = load_agent(Path(options.run), options.device, module_names(options.plugins))
@@ -121,10 +121,10 @@ def evaluate_scripted(
     split: envs.Split,
     watch: Watch = unwatched,
 ) -> list[Result]:
-    """Scores a scripted player on the levels of a split.
+    """Scores a scripted policy on the levels of a split.
 
     Raises:
-        UserError: a level has no such player, or so many worlds do not fit into RAM.
+        UserError: a level has no such player, or so many envs do not fit into RAM.
     """
     assert options.policy is not None
     with enough_ram(f"a smaller num_envs={options.num_envs} needs less"):

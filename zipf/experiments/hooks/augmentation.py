@@ -1,8 +1,8 @@
 """Augmentation: random changes of what an agent sees in training, the same for a whole episode.
 
-The agent acts and learns in worlds that look otherwise: nothing is changed afterwards, so that
+The agent acts and learns in envs that look otherwise: nothing is changed afterwards, so that
 what it remembers, the policy that acted, and what it learns from always agree. Evaluations show the
-worlds as they are.
+envs as they are.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class NoAugmentationOptions(Options):
 class RandomAugmentationOptions(Options):
     """What is drawn for every episode.
 
-    `symmetries`: one of those that the worlds' family declares. Images: `channels`: an order of
+    `symmetries`: one of those that the envs' family declares. Images: `channels`: an order of
     the three colours; `shift`: whole pixels by which the image is moved down and to the right, from
     -shift to shift, its border repeated (Kostrikov et al. 2021); `scale`: least and largest factor
     by which it is enlarged around its centre before, log-uniformly (Simonyan and Zisserman 2015);
@@ -61,14 +61,14 @@ Draw = dict[str, NDArray]  # what was drawn for episodes, {name: [N, ...]}
 
 
 class Augmentation:
-    """Draws changes of the episodes of N worlds and makes them.
+    """Draws changes of the episodes of N envs and makes them.
 
     Args:
         options: what to draw.
-        space: of the observations of one world.
+        space: of the observations of one env.
         num_envs: N.
         seed: of the draws.
-        symmetries: of these worlds, where `options.symmetries`.
+        symmetries: of these envs, where `options.symmetries`.
 
     Raises:
         ValueError: there is nothing to change, or no symmetries.
@@ -85,7 +85,7 @@ class Augmentation:
     ):
         if options.symmetries and symmetries is None:
             raise ValueError(
-                "augmentation.symmetries=true: these worlds declare no symmetries; choose "
+                "augmentation.symmetries=true: these envs declare no symmetries; choose "
                 "augmentation.symmetries=false"
             )
         self.images = [name for name, part in space.items() if is_image(part)]
@@ -109,7 +109,7 @@ class Augmentation:
         self._drawn = _unchanged(num_envs)
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
-        """Draws anew for the worlds of `mask` [N], in which an episode begins."""
+        """Draws anew for the envs of `mask` [N], in which an episode begins."""
         for name, values in self._draw(int(mask.sum())).items():
             self._drawn[name][mask] = values
 
@@ -130,7 +130,7 @@ class Augmentation:
         return drawn
 
     def observe(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> None:
-        """Changes the worlds' observations `{name: [N, ...]}`, in place, where `mask` [N]."""
+        """Changes the envs' observations `{name: [N, ...]}`, in place, where `mask` [N]."""
         self._observe(observation, mask, **self._drawn)
 
     def _observe(
@@ -150,20 +150,20 @@ class Augmentation:
                 _change(observation[name], mask, order, shift, scale, centre, self.options.cutout)
 
     def observe_episode(self, observation: dict[str, NDArray], world: int) -> Draw:
-        """Changes the observations `{name: [frames, ...]}` of the running episode of one world, in
+        """Changes the observations `{name: [frames, ...]}` of the running episode of one env, in
         place; returns what was drawn for it."""
         drawn = {name: values[world : world + 1] for name, values in self._drawn.items()}
         self._change_frames(observation, drawn)
         return drawn
 
     def actions_to_worlds(self, fields: dict[str, NDArray], world: int) -> None:
-        """Makes the actions in the fields `{name: [frames]}` of the running episode of one world
-        those of the world, in place."""
+        """Makes the actions in the fields `{name: [frames]}` of the running episode of one env
+        those of the env, in place."""
         if self.symmetries is not None:
             _replace_actions(fields, self.symmetries.actions[self._drawn["symmetry"][world]])
 
     def change_episode(self, observation: dict[str, NDArray], fields: dict[str, NDArray]) -> Draw:
-        """Changes an episode, as a world has it, by a draw of its own, in place: observations
+        """Changes an episode, as an env has it, by a draw of its own, in place: observations
         `{name: [frames, ...]}`, and the actions in `fields` `{name: [frames]}`; returns the draw.
         """
         drawn = self._draw(1)
@@ -188,13 +188,13 @@ class Augmentation:
         self._observe(observation, np.ones(frames, np.bool_), **repeated)
 
     def to_worlds(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The worlds' actions for those of the agent, [N] -> [N]."""
+        """The envs' actions for those of the agent, [N] -> [N]."""
         if self.symmetries is None:
             return actions
         return self.symmetries.actions[self._drawn["symmetry"], actions]
 
     def from_worlds(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The agent's actions for those of the worlds, [N] -> [N]."""
+        """The agent's actions for those of the envs, [N] -> [N]."""
         if self.symmetries is None:
             return actions
         return self._inverse[self._drawn["symmetry"], actions]
@@ -285,8 +285,8 @@ def _change(image, mask, orders, shifts, scales, centres, side):
 
 
 AUGMENTATIONS: Registry[Augmentation | None] = Registry("augmentation")
-"""Each is built from its options, the space of the observations of one world, the number of worlds,
-and by name `seed` and the worlds' `symmetries`; it raises ValueError where there is nothing that it
+"""Each is built from its options, the space of the observations of one env, the number of envs,
+and by name `seed` and the envs' `symmetries`; it raises ValueError where there is nothing that it
 changes."""
 
 AUGMENTATIONS.register(NoAugmentationOptions, lambda options, space, num_envs, **named: None)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from zipf.compiled import compiled
 from zipf.experiments.hooks.bonus import Bonus
 from zipf.experiments.hooks.hook import Parts, arrays
+from zipf.experiments.hooks.kernels import add_hashes, count_bonus
 from zipf.experiments.hooks.rnd import RNDBonus, RNDOptions
 from zipf.options import Options
 from zipf.registry import Registry
@@ -59,7 +59,9 @@ class CountBonus(Bonus):
     def __call__(self, observation: Parts, mask: Tensor) -> Tensor:
         """Counts observations, those of the mask alone."""
         bonus, chosen = np.zeros(len(mask), np.float32), np.asarray(mask)
-        _count(self.hashes(arrays(observation), chosen), chosen, self.visits, self.scale, bonus)
+        count_bonus(
+            self.hashes(arrays(observation), chosen), chosen, self.visits, self.scale, bonus
+        )
         return torch.from_numpy(bonus)
 
     def state_dict(self) -> dict[str, NDArray]:
@@ -80,7 +82,7 @@ class FirstVisitBonus(Bonus):
     def __init__(self, options: FirstVisitOptions):
         self.scale = options.scale
         self.hashes = Hashes()
-        self.seen: dict[int, set[int]] = {}  # by world
+        self.seen: dict[int, set[int]] = {}  # by env
 
     def __call__(self, observation: Parts, mask: Tensor) -> Tensor:
         """Remembers observations, those of the mask alone."""
@@ -100,7 +102,7 @@ class FirstVisitBonus(Bonus):
             self.seen.pop(world, None)
 
     def state_dict(self) -> dict[str, NDArray]:
-        """What was seen in the episodes so far: worlds int64 [K] and hashes int64 [K]."""
+        """What was seen in the episodes so far: envs int64 [K] and hashes int64 [K]."""
         pairs = [(world, value) for world, seen in self.seen.items() for value in sorted(seen)]
         both = np.array(pairs, np.uint64).reshape(-1, 2).view(np.int64)
         return {"worlds": both[:, 0].copy(), "hashes": both[:, 1].copy()}
@@ -128,33 +130,12 @@ class Hashes:
             if name not in self.weights:  # the name is the seed
                 rng = np.random.default_rng(list(name.encode()))
                 self.weights[name] = rng.integers(2**64, size=part.shape[1], dtype=np.uint64)
-            _add_hashes(part, self.weights[name], mask, hashes)
+            add_hashes(part, self.weights[name], mask, hashes)
         return hashes
 
 
-@compiled()
-def _add_hashes(part, weights, mask, hashes):
-    """Multilinear hashing: the high bits of sum_i weight_i * byte_i mod 2^64 are universal."""
-    for i in range(len(part)):
-        if mask[i]:
-            total = np.uint64(0)
-            for j in range(part.shape[1]):
-                total += weights[j] * np.uint64(part[i, j])
-            hashes[i] += total
-
-
-@compiled()
-def _count(hashes, mask, visits, scale, bonus):
-    size = np.uint64(len(visits))
-    for i in range(len(hashes)):
-        if mask[i]:
-            slot = ((hashes[i] >> np.uint64(32)) * size) >> np.uint64(32)
-            visits[slot] += 1
-            bonus[i] = scale / np.sqrt(visits[slot])
-
-
 BONUSES: Registry[Bonus | None] = Registry("exploration")
-"""Each is built from its options, the space of the observations of one world, and a seed."""
+"""Each is built from its options, the space of the observations of one env, and a seed."""
 
 BONUSES.register(NoExplorationOptions, lambda options, space, seed: None)
 BONUSES.register(CountOptions, lambda options, space, seed: CountBonus(options))

@@ -1,6 +1,6 @@
 """What a hook is: something else that happens around the steps of a collector.
 
-A hook sees every step of all worlds as tensors on the collector's device; on a CPU they share
+A hook sees every step of all envs as tensors on the collector's device; on a CPU they share
 memory with the environment's arrays. It may write to the step's fields, such as the bonus, and add
 fields of its own to unrolls (`columns`). What it keeps is part of the collector's saved state.
 """
@@ -23,10 +23,10 @@ Parts = dict[str, Tensor]
 
 @dataclass
 class Row:
-    """A step of N worlds; valid until the hook returns.
+    """A step of N envs; valid until the hook returns.
 
     Attributes:
-        observation: {name: [N, ...]}, which the worlds showed before it. Here and below nothing is
+        observation: {name: [N, ...]}, which the envs showed before it. Here and below nothing is
             augmented.
         fields: {name: [N]}, those of the unroll's row; written to in place.
         reward: float64 [N], the task's.
@@ -62,14 +62,14 @@ class Hook:
 
     def begin(self, observation: Parts, mask: Tensor) -> None:
         """Episodes begin where `mask` [N], with these observations {name: [N, ...]}; at the start
-        in all worlds, and after `load_state_dict` in those that could not be restored."""
+        in all envs, and after `load_state_dict` in those that could not be restored."""
 
     def act(self, fields: Parts, generator: torch.Generator) -> None:
         """The agent has chosen the step's `action`, int64 [N], which may be replaced; draws are
         from the generator of the agent's actions."""
 
     def step(self, row: Row) -> None:
-        """The worlds have made a step. Where episodes have ended `begin` follows."""
+        """The envs have made a step. Where episodes have ended `begin` follows."""
 
     def finish(self, unroll: Unroll) -> None:
         """An unroll is complete; the hook may write to it."""

@@ -16,9 +16,9 @@ class Labels(Hook):
     """Labels every step with the action that a teacher would take, and has it act in some.
 
     Args:
-        teacher: gives its actions in the worlds' states, int64 [N]; a `zipf.envs.policies.Teacher`.
+        teacher: gives its actions in the envs' states, int64 [N]; a `zipf.envs.policies.Teacher`.
         share: the probability that it acts in a step in the agent's place.
-        augmentation: what the agent sees of the worlds.
+        augmentation: what the agent sees of the envs.
     """
 
     name = "teacher"

@@ -31,22 +31,22 @@ _FIRST_ROWS = 64  # ours: room for short episodes; it doubles where an episode i
 
 
 class Hindsight(Hook):
-    """Keeps the running episode of each of N worlds, and relabels those that end.
+    """Keeps the running episode of each of N envs, and relabels those that end.
 
     Args:
         options: how many episodes, and how many of their last frames.
         goal: reads what episodes ask for and replaces it; None where nothing says it.
-        env: the worlds; told to report what episodes achieve.
+        env: the envs; told to report what episodes achieve.
         clip: makes rewards those that are learned from; None: they are the same.
         seed: of the draws among more episodes than are asked for.
-        augmentation: what the agent sees of the worlds; `add` is told what they show.
+        augmentation: what the agent sees of the envs; `add` is told what they show.
         teacher: whether fields have a teacher's actions as `label`. The memory then also keeps
             every episode for the goal that it was asked for, with these in the place of the
             actions taken; those that achieved another goal are kept and drawn apart from them.
             Where a matcher learns, its episodes say whether they `achieved` what they ask for.
 
     Raises:
-        ValueError: the worlds do not say what an episode asks for, or what it has achieved.
+        ValueError: the envs do not say what an episode asks for, or what it has achieved.
     """
 
     name = "hindsight"
@@ -63,7 +63,7 @@ class Hindsight(Hook):
         teacher: bool = False,
     ):
         if goal is None:
-            raise ValueError("these worlds do not say what an episode asks for")
+            raise ValueError("these envs do not say what an episode asks for")
         env.report_achieved()
         self.options = options
         self._regions = env.action_regions if options.matching_cost else None
@@ -104,12 +104,12 @@ class Hindsight(Hook):
         ended: NDArray[np.bool_],
         final_info: dict[str, NDArray[Any]],
     ) -> None:
-        """Adds a step of all worlds.
+        """Adds a step of all envs.
 
         Args:
             observation: of this step, {name: [N, ...]}.
             fields: those of an unroll's row, {name: [N]}.
-            ended: the worlds whose episodes end with this step, bool [N].
+            ended: the envs whose episodes end with this step, bool [N].
             final_info: the outcome of these; needed where there are any.
         """
         if self.options.length is None and self._lengths.max() == self._rows:
@@ -139,7 +139,7 @@ class Hindsight(Hook):
         self._lengths[ended] = 0
 
     def _choose(self, world: int, goal: NDArray[Any]) -> None:
-        """Relabels the episode of a world that has just ended, or, where there are more than are
+        """Relabels the episode of an env that has just ended, or, where there are more than are
         asked for, draws whether to: each is as likely to be kept."""
         self._candidates += 1
         place = len(self._chosen)
@@ -205,8 +205,8 @@ class Hindsight(Hook):
             self._memory.load_state_dict(state["kept"])
 
     def _relabelled(self, world: int, goal: NDArray[Any]) -> Episode:
-        """The episode of a world that has just ended, as if it had been asked for this goal; as the
-        agent saw it, or, for the memory, as the world showed it."""
+        """The episode of an env that has just ended, as if it had been asked for this goal; as the
+        agent saw it, or, for the memory, as the env showed it."""
         observation, fields = self._episode(world)
         everywhere = np.ones(len(fields["reward"]), np.bool_)
         self.goal.write(observation, np.repeat(goal[None], len(everywhere), axis=0), everywhere)
@@ -224,7 +224,7 @@ class Hindsight(Hook):
         return observation, fields
 
     def _labelled(self, world: int, succeeded: bool) -> Episode:
-        """The episode of a world that has just ended, for the memory, with what the teacher would
+        """The episode of an env that has just ended, for the memory, with what the teacher would
         have done for the actions taken."""
         observation, fields = self._episode(world)
         if self.options.matching_cost:
@@ -235,7 +235,7 @@ class Hindsight(Hook):
         return observation, fields
 
     def _episode(self, world: int) -> Episode:
-        """The kept frames of the running episode of a world, as it was."""
+        """The kept frames of the running episode of an env, as it was."""
         length = int(self._lengths[world])
         rows = np.arange(max(length - self._rows, 0), length) % self._rows
         observation = {name: part[rows, world] for name, part in self._observation.items()}
@@ -273,8 +273,8 @@ class Hindsight(Hook):
 
 
 RELABELLINGS: Registry[Hook | None] = Registry("hindsight")
-"""Each is built from its options, which derive from `AchievedOptions`, the goal and the worlds, and
-by name `clip`, `seed`, `augmentation` and `teacher`; it raises ValueError where the worlds do not
+"""Each is built from its options, which derive from `AchievedOptions`, the goal and the envs, and
+by name `clip`, `seed`, `augmentation` and `teacher`; it raises ValueError where the envs do not
 tell what an episode has achieved."""
 
 RELABELLINGS.register(NoHindsightOptions, lambda options, goal, env, **named: None)

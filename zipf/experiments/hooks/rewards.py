@@ -1,4 +1,4 @@
-"""What an agent learns of rewards and time limits, where it is not what the worlds say."""
+"""What an agent learns of rewards and time limits, where it is not what the envs say."""
 
 from __future__ import annotations
 

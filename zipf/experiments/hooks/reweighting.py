@@ -41,7 +41,7 @@ class _Weights(Options):
     def problems(self, context: Context) -> Iterator[str]:
         if not context.has_goals:
             yield (
-                f"reweighting={self.name}: the worlds of {context.family} do not say what an "
+                f"reweighting={self.name}: the envs of {context.family} do not say what an "
                 "episode asks for; choose reweighting=none"
             )
 
@@ -63,10 +63,10 @@ class EffectiveNumberOptions(_Weights):
 
 
 class GoalWeights:
-    """Counts the goals of N worlds in a table of hashes, and weighs their frames.
+    """Counts the goals of N envs in a table of hashes, and weighs their frames.
 
     Attributes:
-        counters: the place in `counts` of the goal of each world's episode, int64 [N].
+        counters: the place in `counts` of the goal of each env's episode, int64 [N].
         counts: how often each goal was asked for, int64 [table_size].
     """
 
@@ -103,7 +103,7 @@ class GoalWeights:
         return of_goals[counters]
 
     def state_dict(self) -> dict[str, NDArray[np.int64]]:
-        """The counts, and what each world was asked for."""
+        """The counts, and what each env was asked for."""
         return {"counts": self.counts, "counters": self.counters.copy()}
 
     def load_state_dict(self, state: dict[str, NDArray[np.int64]]) -> None:
@@ -136,7 +136,7 @@ class Reweighting(Hook):
         num_envs: N.
 
     Raises:
-        ValueError: the worlds do not say what an episode asks for.
+        ValueError: the envs do not say what an episode asks for.
     """
 
     name = "reweighting"
@@ -149,7 +149,7 @@ class Reweighting(Hook):
         num_envs: int,
     ):
         if goal is None:
-            raise ValueError("these worlds do not say what an episode asks for")
+            raise ValueError("these envs do not say what an episode asks for")
         self.goal = goal
         self.goals = GoalWeights(options, num_envs)
         self._asked: list[NDArray[np.int64]] = []  # the counters of each row of the unroll
@@ -174,7 +174,7 @@ class Reweighting(Hook):
 
 
 REWEIGHTINGS: Registry[Hook | None] = Registry("reweighting")
-"""Each is built from its options, the worlds' goal, and their number."""
+"""Each is built from its options, the envs' goal, and their number."""
 
 REWEIGHTINGS.register(NoReweightingOptions, lambda options, goal, num_envs: None)
 REWEIGHTINGS.register(InverseCountOptions, Reweighting)

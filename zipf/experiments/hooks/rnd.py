@@ -29,9 +29,9 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.encoders import is_image
-from zipf.compiled import compiled
 from zipf.experiments.hooks.bonus import Bonus
 from zipf.experiments.hooks.hook import Parts, arrays
+from zipf.experiments.hooks.kernels import means_of_squares
 from zipf.options import Options
 
 Size = Annotated[int, Field(ge=1, le=2**16)]
@@ -65,7 +65,7 @@ class RNDBonus(Bonus):
 
     Args:
         options: of the class `RNDOptions`.
-        observation_space: of one world.
+        observation_space: of one env.
         seed: of the networks' weights and of the choice of what is learned from.
     """
 
@@ -92,7 +92,7 @@ class RNDBonus(Bonus):
         )
         self.inputs = Statistics(inputs)
         self.sums = Statistics(1)
-        self.sum = np.zeros(0)  # of each world, float64 [N]: the discounted sum of errors
+        self.sum = np.zeros(0)  # of each env, float64 [N]: the discounted sum of errors
         self.waiting = torch.zeros(0, inputs)  # to be learned from
 
     def __call__(self, observation: Parts, mask: Tensor) -> Tensor:
@@ -214,7 +214,7 @@ def _reader(space: gym.Space, side: int, generator: torch.Generator) -> Reader:
             rows, height, width, channels = part.shape
             places = rows, math.ceil(height / square), math.ceil(width / square), channels
             means = np.empty(places, np.float32)
-            _means_of_squares(part, square, means)
+            means_of_squares(part, square, means)
             return torch.from_numpy(means).flatten(1)
 
         return image
@@ -229,31 +229,6 @@ def _reader(space: gym.Space, side: int, generator: torch.Generator) -> Reader:
 
         return codes
     return lambda part: torch.from_numpy(part.reshape(len(part), -1).astype(np.float32))
-
-
-@compiled()
-def _means_of_squares(images, square, means):
-    """Of images uint8 [M, H, W, C] the means of squares of pixels, smaller ones at the right and at
-    the bottom, 0 to 1."""
-    rows, height, width, channels = images.shape
-    lines = images.reshape(rows, height, width * channels)
-    sums = np.empty(width * channels, np.int64)  # of the pixels of a row of squares, by column
-    for i in range(rows):
-        for y in range(means.shape[1]):
-            top, bottom = y * square, min((y + 1) * square, height)
-            sums[:] = 0
-            for v in range(top, bottom):
-                line = lines[i, v]
-                for u in range(len(sums)):
-                    sums[u] += line[u]
-            for x in range(means.shape[2]):
-                left, right = x * square, min((x + 1) * square, width)
-                scale = 1 / (255 * (bottom - top) * (right - left))
-                for c in range(channels):
-                    total = 0
-                    for u in range(left, right):
-                        total += sums[u * channels + c]
-                    means[i, y, x, c] = total * scale
 
 
 def _layers(*sizes: int) -> nn.Sequential:

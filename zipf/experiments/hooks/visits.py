@@ -39,8 +39,8 @@ class Visits(Hook):
         return taken
 
     def add(self, final_info: Mapping[str, NDArray], ended: NDArray[np.bool_]) -> None:
-        """Counts the episodes of the worlds `ended` [N], whose ranks are in `final_info`; none
-        where worlds have no situation."""
+        """Counts the episodes of the envs `ended` [N], whose ranks are in `final_info`; none
+        where envs have no situation."""
         if not self.ranks:
             return
         values = [np.asarray(final_info[name])[ended].tolist() for name in self.ranks]

@@ -99,7 +99,7 @@ def _all_choices() -> str:
             (name, summary("experiment", name)) for name in composing.choices("experiment")
         ],
         "condition=": [(name, row.title) for name, row in conditions().items()],
-        "environment= (a family of worlds)": [
+        "environment= (a family of envs)": [
             (family.name, _described(family))
             for family in envs.families().values()
             if family.splits

@@ -183,7 +183,7 @@ def nearest(name: str, accepted: list[str]) -> str:
 
 
 def _compose_condition(*overrides: str) -> Composed:
-    """As `composed`, with a condition's `without_instruction` where worlds have no instruction."""
+    """As `composed`, with a condition's `without_instruction` where envs have no instruction."""
     result = composed(*overrides)
     other = result.values["without_instruction"]
     if other is not None and not isinstance(other, dict):
@@ -202,7 +202,7 @@ _instructed: dict[str, bool] = {}
 
 
 def has_instruction(environment: dict[str, Any]) -> bool:
-    """Whether the worlds of a split, with these options, have an instruction; True if they cannot
+    """Whether the envs of a split, with these options, have an instruction; True if they cannot
     be made."""
     key = json.dumps(environment, sort_keys=True, default=str)
     if key not in _instructed:
@@ -362,7 +362,7 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             group = str(problem["loc"][0])
             chosen = values.get(group)
             if group == "environment" and isinstance(chosen, dict) and "split" in chosen:
-                yield f"{name}: the worlds of split={chosen['split']} have no such option"
+                yield f"{name}: the envs of split={chosen['split']} have no such option"
             else:
                 yield f"{name}: no such option here"
         else:

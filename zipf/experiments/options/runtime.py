@@ -40,7 +40,7 @@ class RayOptions(Options):
 
 
 class TorchrunOptions(Options):
-    """`learners` processes that torchrun starts train one run; each has its share of the worlds."""
+    """`learners` processes that torchrun starts train one run; each has its share of the envs."""
 
     name: Literal["torchrun"]
     learners: PositiveInt

@@ -35,7 +35,7 @@ Device = Annotated[str, Field(pattern=DEVICE_PATTERN)]
 class CollectorOptions(Options):
     """An update consumes num_envs x unroll_length frames.
 
-    Of several learners each has its share of the worlds. `lag` is how many unrolls collection runs
+    Of several learners each has its share of the envs. `lag` is how many unrolls collection runs
     ahead of learning, but for `runtime=ray`; None: as many as the agent corrects for. Without
     `bootstrap_at_time_limit` the agent learns as if a time limit were the end of the task: no value
     is expected beyond it. `reward_clipping` changes the rewards that are learned from, not the
@@ -195,7 +195,7 @@ class Config(Options):
 
     @property
     def num_envs(self) -> int:
-        """The worlds of each learner."""
+        """The envs of each learner."""
         return self.collector.num_envs // self.learners
 
     @property

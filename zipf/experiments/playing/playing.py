@@ -57,7 +57,7 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
         UserError: options that contradict each other, or that this machine cannot fulfil.
     """
     policy = _who_plays(options)
-    if options.record:  # making the worlds may take a minute
+    if options.record:  # making the envs may take a minute
         check_recording(Path(options.record), options.fps or 0)
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
     worlds = _worlds(options, policy, seed)
@@ -119,7 +119,7 @@ def _who_plays(options: PlayOptions) -> str:
 
 
 def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
-    """A world of each level; they are played in turn."""
+    """An env of each level; they are played in turn."""
     names = module_names(options.plugins)
     composing.load_plugins(names)
     trained = load_agent(Path(options.run), "cpu", names) if options.run else None

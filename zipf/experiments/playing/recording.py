@@ -21,7 +21,7 @@ _GIF_TICKS = 100  # a GIF counts time in hundredths of a second
 
 
 def usual_fps(env: ZipfVectorEnv) -> float:
-    """Frames per second of a recording of worlds: as fast as they are, where a GIF can be so."""
+    """Frames per second of a recording of envs: as fast as they are, where a GIF can be so."""
     return min(env.metadata["render_fps"], GIF_MAX_FPS)
 
 

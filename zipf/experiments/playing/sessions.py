@@ -1,4 +1,4 @@
-"""Episodes on worlds in turn, shown on a screen and recorded."""
+"""Episodes on envs in turn, shown on a screen and recorded."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LOW = 288  # pixels; pictures of a smaller height are enlarged
 
 @dataclass(frozen=True)
 class World:
-    """One world of a level, and who plays it."""
+    """One env of a level, and who plays it."""
 
     level: str
     env: ZipfVectorEnv
@@ -36,9 +36,9 @@ class Shows:
     """Draws the picture and passes it to the screen and the recording, if there are any.
 
     Args:
-        env: a world that will be shown.
+        env: an env that will be shown.
         screen, recording: None: there is none.
-        view: what both show; None: the world, or in a terminal what the agent sees.
+        view: what both show; None: the env, or in a terminal what the agent sees.
         scale: factor of the picture's sides; None: chosen by its height.
     """
 
@@ -53,13 +53,13 @@ class Shows:
         self.screen = screen
         self.recording = recording
         self.scale = scale
-        # A terminal has too few characters for a picture of the whole world.
+        # A terminal has too few characters for a picture of the whole env.
         coarse = screen is not None and screen.in_characters
         self.on_screen = view or ("agent" if coarse and has_image(env) else "world")
         self.recorded = view or "world"
 
     def step(self, env: ZipfVectorEnv, observation: dict[str, NDArray], text: Text) -> None:
-        """Shows and records the current state of the world."""
+        """Shows and records the current state of the env."""
         if self.recording:
             self.recording.add(self._enlarged(self._picture(self.recorded, env, observation)))
         self.again(env, observation, text)
@@ -98,7 +98,7 @@ class _Leave(Exception):
 
 
 class Session:
-    """Plays episodes on the worlds, in turn."""
+    """Plays episodes on the envs, in turn."""
 
     def __init__(
         self,

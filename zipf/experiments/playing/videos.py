@@ -1,8 +1,8 @@
 """Videos of a run for its report: a success and a failure in the most frequent situation and in the
 rarest.
 
-Episodes are played in a batch of worlds, without drawing them. Those that are wanted are played
-again, action by action, in a single world with the same seed, which equals its world of the batch.
+Episodes are played in a batch of envs, without drawing them. Those that are wanted are played
+again, action by action, in a single env with the same seed, which equals its env of the batch.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from zipf.experiments.records.video_files import OUTCOMES, Video, VideosOfSituat
 from zipf.experiments.records.wording import VIDEO_FORMATS, VideoFormat
 
 EPISODES = 200  # tried in a situation
-AT_A_TIME = 50  # worlds that play them; as many draws find every value of a rank, ten times over
+AT_A_TIME = 50  # envs that play them; as many draws find every value of a rank, ten times over
 MOST_FRAMES = 150  # in a file; of longer episodes every so many-th frame is shown
 HEIGHT = 192  # pixels; pictures of a smaller height are enlarged
 PAUSE = 1.0  # seconds on the last frame
@@ -84,7 +84,7 @@ def record_videos(
 
     Raises:
         UserError: there is no run, or, before anything is recorded, a run has no checkpoint that
-            can be loaded, an agent that does not act, or worlds that report no success.
+            can be loaded, an agent that does not act, or envs that report no success.
     """
     found = [run.folder for run in load_runs(folders)]
     for folder in found:
@@ -108,7 +108,7 @@ def record_run(folder: Path, trained: Trained, format: VideoFormat) -> video_fil
     """Records the videos of a run in the place of those that it may have.
 
     Raises:
-        UserError: the worlds do not play the same actions alike, or a file cannot be written.
+        UserError: the envs do not play the same actions alike, or a file cannot be written.
     """
     target = folder / video_files.FOLDER
     try:
@@ -189,7 +189,7 @@ def play(trained: Trained, situation: Situation, name: str) -> tuple[list[Episod
 def _batch(
     env: ZipfVectorEnv, policy: AgentPolicy, situation: Situation, seed: int
 ) -> Iterator[Episode]:
-    """One episode in every world, in the order of worlds."""
+    """One episode in every env, in the order of envs."""
     policy.start(env.num_envs)
     observation, _ = env.reset(seed=seed, options=situation.ranks)
     reward = np.zeros(env.num_envs, np.float32)
@@ -259,18 +259,18 @@ def _playable(folder: Path, trained: Trained) -> None:
     with closing(_worlds(trained, trained.config.split.uniform[0], 1)) as env:
         if not env.reports_success:
             raise UserError(
-                f"videos: the worlds of {folder.as_posix()} report no success; give runs of "
-                "worlds that do"
+                f"videos: the envs of {folder.as_posix()} report no success; give runs of "
+                "envs that do"
             )
         if not env.metadata.get("render_modes"):
             raise UserError(
-                f"videos: the worlds of {folder.as_posix()} draw no pictures; give runs of "
-                "worlds that do"
+                f"videos: the envs of {folder.as_posix()} draw no pictures; give runs of "
+                "envs that do"
             )
         if not env.situation:
             raise UserError(
-                f"videos: the worlds of {folder.as_posix()} report no situation; give runs of "
-                "worlds that do"
+                f"videos: the envs of {folder.as_posix()} report no situation; give runs of "
+                "envs that do"
             )
 
 

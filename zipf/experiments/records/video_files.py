@@ -35,7 +35,7 @@ class Video(_Described):
     Attributes:
         file: its name, in the folder of `videos.json`.
         outcome: "success" or "failure".
-        seed: of the world.
+        seed: of the env.
         episode_return: undiscounted, in units of reward.
         length: in frames.
         every: the file shows every so many-th frame.

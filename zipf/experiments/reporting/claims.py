@@ -277,11 +277,11 @@ CLAIMS = (
     ),
     Claim(
         "fps",
-        "Worlds run at about 900 (playroom), 700 to 1000 (labyrinth) and 4,700 (gridworld) frames "
+        "Envs run at about 900 (playroom), 700 to 1000 (labyrinth) and 4,700 (gridworld) frames "
         "per second.",
         "Appendix, environment details",
         {},
-        "result files have the speed of training; the scripts that benchmark worlds measure theirs",
+        "result files have the speed of training; the scripts that benchmark envs measure theirs",
     ),
 )
 

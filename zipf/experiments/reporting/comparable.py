@@ -1,9 +1,9 @@
 """Which runs share a table, and which of them a row; in which options runs differ.
 
-Runs are pooled only if they can be compared: same experiment, worlds, window and published
+Runs are pooled only if they can be compared: same experiment, envs, window and published
 counterpart. Others of the same experiment get a table of their own, whose title says what differs.
 An external agent has no window and none of our options. It stands in the tables of its experiment
-that have the same worlds, or, if there is none, of every experiment that has. It is a row of its
+that have the same envs, or, if there is none, of every experiment that has. It is a row of its
 own there, never pooled with runs of this package.
 """
 

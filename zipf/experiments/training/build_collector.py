@@ -23,7 +23,7 @@ from zipf.experiments.training.collector import Collector
 def build_collector(
     config: Config, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...] = ()
 ) -> Collector:
-    """What collects for an agent in these worlds.
+    """What collects for an agent in these envs.
 
     Args:
         player: numbers which of several collectors of a run it is, a learner's or an actor's: each

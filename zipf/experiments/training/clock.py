@@ -14,7 +14,7 @@ class Clock:
     """Seconds of a run, over all the processes it was continued in.
 
     Attributes:
-        parts: seconds by part: `environment` (stepping the worlds), `inference` (the agent acts),
+        parts: seconds by part: `environment` (stepping the envs), `inference` (the agent acts),
             `learning` (updates) and `evaluation`. With `collector.lag=1` the first two happen
             beside `learning`, in a second thread; each part is measured by its thread's own wall
             clock, so that they add up to more than the elapsed time. With `runtime=ray` the first

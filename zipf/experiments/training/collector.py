@@ -1,4 +1,4 @@
-"""The collector: the agent acts in a batch of worlds, and unrolls are filled."""
+"""The collector: the agent acts in a batch of envs, and unrolls are filled."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ class Collector:
     They are in RAM: pinned, if the agent computes on a CUDA device.
 
     Attributes:
-        seconds: spent in `environment` (stepping the worlds) and `inference` (the agent acts).
+        seconds: spent in `environment` (stepping the envs) and `inference` (the agent acts).
 
     Args:
         env: a batch in SAME_STEP autoreset mode; reset here, with `seed`.
         agent: acts.
         unroll_length: T.
-        seed: of the worlds and of the agent's actions.
+        seed: of the envs and of the agent's actions.
         hooks: what else happens around a step, in this order.
-        augmentation: changes what the agent sees of the worlds, and means by its actions.
+        augmentation: changes what the agent sees of the envs, and means by its actions.
         lag: for how many further calls of `collect` an unroll stays valid.
 
     Raises:
@@ -88,7 +88,7 @@ class Collector:
             UnrollBuffers(env, unroll_length + 1, finals, columns, pinned) for _ in range(1 + lag)
         ]
         self._final = env.allocate()
-        # What the worlds show before and after a step; unrolls have it, but for an augmentation.
+        # What the envs show before and after a step; unrolls have it, but for an augmentation.
         self._raw = [env.allocate(), env.allocate()] if augmentation else None
         everywhere = np.ones(env.num_envs, np.bool_)
         env.reset(seed=seed, out=self._shown(self._buffers[-1], -1))
@@ -96,7 +96,7 @@ class Collector:
         self._augment(self._buffers[-1], -1, everywhere)
 
     def collect(self) -> Unroll:
-        """Plays T steps in every world.
+        """Plays T steps in every env.
 
         Returns an unroll whose steps are in RAM and whose memory is on the device.
 
@@ -128,7 +128,7 @@ class Collector:
         """Means over the episodes that ended since the last call.
 
         `episode_return` and `episode_length` (NaN if no episode ended), `episode_success` if the
-        worlds report it, and, with several levels, the same for each level whose episodes ended:
+        envs report it, and, with several levels, the same for each level whose episodes ended:
         `episode_return/<level>` and so on.
         """
         return episode_metrics(self.take_episodes())
@@ -173,7 +173,7 @@ class Collector:
         self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
         for name, value in state["inputs"].items():
             buffers.fields[name][-1] = value
-        # Worlds that could not be restored have begun another episode.
+        # Envs that could not be restored have begun another episode.
         beginning = {"is_first": True, "previous_action": -1, "previous_reward": 0.0}
         for name, value in beginning.items():
             buffers.fields[name][-1][restarted] = value
@@ -249,7 +249,7 @@ class Collector:
         self.seconds["environment"] += stepped - acted
 
     def _shown(self, buffers: UnrollBuffers, t: int) -> dict[str, NDArray]:
-        """Where the worlds' own observations are written that belong to row t."""
+        """Where the envs' own observations are written that belong to row t."""
         return buffers.observation_row(t) if self._raw is None else self._raw[-1]
 
     def _begin(self, buffers: UnrollBuffers, t: int, mask: NDArray[np.bool_]) -> None:

@@ -232,7 +232,7 @@ class Run:
         return self.evaluated == self.update == self.config.updates
 
     def close(self) -> None:
-        """Ends the other threads and processes, if there are any, and closes the worlds."""
+        """Ends the other threads and processes, if there are any, and closes the envs."""
         self.rollouts.close()
         self.env.close()
 

@@ -31,7 +31,7 @@ class OnlyLearner:
     Attributes:
         rank: its number among the learners.
         is_first: whether it writes, shows and evaluates.
-        player: what tells the seeds of its worlds from those of other learners.
+        player: what tells the seeds of its envs from those of other learners.
     """
 
     rank = 0

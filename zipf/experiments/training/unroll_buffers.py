@@ -74,8 +74,8 @@ class UnrollBuffers:
         observation: dict[str, NDArray],
         reward: NDArray[np.float64],
     ) -> None:
-        """Keeps the observations [N, ...] that the episodes of the worlds `cut` were truncated at
-        after row t, with the rewards [N] of that step, in those worlds that have a place left."""
+        """Keeps the observations [N, ...] that the episodes of the envs `cut` were truncated at
+        after row t, with the rewards [N] of that step, in those envs that have a place left."""
         assert self.final is not None
         used = (self.final["step"] >= 0).sum(0).numpy()
         worlds = np.flatnonzero(cut & (used < len(self.final)))

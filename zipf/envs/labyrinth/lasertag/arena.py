@@ -1,4 +1,4 @@
-"""The state of laser tag in a batch of worlds: fighters, gadgets, supplies, shots.
+"""The state of laser tag in a batch of envs: fighters, gadgets, supplies, shots.
 
 Fighter 0 is the player; the others are opponents. Lengths
 are in units. A second has 60 frames; periods that are stated in milliseconds are counted by the 16
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FIGHTERS = 4
-"""Most of them in a world."""
+"""Most of them in an env."""
 SECOND = 60
 """Frames."""
 MILLISECONDS = 16
@@ -54,7 +54,7 @@ and stays where it is; where it wants to look; the direction in which it wants t
 holds the trigger; which fighter hurt it, and when."""
 
 SPAWNS, SUPPLIES, SHOTS, TRACES, FLASHES = 12, 24, 16, 12, 8
-"""Capacities of each world."""
+"""Capacities of each env."""
 SHOOTER, BORN = 6, 7
 """Columns of `shots` after place and direction: the shooter, and the frame."""
 TRACE_FRAME, TRACE_GADGET, TRACE_SHOOTER = 6, 7, 8
@@ -66,7 +66,7 @@ SPARK, BLAST, PUFF = range(3)
 
 
 class Combat(NamedTuple):
-    """The state of laser tag in N worlds."""
+    """The state of laser tag in N envs."""
 
     fighters: NDArray[np.int64]
     """[N]: how many there are; 0: there is no combat, and the rest has no meaning."""
@@ -83,7 +83,7 @@ class Combat(NamedTuple):
     spawn_count: NDArray[np.int64]
     """[N]"""
     kinds: NDArray[np.int64]
-    """[N, SUPPLIES]: what the world's first items are; NOTHING: a place for what is dropped."""
+    """[N, SUPPLIES]: what the env's first items are; NOTHING: a place for what is dropped."""
     until: NDArray[np.int64]
     """[N, SUPPLIES]: the frame at which something that was dropped vanishes; -1: it stays."""
     shots: NDArray[np.float64]
@@ -101,7 +101,7 @@ class Combat(NamedTuple):
 
 
 def make_combat(num_worlds: int, grid: int) -> Combat:
-    """The state of worlds without combat, whose text maps have `grid` rows and columns."""
+    """The state of envs without combat, whose text maps have `grid` rows and columns."""
     n = num_worlds
     return Combat(
         fighters=np.zeros(n, np.int64),
@@ -123,7 +123,7 @@ def make_combat(num_worlds: int, grid: int) -> Combat:
 
 
 def clear_combat(combat: Combat, world: int) -> None:
-    """Ends the combat of a world."""
+    """Ends the combat of an env."""
     for name, value in (
         ("fighters", 0), ("bodies", 0.0), ("status", 0), ("minds", 0.0), ("fields", -1),
         ("spawn_count", 0), ("kinds", NOTHING), ("until", -1), ("written", 0), ("points", 0),

@@ -1,4 +1,4 @@
-"""A frame of laser tag in one world: fighters act, orbs fly, supplies are taken, time heals."""
+"""A frame of laser tag in one env: fighters act, orbs fly, supplies are taken, time heals."""
 
 import math
 
@@ -55,7 +55,7 @@ ROOM = 60.0
 
 @compiled(error_model="numpy")
 def fight(worlds, i, turn, rise, strafe, forward, fire):
-    """Passes a frame in a world with combat; the arguments are the player's action."""
+    """Passes a frame in an env with combat; the arguments are the player's action."""
     combat = worlds.combat
     now, count = worlds.clock[i], combat.fighters[i]
     bodies, status, minds = combat.bodies[i], combat.status[i], combat.minds[i]

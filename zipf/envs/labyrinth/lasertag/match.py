@@ -1,4 +1,4 @@
-"""A match of laser tag in one world, as the rules of a level and its expert see it."""
+"""A match of laser tag in one env, as the rules of a level and its expert see it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Match:
     """Lets the player and some opponents fight each other in a text map.
 
     Args:
-        world: with a text map and no items.
+        env: with a text map and no items.
         opponents: how many.
         spawns: cells where fighters begin.
         supplies: kinds and cells.
@@ -83,7 +83,7 @@ class Match:
             shown = kind if kind != NOTHING else len(COLOURS) - 1
             item = world.add_item(SUPPLY_MESHES[shown], colours=COLOURS[shown], seen_only=True)
             if item != k:
-                raise ValueError("a match needs a world without items")
+                raise ValueError("a match needs an env without items")
             combat.kinds[i, k] = kind
             if cell is not None:
                 world.put_in_cell(item, cell)

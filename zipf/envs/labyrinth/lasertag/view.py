@@ -42,7 +42,7 @@ from zipf.envs.labyrinth.state import YAW, X, Y, Z
 SEGMENTS, DASHES, DASH = 36, 12, 50.0
 """Segments of which shots are drawn: how many, at most for one shot, their least distance."""
 ACTORS = 2 * (FIGHTERS - 1) + SHOTS + FLASHES + SEGMENTS
-"""Instances of meshes that a world needs beside its items."""
+"""Instances of meshes that an env needs beside its items."""
 BARS = 6
 """Overlays: two bars with their grounds, and a cross in the middle of the view."""
 SUPPLY_MESHES = ("", "", "orb_gadget", "beam_gadget", "disc_gadget", "health_pack", "armour_pack")
@@ -94,7 +94,7 @@ def opponents_colours(hue: int) -> list[tuple[Colour, Colour]]:
 
 @compiled(error_model="numpy")
 def show_supplies(mask, combat, meshes, shape, colours):
-    """Gives the supplies of the worlds of `mask` their looks, also those that were dropped.
+    """Gives the supplies of the envs of `mask` their looks, also those that were dropped.
 
     Args:
         mask: bool [N].
@@ -113,7 +113,7 @@ def show_supplies(mask, combat, meshes, shape, colours):
 
 @compiled(error_model="numpy")
 def pose(mask, items, clock, combat, meshes, pictures):
-    """Copies what happens in the combats of the worlds of `mask` to their scenes.
+    """Copies what happens in the combats of the envs of `mask` to their scenes.
 
     Args:
         mask: bool [N].

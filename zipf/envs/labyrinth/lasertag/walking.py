@@ -1,6 +1,6 @@
 """How fighters move: as all players of the labyrinth, in a text map whose floor is level.
 
-Apart from `mover.move`, which knows every kind of world, since these frames are many: its functions
+Apart from `mover.move`, which knows every kind of env, since these frames are many: its functions
 are handed nothing but the arrays that they need, which compiled code does far faster.
 """
 
@@ -28,7 +28,7 @@ def walk(solid, bodies, status, count, f, turn, rise, strafe, forward):
 
     Args:
         solid: bool [rows, columns].
-        bodies, status: of one world, see `Combat`; bodies are written.
+        bodies, status: of one env, see `Combat`; bodies are written.
         count: of fighters.
         f: the fighter.
         turn, rise, strafe, forward: see `mover.move`.
