@@ -171,6 +171,7 @@ def test_a_run_without_checkpoint_and_weights_is_refused(first, tmp_path):
         loading.load(asked(first, "name=without", f"pretrained.run={tmp_path / 'copy'}"))
 
 
+@pytest.mark.slow
 def test_a_fixed_matcher_stays_what_another_run_has_learned(tmp_path):
     """Also after a run is resumed, which reads the other run no more."""
     _, *tiny = TINY  # without its experiment

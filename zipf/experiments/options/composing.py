@@ -241,20 +241,28 @@ def _store() -> None:
     """Stores what is in our layout, and what is registered, where Hydra finds it."""
     global _stored
     store, nodes = ConfigStore.instance(), _nodes()
-    for path, node in nodes.items() if nodes is not _stored else ():
-        group, _, name = path.rpartition("/")
-        if config_files.find_file(group, name) is None:
-            store.store(group=group or None, name=name, node=node.values, package=node.package)
-        else:  # a stored one would be the schema of the file
-            known = store.repo
-            for part in group.split("/"):
-                known = known.get(part, {})
-            known.pop(f"{name}.yaml", None)
-    _stored = nodes
+    if nodes is not _stored:
+        for path in _stored.keys() | nodes.keys():
+            group, _, name = path.rpartition("/")
+            if path in nodes and config_files.find_file(group, name) is None:
+                node = nodes[path]
+                store.store(group=group or None, name=name, node=node.values, package=node.package)
+            else:
+                _forget(path)
+        _stored = nodes
     for group, known in _registered().items():
         for name, values in known.items():
             if find(group, name) is None:
                 store.store(group=group, name=name, node=values)
+
+
+def _forget(path: str) -> None:
+    """Takes a configuration from where Hydra finds it; it would be the schema of a file so named."""
+    *groups, name = path.split("/")
+    known = ConfigStore.instance().repo
+    for group in groups:
+        known = known.get(group, {})
+    known.pop(f"{name}.yaml", None)
 
 
 _stored: dict[str, config_files.Node] = {}  # what was stored last
