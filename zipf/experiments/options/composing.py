@@ -257,7 +257,7 @@ def _store() -> None:
 
 
 def _forget(path: str) -> None:
-    """Takes a configuration from where Hydra finds it; it would be the schema of a file so named."""
+    """Takes a configuration from where Hydra finds it: it would be the schema of that file."""
     *groups, name = path.split("/")
     known = ConfigStore.instance().repo
     for group in groups:
