@@ -19,10 +19,10 @@ import zipf.envs
 from zipf.envs import EngineError, Family, Split, SplitLevel, ZipfVectorEnv
 from zipf.envs.arguments import ImageSize, checked
 from zipf.envs.gymnasium.replayed import Outcome, ReplayedVectorEnv
-from zipf.envs.labyrinth import Repeat
 from zipf.envs.labyrinth.actions import TABLES, Action
 from zipf.envs.labyrinth.benchmark import SPLITS
 from zipf.envs.labyrinth.levels import LEVELS, by_name
+from zipf.envs.labyrinth.options import Repeat
 from zipf.envs.labyrinth.state import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.vector import Observation
