@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 
 import hydra
-from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig
@@ -73,7 +72,7 @@ def _main() -> int:
         print(f"zipf {zipf.__version__}")
         return 0
     words, asked = _asked_to_explain(sys.argv[1:])
-    arguments = _parse(words)
+    arguments = command_line.split(words)
     flags = [word for word in words if word not in arguments.overrides]
     if arguments.help:  # shows the options of one run
         arguments.overrides = sweeps.of_all_jobs(arguments.overrides)
@@ -146,20 +145,6 @@ def _explain(asked: list[str], overrides: list[str]) -> None:
         origins = explaining.explain(overrides)
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     print(explaining.report(origins, "".join(parts), width))
-
-
-def _parse(words: list[str]) -> argparse.Namespace:
-    """Hydra's flags and the overrides.
-
-    Raises:
-        UserError: a flag is none of Hydra's, or is shortened: `--experiment` is no rerun.
-    """
-    parser = get_args_parser()
-    parser.allow_abbrev = False
-    arguments, unknown = parser.parse_known_intermixed_args(words)
-    if unknown:
-        raise UserError(command_line.without_dashes(unknown[0]))
-    return arguments
 
 
 def _check_flags(arguments: argparse.Namespace) -> None:

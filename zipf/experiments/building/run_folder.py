@@ -27,7 +27,7 @@ from zipf.experiments.options.runtime import TorchrunOptions
 from zipf.experiments.options.schema import Config, schema
 from zipf.experiments.records import results
 from zipf.experiments.records.replacing import replace_text
-from zipf.experiments.records.result_table import TABLES, check_table, last_update
+from zipf.experiments.records.result_table import TABLES, check_table, ends_at, last_update
 
 
 def find_checkpoint(config: Config) -> dict[str, Any] | None:
@@ -66,9 +66,7 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
             f"{path}: is of an earlier version, with tables of another form; finish the run with "
             "that version, or choose another run_root or name"
         )
-    scored = config.folder / "evaluations.csv"
-    whole = scored.is_file() and scored.read_bytes().endswith(b"\n")
-    if update == config.updates and whole and last_update(scored) == str(update):
+    if update == config.updates and ends_at(config.folder / "evaluations.csv", update):
         saved["evaluated"] = update  # the evaluation that ends a run comes after its checkpoint
     return saved
 
@@ -79,9 +77,8 @@ def is_finished(config: Config) -> bool:
     False also where something is wrong, such as a damaged file: the run itself will tell.
     """
     folder = config.folder
-    reached = str(config.updates)
     try:
-        if config.resume == "never" or last_update(folder / "evaluations.csv") != reached:
+        if config.resume == "never" or not ends_at(folder / "evaluations.csv", config.updates):
             return False
         saved = find_checkpoint(config)
         if saved is None:

@@ -136,7 +136,6 @@ class Hindsight(Hook):
         else:
             for i in np.flatnonzero(achieved).tolist():
                 self._memory.add(goals[i], self._relabelled(i, goals[i]))
-        self._lengths[ended] = 0
 
     def _choose(self, world: int, goal: NDArray[Any]) -> None:
         """Relabels the episode of an env that has just ended, or, where there are more than are

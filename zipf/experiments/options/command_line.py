@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import difflib
 import json
 from collections.abc import Iterator
 from pathlib import PurePath
 from typing import Any, TypeVar
 
+from hydra._internal.utils import get_args_parser
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
@@ -107,6 +109,20 @@ def plugins_of(overrides: list[str]) -> list[str]:
         UserError: an override cannot be parsed, or `plugins` is not a list of names.
     """
     return _plugins(parse(overrides))
+
+
+def split(words: list[str]) -> argparse.Namespace:
+    """Hydra's flags and the overrides.
+
+    Raises:
+        UserError: a flag is none of Hydra's, or is shortened: `--experiment` is no rerun.
+    """
+    parser = get_args_parser()
+    parser.allow_abbrev = False
+    arguments, unknown = parser.parse_known_intermixed_args(words)
+    if unknown:
+        raise UserError(without_dashes(unknown[0]))
+    return arguments
 
 
 def parse(overrides: list[str]) -> list[Override]:

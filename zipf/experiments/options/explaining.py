@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hydra._internal.utils import get_args_parser
-
 from zipf.errors import UserError
 from zipf.experiments.options import command_line, composing, config_files
 from zipf.experiments.options.composing import Composed
@@ -254,7 +252,7 @@ def _overrides(command: str) -> list[str]:
     """The overrides in the command of a run."""
     words = shlex.split(command)
     words = words[words.index("zipf.train") + 1 :] if "zipf.train" in words else words
-    return list(get_args_parser().parse_known_intermixed_args(words)[0].overrides)
+    return list(command_line.split(words).overrides)
 
 
 def _text(value: Any) -> str:

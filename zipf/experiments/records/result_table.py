@@ -102,6 +102,12 @@ def last_update(path: Path) -> str | None:
     return lines[-1].split(",")[0] if len(lines) > 1 else None
 
 
+def ends_at(path: Path, update: int) -> bool:
+    """Whether the last row of a table that may be damaged is whole and of this update."""
+    lines, torn = read_lines(path)
+    return not torn and len(lines) > 1 and lines[-1].split(",")[0] == str(update)
+
+
 def _remedy(update: int) -> str:
     return (
         f"the run goes on from its checkpoint of update {update} only beside the rows of that time:"

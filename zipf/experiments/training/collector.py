@@ -40,6 +40,7 @@ class Collector:
 
     Attributes:
         seconds: spent in `environment` (stepping the envs) and `inference` (the agent acts).
+        visits: how often each situation was met.
 
     Args:
         env: a batch in SAME_STEP autoreset mode; reset here, with `seed`.
@@ -75,8 +76,8 @@ class Collector:
         self.unroll_length = unroll_length
         self.device = agent.device
         self.augmentation = augmentation
-        self._visits = Visits(tuple(env.situation))
-        self.hooks: list[Hook] = [self._visits, *hooks]
+        self.visits = Visits(tuple(env.situation))
+        self.hooks: list[Hook] = [self.visits, *hooks]
         self.seconds = {"environment": 0.0, "inference": 0.0}
         self._episodes: dict[str, list[float]] = defaultdict(list)
         self._generator = torch.Generator().manual_seed(seed)
@@ -88,6 +89,7 @@ class Collector:
             UnrollBuffers(env, unroll_length + 1, finals, columns, pinned) for _ in range(1 + lag)
         ]
         self._final = env.allocate()
+        self._final_tensors = tensors(self._final)
         # What the envs show before and after a step; unrolls have it, but for an augmentation.
         self._raw = [env.allocate(), env.allocate()] if augmentation else None
         everywhere = np.ones(env.num_envs, np.bool_)
@@ -139,14 +141,9 @@ class Collector:
         episodes, self._episodes = dict(self._episodes), defaultdict(list)
         return episodes
 
-    @property
-    def visits(self) -> Visits:
-        """How often each situation was met."""
-        return self._visits
-
     def take_visits(self) -> Visits:
         """How often each situation was met since the last call, or since the beginning."""
-        return self._visits.take()
+        return self.visits.take()
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that the next unroll depends on."""
@@ -222,7 +219,7 @@ class Collector:
             row,
             torch.from_numpy(reward),
             tensors(following),
-            tensors(self._final),
+            self._final_tensors,
             torch.from_numpy(ended),
             any_ended,
             tensors({name: part for name, part in outcome.items() if part.dtype.kind in "biuf"}),
