@@ -146,7 +146,7 @@ def test_worlds_without_success_or_situation(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    made = recorder._worlds
+    made = recorder._envs
 
     def without(*args, **kwargs):
         env = made(*args, **kwargs)

@@ -100,9 +100,9 @@ class Combat(NamedTuple):
     """[N, 4]: the random stream of the fights, see `pcg64`."""
 
 
-def make_combat(num_worlds: int, grid: int) -> Combat:
+def make_combat(num_envs: int, grid: int) -> Combat:
     """The state of envs without combat, whose text maps have `grid` rows and columns."""
-    n = num_worlds
+    n = num_envs
     return Combat(
         fighters=np.zeros(n, np.int64),
         bodies=np.zeros((n, FIGHTERS, 8)),
