@@ -104,7 +104,7 @@ def memcpy(frames: int, bytes_per_frame: int) -> Row:
     return Row("memcpy", frames, run)
 
 
-def bytes_per_world() -> float:
+def bytes_per_env() -> float:
     """Bytes of RAM that a batch takes for each further env, besides `out`."""
 
     def taken(num_envs: int) -> int:
@@ -163,8 +163,8 @@ class Parts:
         A measurement is shorter than an episode: this way its share of resets is the right one.
         """
         everywhere = np.arange(self.env.num_envs)
-        for world in everywhere.tolist():
-            self.env.reset(options={"reset_mask": everywhere == world}, out=self._out)
+        for i in everywhere.tolist():
+            self.env.reset(options={"reset_mask": everywhere == i}, out=self._out)
             self.run(steps // self.env.num_envs)
         self.forget()
 
@@ -312,7 +312,7 @@ def print_gridworld(console: Console, repetitions: int, seconds: float) -> None:
         f"Microseconds of a step of the batch of 256 with out=: {spent}.", highlight=False
     )
     console.print(
-        f"RAM: {bytes_per_world():.0f} bytes for each further env, besides the observations "
+        f"RAM: {bytes_per_env():.0f} bytes for each further env, besides the observations "
         "(goal < 1024)",
         highlight=False,
     )

@@ -1,7 +1,7 @@
 """How fast the learner learns: one update of IMPALA on an unroll made up beforehand.
 
     python scripts/benchmark_learner.py
-    python scripts/benchmark_learner.py --match "72 x 96" --worlds 8
+    python scripts/benchmark_learner.py --match "72 x 96" --envs 8
     python scripts/benchmark_learner.py --clock cpu --threads 1     # where others use the machine
     python scripts/benchmark_learner.py --training                  # collector.lag=1 against 0
 
@@ -110,11 +110,11 @@ def variants(experiment: str, device: str) -> list[Variant]:
 
 
 def unroll_of(
-    agent: Impala, spaces: dict[str, gym.Space], steps: int, worlds: int, device: str
+    agent: Impala, spaces: dict[str, gym.Space], steps: int, num_envs: int, device: str
 ) -> Unroll:
     """An unroll of noise in which every twentieth step ends an episode."""
     rng = np.random.default_rng(0)
-    shape = (steps + 1, worlds)
+    shape = (steps + 1, num_envs)
     actions = agent.network.actions
 
     def noise(space: gym.Space) -> torch.Tensor:
@@ -139,11 +139,11 @@ def unroll_of(
     steps_ = TensorDict(tensors, batch_size=shape)
     parts = {name: noise(space) for name, space in spaces.items()}
     steps_["observation"] = TensorDict(parts, batch_size=shape)
-    return Unroll(steps_.to(device), agent.initial_memory(worlds))
+    return Unroll(steps_.to(device), agent.initial_memory(num_envs))
 
 
 def measure(
-    experiment: str, variant: Variant, worlds: int | None, seconds: float, clock: str, device: str
+    experiment: str, variant: Variant, num_envs: int | None, seconds: float, clock: str, device: str
 ) -> dict[str, Any]:
     """One measurement, in a process made for it."""
     if variant.keeps_memory:
@@ -156,10 +156,10 @@ def measure(
     agent = build_agent(config, env)
     assert isinstance(agent, Impala)
     spaces = dict(env.single_observation_space.spaces)
-    rows, worlds = config.collector.unroll_length + 1, worlds or config.collector.num_envs
+    rows, num_envs = config.collector.unroll_length + 1, num_envs or config.collector.num_envs
     with FlopCounterMode(display=False) as counter:
         agent.update(unroll_of(agent, spaces, 3, 2, device))
-    flops = counter.get_total_flops() / 8 * rows * worlds  # of 4 rows of 2 envs
+    flops = counter.get_total_flops() / 8 * rows * num_envs  # of 4 rows of 2 envs
     see = agent.network.encoder.reader("image")
     if not variant.channels_last and isinstance(see, ResNet):
         see.layers.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
@@ -167,7 +167,7 @@ def measure(
     if variant.compiled:
         see.compile()
 
-    unroll = unroll_of(agent, spaces, rows - 1, worlds, device)
+    unroll = unroll_of(agent, spaces, rows - 1, num_envs, device)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for _ in range(3):  # until the heap has grown as large as it will be
         agent.update(unroll)
@@ -175,7 +175,7 @@ def measure(
     held = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
     if device != "cpu":
         held = torch.cuda.max_memory_allocated()
-    frames = (rows - 1) * worlds
+    frames = (rows - 1) * num_envs
     return {
         "frames_per_second": frames / spent,
         "updates_per_second": 1 / spent,
@@ -273,7 +273,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=3.0, help="of each row in each round")
-    parser.add_argument("--worlds", type=int, help="of an unroll; otherwise as the experiment has")
+    parser.add_argument("--envs", type=int, help="of an unroll; otherwise as the experiment has")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     parser.add_argument("--clock", choices=sorted(CLOCKS), default="wall")
     parser.add_argument("--device", default="auto", help="auto, cpu or cuda")
@@ -286,7 +286,7 @@ def main() -> None:
     if arguments.measure:
         experiment, variant = json.loads(arguments.measure)
         print(json.dumps(measure(
-            experiment, Variant(**variant), arguments.worlds, arguments.seconds, arguments.clock,
+            experiment, Variant(**variant), arguments.envs, arguments.seconds, arguments.clock,
             device,
         )))  # fmt: skip
         return

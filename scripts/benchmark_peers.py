@@ -46,30 +46,30 @@ PACKAGES = {
 """What pip installs for a row's library, in a virtual environment of that name."""
 
 
-def zipf_batch(pause: turns.Pause, level: str, worlds: int, steps: int, **options: Any) -> None:
+def zipf_batch(pause: turns.Pause, level: str, num_envs: int, steps: int, **options: Any) -> None:
     """Steps a batch of a level whose episodes have at most so many steps, into arrays kept."""
     import numpy as np
 
     from zipf import envs
 
-    env = envs.make_vec(level, worlds, **options)
+    env = envs.make_vec(level, num_envs, **options)
     out = env.allocate()
     count = int(env.single_action_space.n)
-    actions = cycle(np.random.default_rng(0).integers(count, size=(1024, worlds)))
+    actions = cycle(np.random.default_rng(0).integers(count, size=(1024, num_envs)))
     env.reset(seed=0, out=out)
-    everywhere = np.arange(worlds)
+    everywhere = np.arange(num_envs)
     for number in range(steps):
-        due = everywhere * steps // worlds == number
+        due = everywhere * steps // num_envs == number
         if due.any():
             env.reset(options={"reset_mask": due}, out=out)
         env.step(next(actions), out=out)
     while True:
         for _ in range(8):
             env.step(next(actions), out=out)
-        pause(8 * worlds)
+        pause(8 * num_envs)
 
 
-def gymnasium_world(pause: turns.Pause, env: Any, look: Callable[[], Any] | None = None) -> None:
+def gymnasium_env(pause: turns.Pause, env: Any, look: Callable[[], Any] | None = None) -> None:
     """Steps one Gymnasium environment, and looks if its observations have no image."""
     env.action_space.seed(0)
     actions = cycle([env.action_space.sample() for _ in range(10_000)])
@@ -84,12 +84,12 @@ def gymnasium_world(pause: turns.Pause, env: Any, look: Callable[[], Any] | None
         pause(64)
 
 
-def zipf_alone(pause: turns.Pause, world: str, **options: Any) -> None:
+def zipf_alone(pause: turns.Pause, id: str, **options: Any) -> None:
     import gymnasium as gym
 
     import zipf.envs  # noqa: F401  registers them
 
-    gymnasium_world(pause, gym.make(f"zipf/{world}", **options))
+    gymnasium_env(pause, gym.make(f"zipf/{id}", **options))
 
 
 def minigrid(pause: turns.Pause) -> None:
@@ -98,7 +98,7 @@ def minigrid(pause: turns.Pause) -> None:
 
     env = RGBImgPartialObsWrapper(gym.make("MiniGrid-FourRooms-v0"), tile_size=9)
     assert env.observation_space["image"].shape == (63, 63, 3)
-    gymnasium_world(pause, env)
+    gymnasium_env(pause, env)
 
 
 def released(pause: turns.Pause) -> None:
@@ -115,17 +115,17 @@ def released(pause: turns.Pause) -> None:
         pause(64)
 
 
-def procgen(pause: turns.Pause, game: str, worlds: int) -> None:
+def procgen(pause: turns.Pause, game: str, num_envs: int) -> None:
     import numpy as np
     from procgen import ProcgenEnv
 
-    env = ProcgenEnv(num_envs=worlds, env_name=game, num_threads=0)
-    actions = cycle(np.random.default_rng(0).integers(15, size=(1024, worlds)))
+    env = ProcgenEnv(num_envs=num_envs, env_name=game, num_threads=0)
+    actions = cycle(np.random.default_rng(0).integers(15, size=(1024, num_envs)))
     env.reset()  # later resets are its own
     while True:
         for _ in range(8):
             env.step(next(actions))
-        pause(8 * worlds)
+        pause(8 * num_envs)
 
 
 def vizdoom(pause: turns.Pause, scenario: str) -> None:
@@ -154,7 +154,7 @@ def mujoco(pause: turns.Pause, model: str) -> None:
     import gymnasium as gym
 
     env = gym.make(model, render_mode="rgb_array", width=96, height=72)
-    gymnasium_world(pause, env, env.render)
+    gymnasium_env(pause, env, env.render)
 
 
 @dataclass(frozen=True)
@@ -166,14 +166,14 @@ class Entry:
     work: Callable[[turns.Pause], None]
 
 
-def batch(level: str, worlds: int, steps: int, **options: Any) -> Entry:
-    name = f"zipf {level.partition('/')[0]}, batch of {worlds}"
-    return Entry(name, None, lambda pause: zipf_batch(pause, level, worlds, steps, **options))
+def batch(level: str, num_envs: int, steps: int, **options: Any) -> Entry:
+    name = f"zipf {level.partition('/')[0]}, batch of {num_envs}"
+    return Entry(name, None, lambda pause: zipf_batch(pause, level, num_envs, steps, **options))
 
 
-def alone(world: str, **options: Any) -> Entry:
-    name = f"zipf {world.partition('-')[0].lower()}, gym.make"
-    return Entry(name, None, lambda pause: zipf_alone(pause, world, **options))
+def alone(id: str, **options: Any) -> Entry:
+    name = f"zipf {id.partition('-')[0].lower()}, gym.make"
+    return Entry(name, None, lambda pause: zipf_alone(pause, id, **options))
 
 
 def three_dimensional(**options: Any) -> Iterator[Entry]:

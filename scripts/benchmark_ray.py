@@ -101,10 +101,10 @@ def timed(call: Callable[[], object], times: int) -> tuple[float, float]:
 def measured(experiment: str) -> tuple[int, int, int, float]:
     """Frames and bytes of an unroll, bytes of the weights, frames per second of one actor."""
     config = loading.load([f"experiment={experiment}", "device=cpu", "collector.lag=0"])
-    worlds, length = config.collector.num_envs, config.collector.unroll_length
+    num_envs, length = config.collector.num_envs, config.collector.unroll_length
     short = config.collector.model_copy(update={"unroll_length": STEPS})
     config = config.model_copy(update={"collector": short})
-    env = envs.make_train(config.split, worlds, **config.level_options)
+    env = envs.make_train(config.split, num_envs, **config.level_options)
     agent = build_agent(config, env)
     collector = build_collector(config, env, agent)
     state = arrays(collector.collect().state_dict())
@@ -113,7 +113,7 @@ def measured(experiment: str) -> tuple[int, int, int, float]:
     unroll = round(row * (length + 1)) + count(state["memory"])
     weights = count(arrays(dict(agent.actor.state_dict())))
     env.close()
-    return worlds * length, unroll, weights, worlds * STEPS / seconds
+    return num_envs * length, unroll, weights, num_envs * STEPS / seconds
 
 
 def count(state: object) -> int:

@@ -23,7 +23,7 @@ from turns import cpu_seconds
 
 from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
 
-WORLDS = 256
+ENVS = 256
 CELLS = 21
 GOALS = {"maze": 40_000, "room + 5 objects": 15_000, "hills": 8_000}
 PITCH = np.radians(25.0)
@@ -88,7 +88,7 @@ def maze(*, pitched: bool, ceiling: bool, seed: int = 0) -> Scenes:
     """Mazes of 21 x 21 cells of 1 m, every cell of the floor with its own texture."""
     rng = np.random.default_rng(seed)
     scenes = Scenes(
-        WORLDS, walls=640, flats=2, tile_cells=CELLS * CELLS, grid=(CELLS, CELLS)
+        ENVS, walls=640, flats=2, tile_cells=CELLS * CELLS, grid=(CELLS, CELLS)
     )  # fmt: skip
     walls = [textures.index(name) for name in ("brick", "wallpaper", "stripes_green", "plaster")]
     floors = [textures.index(name) for name in ("planks", "tiles", "carpet", "hexagons")]
@@ -98,28 +98,28 @@ def maze(*, pitched: bool, ceiling: bool, seed: int = 0) -> Scenes:
         (0, -1, (0, 0, 0, 1)),
         (-1, 0, (1, 0, 0, 0)),
     )
-    for world in range(WORLDS):
+    for i in range(ENVS):
         solid = carve(rng)
-        scenes.solid[world] = solid
-        scenes.grid[world] = 0, 0, 1
+        scenes.solid[i] = solid
+        scenes.grid[i] = 0, 0, 1
         for row, column in np.argwhere(solid):
             for side, (down, right, (x0, y0, x1, y1)) in enumerate(sides):
                 r, c = row + down, column + right
                 if 0 <= r < CELLS and 0 <= c < CELLS and not solid[r, c]:
                     ends = (column + x0, row + y0, column + x1, row + y1)
                     face = (row * CELLS + column) * 4 + side
-                    scenes.add_wall(world, ends, (0, 1), int(rng.choice(walls)), face=face)
+                    scenes.add_wall(i, ends, (0, 1), int(rng.choice(walls)), face=face)
         tiles = rng.choice(floors, (CELLS, CELLS))
-        scenes.add_flat(world, (0, 0, CELLS, CELLS), 0, 0, tiles=tiles)
+        scenes.add_flat(i, (0, 0, CELLS, CELLS), 0, 0, tiles=tiles)
         if ceiling:
             scenes.add_flat(
-                world, (0, 0, CELLS, CELLS), 1, textures.index("ceiling"),
+                i, (0, 0, CELLS, CELLS), 1, textures.index("ceiling"),
                 repeat=1, flags=FACES_DOWN,
             )  # fmt: skip
         free = np.argwhere(~solid)
         y, x = free[rng.integers(len(free))] + rng.uniform(0.2, 0.8, 2)
         pitch = rng.uniform(-PITCH, PITCH) if pitched else 0.0
-        scenes.camera[world] = x, y, 0.5, rng.uniform(-np.pi, np.pi), pitch
+        scenes.camera[i] = x, y, 0.5, rng.uniform(-np.pi, np.pi), pitch
     return scenes
 
 
@@ -127,33 +127,33 @@ def room(*, objects: int, pitched: bool, seed: int = 0) -> Scenes:
     """Rooms of 4 x 3 m, with objects 1 to 2.5 m before the eyes and their shadows on the floor."""
     rng = np.random.default_rng(seed)
     meshes = len(load_meshes().names)
-    scenes = Scenes(WORLDS, walls=4, flats=2, instances=objects, shadows=objects)
+    scenes = Scenes(ENVS, walls=4, flats=2, instances=objects, shadows=objects)
     corners = ((0, 0), (4, 0), (4, 3), (0, 3))
-    for world in range(WORLDS):
+    for i in range(ENVS):
         for k, name in enumerate(("wallpaper", "plaster_blue", "stripes", "brick")):
             ends = corners[k] + corners[(k + 1) % 4]
-            scenes.add_wall(world, ends, (0, 2.4), textures.index(name), repeat=(1, 1))
+            scenes.add_wall(i, ends, (0, 2.4), textures.index(name), repeat=(1, 1))
         rectangle = (0, 0, 4, 3)
-        scenes.add_flat(world, rectangle, 0, textures.index("planks"), repeat=1)
-        scenes.add_flat(world, rectangle, 2.4, textures.index("ceiling"), flags=FACES_DOWN)
+        scenes.add_flat(i, rectangle, 0, textures.index("planks"), repeat=1)
+        scenes.add_flat(i, rectangle, 2.4, textures.index("ceiling"), flags=FACES_DOWN)
         yaw = rng.uniform(-np.pi, np.pi)
         pitch = rng.uniform(-PITCH, PITCH) if pitched else 0.0
         x, y = rng.uniform(0.5, 3.5), rng.uniform(0.5, 2.5)
-        scenes.camera[world] = x, y, 1.1, yaw, pitch
+        scenes.camera[i] = x, y, 1.1, yaw, pitch
         for k in range(objects):
             angle, far = yaw + rng.uniform(-0.7, 0.7), rng.uniform(1.0, 2.5)
-            scenes.mesh[world, k] = rng.integers(meshes)
-            scenes.position[world, k] = (
+            scenes.mesh[i, k] = rng.integers(meshes)
+            scenes.position[i, k] = (
                 x + far * np.cos(angle),
                 y + far * np.sin(angle),
                 1.1 + far * np.tan(pitch + rng.uniform(-0.5, 0.3)) - 0.2,
             )
             turn = rng.uniform(-np.pi, np.pi)
-            x_y = scenes.position[world, k, :2]
-            scenes.shadows[world, k] = *x_y, 0, turn, 0.1, 0.07, 0.15, 0.5
+            x_y = scenes.position[i, k, :2]
+            scenes.shadows[i, k] = *x_y, 0, turn, 0.1, 0.07, 0.15, 0.5
             cos, sin = np.cos(turn), np.sin(turn)
-            scenes.rotation[world, k, :2, :2] = (cos, -sin), (sin, cos)
-        scenes.colours[world] = rng.integers(40, 256, (objects, 2, 3))
+            scenes.rotation[i, k, :2, :2] = (cos, -sin), (sin, cos)
+        scenes.colours[i] = rng.integers(40, 256, (objects, 2, 3))
     if objects:
         # The room's walls must not hide what is measured.
         scenes.walls[:, :, :4] += (scenes.walls[:, :, :4] > 0) * 4 - 2
@@ -164,9 +164,9 @@ def room(*, objects: int, pitched: bool, seed: int = 0) -> Scenes:
 def hills(*, pitched: bool, seed: int = 0) -> Scenes:
     """Hills of 63 x 63 cells of 0.33 m, 0.4 to 1.4 m high (a standard deviation)."""
     rng = np.random.default_rng(seed)
-    scenes = Scenes(WORLDS, terrain=(63, 63))
+    scenes = Scenes(ENVS, terrain=(63, 63))
     place = np.arange(64) / 63
-    for world in range(WORLDS):
+    for i in range(ENVS):
         heights = np.zeros((64, 64))
         for octave in (3, 6, 12, 24):
             knots = rng.normal(size=(octave + 1, octave + 1)) / octave
@@ -179,13 +179,13 @@ def hills(*, pitched: bool, seed: int = 0) -> Scenes:
             heights += knots
         heights *= rng.uniform(0.4, 1.4) / heights.std()
         scenes.set_terrain(
-            world, (0, 0), 0.33, heights, textures.index("carpet"), repeat=1,
+            i, (0, 0), 0.33, heights, textures.index("carpet"), repeat=1,
             tint=(255, 240, 200),
         )  # fmt: skip
         row, column = rng.integers(2, 61, 2)
         pitch = rng.uniform(-PITCH, PITCH) if pitched else 0.0
         eye = heights[row, column] + 0.5
-        scenes.camera[world] = (
+        scenes.camera[i] = (
             0.33 * column,
             0.33 * row,
             eye,
@@ -198,13 +198,13 @@ def hills(*, pitched: bool, seed: int = 0) -> Scenes:
 def row(name: str, scenes: Scenes, size: tuple[int, int] = (96, 72)) -> Row:
     width, height = size
     renderer = Renderer(load_meshes(), textures.stack(), width=width, height=height)
-    out = np.zeros((WORLDS, height, width, 3), np.uint8)
+    out = np.zeros((ENVS, height, width, 3), np.uint8)
 
     def run(calls: int) -> None:
         for _ in range(calls):
             renderer.render(scenes, out)
 
-    return Row(name, WORLDS, run)
+    return Row(name, ENVS, run)
 
 
 def doom(vizdoom: Any, scenario: str) -> Row:

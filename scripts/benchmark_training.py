@@ -54,7 +54,7 @@ class Task:
 
     level: str
     options: dict[str, Any]
-    worlds: int
+    envs: int
     steps: int
     learning_rate: float
     network: Any
@@ -121,7 +121,7 @@ def train_zipf(experiment: str, pause: turns.Pause, *overrides: str) -> None:
 
 
 def train_stable_baselines3(
-    experiment: str, pause: turns.Pause, algorithm: str, worlds: str
+    experiment: str, pause: turns.Pause, algorithm: str, stepping: str
 ) -> None:
     import gymnasium as gym
     import stable_baselines3
@@ -148,22 +148,22 @@ def train_stable_baselines3(
     class Paused(BaseCallback):
         def _on_rollout_start(self) -> None:  # what was collected before has been learned from
             if self.num_timesteps:
-                pause(task.worlds * task.steps)
+                pause(task.envs * task.steps)
 
         def _on_step(self) -> bool:
             return True
 
-    if worlds == "batch":
-        env = ZipfVecEnv(envs.make_vec(task.level, task.worlds, **task.options))
+    if stepping == "batch":
+        env = ZipfVecEnv(envs.make_vec(task.level, task.envs, **task.options))
     else:
         env = make_vec_env(
             lambda: envs.make(task.level, **task.options),
-            task.worlds if worlds == "one by one" else len(os.sched_getaffinity(0)),
-            vec_env_cls=DummyVecEnv if worlds == "one by one" else SubprocVecEnv,
+            task.envs if stepping == "one by one" else len(os.sched_getaffinity(0)),
+            vec_env_cls=DummyVecEnv if stepping == "one by one" else SubprocVecEnv,
         )
-    options: dict[str, Any] = {"n_steps": task.worlds * task.steps // env.num_envs}
+    options: dict[str, Any] = {"n_steps": task.envs * task.steps // env.num_envs}
     if algorithm == "PPO":
-        options |= {"n_epochs": 1, "batch_size": task.worlds * task.steps}
+        options |= {"n_epochs": 1, "batch_size": task.envs * task.steps}
     model = getattr(stable_baselines3, algorithm)(
         "MultiInputPolicy",
         env,
@@ -192,9 +192,9 @@ def train_torchrl(experiment: str, pause: turns.Pause) -> None:
     from zipf.adapters.torchrl import torchrl_env
 
     task = task_of(experiment)
-    worlds = envs.make_vec(task.level, task.worlds, autoreset_mode="Disabled", **task.options)
-    space, actions = worlds.single_observation_space, int(worlds.single_action_space.n)
-    env = torchrl_env(worlds)
+    env = envs.make_vec(task.level, task.envs, autoreset_mode="Disabled", **task.options)
+    space, actions = env.single_observation_space, int(env.single_action_space.n)
+    env = torchrl_env(env)
     env.set_seed(0)
     layers = trunk(task, space)
 
@@ -226,7 +226,7 @@ def train_torchrl(experiment: str, pause: turns.Pause) -> None:
     advantage = GAE(gamma=0.99, lmbda=1.0, value_network=value, deactivate_vmap=True)
     loss = A2CLoss(policy, value, entropy_coeff=0.003, critic_coeff=0.5)
     optimiser = torch.optim.Adam(loss.parameters(), lr=task.learning_rate)
-    size = task.worlds * task.steps
+    size = task.envs * task.steps
     collector = Collector(env, policy, frames_per_batch=size, total_frames=-1)
     for unroll in collector:
         with torch.no_grad():
@@ -240,8 +240,8 @@ def train_torchrl(experiment: str, pause: turns.Pause) -> None:
         pause(size)
 
 
-def _stable_baselines3(algorithm: str, worlds: str) -> Callable[[str, turns.Pause], None]:
-    return lambda *arguments: train_stable_baselines3(*arguments, algorithm, worlds)
+def _stable_baselines3(algorithm: str, stepping: str) -> Callable[[str, turns.Pause], None]:
+    return lambda *arguments: train_stable_baselines3(*arguments, algorithm, stepping)
 
 
 PEERS = {

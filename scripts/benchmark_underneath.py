@@ -87,7 +87,7 @@ def timed(function: Callable[[], object]) -> Timed:
     return run
 
 
-def references() -> tuple[Timed, Timed]:
+def baselines() -> tuple[Timed, Timed]:
     return stepping(LIFT, COUNTED)
 
 
@@ -102,10 +102,10 @@ def copier() -> tuple[Timed, Timed]:
     stripes = SPRITES.reshape(2, NUM_CODES, CELL, 3 * CELL)
 
     @compiled(references=False)
-    def plain(mask, worlds, codes, cells, stripes, image):
-        for i in range(len(worlds)):
-            map, row, column = worlds[i, 0], worlds[i, 2], worlds[i, 3]
-            goal = cells[map, worlds[i, 1]]
+    def plain(mask, states, codes, cells, stripes, image):
+        for i in range(len(states)):
+            map, row, column = states[i, 0], states[i, 2], states[i, 3]
+            goal = cells[map, states[i, 1]]
             for r in range(VIEW):
                 for c in range(VIEW):
                     code = np.intp(codes[map, row + r, column + c])
@@ -121,18 +121,18 @@ def copier() -> tuple[Timed, Timed]:
 
     env = envs.make_vec("gridworld/zipf_2", 256)
     env.reset(seed=0)
-    maps, worlds = env.level.maps, env._worlds  # type: ignore[attr-defined]
+    maps, states = env.level.maps, env._envs  # type: ignore[attr-defined]
     one, other = (env.allocate()["image"] for _ in range(2))
     mask = np.ones(256, np.bool_)
 
     def vectors() -> None:
         for _ in range(100):
-            kernels.draw_images(mask, worlds, maps.codes, maps.cells, kernels.STRIPES, one)
+            kernels.draw_images(mask, states, maps.codes, maps.cells, kernels.STRIPES, one)
 
     def bytes_() -> None:
         lines = other.reshape(256, VIEW * CELL, 3 * VIEW * CELL)
         for _ in range(100):
-            plain(mask, worlds, maps.codes, maps.cells, stripes, lines)
+            plain(mask, states, maps.codes, maps.cells, stripes, lines)
 
     both = timed(vectors), timed(bytes_)
     assert (one == other).all()
@@ -151,14 +151,14 @@ def chipmunk() -> tuple[Timed, Timed]:
     found = [env._room(i).addresses() for i in range(64)]  # type: ignore[attr-defined]
     spaces = np.array([space for space, _ in found])
     bodies = np.array([of_room for _, of_room in found])
-    worlds = env.worlds  # type: ignore[attr-defined]
+    states = env.envs  # type: ignore[attr-defined]
     forces = np.random.default_rng(0).uniform(-100, 100, (64, 2))
     mask = np.ones(64, np.bool_)
 
     def compiled() -> None:
         for _ in range(50):
             physics.simulate(
-                mask, physics.functions(), spaces, bodies, forces, worlds.agents, worlds.objects
+                mask, physics.functions(), spaces, bodies, forces, states.agents, states.objects
             )
 
     def methods() -> None:
@@ -168,9 +168,9 @@ def chipmunk() -> tuple[Timed, Timed]:
                 for _ in range(FRAMES):
                     room.agent.force = tuple(forces[i])
                     room.space.step(FRAME)
-                worlds.agents[i, :2] = room.agent.position
+                states.agents[i, :2] = room.agent.position
                 for j, body in enumerate(room.objects):
-                    worlds.objects[i, j, :3] = (*body.position, body.angle)
+                    states.objects[i, j, :3] = (*body.position, body.angle)
 
     return timed(compiled), timed(methods)
 
@@ -260,7 +260,7 @@ def cache() -> tuple[Timed, Timed]:
 
 ROWS: dict[str, Callable[[], tuple[Timed, Timed]]] = {
     "cache": cache,
-    "references": references,
+    "references": baselines,
     "copier": copier,
     "chipmunk": chipmunk,
     "blocks": blocks,

@@ -37,29 +37,27 @@ def rooms(views: Sequence[tuple[int, float, float, float, float]]) -> Scenes:
     scenes = Scenes(len(views), walls=4, flats=1, instances=1, shadows=1)
     half = ROOM / 2
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
-    for world, (mesh, degrees, distance, eye, target) in enumerate(views):
+    for i, (mesh, degrees, distance, eye, target) in enumerate(views):
         for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1], strict=True):
-            scenes.add_wall(
-                world, (x0, y0, x1, y1), (0, 3), textures.index("plaster"), repeat=(1, 1)
-            )
+            scenes.add_wall(i, (x0, y0, x1, y1), (0, 3), textures.index("plaster"), repeat=(1, 1))
         floor = textures.index("carpet")
-        scenes.add_flat(world, (-half, -half, half, half), 0, floor, repeat=1)
+        scenes.add_flat(i, (-half, -half, half, half), 0, floor, repeat=1)
         pitch = math.atan2(target - eye, distance)
-        scenes.camera[world] = (distance, 0, eye, math.pi, pitch)
+        scenes.camera[i] = (distance, 0, eye, math.pi, pitch)
         turn = math.radians(degrees)
-        scenes.rotation[world, 0, :2, :2] = (
+        scenes.rotation[i, 0, :2, :2] = (
             (math.cos(turn), -math.sin(turn)),
             (math.sin(turn), math.cos(turn)),
         )
-        scenes.mesh[world, 0] = mesh
+        scenes.mesh[i, 0] = mesh
         length, width, _ = load_meshes().extent[mesh].tolist()
-        scenes.shadows[world, 0] = 0, 0, 0, turn, 0.3 * length, 0.3 * width, 0.1, 0.5
-        scenes.colours[world, 0] = GREYS
+        scenes.shadows[i, 0] = 0, 0, 0, turn, 0.3 * length, 0.3 * width, 0.1, 0.5
+        scenes.colours[i, 0] = GREYS
     return scenes
 
 
 def draw(renderer: Renderer, scenes: Scenes) -> np.ndarray:
-    out = np.zeros((scenes.num_worlds, renderer.height, renderer.width, 3), np.uint8)
+    out = np.zeros((scenes.num_envs, renderer.height, renderer.width, 3), np.uint8)
     renderer.render(scenes, out)
     return out
 

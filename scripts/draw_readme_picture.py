@@ -52,7 +52,7 @@ def main() -> None:
     )
     figure = plt.figure(figsize=(8.4, 6.44), dpi=200, facecolor="white")
     draw_distributions(figure)
-    draw_world(figure)
+    draw_env(figure)
     OUTPUT.parent.mkdir(exist_ok=True)
     figure.savefig(OUTPUT, facecolor="white", pil_kwargs={"optimize": True})
     print(f"Wrote {OUTPUT.name}: {OUTPUT.stat().st_size / 1024:.0f} KB")
@@ -122,7 +122,7 @@ def note(axes: Axes, text: str, cell: tuple[float, float], at: tuple[float, floa
     )
 
 
-def draw_world(figure: plt.Figure) -> None:
+def draw_env(figure: plt.Figure) -> None:
     """The most frequent situation: the map with the agent's window marked, and what it shows."""
     env = make(SPLIT.train[0].name, render_mode="rgb_array")
     observation, _ = env.reset(seed=0, options=SITUATION)
@@ -132,8 +132,8 @@ def draw_world(figure: plt.Figure) -> None:
     rows, columns = maps.boards[SITUATION["map"]].shape
     board = np.asarray(env.render())[HEADER:-MARGIN, MARGIN:-MARGIN]
 
-    world = panel(figure, (0.065, 0.03, 0.3066, 0.40), board, (columns, rows))
-    world.set_title("The most frequent map", fontsize=11, fontweight="bold", pad=9)
+    board_axes = panel(figure, (0.065, 0.03, 0.3066, 0.40), board, (columns, rows))
+    board_axes.set_title("The most frequent map", fontsize=11, fontweight="bold", pad=9)
     seen = panel(figure, (0.4527, 0.03, 0.3066, 0.40), observation["image"], (VIEW, VIEW))
     seen.set_title("What the agent sees", fontsize=11, fontweight="bold", pad=9)
 
@@ -142,13 +142,13 @@ def draw_world(figure: plt.Figure) -> None:
         line = ConnectionPatch(
             (column + 0.5 + half, row + 0.5 + side * half),
             (0, half + side * half),
-            world.transData,
+            board_axes.transData,
             seen.transData,
             color=QUIET,
             lw=0.8,
         )
         figure.add_artist(line)
-    world.annotate(
+    board_axes.annotate(
         "its most frequent target",
         xy=(goal_column + 1.05, goal_row - 0.05),
         xytext=(goal_column + 1.6, 0.55),

@@ -23,7 +23,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from zipf.envs import distributions, reference, split
+from zipf.envs import baseline, distributions, split
 from zipf.experiments.records.results import Run, load_runs
 from zipf.experiments.records.wording import KIND_NAMES
 from zipf.experiments.reporting.statistics import wilson_interval
@@ -40,7 +40,7 @@ class Agent(NamedTuple):
     line: str = "-"
 
 
-class World(NamedTuple):
+class Task(NamedTuple):
     """Envs that agents are drawn in.
 
     Attributes:
@@ -48,7 +48,7 @@ class World(NamedTuple):
         split: what is trained on, and its levels.
         experiment: the folder of results/.
         agents: by folder in that.
-        reference: a scripted policy whose score is drawn.
+        baseline: a scripted policy whose score is drawn.
         share: of the training episodes that each of some situations has.
     """
 
@@ -56,7 +56,7 @@ class World(NamedTuple):
     split: str
     experiment: str
     agents: dict[str, Agent]
-    reference: str
+    baseline: str
     share: Callable[[pd.DataFrame], NDArray[np.float64]]
 
 
@@ -71,8 +71,8 @@ def of_target(situations: pd.DataFrame) -> NDArray[np.float64]:
     return distributions.zipfian(50, 3)[situations["target"]]
 
 
-WORLDS = [
-    World(
+TASKS = [
+    Task(
         "gridworld",
         "gridworld",
         "gridworld_compact",
@@ -100,7 +100,7 @@ WORLDS = [
         "generalist",
         of_map_and_target,
     ),
-    World(
+    Task(
         "finding",
         "playroom_find",
         "playroom_find_compact",
@@ -116,7 +116,7 @@ WORLDS = [
         "blind",
         of_target,
     ),
-    World(
+    Task(
         "lifting",
         "playroom_lift",
         "playroom_lift_compact",
@@ -151,43 +151,43 @@ def main() -> None:
             "lines.markersize": 3,
         }
     )
-    for world in WORLDS:
+    for task in TASKS:
         runs: dict[str, list[Run]] = {}
-        for run in load_runs([ROOT / "results" / world.experiment]):
+        for run in load_runs([ROOT / "results" / task.experiment]):
             runs.setdefault(run.folder.parent.name, []).append(run)
-        missing = [name for name in world.agents if name not in runs]
+        missing = [name for name in task.agents if name not in runs]
         if missing:
-            folder = f"results/{world.experiment}"
+            folder = f"results/{task.experiment}"
             raise SystemExit(f"{folder} has no runs of {', '.join(missing)}")
-        save(learning(world, runs), f"tail_{world.name}_learning.png")
-        save(rarity(world, runs), f"tail_{world.name}_rarity.png")
+        save(learning(task, runs), f"tail_{task.name}_learning.png")
+        save(rarity(task, runs), f"tail_{task.name}_rarity.png")
 
 
-def learning(world: World, runs: dict[str, list[Run]]) -> Figure:
+def learning(task: Task, runs: dict[str, list[Run]]) -> Figure:
     """Scores on the three levels against millions of frames, a line for each run."""
     figure, axes = plt.subplots(1, 3, figsize=(8.4, 3.1), sharey=True, layout="constrained")
     for axis, kind in zip(axes, PAPER_KINDS, strict=True):
-        for name, agent in world.agents.items():
+        for name, agent in task.agents.items():
             for k, run in enumerate(runs[name]):
                 scores = run.mean_scores(run.description.levels_of(kind))
                 (drawn,) = axis.plot(
                     scores["frames"] / 1e6, scores["score"], agent.line, color=agent.colour
                 )
                 drawn.set_label(agent.label if k == 0 else "")
-        finish(axis, world, kind, KIND_NAMES[kind])
+        finish(axis, task, kind, KIND_NAMES[kind])
         axis.set_xlabel("Million frames")
     axes[0].set_ylabel("Score")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
-def rarity(world: World, runs: dict[str, list[Run]]) -> Figure:
+def rarity(task: Task, runs: dict[str, list[Run]]) -> Figure:
     """Success on the uniform level against the share of training episodes that a situation has."""
     figure, axis = plt.subplots(figsize=(5.6, 3.4), layout="constrained")
-    for name, agent in world.agents.items():
+    for name, agent in task.agents.items():
         rows = pd.concat([run.situations for run in runs[name]])
         rows = rows[rows["level_kind"] == "uniform"]
-        share = world.share(rows)
+        share = task.share(rows)
         edges = np.geomspace(share.min() * 0.999, share.max() * 1.001, BINS + 1)
         bins = pd.Series(np.digitize(share, edges) - 1, index=rows.index)
         sums = rows.groupby(bins)[["episodes", "successes"]].sum()
@@ -198,24 +198,24 @@ def rarity(world: World, runs: dict[str, list[Run]]) -> Figure:
         axis.fill_between(middles, low, high, color=agent.colour, alpha=0.15, linewidth=0)
     axis.set_xscale("log")
     axis.invert_xaxis()
-    finish(axis, world, "uniform", "Success on the uniform level")
+    finish(axis, task, "uniform", "Success on the uniform level")
     axis.set_xlabel("Share of the training episodes that a situation has")
     axis.set_ylabel("Success")
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
-def finish(axis: Axes, world: World, kind: str, title: str) -> None:
+def finish(axis: Axes, task: Task, kind: str, title: str) -> None:
     """Adds what all panels of a kind of level have."""
-    (level,) = split(world.split).levels(kind)
-    player = reference(world.reference, level)
-    assert player is not None
+    (level,) = split(task.split).levels(kind)
+    known = baseline(task.baseline, level)
+    assert known is not None
     axis.axhline(
-        player.score,
+        known.score,
         color="0.5",
         linestyle="dotted",
         linewidth=1.2,
-        label=world.reference.capitalize(),
+        label=task.baseline.capitalize(),
     )
     axis.set_title(title, fontsize=9)
     axis.set_ylim(-0.02, 1.02)

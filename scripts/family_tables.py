@@ -93,28 +93,28 @@ def levels(family: str) -> list[str]:
         for kind in split.kinds:
             for level in split.levels(kind):
                 uses.setdefault(level.name, []).append(f"{code(split.name)} ({kind})")
-    names = [one.name for one in envs.REFERENCES if one.name in found.references]
+    names = [one.name for one in envs.BASELINES if one.name in found.baselines]
     rows = []
     marked = False
     for level in (f"{family}/{level}" for level in found.levels):
-        known = {name: envs.reference(name, level) for name in names}
+        known = {name: envs.baseline(name, level) for name in names}
         texts = ("" if score is None else f"{score.score:.3f}" for score in known.values())
         little = _says_little(known)
         marked |= little
         shown = code(level) + (f" {LITTLE}" if little else "")
         rows.append((shown, ", ".join(uses.get(level, [])), *texts, _policy(known)))
-    titles = (one.title for one in envs.REFERENCES if one.name in names)
+    titles = (one.title for one in envs.BASELINES if one.name in names)
     lines = markdown(("Level", "Used by split", *titles, "Blind policy"), rows)
     return [*lines, *(LEGEND if marked else [])]
 
 
-def _policy(known: dict[str, envs.ReferenceScore | None]) -> str:
+def _policy(known: dict[str, envs.BaselineScore | None]) -> str:
     """The policy that has the blind score, where it was found by a search."""
     blind = known.get("blind")
     return code(floors.summary(blind.policy)) if blind and blind.policy else ""
 
 
-def _says_little(known: dict[str, envs.ReferenceScore | None], random: float = 0.0) -> bool:
+def _says_little(known: dict[str, envs.BaselineScore | None], random: float = 0.0) -> bool:
     blind, expert = (known.get(name) for name in ("blind", "expert"))
     return says_little(blind and blind.score - random, expert and expert.score - random)
 
@@ -132,19 +132,19 @@ def labyrinth() -> list[str]:
     return markdown(("Level", "Goal", "Rewards", "Length"), rows)
 
 
-def labyrinth_references() -> list[str]:
-    """What players that do not learn, and people, score in the labyrinth."""
-    names = [one.name for one in envs.REFERENCES if one.name in _labyrinth.references]
+def labyrinth_baselines() -> list[str]:
+    """What policies that do not learn, and people, score in the labyrinth."""
+    names = [one.name for one in envs.BASELINES if one.name in _labyrinth.baselines]
     rows = []
     for name, level in LEVELS.items():
-        known = {of: envs.reference(of, f"labyrinth/{name}") for of in names}
+        known = {of: envs.baseline(of, f"labyrinth/{name}") for of in names}
         texts = (
             "" if one is None else f"{one.score:.1f} ± {one.error:.1f}" for one in known.values()
         )
         shown = code(name) + (f" {LITTLE}" if _says_little(known, level.random) else "")
         published = f"{level.random:g}", f"{level.human:g}"
         rows.append((shown, *published, *texts, _policy(known)))
-    titles = (one.title for one in envs.REFERENCES if one.name in names)
+    titles = (one.title for one in envs.BASELINES if one.name in names)
     header = ("Level", "Random, published", "Human, published", *titles, "Blind policy")
     return [*markdown(header, rows), *LEGEND]
 

@@ -57,9 +57,9 @@ def first_episodes(env: GridworldVectorEnv, policy: AgentPolicy, seed: int) -> p
     reward, is_first = np.zeros(n, np.float32), np.ones(n, np.bool_)
     policy.start(n)
     while running.any():
-        worlds = env.get_state()["worlds"]
-        place = worlds[:, [kernels.ROW, kernels.COLUMN]]
-        target = cells[worlds[:, kernels.MAP], worlds[:, kernels.TARGET]]
+        states = env.get_state()["worlds"]
+        place = states[:, [kernels.ROW, kernels.COLUMN]]
+        target = cells[states[:, kernels.MAP], states[:, kernels.TARGET]]
         seen |= running & (np.abs(place - target).max(1) <= VIEW // 2)
         for i in np.flatnonzero(running):
             visited[i].add(tuple(place[i]))

@@ -23,7 +23,7 @@ from pathlib import Path
 import pandas as pd
 import yaml
 
-from zipf.errors import TOLD, UserError, tell
+from zipf.errors import EXPECTED, UserError, tell
 from zipf.experiments.records import record
 from zipf.experiments.records.csv_files import read_texts
 from zipf.experiments.records.record import Record
@@ -105,7 +105,7 @@ def main() -> None:
             print(f"{run} -> {keep(kept, run, weights=arguments.weights)}")
         record.write(RESULTS, kept)
         scores(load_record(RESULTS), RESULTS).to_csv(RESULTS / "scores.csv", index=False)
-    except TOLD as error:
+    except EXPECTED as error:
         tell(error)
         sys.exit(2)
 

@@ -36,7 +36,7 @@ TITLES = {
     "explore_obstructed_goals_small": "reach the goal through doors",
 }
 """Levels in the picture of the README, with what they are about."""
-WORLDS, STEPS = 6, 100
+ENVS, STEPS = 6, 100
 """Of each level, from which views are chosen."""
 
 
@@ -52,7 +52,7 @@ class Shot:
 def shots(level: str, seed: int = 3) -> list[Shot]:
     """Of every env the view with the most colours, sorted by their number."""
     name = f"labyrinth/{level}"
-    env = zipf.envs.make_vec(name, WORLDS, render_mode="rgb_array")
+    env = zipf.envs.make_vec(name, ENVS, render_mode="rgb_array")
     observation, _ = env.reset(seed=seed)
     expert = zipf.envs.expert(name, env)
     assert expert is not None
@@ -61,10 +61,10 @@ def shots(level: str, seed: int = 3) -> list[Shot]:
         views = observation["image"]
         frames = env.render()
         assert frames is not None
-        for world, (view, frame) in enumerate(zip(views, frames, strict=True)):
+        for i, (view, frame) in enumerate(zip(views, frames, strict=True)):
             colours = len(np.unique(view.reshape(-1, 3) >> 4, axis=0))
-            if world not in found or colours > found[world].colours:
-                found[world] = Shot(view.copy(), frame[:, 384:].copy(), colours)
+            if i not in found or colours > found[i].colours:
+                found[i] = Shot(view.copy(), frame[:, 384:].copy(), colours)
         for _ in range(5):
             observation, *_ = env.step(expert())
     return sorted(found.values(), key=lambda shot: -shot.colours)

@@ -80,21 +80,21 @@ def best_places(encoder: Encoder, observation: dict[str, NDArray]) -> NDArray[np
 def toys_in_image(env: PlayroomVectorEnv) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Where the toys' middles are in the image, as `best_places`, [N, C, 2], and which toys are in
     view, [N, C]; the first is the named one."""
-    worlds = env.worlds
+    states = env.envs
     height, width = env.single_observation_space["image"].shape[:2]
     wide = math.tan(math.radians(FIELD_OF_VIEW) / 2)
     high = wide * height / width
-    seen = np.zeros(worlds.ranks.shape, np.bool_)
-    look(worlds, wide, high, seen, np.zeros((env.num_envs, 2), np.bool_))
-    agents = worlds.agents[:, None]
+    seen = np.zeros(states.ranks.shape, np.bool_)
+    look(states, wide, high, seen, np.zeros((env.num_envs, 2), np.bool_))
+    agents = states.agents[:, None]
     tall = [
-        [half_width(worlds.orientation[i, j], worlds.extents[rank], 0.0, 0.0, 1.0)
+        [half_width(states.orientation[i, j], states.extents[rank], 0.0, 0.0, 1.0)
          for j, rank in enumerate(ranks)]
-        for i, ranks in enumerate(worlds.ranks)
+        for i, ranks in enumerate(states.ranks)
     ]  # fmt: skip
-    x = worlds.objects[..., X] - agents[..., AX]
-    y = worlds.objects[..., Y] - agents[..., AY]
-    z = worlds.objects[..., Z] + np.array(tall) - EYE
+    x = states.objects[..., X] - agents[..., AX]
+    y = states.objects[..., Y] - agents[..., AY]
+    z = states.objects[..., Z] + np.array(tall) - EYE
     cos, sin = np.cos(agents[..., YAW]), np.sin(agents[..., YAW])
     level, up = np.cos(agents[..., PITCH]), np.sin(agents[..., PITCH])
     ahead = cos * x + sin * y

@@ -7,7 +7,7 @@
 `zipf.envs.floors` says what is tried. Each level is searched with the split's own options, and
 with those of each experiment in the split's environments. The best five policies are played again
 on seeds that the search has not seen. All five stand in `results/floors.csv`; the best is the
-level's "blind" in `references.json` of the family's package, which evaluations, reports and the
+level's "blind" in `baselines.json` of the family's package, which evaluations, reports and the
 documentation read. `results/floors.md` has it beside chance and expert, for the record.
 
 Levels that stand in the table are passed over, so that the command may be stopped and given again;
@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from measure_references import RESULTS, experiments_of, write_figure
+from measure_baselines import RESULTS, experiments_of, write_figure
 from tables import markdown
 
 from zipf import envs
@@ -130,7 +130,7 @@ def known(table: pd.DataFrame, task: Task) -> list[str]:
 
 
 def best_known(table: pd.DataFrame, task: Task) -> dict[str, Any]:
-    """The best policy of a level as `references.json` has it."""
+    """The best policy of a level as `baselines.json` has it."""
     first = table[_here(table, task)].iloc[0]
     return {
         "score": float(first["score"]),
@@ -172,14 +172,14 @@ def _with(
 
 
 def page(table: pd.DataFrame) -> str:
-    """The best policy of each level beside its references, for the record."""
+    """The best policy of each level beside its baselines, for the record."""
     columns = ("Level", "Best policy", "Its score", "Episodes", "Blind", "Chance", "Expert")
     rows = []
     for (family, level, written), of_level in table.groupby(PLACE, sort=False):
         options = json.loads(written)
         names = ("blind", "chance", "expert")
-        references = [envs.reference(name, f"{family}/{level}", **options) for name in names]
-        scores = [None if one is None else one.score for one in references]
+        baselines = [envs.baseline(name, f"{family}/{level}", **options) for name in names]
+        scores = [None if one is None else one.score for one in baselines]
         best = of_level.iloc[0]
         shown = f"{family}/{level}" + "".join(f", {key}={value}" for key, value in options.items())
         of_split = split_level(family, level)

@@ -257,7 +257,7 @@ def actors() -> list[int]:
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(OSError):
-            if path.read_bytes().startswith(b"ray::Player"):
+            if path.read_bytes().startswith(b"ray::Collecting"):
                 found.append(int(path.parent.name))
     return found
 

@@ -20,7 +20,7 @@ from zipf.experiments.reporting.seed_statistics import (
     success_by_situation,
 )
 from zipf.experiments.reporting.tables import ScoreTable, score_tables
-from zipf.protocol import PAPER_KINDS, REFERENCES
+from zipf.protocol import BASELINES, PAPER_KINDS
 
 RESULTS = Path(__file__).parent.parent / "results"
 UNTUNED = ("r2d2", "r2d2_uniform_replay", "vmpo")
@@ -211,10 +211,10 @@ def _table(tasks: Sequence[Task]) -> list[str]:
     for task in tasks:
         rows.append((task.title, *_published(task)))
         levels = _levels(next(agent.folder for agent in task.agents if agent.folder))
-        for reference in REFERENCES:
-            means = (mean_of_levels(levels, kind, reference.name) for kind in PAPER_KINDS)
+        for baseline in BASELINES:
+            means = (mean_of_levels(levels, kind, baseline.name) for kind in PAPER_KINDS)
             scores = (NONE if mean is None else score_text(mean) for mean in means)
-            rows.append(("", reference.title, "", "", "", *scores))
+            rows.append(("", baseline.title, "", "", "", *scores))
         rows += [("", *_shown(agent)) for agent in task.agents]
     numbers = ("Seeds", "Frames", *(KIND_NAMES[kind] for kind in PAPER_KINDS))
     return markdown(("Task", "Agent", "Beyond pixels and rewards", *numbers), rows, right=numbers)
@@ -247,7 +247,7 @@ def _shown(agent: Agent) -> tuple[str, ...]:
 
 
 def _levels(folder: str) -> list[dict[str, Any]]:
-    """The levels that a condition's runs act on, with what is known of references now."""
+    """The levels that a condition's runs act on, with what is known of baselines now."""
     table, _ = _row(folder)
     return describe_levels(envs.split(table.description.split), table.description.environment)
 
@@ -324,8 +324,8 @@ def comparison(experiment: str) -> list[str]:
         shown = (score_text(one["score"], one["error"]) for one in of_kinds)
         title = code(name) + (", not tuned" if name in UNTUNED else "")
         rows.append((title, str(min(int(one["seeds"]) for one in of_kinds)), *shown))
-    for reference in REFERENCES:
-        known = table.reference(reference.name)
-        rows.append((reference.title, "", *(f"{known[kind]:.2f}" for kind in PAPER_KINDS)))
+    for baseline in BASELINES:
+        known = table.baseline(baseline.name)
+        rows.append((baseline.title, "", *(f"{known[kind]:.2f}" for kind in PAPER_KINDS)))
     numbers = ("Seeds", *(KIND_NAMES[kind] for kind in PAPER_KINDS))
     return markdown(("Condition", *numbers), rows, right=numbers)

@@ -140,7 +140,7 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "levels": family_tables.levels,
     "constructor_options": family_tables.constructor_options,
     "labyrinth": family_tables.labyrinth,
-    "labyrinth_references": family_tables.labyrinth_references,
+    "labyrinth_baselines": family_tables.labyrinth_baselines,
     "groups": agent_tables.groups,
     "parts": agent_tables.parts,
     "splits": splits,

@@ -9,7 +9,7 @@ class ByHand(GridworldEnv):
     """One gridworld whose moves are not those of the compiled function."""
 
     def _move(self, action: int) -> tuple[bool, bool]:
-        map, target, row, column = self._world[0].tolist()
+        map, target, row, column = self._env[0].tolist()
         board = self.level.maps.boards[map].tolist()
         down, right = MOVES[action]
         cut_off = (
@@ -19,6 +19,6 @@ class ByHand(GridworldEnv):
         )
         if board[row + down][column + right] != sprites.WALL and not cut_off:
             row, column = row + down, column + right
-            self._world[0, 2:] = row, column
+            self._env[0, 2:] = row, column
         goal = self.level.maps.cells[map, target].tolist()
         return [row, column] == goal, board[row][column] >= sprites.FIRST_LOOK

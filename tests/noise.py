@@ -75,8 +75,8 @@ class Noise(ZipfVectorEnv):
     def _situations(self):
         return {"nothing": np.zeros(self.num_envs, np.int64)}
 
-    def _get_worlds(self):
+    def _get_env_states(self):
         return {"seeds": self.seeds}
 
-    def _set_worlds(self, state):
+    def _set_env_states(self, state):
         self.seeds[:] = state["seeds"]

@@ -36,7 +36,7 @@ def wait(env: LabyrinthVectorEnv) -> float:
 
 def turn_to(env: LabyrinthVectorEnv, episode: Psychlab, place: Place) -> None:
     x, y = (place[0] + place[2]) / 2, (place[1] + place[3]) / 2
-    env.worlds.bodies[0, [YAW, PITCH]] = episode.screen.direction(x, y)
+    env.envs.bodies[0, [YAW, PITCH]] = episode.screen.direction(x, y)
 
 
 def look(env: LabyrinthVectorEnv, episode: Psychlab, place: Place) -> float:

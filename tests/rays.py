@@ -49,7 +49,7 @@ def plain(*colours):
 
 def view(scenes, stack=STACK, width=WIDTH, height=HEIGHT, atlas=ATLAS, **options):
     renderer = Renderer(atlas, stack, width=width, height=height, **options)
-    out = np.zeros((scenes.num_worlds, height, width, 3), np.uint8)
+    out = np.zeros((scenes.num_envs, height, width, 3), np.uint8)
     renderer.render(scenes, out)
     return out
 
@@ -265,12 +265,12 @@ def random_rotation(rng):
     return q * np.sign(np.linalg.det(q))
 
 
-def random_scenes(seed, worlds=6, *, patterns=False, **more):
+def random_scenes(seed, envs=6, *, patterns=False, **more):
     """Rooms with walls, a patchwork floor with a hole, shelves, a fence and meshes."""
     rng = np.random.default_rng(seed)
-    scenes = Scenes(worlds, walls=10, flats=4, instances=5, tile_cells=12, shadows=6, **more)
+    scenes = Scenes(envs, walls=10, flats=4, instances=5, tile_cells=12, shadows=6, **more)
     corners = ((0, 0), (5, 0), (5, 4), (0, 4))
-    for world in range(worlds):
+    for world in range(envs):
         for k in range(4):
             repeat = ((1, 1), (0, 0), (1.5, 0), (0, 0.7))[k]
             ends = corners[k] + corners[(k + 1) % 4]

@@ -52,9 +52,9 @@ class Recall(ZipfVectorEnv):
     def _situations(self):
         return {"cue": self.cue.copy()}
 
-    def _get_worlds(self):
+    def _get_env_states(self):
         return {"cue": self.cue, "waited": self.waited}
 
-    def _set_worlds(self, state):
+    def _set_env_states(self, state):
         self.cue[:] = state["cue"]
         self.waited[:] = state["waited"]

@@ -59,9 +59,9 @@ class Renewal(ZipfVectorEnv):
     def _situations(self):
         return {"cue": self.cue.copy()}
 
-    def _get_worlds(self):
+    def _get_env_states(self):
         return {"cue": self.cue, "played": self.played}
 
-    def _set_worlds(self, state):
+    def _set_env_states(self, state):
         self.cue[:] = state["cue"]
         self.played[:] = state["played"]

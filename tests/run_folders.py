@@ -42,12 +42,12 @@ def level(
     episodes: Any = None,
     by_rank: Mapping[str, Sequence[float]] | None = None,
     normalised: bool = False,
-    **references: float,
+    **baselines: float,
 ) -> dict[str, Any]:
     """A level as `run.json` describes it; `references` other than chance are exact."""
-    known = {name: reference(score) for name, score in references.items()}
+    known = {name: baseline(score) for name, score in baselines.items()}
     if chance is not None:
-        known["chance"] = reference(chance, episodes, by_rank)
+        known["chance"] = baseline(chance, episodes, by_rank)
     return {
         "level_kind": kind,
         "level": name,
@@ -57,10 +57,10 @@ def level(
     }
 
 
-def reference(
+def baseline(
     score: float, episodes: Any = None, by_rank: Mapping[str, Sequence[float]] | None = None
 ) -> dict[str, Any]:
-    """A reference as `run.json` describes it."""
+    """A baseline as `run.json` describes it."""
     return {"score": score, "episodes": episodes, "by_rank": by_rank or {}}
 
 

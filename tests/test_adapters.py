@@ -19,11 +19,11 @@ from zipf.envs.gridworld.vector import GridworldVectorEnv
 
 LEVEL = "gridworld/zipf_2"
 SMALL: dict[str, Any] = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 12}
-WORLDS = 6
+ENVS = 6
 
 
 def batch(autoreset_mode: str = "SameStep", **options: Any) -> ZipfVectorEnv:
-    return make_vec(LEVEL, WORLDS, autoreset_mode=autoreset_mode, **{**SMALL, **options})
+    return make_vec(LEVEL, ENVS, autoreset_mode=autoreset_mode, **{**SMALL, **options})
 
 
 def episodes_of(env: ZipfVectorEnv, actions: NDArray[np.int64]) -> list[dict[str, Any]]:
@@ -40,7 +40,7 @@ def episodes_of(env: ZipfVectorEnv, actions: NDArray[np.int64]) -> list[dict[str
 
 @pytest.fixture
 def actions() -> NDArray[np.int64]:
-    return np.random.default_rng(0).integers(8, size=(80, WORLDS))
+    return np.random.default_rng(0).integers(8, size=(80, ENVS))
 
 
 # Stable-Baselines3
@@ -54,19 +54,19 @@ def sb3_env(env: ZipfVectorEnv) -> Any:
 
 
 def test_sb3_sees_what_the_batch_shows(actions):
-    env, reference = sb3_env(batch()), batch()
+    env, baseline = sb3_env(batch()), batch()
     env.seed(3)
-    given, (expected, info) = env.reset(), reference.reset(seed=3)
+    given, (expected, info) = env.reset(), baseline.reset(seed=3)
     for action in actions:
         np.testing.assert_array_equal(given["image"], expected["image"])
-        for i in range(WORLDS):
+        for i in range(ENVS):
             assert env.reset_infos[i] == {"map": info["map"][i], "target": info["target"][i]}
         given, rewards, dones, infos = env.step(action)
-        expected, reward, terminated, truncated, info = reference.step(action)
+        expected, reward, terminated, truncated, info = baseline.step(action)
         np.testing.assert_array_equal(rewards, reward)
         np.testing.assert_array_equal(dones, terminated | truncated)
         assert rewards.dtype == np.float32
-        for i in range(WORLDS):
+        for i in range(ENVS):
             if not dones[i]:
                 assert infos[i] == {}
                 continue
@@ -100,7 +100,7 @@ def test_sb3_statistics_are_those_of_its_own_monitor(actions):
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecCheckNan, VecMonitor
 
-    assert env.env_is_wrapped(Monitor) == [True] * WORLDS
+    assert env.env_is_wrapped(Monitor) == [True] * ENVS
     assert env.env_is_wrapped(VecMonitor, indices=[0, 2]) == [False] * 2
     with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
         monitored = VecMonitor(VecCheckNan(sb3_env(batch()), raise_exception=True))
@@ -125,7 +125,7 @@ def test_sb3_trains_on_a_batch():
 
     model = PPO("MultiInputPolicy", env, n_steps=16, batch_size=48, n_epochs=1, seed=0)
     before = [parameter.clone() for parameter in model.policy.parameters()]
-    model.learn(2 * 16 * WORLDS)
+    model.learn(2 * 16 * ENVS)
     assert any(
         not torch.equal(old, new)
         for old, new in zip(before, model.policy.parameters(), strict=True)
@@ -139,21 +139,21 @@ def test_sb3_forces_situations_and_draws_frames():
     env = sb3_env(batch(render_mode="rgb_array"))
     env.set_options({"map": 2})
     env.reset()
-    assert [info["map"] for info in env.reset_infos] == [2] * WORLDS
-    env.set_options([{"target": i % 5} for i in range(WORLDS)])
+    assert [info["map"] for info in env.reset_infos] == [2] * ENVS
+    env.set_options([{"target": i % 5} for i in range(ENVS)])
     env.reset()
     assert [info["target"] for info in env.reset_infos] == [0, 1, 2, 3, 4, 0]
-    env.set_options([{"target": 1}] + [{}] * (WORLDS - 1))
+    env.set_options([{"target": 1}] + [{}] * (ENVS - 1))
     with pytest.raises(ValueError, match="same ranks in every env"):
         env.reset()
     assert env.render().ndim == 3
-    assert len(env.get_images()) == WORLDS
-    assert sb3_env(batch()).get_images() == [None] * WORLDS
+    assert len(env.get_images()) == ENVS
+    assert sb3_env(batch()).get_images() == [None] * ENVS
 
 
 def test_sb3_asks_for_attributes():
     env = sb3_env(batch())
-    assert env.get_attr("num_envs", indices=[0, 1]) == [WORLDS] * 2
+    assert env.get_attr("num_envs", indices=[0, 1]) == [ENVS] * 2
     assert env.has_attr("situation")
     assert not env.has_attr("nothing")
     with pytest.raises(NotImplementedError, match="action_masks"):
@@ -188,9 +188,7 @@ class Quiet(GridworldVectorEnv):
 
 def mixture(autoreset_mode: str) -> Mixture:
     levels = {name: partial(make_vec, f"gridworld/{name}") for name in ("zipf_2", "uniform")}
-    return Mixture(
-        levels, WORLDS, draw="resets", exponent=1, autoreset_mode=autoreset_mode, **SMALL
-    )
+    return Mixture(levels, ENVS, draw="resets", exponent=1, autoreset_mode=autoreset_mode, **SMALL)
 
 
 def test_sb3_is_told_of_levels_that_are_drawn(actions):
@@ -208,14 +206,14 @@ class Told(GridworldVectorEnv):
 
 
 def test_sb3_is_told_texts_of_any_kind(actions):
-    env = sb3_env(Told(WORLDS, **SMALL))
+    env = sb3_env(Told(ENVS, **SMALL))
     env.reset()
     assert env.reset_infos[0]["words"] == "go"
     assert {info["words"] for action in actions for info in env.step(action)[3] if info} == {"go"}
 
 
 def test_sb3_hears_of_no_success_where_there_is_none(actions):
-    env = sb3_env(Quiet(WORLDS, **SMALL))
+    env = sb3_env(Quiet(ENVS, **SMALL))
     env.reset()
     ended = [info for action in actions for info in env.step(action)[3] if info]
     assert ended
@@ -239,14 +237,14 @@ def test_torchrl_accepts_the_specs():
 
 def test_torchrl_sees_what_the_batch_shows(actions):
     env = torchrl_env(batch("Disabled"))
-    state, reference = env.reset(seed=3), batch()
-    expected, info = reference.reset(seed=3)
+    state, baseline = env.reset(seed=3), batch()
+    expected, info = baseline.reset(seed=3)
     for action in actions:
         np.testing.assert_array_equal(state["image"], expected["image"])
         for name in ("map", "target"):
             np.testing.assert_array_equal(state[name].squeeze(-1), info[name])
         step, state = env.step_and_maybe_reset(state.set("action", torch.as_tensor(action)))
-        expected, reward, terminated, truncated, info = reference.step(action)
+        expected, reward, terminated, truncated, info = baseline.step(action)
         following = step["next"]
         np.testing.assert_array_equal(following["reward"].squeeze(-1), reward)
         np.testing.assert_array_equal(following["terminated"].squeeze(-1), terminated)
@@ -278,12 +276,12 @@ def test_torchrl_collects():
     from torchrl.collectors import Collector
 
     env = torchrl_env(batch("Disabled"))
-    collector = Collector(env, None, frames_per_batch=20 * WORLDS, total_frames=-1)
+    collector = Collector(env, None, frames_per_batch=20 * ENVS, total_frames=-1)
     collected = next(iter(collector))
-    assert collected.batch_size == (WORLDS, 20)
+    assert collected.batch_size == (ENVS, 20)
     following = collected["next"]
     assert (following["length"][following["done"]] > 0).all()
-    assert collected["action"].shape == (WORLDS, 20)
+    assert collected["action"].shape == (ENVS, 20)
     collector.shutdown()
 
 
@@ -297,7 +295,7 @@ def test_torchrl_is_told_of_levels_that_are_drawn():
 
 
 def test_torchrl_hears_of_no_success_where_there_is_none():
-    env = torchrl_env(Quiet(WORLDS, **SMALL, autoreset_mode="Disabled"))
+    env = torchrl_env(Quiet(ENVS, **SMALL, autoreset_mode="Disabled"))
     played = env.rollout(20, break_when_any_done=False)["next"]
     assert "success" not in played.keys()
     assert (played["length"][played["done"]] > 0).all()
@@ -318,9 +316,9 @@ def test_only_batches_are_adapted(adapter):
 def test_torchrl_has_one_entry_of_a_name(rank):
     makers = {str(i): partial(make_vec, LEVEL, **SMALL) for i in range(2)}
     options = {"draw": "resets", "exponent": 1, "autoreset_mode": "Disabled"}
-    torchrl_env(Mixture(makers, WORLDS, **options))
+    torchrl_env(Mixture(makers, ENVS, **options))
     with pytest.raises(ValueError, match=f"'{rank}' cannot be both an observation or a rank of"):
-        torchrl_env(Mixture(makers, WORLDS, rank=rank, **options))
+        torchrl_env(Mixture(makers, ENVS, rank=rank, **options))
 
 
 # Gymnasium's vector wrappers

@@ -24,7 +24,7 @@ from zipf.experiments.options.config_files import find
 from zipf.experiments.training.collector import Collector
 from zipf.options import Options
 
-ACTIONS, WORLDS, STEPS = 2, 4, 5
+ACTIONS, ENVS, STEPS = 2, 4, 5
 SPACE = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8))
 ACTION_SPACE = gym.spaces.Discrete(ACTIONS)
 NETWORK = compact()
@@ -35,14 +35,14 @@ def options_of(name):
     """An agent's options as shipped, small and at once ready to learn."""
     values = dict(find("agent", name).values)
     if name == "r2d2":
-        values |= {"burn_in": 2, "replay_min": WORLDS, "replay_capacity": 64, "storage": "ram"}
+        values |= {"burn_in": 2, "replay_min": ENVS, "replay_capacity": 64, "storage": "ram"}
     if name == "vmpo":
         values |= {"target_period": 1}
     return agents()[name].Options.model_validate(values)
 
 
 def build(name, seed=0, space=SPACE, actions=ACTION_SPACE, network=NETWORK, **changes):
-    batch = {"num_envs": WORLDS, "unroll_length": STEPS}
+    batch = {"num_envs": ENVS, "unroll_length": STEPS}
     spec = AgentSpec(space, actions, network, LSTM, seed=seed, **batch, **changes)
     made = agents()[name](options_of(name), spec)
     made.begin_learning()
@@ -56,12 +56,12 @@ class RandomLabels:
         self.rng = np.random.default_rng(0)
 
     def __call__(self):
-        return self.rng.integers(ACTIONS, size=WORLDS)
+        return self.rng.integers(ACTIONS, size=ENVS)
 
 
 def unrolls(made, count):
     """Unrolls that the agent, which does not learn meanwhile, collects."""
-    env = noise.Noise(WORLDS, made.spec.observation_space)
+    env = noise.Noise(ENVS, made.spec.observation_space)
     hooks = [Labels(RandomLabels(), 0.0)] if made.needs.teacher else []
     collector = Collector(env, made, unroll_length=STEPS, seed=0, hooks=hooks)
     for _ in range(count):
@@ -73,10 +73,10 @@ def unrolls(made, count):
 def answer(made, seed=0):
     """What `act` and `value` return for some frames, as a list of tensors."""
     generator = torch.Generator().manual_seed(seed)
-    image = torch.randint(256, (WORLDS, 9, 9, 3), generator=generator, dtype=torch.uint8)
-    first = torch.ones(WORLDS, dtype=torch.bool)
-    inputs = Inputs({"image": image}, torch.full((WORLDS,), -1), torch.zeros(WORLDS), first)
-    memory = made.initial_memory(WORLDS)
+    image = torch.randint(256, (ENVS, 9, 9, 3), generator=generator, dtype=torch.uint8)
+    first = torch.ones(ENVS, dtype=torch.bool)
+    inputs = Inputs({"image": image}, torch.full((ENVS,), -1), torch.zeros(ENVS), first)
+    memory = made.initial_memory(ENVS)
     action, after, extra = made.act(inputs, memory, generator, training=False)
     return [action, made.value(inputs, memory), *after.values(), *extra.values()]
 
@@ -105,7 +105,7 @@ def test_the_optimiser_has_the_values_of_the_options(name):
     if name == "r2d2":
         values["weight_decay"] = 0.3
     options = options_of(name).model_copy(update=values)
-    batch = {"num_envs": WORLDS, "unroll_length": STEPS}
+    batch = {"num_envs": ENVS, "unroll_length": STEPS}
     made = agents()[name](options, AgentSpec(SPACE, ACTION_SPACE, NETWORK, LSTM, **batch))
     (group,) = made.optimisers["optimiser"].param_groups
     assert group["lr"] == 0.02

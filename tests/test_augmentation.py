@@ -222,10 +222,10 @@ def test_the_collector_shows_and_acts_through_the_augmentation():
         expected = {"image": observation["image"].copy()}
         shown.observe(expected, everywhere(n))
         assert np.array_equal(unroll["observation", "image"][t].numpy(), expected["image"])
-        assert np.array_equal(unroll["label"][t].numpy(), shown.from_worlds(expert()))
+        assert np.array_equal(unroll["label"][t].numpy(), shown.from_envs(expert()))
         actions = unroll["action"][t].numpy()
-        assert np.array_equal(shown.from_worlds(shown.to_worlds(actions)), actions)
-        observation, reward, terminated, truncated, _ = twin.step(shown.to_worlds(actions))
+        assert np.array_equal(shown.from_envs(shown.to_envs(actions)), actions)
+        observation, reward, terminated, truncated, _ = twin.step(shown.to_envs(actions))
         assert np.array_equal(unroll["reward"][t].numpy(), reward)
         shown.begin(terminated | truncated)
     assert unroll["truncated"].any()

@@ -9,9 +9,9 @@ import pytest
 import torch
 import torch.nn.functional as F
 from conftest import metrics_of
+from envs_of import needs
 from networks import compact
 from tensordict import TensorDict
-from worlds_of import needs
 
 from zipf import envs
 from zipf.agents.agent import AgentSpec

@@ -1,4 +1,4 @@
-"""References: the scores of players that do not learn."""
+"""Baselines: the scores of policies that do not learn."""
 
 import json
 import sys
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from zipf import envs
-from zipf.envs import ReferenceScore, baselines, reference
+from zipf.envs import BaselineScore, baseline, baselines
 from zipf.envs.baselines import measured
 from zipf.envs.episodes import measure
 
@@ -31,12 +31,12 @@ def test_what_was_measured_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         {"score": 0.25, "error": 0.02, "episodes": 400, "options": {}},
         {"score": 0.1, "error": 0.01, "episodes": 300, "options": {"max_steps": 90}},
     ]
-    (package / "references.json").write_text(json.dumps({"chance": {"lift/easy": figures}}))
+    (package / "baselines.json").write_text(json.dumps({"chance": {"lift/easy": figures}}))
     chance = measured(package.name, "chance")
-    by_default = ReferenceScore(0.25, 400, error=0.02)
+    by_default = BaselineScore(0.25, 400, error=0.02)
     assert chance("lift/easy") == by_default
     assert chance("lift/easy", max_steps=900, order="usual") == by_default
-    assert chance("lift/easy", max_steps=90) == ReferenceScore(0.1, 300, error=0.01)
+    assert chance("lift/easy", max_steps=90) == BaselineScore(0.1, 300, error=0.01)
     assert chance("lift/easy", max_steps=90, order="other") is None
     assert measured(package.name, "expert")("lift/easy") is None
     assert chance("lift/easy", max_steps=10) is None
@@ -46,34 +46,34 @@ def test_what_was_measured_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_a_measured_reference_is_found_however_it_is_asked_for() -> None:
-    known = reference("generalist", "gridworld/zipf_2")
+    known = baseline("generalist", "gridworld/zipf_2")
     assert known is not None
-    assert reference("generalist", "gridworld/zipf_2.0") == known
-    assert reference("generalist", "gridworld/zipf_2", num_rooms=(3, 3)) == known
+    assert baseline("generalist", "gridworld/zipf_2.0") == known
+    assert baseline("generalist", "gridworld/zipf_2", num_rooms=(3, 3)) == known
     small = {"num_objects": 5}
-    expected = reference("generalist", "gridworld/rare", num_rooms=[2, 2], **small)
+    expected = baseline("generalist", "gridworld/rare", num_rooms=[2, 2], **small)
     assert expected is not None
-    assert expected != reference("generalist", "gridworld/rare")
-    assert reference("generalist", "gridworld/uniform_rare", num_rooms=(2, 2), **small) == expected
-    assert reference("generalist", "gridworld/zipf_2", num_rooms=(3, 4)) is None
+    assert expected != baseline("generalist", "gridworld/rare")
+    assert baseline("generalist", "gridworld/uniform_rare", num_rooms=(2, 2), **small) == expected
+    assert baseline("generalist", "gridworld/zipf_2", num_rooms=(3, 4)) is None
 
 
 def test_an_unknown_reference_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"unknown reference 'expart' \(did you mean 'expert'\?\)"):
-        reference("expart", "gridworld/uniform")
+    with pytest.raises(ValueError, match=r"unknown baseline 'expart' \(did you mean 'expert'\?\)"):
+        baseline("expart", "gridworld/uniform")
     family = envs.Family(
-        name="oracles", summary="", levels=("a",), make_vec="a:b", references={"oracle": "a:b"}
+        name="oracles", summary="", levels=("a",), make_vec="a:b", baselines={"oracle": "a:b"}
     )
-    with pytest.raises(ValueError, match="unknown reference 'oracle': expected one of chance, "):
+    with pytest.raises(ValueError, match="unknown baseline 'oracle': expected one of chance, "):
         envs.register(family)
     assert "oracles" not in envs.families()
 
 
 def test_every_reference_that_a_family_names_is_known_of_a_level() -> None:
     for family in envs.families().values():
-        for of in family.references:
+        for of in family.baselines:
             levels = (f"{family.name}/{level}" for level in family.levels)
-            assert any(reference(of, level) for level in levels), (family.name, of)
+            assert any(baseline(of, level) for level in levels), (family.name, of)
 
 
 # A blind policy
@@ -91,12 +91,12 @@ def test_what_a_blind_policy_scores() -> None:
         "playroom/supervised/find_shape_uniform_rare": 1 / 2 + 1 / 10 / 2,
     }
     for level, score in expected.items():
-        blind = reference("blind", level)
+        blind = baseline("blind", level)
         assert blind is not None
         assert blind.score == pytest.approx(score)
         assert blind.episodes is None
     zipf3 = np.arange(1, 51) ** -3.0 / (np.arange(1, 51) ** -3.0).sum()
-    coin = reference(
+    coin = baseline(
         "blind", "playroom/supervised/find_shape_zipf3", max_steps=100, image_size=(9, 9)
     )
     assert coin is not None
@@ -104,7 +104,7 @@ def test_what_a_blind_policy_scores() -> None:
     assert coin.score == pytest.approx(0.852, abs=5e-4)
     five = envs.SplitLevel("gridworld/uniform", options={"num_objects": 5})
     by_rank = {"map": (0.2,) * 20, "target": (1.0, 0.0, 0.0, 0.0, 0.0)}
-    assert reference("blind", five) == ReferenceScore(
+    assert baseline("blind", five) == BaselineScore(
         0.2, by_rank=by_rank, policy="expert of the most frequent target"
     )
 
@@ -125,19 +125,19 @@ def test_the_expert_without_the_instruction_scores_as_a_blind_policy(
     played = measure(
         BlindExpert, f"playroom/{level}", episodes=episodes, num_envs=episodes, image_size=(1, 1)
     )
-    blind = reference("blind", f"playroom/{level}")
+    blind = baseline("blind", f"playroom/{level}")
     assert blind is not None
     sigma = np.sqrt(blind.score * (1 - blind.score) / episodes)
     assert abs(played.score - blind.score) < 3 * sigma
 
 
 @pytest.mark.parametrize("name", sorted(envs.families()))
-@pytest.mark.parametrize("of", [one.name for one in envs.REFERENCES])
+@pytest.mark.parametrize("of", [one.name for one in envs.BASELINES])
 def test_what_is_known_by_rank_agrees_with_the_score(name: str, of: str) -> None:
     """Weighted by how often a rank is drawn, where all are drawn alike."""
     family = envs.find_family(name)
     for level in family.levels:
-        known = reference(of, f"{name}/{level}")
+        known = baseline(of, f"{name}/{level}")
         if known is None or "uniform" not in level:
             continue
         env = envs.make_vec(f"{name}/{level}", 1)

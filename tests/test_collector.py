@@ -26,7 +26,7 @@ from zipf.experiments.hooks.exploration import (
 from zipf.experiments.hooks.rewards import SoftAsymmetric, TimeLimitsEnd, soft_asymmetric
 from zipf.experiments.training.collector import Collector
 
-WORLDS, STEPS = 6, 9
+ENVS, STEPS = 6, 9
 SMALL = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5, "max_steps": 7}
 
 
@@ -34,13 +34,13 @@ def build(*overrides, exploration=None, seed=3):
     options = loading.load(
         [
             "experiment=demo",
-            f"collector.num_envs={WORLDS}",
+            f"collector.num_envs={ENVS}",
             f"collector.unroll_length={STEPS}",
             "environment.max_steps=7",
             *overrides,
         ]
     )
-    env = envs.make_vec("gridworld/zipf_2", WORLDS, **SMALL)
+    env = envs.make_vec("gridworld/zipf_2", ENVS, **SMALL)
     agent = build_agent(options, env)
     hooks = [] if exploration is None else [exploration]
     collector = Collector(env, agent, unroll_length=STEPS, seed=seed, hooks=hooks)
@@ -50,12 +50,12 @@ def build(*overrides, exploration=None, seed=3):
 @pytest.mark.parametrize("memory", ["lstm", "mlp"])
 def test_an_unroll_is_what_single_worlds_would_have_been(memory):
     agent, collector = build(f"memory={memory}")
-    singles = [envs.make("gridworld/zipf_2", **SMALL) for _ in range(WORLDS)]
+    singles = [envs.make("gridworld/zipf_2", **SMALL) for _ in range(ENVS)]
     first = [env.reset(seed=3 + i)[0]["image"] for i, env in enumerate(singles)]
-    action = np.full(WORLDS, -1)
-    reward = np.zeros(WORLDS)
-    is_first = np.ones(WORLDS, bool)
-    carried = agent.initial_memory(WORLDS)
+    action = np.full(ENVS, -1)
+    reward = np.zeros(ENVS)
+    is_first = np.ones(ENVS, bool)
+    carried = agent.initial_memory(ENVS)
     ends = {"terminated": 0, "truncated": 0}
     for _ in range(4):
         unroll = collector.collect()
@@ -114,8 +114,8 @@ def test_an_unroll_is_what_single_worlds_would_have_been(memory):
 def test_an_unroll_holds_the_observations_that_episodes_were_truncated_at(places):
     """The first of each env, for an agent that asks for them."""
     agent, collector = build("condition=r2d2", f"agent.final_observations={places}")
-    singles = [envs.make("gridworld/zipf_2", **{**SMALL, "max_steps": 3}) for _ in range(WORLDS)]
-    env = envs.make_vec("gridworld/zipf_2", WORLDS, **{**SMALL, "max_steps": 3})
+    singles = [envs.make("gridworld/zipf_2", **{**SMALL, "max_steps": 3}) for _ in range(ENVS)]
+    env = envs.make_vec("gridworld/zipf_2", ENVS, **{**SMALL, "max_steps": 3})
     collector = Collector(env, agent, unroll_length=STEPS, seed=3)
     for i, single in enumerate(singles):
         single.reset(seed=3 + i)
@@ -148,7 +148,7 @@ def test_a_time_limit_can_be_the_end_of_the_task():
     """Played from the same seeds: the same steps, and what was cut has terminated."""
     agent, apart = build()
     alike = Collector(
-        apart.env.__class__(WORLDS, **SMALL), agent, unroll_length=STEPS, seed=3,
+        apart.env.__class__(ENVS, **SMALL), agent, unroll_length=STEPS, seed=3,
         hooks=[TimeLimitsEnd()],
     )  # fmt: skip
     for _ in range(3):
@@ -173,7 +173,7 @@ def test_clipping_changes_what_is_learned_from_alone():
     """Played from the same seeds: the same steps, and the agent is told the true rewards."""
     agent, apart = build()
     alike = Collector(
-        apart.env.__class__(WORLDS, **SMALL), agent, unroll_length=STEPS, seed=3,
+        apart.env.__class__(ENVS, **SMALL), agent, unroll_length=STEPS, seed=3,
         hooks=[SoftAsymmetric()],
     )  # fmt: skip
     rewarded = False
@@ -193,9 +193,9 @@ RANDOM_R2D2 = ["condition=r2d2", "agent.epsilon=1", "agent.epsilon_ladder=false"
 
 @pytest.mark.parametrize("overrides", [["condition=impala"], RANDOM_R2D2], ids=lambda o: o[0])
 def test_clipping_does_not_change_what_the_agent_is_told_at_a_truncation(overrides):
-    sizes = f"collector.num_envs={WORLDS}", f"collector.unroll_length={STEPS}"
+    sizes = f"collector.num_envs={ENVS}", f"collector.unroll_length={STEPS}"
     options = loading.load(["experiment=demo", *sizes, *overrides])
-    env = Noise(WORLDS, gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)))
+    env = Noise(ENVS, gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)))
     agent = build_agent(options, env)
     apart, alike = (
         Collector(deepcopy(env), agent, unroll_length=STEPS, seed=3, hooks=hooks)
@@ -262,7 +262,7 @@ def test_the_bonus_is_of_the_observation_that_an_action_led_to():
     """Also where an episode ends: it is not of the first observation of the next."""
     bonus = Brightness()
     _, collector = build(exploration=bonus)
-    singles = [envs.make("gridworld/zipf_2", **SMALL) for _ in range(WORLDS)]
+    singles = [envs.make("gridworld/zipf_2", **SMALL) for _ in range(ENVS)]
     for i, env in enumerate(singles):
         env.reset(seed=3 + i)
     ended = 0
@@ -275,18 +275,18 @@ def test_the_bonus_is_of_the_observation_that_an_action_led_to():
                 if terminated or truncated:
                     ended += 1
                     env.reset()
-    assert bonus.paid == 2 * STEPS * WORLDS
-    assert bonus.begun == WORLDS + ended > WORLDS
+    assert bonus.paid == 2 * STEPS * ENVS
+    assert bonus.begun == ENVS + ended > ENVS
 
 
 def test_a_first_visit_bonus_begins_anew_with_every_episode():
     options = FirstVisitOptions(name="first_visit", scale=0.5)
     _, collector = build(exploration=FirstVisitBonus(options))
-    seen, ends = [set() for _ in range(WORLDS)], 0
+    seen, ends = [set() for _ in range(ENVS)], 0
     for _ in range(6):
         steps = collector.collect().steps
         for t in range(STEPS):
-            for i in range(WORLDS):
+            for i in range(ENVS):
                 ended = bool(steps["is_first"][t + 1, i])
                 image = np.asarray(steps["observation", "image"][t + 1, i]).tobytes()
                 if not ended:  # the last image of an episode is not in the unroll
@@ -301,7 +301,7 @@ def test_episodes_are_told_apart_by_level():
     """Against the ends of episodes that the unrolls show."""
     names = ["gridworld/zipf_2", "gridworld/rare"]
     agent, _ = build()
-    env = envs.make_vec(names, WORLDS, **SMALL)
+    env = envs.make_vec(names, ENVS, **SMALL)
     collector = Collector(env, agent, unroll_length=STEPS, seed=3)
     none_ended = collector.episode_metrics()
     assert list(none_ended) == ["episode_return", "episode_length"]
@@ -309,7 +309,7 @@ def test_episodes_are_told_apart_by_level():
     ends = {level: [] for level in names}
     for _ in range(3):
         steps = collector.collect().steps
-        for world, index in enumerate(env.levels_of_worlds):
+        for world, index in enumerate(env.levels_of_envs):
             over = steps["terminated"][:-1, world] | steps["truncated"][:-1, world]
             ends[names[index]] += steps["reward"][:-1, world][over].tolist()
     metrics = collector.episode_metrics()
@@ -328,8 +328,8 @@ class Silent(Noise):
 
     reports_success = False
 
-    def _set_worlds(self, state):
-        super()._set_worlds(state)
+    def _set_env_states(self, state):
+        super()._set_env_states(state)
         self._begin(np.arange(self.num_envs) == 0, None)
         self._restarted[0] = True
 
@@ -343,10 +343,10 @@ def test_levels_drawn_at_resets_are_told_apart_by_the_name_of_their_episode():
     agent, _ = build()
     names = ("common", "seldom")
     levels = {name: silent for name in names}
-    env = Mixture(levels, WORLDS, draw="resets", exponent=1.0, rank="task")
+    env = Mixture(levels, ENVS, draw="resets", exponent=1.0, rank="task")
     collector = Collector(env, agent, unroll_length=STEPS, seed=3)
     ends = {name: [] for name in names}
-    playing = env.levels_of_worlds.copy()
+    playing = env.levels_of_envs.copy()
     step = env.step
 
     def watched(*arguments, **options):
@@ -354,7 +354,7 @@ def test_levels_drawn_at_resets_are_told_apart_by_the_name_of_their_episode():
         results = step(*arguments, **options)
         for world in np.flatnonzero(results[2] | results[3]):
             ends[names[playing[world]]].append(results[4]["final_info"]["return"][world])
-        playing = env.levels_of_worlds.copy()
+        playing = env.levels_of_envs.copy()
         return results
 
     env.step = watched
@@ -373,15 +373,15 @@ def test_levels_drawn_at_resets_are_told_apart_by_the_name_of_their_episode():
 def test_an_episode_that_is_not_restored_begins():
     agent, _ = build()
     collector, other = (
-        Collector(silent(WORLDS), agent, unroll_length=STEPS - 1, seed=3, hooks=[Brightness()])
+        Collector(silent(ENVS), agent, unroll_length=STEPS - 1, seed=3, hooks=[Brightness()])
         for _ in range(2)
     )
     collector.collect()
     other.load_state_dict(deepcopy(collector.state_dict()))
-    assert other.hooks[-1].begun == WORLDS + 1
+    assert other.hooks[-1].begun == ENVS + 1
     row, expected = (one.collect().steps[0] for one in (other, collector))
     assert not expected["is_first"].any()
-    assert row["is_first"].tolist() == [True] + [False] * (WORLDS - 1)
+    assert row["is_first"].tolist() == [True] + [False] * (ENVS - 1)
     assert row["previous_action"][0] == -1
     assert row["previous_reward"][0] == 0
     for name in ("previous_action", "previous_reward"):
@@ -417,7 +417,7 @@ def test_worlds_that_are_not_restored_begin_an_episode(monkeypatch):
     collector.collect()
     state = deepcopy(collector.state_dict())
     assert not state["inputs"]["is_first"].all()
-    restarted = np.arange(WORLDS) % 2 == 0
+    restarted = np.arange(ENVS) % 2 == 0
     set_state = collector.env.set_state
     monkeypatch.setattr(collector.env, "set_state", lambda given: set_state(given) | restarted)
     collector.load_state_dict(state)

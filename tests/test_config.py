@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 from conftest import slow_but
-from worlds_of import chosen, kind_of_worlds, needs, pairs_once
+from envs_of import chosen, kind_of_worlds, needs, pairs_once
 
 import zipf.envs
 from zipf import envs

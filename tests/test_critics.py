@@ -13,7 +13,7 @@ from conftest import random_unroll
 from networks import compact
 from recall import Recall
 from test_impala import OPTIONS as IMPALA
-from test_r2d2 import BURN_IN, NETWORK, STEPS, WORLDS, h, random_memory, sequences, unrolls
+from test_r2d2 import BURN_IN, ENVS, NETWORK, STEPS, h, random_memory, sequences, unrolls
 from test_r2d2 import LEARNER as R2D2_LEARNER
 from test_r2d2 import OPTIONS as R2D2
 
@@ -215,8 +215,8 @@ def test_the_averse_and_the_seeking_value_mirror_each_other():
 # Agents
 
 
-def build(name, options, critic, worlds=WORLDS, network=NETWORK, memory=LSTM, spaces=SPACES):
-    spec = AgentSpec(*spaces, network, memory, critic=critic, num_envs=worlds, unroll_length=STEPS)
+def build(name, options, critic, envs=ENVS, network=NETWORK, memory=LSTM, spaces=SPACES):
+    spec = AgentSpec(*spaces, network, memory, critic=critic, num_envs=envs, unroll_length=STEPS)
     made = agents()[name](options, spec)
     made.begin_learning()
     return made
@@ -353,7 +353,7 @@ def test_r2d2_prefers_the_certain_or_the_varied_action_by_its_risk():
     )
     chosen = {}
     for risk in RISKS:
-        made = build("r2d2", R2D2, with_risk(QUANTILES, risk), worlds=1)
+        made = build("r2d2", R2D2, with_risk(QUANTILES, risk), envs=1)
         with torch.no_grad():
             for parameter in made.network.parameters():
                 parameter.zero_()
@@ -388,7 +388,7 @@ def test_agents_continue_bit_for_bit(name, critic):
     if name == "r2d2":
         data = list(unrolls(6))
     else:
-        data = [random_unroll(STEPS, WORLDS, ACTIONS, seed) for seed in range(6)]
+        data = [random_unroll(STEPS, ENVS, ACTIONS, seed) for seed in range(6)]
     for unroll in data[:4]:
         one.update(unroll)
     other.load_state_dict(deepcopy(one.state_dict()))

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 import torch
 from conftest import TINY, assert_equal, metrics_of
-from worlds_of import cheapest_pairs
+from envs_of import cheapest_pairs
 
 from zipf.agents import agents
 from zipf.experiments.building import checkpoint, loading

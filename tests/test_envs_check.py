@@ -9,7 +9,7 @@ from gridworld_rules import ByHand
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from zipf.envs import SingleWorld, ZipfVectorEnv, make, make_vec, pcg64
+from zipf.envs import SingleEnv, ZipfVectorEnv, make, make_vec, pcg64
 from zipf.envs.distributions import zipfian
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.envs.testing import check_vector_env
@@ -71,10 +71,10 @@ class Bandit(ZipfVectorEnv):
     def _situations(self) -> Any:
         return {"arm": self.arms.copy()}
 
-    def _get_worlds(self) -> Any:
+    def _get_env_states(self) -> Any:
         return {"arms": self.arms}
 
-    def _set_worlds(self, state: Any) -> None:
+    def _set_env_states(self, state: Any) -> None:
         self.arms[:] = state["arms"]
 
 
@@ -88,7 +88,7 @@ def test_any_dtype_may_be_shown(kind: Any) -> None:
     class Shown(Bandit):
         dtype = kind
 
-    check_vector_env(Shown, partial(SingleWorld, Shown), steps=60)
+    check_vector_env(Shown, partial(SingleEnv, Shown), steps=60)
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.uint8, np.bool_])
@@ -97,7 +97,7 @@ def test_observing_more_worlds_than_asked_is_caught(kind: Any) -> None:
         dtype = kind
 
     with pytest.raises(AssertionError, match=r"final_out.* of envs whose episode goes on"):
-        check_vector_env(Shown, partial(SingleWorld, Shown), steps=60)
+        check_vector_env(Shown, partial(SingleEnv, Shown), steps=60)
 
 
 class Speaking(Bandit):
@@ -136,7 +136,7 @@ class Boasting(Speaking):
 
 
 def test_what_a_family_tells_about_an_episode_is_checked() -> None:
-    check_vector_env(Speaking, partial(SingleWorld, Speaking), steps=60)
+    check_vector_env(Speaking, partial(SingleEnv, Speaking), steps=60)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_what_a_family_tells_about_an_episode_is_checked() -> None:
 )
 def test_telling_wrong_things_about_an_episode_is_caught(broken: Any, message: str) -> None:
     with pytest.raises(AssertionError, match=message):
-        check_vector_env(broken, partial(SingleWorld, broken), steps=60)
+        check_vector_env(broken, partial(SingleEnv, broken), steps=60)
 
 
 class SharedSeed(GridworldVectorEnv):
@@ -290,7 +290,7 @@ class SteppedWhenClosed(GridworldVectorEnv):
 
 class SharedState(GridworldVectorEnv):
     def get_state(self) -> Any:
-        return {**super().get_state(), "worlds": self._worlds}
+        return {**super().get_state(), "worlds": self._envs}
 
 
 class LengthOffByOne(GridworldVectorEnv):
@@ -363,9 +363,9 @@ class Succeeding(Endless):
 
 
 def test_a_family_may_report_no_success() -> None:
-    check_vector_env(Endless, partial(SingleWorld, Endless), steps=60)
+    check_vector_env(Endless, partial(SingleEnv, Endless), steps=60)
     with pytest.raises(AssertionError, match=r"final_info of env .* differs: keys"):
-        check_vector_env(Succeeding, partial(SingleWorld, Endless), steps=60)
+        check_vector_env(Succeeding, partial(SingleEnv, Endless), steps=60)
 
 
 @pytest.mark.parametrize("space", [spaces.Discrete(3, start=1), spaces.Box(-1, 1, (2,))])

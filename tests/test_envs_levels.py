@@ -13,11 +13,11 @@ from zipf.envs import (
     SplitLevel,
     ZipfVectorEnv,
     all_splits,
+    baseline,
     find_family,
     make,
     make_vec,
     measure_chance,
-    reference,
     split,
 )
 
@@ -68,7 +68,7 @@ def test_options_reach_the_environment() -> None:
     ],
 )
 @pytest.mark.parametrize(
-    "function", [make, lambda level: make_vec(level, 2), partial(reference, "chance")]
+    "function", [make, lambda level: make_vec(level, 2), partial(baseline, "chance")]
 )
 def test_unknown_levels_name_the_nearest(function: Any, level: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
@@ -114,7 +114,7 @@ def test_a_world_takes_little_memory_beside_its_observation() -> None:
         partial(make_vec, num_envs=2),
         lambda level, **options: make_vec([level, "gridworld/zipf_2"], 2, **options),
         measure_chance,
-        partial(reference, "chance"),
+        partial(baseline, "chance"),
     ],
 )
 def test_unknown_options_name_the_nearest(function: Any) -> None:
@@ -199,4 +199,4 @@ def test_references_are_not_known_of_worlds_that_are_none(
 ) -> None:
     (name,) = options
     with pytest.raises(ValueError, match=f"{name} must be"):
-        reference(player, "gridworld/rare", **options)
+        baseline(player, "gridworld/rare", **options)

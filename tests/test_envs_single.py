@@ -11,7 +11,7 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from zipf.envs import SingleWorld, make
+from zipf.envs import SingleEnv, make
 from zipf.envs.gridworld.gridworld_env import GridworldEnv
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.envs.testing import check_vector_env
@@ -19,8 +19,8 @@ from zipf.envs.testing import check_vector_env
 SMALL: dict[str, Any] = {"num_maps": 3, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 9}
 
 
-def small(**options: Any) -> SingleWorld:
-    return SingleWorld(GridworldVectorEnv, level="uniform", **SMALL, **options)
+def small(**options: Any) -> SingleEnv:
+    return SingleEnv(GridworldVectorEnv, level="uniform", **SMALL, **options)
 
 
 def test_it_equals_a_world_written_by_itself() -> None:
@@ -71,7 +71,7 @@ class Named(GridworldVectorEnv):
 
 
 def test_it_tells_what_the_batch_tells_about_an_episode() -> None:
-    env = SingleWorld(Named, level="uniform", **SMALL)
+    env = SingleEnv(Named, level="uniform", **SMALL)
     info = env.reset(seed=0, options={"target": 3})[1]
     assert type(info["name"]) is str
     assert info["name"] == info["words"] == "object 3"
@@ -99,7 +99,7 @@ def test_gymnasium_accepts_it() -> None:
 def test_gymnasium_makes_it() -> None:
     spec = gym.envs.registration.EnvSpec(
         "Small-v0",
-        entry_point=partial(SingleWorld, GridworldVectorEnv),
+        entry_point=partial(SingleEnv, GridworldVectorEnv),
         kwargs={"level": "zipf_1", **SMALL},
     )
     env = gym.make(spec)

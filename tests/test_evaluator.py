@@ -102,7 +102,7 @@ def test_an_evaluation_tells_how_far_it_is():
 
 def test_short_episodes_are_not_over_counted():
     """Random play on the small env scores what is known exactly, whatever the batch."""
-    chance = envs.reference("chance", "gridworld/uniform", **SMALL).score
+    chance = envs.baseline("chance", "gridworld/uniform", **SMALL).score
     for num_envs in (7, 1000):
         env = envs.make_vec("gridworld/uniform", num_envs, **SMALL)
         policy = Plays(random_policy(0))
@@ -362,10 +362,10 @@ class Tasks(ZipfVectorEnv):
     def _situations(self):
         return {"task": self.tasks.copy()}
 
-    def _get_worlds(self):
+    def _get_env_states(self):
         return {"tasks": self.tasks}
 
-    def _set_worlds(self, state):
+    def _set_env_states(self, state):
         self.tasks[:] = state["tasks"]
 
 

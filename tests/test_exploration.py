@@ -144,10 +144,10 @@ class Corridor(ZipfVectorEnv):
     def _situations(self):
         return {"nothing": np.zeros(self.num_envs, np.int64)}
 
-    def _get_worlds(self):
+    def _get_env_states(self):
         return {"place": self.place}
 
-    def _set_worlds(self, state):
+    def _set_env_states(self, state):
         self.place[:] = state["place"]
 
 

@@ -53,8 +53,8 @@ def test_a_record_is_a_run_that_the_report_reads(tmp_path):
         *("gridworld/zipf_2", "gridworld/uniform", "gridworld/rare"),
         *("gridworld/validation", "gridworld/fresh"),
     ]
-    assert description.levels[0].references["chance"].score == (
-        envs.reference("chance", "gridworld/zipf_2", **DEMO).score
+    assert description.levels[0].baselines["chance"].score == (
+        envs.baseline("chance", "gridworld/zipf_2", **DEMO).score
     )
     assert description.paper is None
     rows = run.evaluations.set_index("level_kind")
@@ -148,7 +148,7 @@ def test_chance_is_measured_once_on_request(tmp_path, monkeypatch):
     levels = json.loads((tmp_path / "known" / "run.json").read_text())["levels"]
     assert levels[0]["references"]["chance"]["episodes"] == 20
     assert levels[1]["references"]["chance"]["episodes"] is None
-    monkeypatch.delattr(envs, "reference")  # which is how chance is looked up
+    monkeypatch.delattr(envs, "baseline")  # which is how chance is looked up
     evaluate.record(policy, own, tmp_path / "known", frames=2, chance_episodes=20, **options)
     assert json.loads((tmp_path / "known" / "run.json").read_text())["levels"] == levels
 

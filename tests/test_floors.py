@@ -72,9 +72,9 @@ class AnyToyInReach(PlayroomVectorEnv):
 
     def _play(self, mask: NDArray[np.bool_], actions: NDArray[np.int64]) -> Any:
         reward, terminated, success = super()._play(mask, actions)
-        places, agents = self.worlds.objects[:, :, :2], self.worlds.agents[:, None, :2]
+        places, agents = self.envs.objects[:, :, :2], self.envs.agents[:, None, :2]
         near = np.linalg.norm(places - agents, axis=2) < APPROACH_DISTANCE
-        found = near & (self.worlds.ranks == self.worlds.ranks[:, :1])
+        found = near & (self.envs.ranks == self.envs.ranks[:, :1])
         success |= mask & found.any(axis=1)
         return np.where(success, 1.0, reward), terminated, success
 
@@ -82,7 +82,7 @@ class AnyToyInReach(PlayroomVectorEnv):
 @pytest.mark.slow
 @pytest.mark.parametrize(("make", "cheats"), [(AnyToyInReach, True), (PlayroomVectorEnv, False)])
 def test_the_search_finds_a_rule_that_can_be_cheated(make: Any, cheats: bool) -> None:
-    known = envs.reference("blind", f"playroom/{FIND}")
+    known = envs.baseline("blind", f"playroom/{FIND}")
     assert known is not None
     arena = floors.Arena(
         lambda num_envs, **options: make(num_envs, FIND, max_steps=20, **options),
@@ -105,7 +105,7 @@ def test_no_constant_action_beats_blind_in_finding() -> None:
     """Walking straight ahead once found the target nine times in ten."""
     for name in ("zipf3", "uniform", "uniform_rare", "validation"):
         level = f"playroom/supervised/find_shape_{name}"
-        known = envs.reference("blind", level)
+        known = envs.baseline("blind", level)
         assert known is not None
         arena = floors.Arena(level, rows=230, options={**SMALL, "max_steps": 15})
         every = [f"actions {one}" for one in range(arena.count)]
@@ -114,14 +114,14 @@ def test_no_constant_action_beats_blind_in_finding() -> None:
 
 
 def test_a_floor_is_the_higher_one_of_what_was_reasoned_and_found() -> None:
-    uniform, rare = (envs.reference("blind", f"gridworld/{one}") for one in ("uniform", "rare"))
+    uniform, rare = (envs.baseline("blind", f"gridworld/{one}") for one in ("uniform", "rare"))
     assert uniform is not None
     assert rare is not None
     assert (uniform.score, uniform.episodes) == (1 / 20, None)
     # The target that is frequent in training is never asked for; a sequence knows some maps.
     assert chance.blind("rare").score == 0.0
     assert rare.score == pytest.approx(0.1855, abs=0.03)
-    near = envs.reference("blind", "playroom/put/put_near_bed_tray_frequent")
+    near = envs.baseline("blind", "playroom/put/put_near_bed_tray_frequent")
     assert near is not None
     assert near.policy == "guessing expert"
     assert near.score == pytest.approx(1, abs=0.01)  # 1/6 by reasoning
@@ -142,7 +142,7 @@ EPISODES = {"gridworld": 300, "playroom": 48, "labyrinth": 24}
 def test_no_cheat_beats_the_floor_of_a_level(family: str, level: str) -> None:
     """Neither the recorded policy nor one that a short search finds now."""
     options = TASKS[family, level]
-    known = envs.reference("blind", f"{family}/{level}", **options)
+    known = envs.baseline("blind", f"{family}/{level}", **options)
     assert known is not None
     of_split = search_floors.split_level(family, level)
     # The margin is in units of the score, which in the labyrinth is a fraction of a human's.

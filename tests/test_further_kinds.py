@@ -62,12 +62,12 @@ def test_fresh_maps_are_those_of_other_seeds() -> None:
 
 
 def test_the_exact_references_of_fresh_maps_are_of_these() -> None:
-    chance = envs.reference("chance", "gridworld/fresh")
+    chance = envs.baseline("chance", "gridworld/fresh")
     played = envs.measure_chance("gridworld/fresh", episodes=4000, seed=3)
     assert chance is not None
     assert played.error is not None
     assert abs(chance.score - played.score) < 4 * played.error
-    expert = envs.reference("expert", "gridworld/fresh")
+    expert = envs.baseline("expert", "gridworld/fresh")
     assert expert is not None
     assert expert.score == pytest.approx(1)
 
@@ -178,7 +178,7 @@ def test_the_sweep_of_conditions_has_rare_situations_that_chance_finds() -> None
     rare = envs.make_vec("gridworld/rare", 200, **config.level_options)
     _, info = rare.reset(seed=0)
     assert len(set(zip(info["map"].tolist(), info["target"].tolist(), strict=True))) >= 4
-    chance = envs.reference("chance", "gridworld/rare", **config.level_options)
+    chance = envs.baseline("chance", "gridworld/rare", **config.level_options)
     assert chance is not None
     assert 0 < chance.score < 1
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from conftest import slow_but
 from numpy.typing import NDArray
-from playroom_worlds import arrange, playroom
+from playroom_envs import arrange, playroom
 
 from zipf import envs
-from zipf.envs.episodes import Player, play_episodes
+from zipf.envs.episodes import BoundPolicy, play_episodes
 from zipf.envs.gridworld import sprites
 from zipf.envs.gridworld.generalist import UNSEEN
 from zipf.envs.gridworld.generalist import Generalist as GridworldGeneralist
@@ -22,7 +22,7 @@ from zipf.envs.playroom.generalist import Generalist as PlayroomGeneralist
 from zipf.envs.playroom.in_view import look
 from zipf.envs.playroom.state import AX, YAW
 from zipf.envs.playroom.vector import PlayroomVectorEnv
-from zipf.envs.testing import check_player
+from zipf.envs.testing import check_policy
 
 PLAYERS = [
     (family.name, name)
@@ -38,7 +38,7 @@ PLAYERS = [
 def test_every_player_can_label_what_another_policy_does(family: str, name: envs.Scripted) -> None:
     level = f"{family}/{envs.find_family(family).levels[0]}"
     steps = 15 if family == "labyrinth" else 60  # saving its state takes long
-    check_player(partial(envs.scripted, name, level), partial(envs.make_vec, level), steps=steps)
+    check_policy(partial(envs.scripted, name, level), partial(envs.make_vec, level), steps=steps)
 
 
 def test_who_has_a_generalist() -> None:
@@ -88,9 +88,9 @@ class Bad:
 @pytest.mark.parametrize("wrong", ["asked again", "changed the state", "in 0 .. 7", "int64"])
 def test_the_check_of_players_finds_mistakes(wrong: str) -> None:
     make = partial(envs.make_vec, "gridworld/rare")
-    check_player(partial(Bad, wrong=""), make, steps=5)
+    check_policy(partial(Bad, wrong=""), make, steps=5)
     with pytest.raises(AssertionError, match=wrong):
-        check_player(partial(Bad, wrong=wrong), make, steps=5)
+        check_policy(partial(Bad, wrong=wrong), make, steps=5)
 
 
 # The gridworld.
@@ -100,7 +100,7 @@ def gridworld(num_envs: int, level: str = "uniform", **options: Any) -> Gridworl
     return GridworldVectorEnv(num_envs, level, observation="tiles", **options)
 
 
-def mean_return(env: envs.ZipfVectorEnv, player: Player, episodes: int, *, seed: int) -> float:
+def mean_return(env: envs.ZipfVectorEnv, player: BoundPolicy, episodes: int, *, seed: int) -> float:
     played = play_episodes(env, lambda *_: player(), episodes, seed=seed)
     return float(played["return"].mean())
 
@@ -141,7 +141,7 @@ def test_in_the_gridworld_it_knows_what_has_been_in_view() -> None:
     visits = np.zeros(player._known.shape, np.int64)
     begun = 0
     for _ in range(60):
-        for i, (row, column) in enumerate(env._worlds[:, 2:]):
+        for i, (row, column) in enumerate(env._envs[:, 2:]):
             view = np.where(tiles["tiles"][i] == sprites.AGENT, sprites.FLOOR, tiles["tiles"][i])
             seen = record[i, row : row + VIEW, column : column + VIEW]
             cued = seen[0, 0]
@@ -173,23 +173,23 @@ def test_in_the_gridworld_what_is_unseen_changes_nothing(memory: bool) -> None:
     differed = 0
     for t in range(40):
         labels = player()
-        goals = made.cells[env._worlds[:, 0], env._worlds[:, 1]] + PAD
+        goals = made.cells[env._envs[:, 0], env._envs[:, 1]] + PAD
         # A map for each env, so that what is unseen differs from env to env.
-        codes = made.codes[env._worlds[:, 0]].copy()
+        codes = made.codes[env._envs[:, 0]].copy()
         hidden = player._known == UNSEEN
         hidden[np.arange(n), goals[:, 0], goals[:, 1]] = False  # the cue is shown
         drawn = rng.choice(
             [sprites.FLOOR, sprites.WALL, sprites.FIRST_LOOK + 200], size=codes.shape
         )
         codes[hidden] = drawn[hidden]
-        cells = made.cells[env._worlds[:, 0]]
+        cells = made.cells[env._envs[:, 0]]
         maps = dataclasses.replace(made, num_maps=n, codes=codes, cells=cells)
         other.level = dataclasses.replace(other.level, maps=maps)
-        other._worlds[:] = env._worlds
-        other._worlds[:, 0] = np.arange(n)
+        other._envs[:] = env._envs
+        other._envs[:, 0] = np.arange(n)
         other._lengths[:], other._streams[:] = env._lengths, env._streams
         np.testing.assert_array_equal(pretender(), labels, f"step {t}")
-        differed += (codes != made.codes[env._worlds[:, 0]]).sum()
+        differed += (codes != made.codes[env._envs[:, 0]]).sum()
         env.step(labels)
     assert differed > 10_000
 
@@ -247,9 +247,9 @@ def test_playroom_scores(level: str) -> None:
 
 def seen(env: PlayroomVectorEnv) -> tuple[list[bool], list[bool]]:
     """Toys, and bed and tray in view of the first env, in an image of 4 x 3."""
-    items, supports = np.zeros((1, env.worlds.ranks.shape[1]), np.bool_), np.zeros((1, 2), np.bool_)
+    items, supports = np.zeros((1, env.envs.ranks.shape[1]), np.bool_), np.zeros((1, 2), np.bool_)
     wide = np.tan(np.radians(37.5))
-    look(env.worlds, wide, 0.75 * wide, items, supports)
+    look(env.envs, wide, 0.75 * wide, items, supports)
     return items[0].tolist(), supports[0].tolist()
 
 
@@ -325,30 +325,30 @@ def test_in_the_playroom_it_remembers_and_forgets() -> None:
     assert not seen(env)[0][0]
     assert label == actions.TURN_LEFT  # the short way back
     # It is moved, and its old place comes into view.
-    env.worlds.objects[0, 0, :2] = 0.3, -1.6
+    env.envs.objects[0, 0, :2] = 0.3, -1.6
     assert player()[0] == label
-    env.worlds.agents[0, YAW] = 0.0
+    env.envs.agents[0, YAW] = 0.0
     assert player()[0] == actions.TURN_RIGHT
     # A player that has not seen it searches.
-    env.worlds.agents[0, YAW] = np.pi / 2
+    env.envs.agents[0, YAW] = np.pi / 2
     assert PlayroomGeneralist(env)()[0] == actions.TURN_RIGHT
 
 
 def test_in_the_playroom_the_support_must_have_been_seen() -> None:
     env = playroom("put/put_on_bed_tray_all", image_size=(3, 4))
     arrange(env, (0.6, 0, 0, np.radians(-10)), {0: (1.2, 0, 0, 0.7)}, task="on bed")
-    env.worlds.hands[0] = 0
-    env.worlds.lifted[0, 0] = True
+    env.envs.hands[0] = 0
+    env.envs.lifted[0, 0] = True
     env._lengths[0] = 2  # in the midst of an episode
     assert seen(env)[1] == [False, False]
     player = PlayroomGeneralist(env)
     assert player()[0] == actions.GRAB + actions.TURN_RIGHT
     # After a look at the bed, it goes there.
-    env.worlds.agents[0, YAW] = np.pi
+    env.envs.agents[0, YAW] = np.pi
     player()
-    env.worlds.agents[0, YAW] = 0.0
+    env.envs.agents[0, YAW] = 0.0
     assert player._supports[0].tolist() == [True, False]
-    assert (player._furniture[0, 0] == env.worlds.furniture[0, 0]).all()
+    assert (player._furniture[0, 0] == env.envs.furniture[0, 0]).all()
     assert player()[0] in actions.GRAB + np.arange(actions.FORWARD, actions.LEFT + 1)
 
 
@@ -356,7 +356,7 @@ def test_in_the_playroom_it_looks_for_a_bed_that_it_bumps_into() -> None:
     env = playroom("put/put_on_bed_tray_all", image_size=(3, 4))
     for x, expected in ((-0.24, True), (-0.1, False)):  # the bed ends at -0.5
         arrange(env, (x, 0, 0, np.radians(-25)), {0: (1.2, 0)}, task="on bed")
-        assert env.worlds.agents[0, AX] == x
+        assert env.envs.agents[0, AX] == x
         assert bool(PlayroomGeneralist(env)()[0] == actions.TURN_RIGHT) is expected
 
 

@@ -43,12 +43,12 @@ def test_the_gridworlds_objects_are_achieved(observation):
 )
 def test_what_the_playrooms_expert_does_is_achieved(level):
     level = f"playroom/{level}"
-    players = {}
+    policies = {}
 
     def actions(env):
-        if "expert" not in players:
-            players["expert"] = envs.expert(level, env)
-        return players["expert"]()
+        if "expert" not in policies:
+            policies["expert"] = envs.expert(level, env)
+        return policies["expert"]()
 
     counts = checked(level, steps=150, actions=actions, options={"max_steps": 150})
     assert counts["achieved"] > 4
@@ -108,7 +108,7 @@ def test_a_relabelled_playroom_is_that_which_asks_for_the_other_toy():
     for seed in range(3):
         first, _ = one.reset(seed=seed)
         other.reset(seed=seed)
-        worlds = other.worlds
+        worlds = other.envs
         for part in (worlds.ranks, worlds.objects, worlds.orientation, worlds.colours):
             part[0, [0, 1]] = part[0, [1, 0]]
         other._furnish(0)
@@ -145,15 +145,15 @@ def test_what_is_lifted_is_named():
     env.report_achieved()
     _, info = env.reset(seed=0)
     for i in range(3):
-        env.worlds.hands[i] = i
-        env.worlds.lifted[i, i] = True
+        env.envs.hands[i] = i
+        env.envs.lifted[i, i] = True
     goals, has = env._achieved(np.array([True, True, False]))
     assert has.tolist() == [True, True, False]
     for i in range(2):
-        name = env.object_names[env.worlds.ranks[i, i]]
+        name = env.object_names[env.envs.ranks[i, i]]
         assert levels.VOCABULARY.decode(goals[i]) == f"lift a {name}"
     assert levels.VOCABULARY.decode(goals[0]) == info["instruction"][0]
-    env.worlds.lifted[:] = False
+    env.envs.lifted[:] = False
     assert not env._achieved(np.ones(3, np.bool_))[1].any()
 
 

@@ -189,7 +189,7 @@ def test_arguments_of_the_wrong_kind_or_size_are_refused_at_once(
 
 
 def test_chance_of_very_long_episodes_is_known_at_once() -> None:
-    long = zipf.envs.reference("chance", "gridworld/uniform", max_steps=10**9)
+    long = zipf.envs.baseline("chance", "gridworld/uniform", max_steps=10**9)
     assert long is not None
     assert long.score == pytest.approx(1 / 20)  # every episode ends at one of 20 objects
 

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chisquare
 
-from zipf.envs import distributions, make, make_vec, reference
+from zipf.envs import baseline, distributions, make, make_vec
 from zipf.envs.gridworld import expert, sprites
 from zipf.envs.gridworld.chance import destinations, random_policy
 from zipf.envs.gridworld.gridworld_env import GridworldEnv
@@ -273,7 +273,7 @@ def test_the_law_test_can_fail() -> None:
 def test_chance_is_known(level: str, success: float, timeout: float, length: float) -> None:
     p = distributions.by_name(level)(20)
     exact = random_policy(build_maps())
-    known = reference("chance", f"gridworld/{level}")
+    known = baseline("chance", f"gridworld/{level}")
     assert known is not None
     assert round(known.score, 4) == success
     assert known.episodes is None
@@ -329,7 +329,7 @@ def test_the_expert_scores_as_computed() -> None:
                 success[info["_success"]] = info["success"][info["_success"]]
                 env.reset(options={"reset_mask": info["_success"], "map": maps, "target": targets})
         np.testing.assert_array_equal(success.reshape(20, 20), exact)
-        known = reference("expert", "gridworld/uniform", max_steps=max_steps)
+        known = baseline("expert", "gridworld/uniform", max_steps=max_steps)
         assert known is not None
         assert known.score == pytest.approx(exact.mean())
         assert exact.all() == (max_steps == 100)
@@ -337,9 +337,9 @@ def test_the_expert_scores_as_computed() -> None:
 
 def test_chance_of_other_sizes() -> None:
     options = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5}
-    expected = reference("chance", "gridworld/uniform", **options)
+    expected = baseline("chance", "gridworld/uniform", **options)
     other_looks = {"observation": "tiles", "copy": False}
-    assert expected == reference("chance", "gridworld/uniform", **options, **other_looks)
+    assert expected == baseline("chance", "gridworld/uniform", **options, **other_looks)
     exact = random_policy(build_maps(5, (2, 2), (3, 3), 5))
     assert expected is not None
     assert expected.score == pytest.approx(exact.success.mean())

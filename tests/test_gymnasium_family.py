@@ -131,16 +131,16 @@ def test_worlds_keep_the_contract() -> None:
 
 def test_chance_is_known_once_it_is_measured() -> None:
     zipf.envs.register(over())
-    assert zipf.envs.reference("chance", "goal/zipf_1") is None
+    assert zipf.envs.baseline("chance", "goal/zipf_1") is None
     measured = measure_chance("goal/zipf_1", episodes=4000)
     assert measured.episodes == 4000
     assert measured.score == pytest.approx(1 - 0.9**3, abs=0.02)
     assert measure_chance("goal/zipf_1", episodes=4000) == measured
     assert measure_chance("goal/zipf_1", episodes=4000, seed=1) != measured
     zipf.envs.register(over(name="other", chance={"zipf_1": measured}))
-    assert zipf.envs.reference("chance", "other/zipf_1") == measured
-    assert zipf.envs.reference("chance", "other/zipf_1.0") == measured
-    assert zipf.envs.reference("chance", "other/uniform") is None
+    assert zipf.envs.baseline("chance", "other/zipf_1") == measured
+    assert zipf.envs.baseline("chance", "other/zipf_1.0") == measured
+    assert zipf.envs.baseline("chance", "other/uniform") is None
 
 
 class Coin(Goal):
@@ -208,7 +208,7 @@ def test_chance_counts_episodes_as_they_start() -> None:
         ({"ids": IDS, "chance": {"unifrom": 0.1}}, "unknown level 'unifrom'"),
         ({"ids": IDS, "chance": {3: 0.1}}, "a level must be a name such as 'zipf_2', got 3"),
         ({"ids": IDS, "chance": {"zipf_1.0": 0.1}}, "'zipf_1.0': expected its usual name 'zipf_1'"),
-        ({"ids": IDS, "chance": {"rare": 0.1}}, "chance of 'rare' must be a ReferenceScore, got 0"),
+        ({"ids": IDS, "chance": {"rare": 0.1}}, "chance of 'rare' must be a BaselineScore, got 0"),
         ({"ids": IDS, "code": {}}, r"unknown arguments \['code'\]: expected some of wrap, codes,"),
         ({"ids": ["A-v0", "B-v0", "C-v0", "D-v0", "E-v0"]}, "nothing in common.*: give name="),
     ],
@@ -231,7 +231,7 @@ def test_what_is_no_family_is_refused(arguments: Any, message: str) -> None:
             {"make_vec": "goals.make"},
             "make_vec of a family must be .* 'module:attribute', got 'goa",
         ),
-        ({"references": {"chance": "a"}}, "chance of a family must be an object or 'module:attrib"),
+        ({"baselines": {"chance": "a"}}, "chance of a family must be an object or 'module:attrib"),
     ],
 )
 def test_a_family_is_registered_as_a_whole(wrong: Any, message: str) -> None:

@@ -13,7 +13,7 @@ import pytest
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from zipf.envs import GymnasiumVectorEnv, Mixture, SingleWorld
+from zipf.envs import GymnasiumVectorEnv, Mixture, SingleEnv
 from zipf.envs.gymnasium import replayed, vector
 from zipf.envs.testing import check_vector_env
 
@@ -89,8 +89,8 @@ def everything(num_envs: int = 3, **options: Any) -> GymnasiumVectorEnv:
     return GymnasiumVectorEnv(num_envs, "Everything-v0", **options)
 
 
-def single(make: Callable[..., Any]) -> Callable[[], SingleWorld]:
-    return partial(SingleWorld, lambda n, **options: make(n, **options))
+def single(make: Callable[..., Any]) -> Callable[[], SingleEnv]:
+    return partial(SingleEnv, lambda n, **options: make(n, **options))
 
 
 def test_every_kind_of_observation_keeps_the_contract() -> None:

@@ -38,7 +38,7 @@ from zipf.experiments.hooks.relabelling import RELABELLINGS, Hindsight
 from zipf.experiments.training import runner
 from zipf.experiments.training.collector import Collector
 
-WORLDS, STEPS = 12, 9
+ENVS, STEPS = 12, 9
 OPTIONS = AchievedOptions(
     name="achieved",
     episodes=1000,
@@ -60,7 +60,7 @@ def impala_of(env):
 
 def collector_of(options=OPTIONS, seed=0, observation="tiles", augmentation=None):
     worlds = {"observation": observation, "max_steps": 80}
-    env = envs.make_vec(LEVEL, WORLDS, **worlds)
+    env = envs.make_vec(LEVEL, ENVS, **worlds)
     goal = envs.goal(LEVEL, env)
     hook = RELABELLINGS.build(options, goal, env, seed=seed, augmentation=augmentation)
     return Collector(
@@ -94,16 +94,16 @@ def test_relabelled_episodes_are_those_that_ask_for_what_was_touched(observation
     """Exactly, in envs in which that object is the target. Episodes span unrolls."""
     monkeypatch.setattr(relabelling, "_FIRST_ROWS", 8)
     collector = collector_of(observation=observation)
-    twin = envs.make_vec(LEVEL, WORLDS, observation=observation, max_steps=80)
+    twin = envs.make_vec(LEVEL, ENVS, observation=observation, max_steps=80)
     _, info = twin.reset(seed=0)
-    running = [[] for _ in range(WORLDS)]
+    running = [[] for _ in range(ENVS)]
     longest = relabelled = 0
     for _ in range(10):
         unroll, expected = collector.collect(), []
         for t in range(STEPS):
             actions = unroll.steps["action"][t].numpy()
             map_of = info["map"].copy()
-            for i in range(WORLDS):
+            for i in range(ENVS):
                 running[i].append(int(actions[i]))
             _, reward, terminated, truncated, info = twin.step(actions)
             for i in np.flatnonzero(terminated | truncated):
@@ -217,14 +217,14 @@ def test_the_last_episodes_of_each_goal_are_kept_and_goals_are_drawn_alike():
 def test_kept_episodes_are_the_worlds_own_and_are_augmented_when_drawn():
     """What is kept is what an env shows that has the goal, under the kept actions; what is drawn
     is that under one of the symmetries, with the actions that belong to it."""
-    env = envs.make_vec(LEVEL, WORLDS, observation="tiles", max_steps=80)
+    env = envs.make_vec(LEVEL, ENVS, observation="tiles", max_steps=80)
     symmetries = envs.symmetries(envs.split("gridworld"), env)
     augmentation = Augmentation(
         RandomAugmentationOptions(
             name="random", symmetries=True, channels=False, shift=0, cutout=0
         ),
         env.single_observation_space,
-        WORLDS,
+        ENVS,
         seed=3,
         symmetries=symmetries,
     )
@@ -273,7 +273,7 @@ def test_kept_episodes_are_the_worlds_own_and_are_augmented_when_drawn():
 
 def test_with_a_teacher_every_episode_is_kept_with_its_labels_for_what_it_was_asked_for():
     """Those that achieved another goal are kept for that, too, with the actions taken."""
-    env = envs.make_vec(LEVEL, WORLDS, observation="tiles", max_steps=20)
+    env = envs.make_vec(LEVEL, ENVS, observation="tiles", max_steps=20)
     agent = impala_of(env)
     goal = envs.goal(LEVEL, env)
     labels = Labels(Teacher("expert", envs.split("gridworld"), env), 0.3)
@@ -284,12 +284,12 @@ def test_with_a_teacher_every_episode_is_kept_with_its_labels_for_what_it_was_as
     collector.hooks[-1]._memory.add = lambda key, episode: kept[bool(key[-1])].append(
         (key[:-1], episode)
     )
-    asked, mistaken, running = [], [], [[] for _ in range(WORLDS)]
+    asked, mistaken, running = [], [], [[] for _ in range(ENVS)]
     for _ in range(10):
         steps = collector.collect().steps
         goals = [goal.read({n: p.numpy() for n, p in row.items()}) for row in steps["observation"]]
         for t in range(STEPS):
-            for i in range(WORLDS):
+            for i in range(ENVS):
                 running[i].append((steps["action"][t, i].item(), steps["label"][t, i].item()))
                 if steps["is_first"][t + 1, i]:
                     asked.append((goals[t][i], running[i]))
@@ -311,7 +311,7 @@ def test_with_a_teacher_every_episode_is_kept_with_its_labels_for_what_it_was_as
 
 def test_with_a_teacher_a_matcher_learns_from_what_was_achieved_alone():
     """Episodes that failed at what they were asked for are kept, and say so."""
-    env = envs.make_vec(LEVEL, WORLDS, observation="tiles", max_steps=20)
+    env = envs.make_vec(LEVEL, ENVS, observation="tiles", max_steps=20)
     agent = impala_of(env)
     labels = Labels(Teacher("expert", envs.split("gridworld"), env), 0.5)
     changes = {"kept_per_goal": 50, "matching_cost": 1.0, "episodes": 60}
@@ -693,7 +693,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(overrides, tmp_path):
 def rare_success(relabelling, seed, updates=120):
     """In the tiny gridworld: how often the rarest of three objects is reached, after IMPALA."""
     level = "gridworld/zipf_2"
-    env = envs.make_vec(level, 32, **tiny_gridworld.WORLDS)
+    env = envs.make_vec(level, 32, **tiny_gridworld.ENVS)
     spaces = env.single_observation_space, env.single_action_space
     memory = MLPOptions(name="mlp", size=32, layers=1)
     options = IMPALA.model_copy(
@@ -706,7 +706,7 @@ def rare_success(relabelling, seed, updates=120):
     collector = Collector(env, agent, unroll_length=8, seed=seed, hooks=hooks)
     for _ in range(updates):
         agent.update(collector.collect())
-    test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.WORLDS)
+    test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.ENVS)
     played = play(AgentPolicy(agent, seed=1, device="cpu"), test, episodes=300, seed=2)
     return played["success"][played["target"] == 2].mean()
 

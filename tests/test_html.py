@@ -167,7 +167,7 @@ def test_every_table_is_there_with_all_its_numbers(written: tuple[Path, str]) ->
     shown = Page(text).cells
     for table in tables.score_tables(results.load_runs([root])):
         for grid in (grids.main_grid(table), *grids.lower_grids(table)):
-            for line in (*grid.lines, *grid.references):
+            for line in (*grid.lines, *grid.baselines):
                 assert grid.cells(line) in shown
     assert shown[0][:4] == ["Condition", "Seeds", "Train (Zipfian)", "paper"]
     assert shown[1][:3] == ["IMPALA", "2/3", "0.45 ± 0.05"]

@@ -124,13 +124,13 @@ def test_it_learns_what_its_teacher_does():
         memory = MLPOptions(name="mlp", size=32, layers=1)
         return build(observation_space, action_space, memory, learning_rate=3e-3)
 
-    env = envs.make_vec("gridworld/uniform", 64, **tiny_gridworld.WORLDS)
+    env = envs.make_vec("gridworld/uniform", 64, **tiny_gridworld.ENVS)
     agent = learner(env.single_observation_space, env.single_action_space)
     teacher = Teacher("expert", envs.split("gridworld"), env)
     collector = Collector(env, agent, unroll_length=8, seed=0, hooks=[Labels(teacher, 0.0)])
     for _ in range(100):
         agent.update(collector.collect())
-    test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.WORLDS)
+    test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.ENVS)
     played = play(AgentPolicy(agent, seed=1, device="cpu"), test, episodes=500, seed=2)
     assert played["success"].mean() > 0.8  # chance is a third
 
@@ -171,7 +171,7 @@ def test_one_player_labels_all_levels_with_an_engine():
     env.reset(seed=0)
     for _ in range(12):
         answers = [player() for player in own]
-        assert teacher().tolist() == [answers[k][i] for i, k in enumerate(env.levels_of_worlds)]
+        assert teacher().tolist() == [answers[k][i] for i, k in enumerate(env.levels_of_envs)]
         env.step(rng.integers(int(env.single_action_space.n), size=6))
 
 

@@ -32,8 +32,8 @@ METRICS = (
 def run(root: Path, seed: int = 0, **described: object) -> Path:
     """A finished run, whose `metrics.csv` is of the older form."""
     rows = (f"{SITUATIONS},visits", "300,rare,1,1,10,2,2.0,7", "0,rare,1,1,10,0,0.0,0")
-    references = {"rare": level("rare", "gridworld/rare", by_rank={"map": [0.25, 0.5]}, chance=0.3)}
-    levels = [references.get(one["level_kind"], one) for one in gridworld()]
+    baselines = {"rare": level("rare", "gridworld/rare", by_rank={"map": [0.25, 0.5]}, chance=0.3)}
+    levels = [baselines.get(one["level_kind"], one) for one in gridworld()]
     folder = write_run(
         root, constant(0.5), seed=seed, situations=rows, levels=levels, resumed=[], **described
     )

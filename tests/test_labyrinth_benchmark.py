@@ -77,17 +77,17 @@ def test_splits() -> None:
 
 @pytest.mark.parametrize("of", ["chance", "generalist", "expert"])
 def test_references_are_the_tasks_mean(of: str) -> None:
-    every = [envs.reference(of, f"labyrinth/{name}") for name in LEVELS]
+    every = [envs.baseline(of, f"labyrinth/{name}") for name in LEVELS]
     scores = [one.score for one in every if one is not None]
     errors = np.array([one.error for one in every if one is not None])
     for name, order in (("labyrinth/forward_zipf", 1), ("labyrinth/reversed_zipf", -1)):
         p = envs.distributions.zipfian(len(LEVELS), 1)
-        found = envs.reference(of, name)
+        found = envs.baseline(of, name)
         assert found is not None
         assert found.score == pytest.approx(p @ scores[::order])
         assert found.by_rank == {"level": tuple(scores[::order])}
         assert found.error == pytest.approx(np.sqrt((p**2) @ (errors[::order] ** 2)))
-    assert envs.reference(of, "labyrinth/uniform", num_actions=9) is None
+    assert envs.baseline(of, "labyrinth/uniform", num_actions=9) is None
 
 
 @pytest.mark.parametrize("of", envs.SCRIPTED)

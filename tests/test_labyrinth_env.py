@@ -90,7 +90,7 @@ def test_episodes_are_saved_restored_and_pickled(level: str) -> None:
     observed = env.observations()
     for one in (other, pickled):
         np.testing.assert_equal(one.observations(), observed)
-        np.testing.assert_equal(one.worlds.bodies, env.worlds.bodies)
+        np.testing.assert_equal(one.envs.bodies, env.envs.bodies)
     for _ in range(40):
         actions = rng.integers(15, size=4)
         expected = env.step(actions)
@@ -102,14 +102,14 @@ def test_worlds_that_are_not_reset_go_on() -> None:
     env = batch("explore_goal_locations_small", 4, **SMALL, autoreset_mode="Disabled")
     env.reset(seed=0)
     env.step(np.zeros(4, np.int64))
-    before = env.worlds.bodies.copy()
-    clock = env.worlds.clock.copy()
+    before = env.envs.bodies.copy()
+    clock = env.envs.clock.copy()
     mask = np.array([False, True, False, True])
     env.reset(options={"reset_mask": mask})
-    assert (env.worlds.bodies[~mask] == before[~mask]).all()
-    assert (env.worlds.clock[~mask] == clock[~mask]).all()
-    assert (env.worlds.clock[mask] == 0).all()
-    assert (env.worlds.bodies[mask] != before[mask]).any(1).all()
+    assert (env.envs.bodies[~mask] == before[~mask]).all()
+    assert (env.envs.clock[~mask] == clock[~mask]).all()
+    assert (env.envs.clock[mask] == 0).all()
+    assert (env.envs.bodies[mask] != before[mask]).any(1).all()
 
 
 def test_ten_thousand_random_steps_of_all_levels() -> None:
@@ -119,15 +119,15 @@ def test_ten_thousand_random_steps_of_all_levels() -> None:
     assert isinstance(engine, LabyrinthVectorEnv)
     # Late in their episodes, so that many end and other levels begin.
     rng = np.random.default_rng(0)
-    levels, total = set(env.levels_of_worlds.tolist()), 0.0
+    levels, total = set(env.levels_of_envs.tolist()), 0.0
     for t in range(280):
         if t % 20 == 0:
-            engine.worlds.clock[:] = np.maximum(engine.worlds.clock, engine.worlds.limit - 130)
+            engine.envs.clock[:] = np.maximum(engine.envs.clock, engine.envs.limit - 130)
         observation, reward, *_ = env.step(rng.integers(15, size=36))
         assert np.isfinite(reward).all()
-        assert np.isfinite(engine.worlds.bodies).all()
+        assert np.isfinite(engine.envs.bodies).all()
         assert observation["image"].shape == (36, 9, 12, 3)
-        levels |= set(env.levels_of_worlds.tolist())
+        levels |= set(env.levels_of_envs.tolist())
         total += float(reward.sum())
     assert levels == set(range(len(LEVELS)))
     assert total > 0
@@ -136,11 +136,11 @@ def test_ten_thousand_random_steps_of_all_levels() -> None:
 def test_a_mixture_of_all_levels_steps_as_one() -> None:
     env = mixture(8)
     assert set(env._engine_of.tolist()) == {0}
-    assert all(one.worlds is env.batches[0].worlds for one in env.batches)
+    assert all(one.envs is env.batches[0].envs for one in env.batches)
     assert [one.level.name for one in env.batches] == list(LEVELS)
     env.reset(seed=0)
     # Each env is as in a batch of its own level: the level is drawn before the episode.
-    for i, level in enumerate(env.levels_of_worlds.tolist()):
+    for i, level in enumerate(env.levels_of_envs.tolist()):
         assert env.batches[0].episodes[i].__class__ is LEVELS[list(LEVELS)[level]].load()
 
 
@@ -206,13 +206,13 @@ def test_damaged_states_are_refused(key: str, value: float) -> None:
     env.reset(seed=0)
     env.step(np.zeros(2, np.int64))
     before = env.get_state()
-    bodies = env.worlds.bodies.copy()
+    bodies = env.envs.bodies.copy()
     damaged = {name: array.copy() for name, array in before.items()}
     damaged[key].reshape(-1)[0] = value
     with pytest.raises(ValueError, match="damaged"):
         env.set_state(damaged)
     np.testing.assert_equal(env.get_state(), before)
-    assert (env.worlds.bodies == bodies).all()
+    assert (env.envs.bodies == bodies).all()
 
 
 def test_it_is_registered_with_gymnasium() -> None:
@@ -302,9 +302,9 @@ def test_worlds_of_several_engines_are_drawn() -> None:
 def test_the_map_shows_where_the_player_is() -> None:
     env = batch("explore_goal_locations_small", 1, render_mode="rgb_array")
     env.reset(seed=0)
-    page = topdown._Page(topdown._bounds(env.worlds, env._scenery, 0))
+    page = topdown._Page(topdown._bounds(env.envs, env._scenery, 0))
     for _ in range(3):
-        x, y = env.worlds.bodies[0, :2].tolist()
+        x, y = env.envs.bodies[0, :2].tolist()
         left, top = page.at(x, y)
         column, row = round(left / 2), round(top / 2)
         frames = env.render()

@@ -9,7 +9,7 @@ import pytest
 from conftest import slow_but
 from labyrinth_levels import REWARDS, batch, play_out, record_rewards
 
-from zipf.envs import expert, reference
+from zipf.envs import baseline, expert
 from zipf.envs.labyrinth.expert import Expert
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.labyrinth.steering import BACKWARD, NAMES, WAIT
@@ -133,13 +133,13 @@ def test_the_expert_needs_fifteen_actions() -> None:
         expert("labyrinth/rooms_watermaze", batch("rooms_watermaze", 1, num_actions=9))
 
 
-# References.
+# Baselines.
 
 
 def test_every_level_was_measured() -> None:
     for name, level in LEVELS.items():
         chance, generalist, expert = (
-            reference(of, f"labyrinth/{name}") for of in ("chance", "generalist", "expert")
+            baseline(of, f"labyrinth/{name}") for of in ("chance", "generalist", "expert")
         )
         assert chance is not None
         assert generalist is not None
@@ -161,14 +161,14 @@ def test_every_level_was_measured() -> None:
 
 
 def test_references_are_known_for_what_was_measured() -> None:
-    expected = reference("chance", "labyrinth/rooms_watermaze")
+    expected = baseline("chance", "labyrinth/rooms_watermaze")
     assert expected is not None
     for options in ({"image_size": (5, 5)}, {"num_actions": 15, "action_repeat": 4}):
-        assert reference("chance", "labyrinth/rooms_watermaze", **options) == expected
+        assert baseline("chance", "labyrinth/rooms_watermaze", **options) == expected
     for other in ({"num_actions": 9}, {"action_repeat": 1}):
-        assert reference("chance", "labyrinth/rooms_watermaze", **other) is None
-    hard = reference("expert", "labyrinth/skymaze_irreversible_path_hard_v2")
-    assert hard == reference("expert", "labyrinth/skymaze_irreversible_path_hard")
+        assert baseline("chance", "labyrinth/rooms_watermaze", **other) is None
+    hard = baseline("expert", "labyrinth/skymaze_irreversible_path_hard_v2")
+    assert hard == baseline("expert", "labyrinth/skymaze_irreversible_path_hard")
 
 
 def test_the_references_come_from_one_command(
@@ -176,14 +176,14 @@ def test_the_references_come_from_one_command(
 ) -> None:
     scripts = Path(__file__).parent.parent / "scripts"
     monkeypatch.syspath_prepend(str(scripts))
-    import measure_references
+    import measure_baselines
 
-    path, page = tmp_path / "references.json", tmp_path / "page.md"
+    path, page = tmp_path / "baselines.json", tmp_path / "page.md"
     files = ["--out", str(path), "--page", str(page)]
     level = "rooms_select_nonmatching_object"
     path.write_text(json.dumps({"expert": {level: [{"score": 1, "options": {}}]}}))
     for _ in range(2):  # renewed, and the same again
-        measure_references.main(["labyrinth", level, "--episodes", "2", *files])
+        measure_baselines.main(["labyrinth", level, "--episodes", "2", *files])
         written = json.loads(path.read_text())
         assert list(written) == ["chance", "generalist", "expert"]
         for of in written:
@@ -197,12 +197,12 @@ def test_the_references_come_from_one_command(
         rf"\n\| {level} \| 0.312 \| 65.9 \| .* \| 2 \|.* \| 2 \| 67.00 ± 0.00 \| 2 \|",
         page.read_text(),
     )
-    assert "measure_references.py labyrinth --episodes 2\n" in page.read_text()
+    assert "measure_baselines.py labyrinth --episodes 2\n" in page.read_text()
     assert f"expert, {level} {{}}: 67.0 +- 0.0" in capsys.readouterr().out
     path.write_text(json.dumps(written | {"chance": {level: written["chance"][level][1:]}}))
-    measure_references.main(["labyrinth", level, "--episodes", "2", "--missing", *files])
+    measure_baselines.main(["labyrinth", level, "--episodes", "2", "--missing", *files])
     assert capsys.readouterr().out.count(level) == 1
-    for wrong in (["--episodes", "1"], ["rooms_water"], ["--references", "blind"]):
+    for wrong in (["--episodes", "1"], ["rooms_water"], ["--baselines", "blind"]):
         with pytest.raises(SystemExit):
-            measure_references.main(["labyrinth", *wrong, *files])
-    assert measure_references.measurable("gridworld") == ["generalist"]  # the others are exact
+            measure_baselines.main(["labyrinth", *wrong, *files])
+    assert measure_baselines.measurable("gridworld") == ["generalist"]  # the others are exact

@@ -13,7 +13,7 @@ from zipf.envs.labyrinth import in_view
 from zipf.envs.labyrinth.generalist import Generalist
 from zipf.envs.labyrinth.in_view import NEVER, RAYS
 from zipf.envs.labyrinth.state import CELL, PITCH, YAW, X, Y
-from zipf.envs.testing import check_player
+from zipf.envs.testing import check_policy
 
 IMAGE = (3, 4)
 """Of the paper's proportions."""
@@ -52,7 +52,7 @@ def test_it_reaches_its_floor(level: str) -> None:
 def test_it_can_label_what_another_policy_does(level: str) -> None:
     full = f"labyrinth/{level}"
     make = partial(envs.make_vec, full, image_size=IMAGE)
-    check_player(partial(envs.generalist, full), make, steps=8)
+    check_policy(partial(envs.generalist, full), make, steps=8)
 
 
 def seen_by_small_steps(solid, x, y, yaw, wide):
@@ -113,7 +113,7 @@ def test_items_in_view_are_those_that_are_drawn(level: str) -> None:
             episode = env.episodes[0]
             if level.startswith("natlab"):
                 item = next(iter(episode.mushrooms))
-        body, worlds = env.worlds.bodies[0], env.worlds
+        body, worlds = env.envs.bodies[0], env.envs
         at = worlds.places[0, item]
         worlds.present[0] = False
         # Somewhere around the item, looking roughly there.
@@ -173,11 +173,11 @@ def test_what_is_unseen_changes_nothing() -> None:
                 if not len(free):
                     continue
                 changed += (solid != episode.maze.solid).sum()
-                for walls in (other.worlds.solid[i], other.worlds.opaque[i]):
+                for walls in (other.envs.solid[i], other.envs.opaque[i]):
                     walls[: shape[0], : shape[1]] = solid
                 episode.maze.solid[:] = solid
                 episode.goal_cell = tuple(free[rng.integers(len(free))].tolist())
-                other.worlds.places[i, episode.goal, :2] = CELL * (free[0][::-1] + 0.5)
+                other.envs.places[i, episode.goal, :2] = CELL * (free[0][::-1] + 0.5)
             pretender.set_state(player.get_state())
             np.testing.assert_array_equal(pretender(), answers)
             compared += 1
@@ -191,7 +191,7 @@ def test_closed_doors_hide_what_is_behind_them_and_are_looked_at_anew_in_every_m
     player = Generalist(env)
     env.reset(seed=0)
     episode = env.episodes[0]
-    worlds = env.worlds
+    worlds = env.envs
     closed = {cell for cell in episode.doors if worlds.opaque[0][cell]}
     assert closed
     assert closed == {cell for cell in episode.doors if episode.blocked[cell]}

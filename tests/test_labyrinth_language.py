@@ -10,7 +10,7 @@ from zipf.envs.labyrinth import materials, patterns
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.labyrinth.levels.language import LanguageEpisode, Task
 from zipf.envs.labyrinth.scenery import Scenery, atlas
-from zipf.envs.labyrinth.state import YAW, make_worlds
+from zipf.envs.labyrinth.state import YAW, make_envs
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
 from zipf.envs.labyrinth.words import COLOURS, VOCABULARY
 
@@ -57,12 +57,12 @@ def test_the_world_shows_the_task(level: str) -> None:
     for _ in range(40):
         env._begin_map(0)
         episode, task = look_up(env)
-        assert env.worlds.present[0].sum() == sum(slot is not None for slot in task.places)
-        assert not env.worlds.zones[0].any()
+        assert env.envs.present[0].sum() == sum(slot is not None for slot in task.places)
+        assert not env.envs.zones[0].any()
         for item, number in episode.items.items():
             one, slot = task.objects[number], task.places[number]
             row, column = task.layout.slots[slot]
-            assert env.worlds.places[0, item, :2].tolist() == [column * 100 + 50, row * 100 + 50]
+            assert env.envs.places[0, item, :2].tolist() == [column * 100 + 50, row * 100 + 50]
             assert atlas().names[env._scenery.shape[0, item]] == one.shape
             first, second = scenes.colours[0, item].astype(int)
             exact = np.array(patterns.rgb(one.colour, np.random.default_rng(0)))
@@ -81,11 +81,11 @@ def test_the_world_shows_the_task(level: str) -> None:
             letter = task.layout.region[tuple(cell)]
             name = task.theme.floors[letter] if letter else "corridor_floor"
             assert tiles[tuple(cell)] == materials.index(name)
-        assert (env.worlds.cells[0] == task.layout.solid.shape).all()
+        assert (env.envs.cells[0] == task.layout.solid.shape).all()
         assert scenes.flat_count[0] == 1
         assert episode.world.cell in task.layout.starts
         starts.add((id(task.layout), episode.world.cell))
-        yaws.append((env.worlds.bodies[0, YAW] + math.pi) % (2 * math.pi) - math.pi)
+        yaws.append((env.envs.bodies[0, YAW] + math.pi) % (2 * math.pi) - math.pi)
     wide = np.degrees(np.abs(yaws).max())
     if level in (DESCRIBED, ANSWER):
         assert 7 < wide <= 10
@@ -99,8 +99,8 @@ def take(env: LabyrinthVectorEnv, number: int) -> float:
     """Puts the player on an object, waits a step, and returns the reward."""
     episode, _ = look_up(env)
     item = next(item for item, found in episode.items.items() if found == number)
-    env.worlds.bodies[0, :3] = env.worlds.places[0, item]
-    env.worlds.bodies[0, 3:6] = 0.0
+    env.envs.bodies[0, :3] = env.envs.places[0, item]
+    env.envs.bodies[0, 3:6] = 0.0
     return float(env.step(np.full(1, WAIT))[1][0])
 
 
@@ -121,9 +121,9 @@ def test_every_goal_has_to_be_taken() -> None:
     env.reset(seed=0)
     done = 0
     while done < 6:
-        clock = env.worlds.clock[0]
+        clock = env.envs.clock[0]
         env._begin_map(0)
-        assert env.worlds.clock[0] == clock
+        assert env.envs.clock[0] == clock
         _, task = look_up(env)
         if not task.text.startswith("Every"):
             continue
@@ -148,11 +148,11 @@ def test_objects_of_questions_are_walked_through() -> None:
         assert take(env, number) == 0
         assert look_up(env)[1] is task
     row, column = task.layout.slots[1]
-    env.worlds.bodies[0, :2] = (column - 2) * 100 + 50, row * 100 + 50
-    env.worlds.bodies[0, 3:] = 0.0
+    env.envs.bodies[0, :2] = (column - 2) * 100 + 50, row * 100 + 50
+    env.envs.bodies[0, 3:] = 0.0
     for _ in range(20):
         env.step(np.zeros(1, np.int64))
-    assert env.worlds.bodies[0, 0] > column * 100 + 100
+    assert env.envs.bodies[0, 0] > column * 100 + 100
     assert look_up(env)[1] is task
 
 
@@ -170,12 +170,12 @@ def test_a_floor_shows_its_colour(word: str) -> None:
         task = look_up(env)[1]
     letter = next(key for key, name in task.theme.floors.items() if name == f"floor_{word}")
     row, column = np.argwhere(task.layout.region == letter).mean(0) + 0.5
-    env.worlds.bodies[0, :2] = column * 100, row * 100
-    env.worlds.present[0] = False
+    env.envs.bodies[0, :2] = column * 100, row * 100
+    env.envs.present[0] = False
     references = np.array([patterns.FLOORS[colour] for colour in COLOURS], float)
     references /= np.linalg.norm(references, axis=1, keepdims=True)
     for yaw in np.arange(4) * math.pi / 2:
-        env.worlds.bodies[0, YAW] = yaw
+        env.envs.bodies[0, YAW] = yaw
         lowest = env.observations()["image"][0, -4:].reshape(-1, 3).astype(float)
         lowest /= np.linalg.norm(lowest, axis=1, keepdims=True)
         assert ((lowest @ references.T).argmax(1) == COLOURS.index(word)).all()
@@ -184,18 +184,18 @@ def test_a_floor_shows_its_colour(word: str) -> None:
 def test_patterns_can_be_told_apart() -> None:
     """For each shape that has them, from as far away as the nearest slots are."""
     count = len(patterns.PATTERNS)
-    worlds = make_worlds(count)
-    scenery = Scenery(worlds, 96, 72)
+    envs = make_envs(count)
+    scenery = Scenery(envs, 96, 72)
     for shape in ("cake", "car", "cassette", "hat", "tv"):
-        worlds.present[:, 0], worlds.places[:, 0] = True, (200, 0, 24)
+        envs.present[:, 0], envs.places[:, 0] = True, (200, 0, 24)
         scenery.shape[:, 0] = atlas().index(shape)
         scenery.scenes.colours[:, 0] = (255, 0, 0), (0, 0, 255)
         for i, name in enumerate(patterns.PATTERNS[1:], 1):
             scenery.scenes.pattern[i, 0] = materials.index(f"pattern_{name}")
-        worlds.bodies[:, 2] = 24
+        envs.bodies[:, 2] = 24
         images = np.zeros((count, 72, 96, 3), np.uint8)
         scenery.draw(images, np.ones(count, np.bool_))
-        worlds.present[:, 0] = False
+        envs.present[:, 0] = False
         empty = images.copy()
         scenery.draw(empty, np.ones(count, np.bool_))
         there = (images[0] != empty[0]).any(-1)

@@ -50,13 +50,13 @@ class Scene:
         name = "lasertag_one_opponent_small" if opponents == 1 else "lasertag_three_opponents_large"
         self.env: LabyrinthVectorEnv = batch(name, 1, **options)
         self.env.reset(seed=0)
-        self.worlds, self.combat = self.env.worlds, self.env.worlds.combat
-        self.worlds.solid[0] = True
-        self.worlds.solid[0, 1:20, 1:20] = False
+        self.envs, self.combat = self.env.envs, self.env.envs.combat
+        self.envs.solid[0] = True
+        self.envs.solid[0, 1:20, 1:20] = False
         self.env._scenery.scenes.wall_count[0] = 0
         self.env._scenery.scenes.grid[0] = 0
         self.combat.kinds[0] = NOTHING
-        self.worlds.present[0] = False
+        self.envs.present[0] = False
         self.status = self.combat.status[0]
         self.status[1:, TAGGED_AT] = GONE
         self.put(0, 500, 500)
@@ -65,7 +65,7 @@ class Scene:
         body = np.array([x, y, BELOW, 0, 0, 0, yaw, 0])
         self.combat.bodies[0, fighter] = body
         if fighter == 0:
-            self.worlds.bodies[0] = body
+            self.envs.bodies[0] = body
         self.status[fighter, [TAGGED_AT, WAIT, SLIDE, HEALTH]] = -1, 0, 0, health
 
     def give(self, gadget: int, shots: int, fighter: int = 0) -> None:
@@ -74,18 +74,18 @@ class Scene:
     def lay(self, kind: int, x: float, y: float, k: int = 0) -> None:
         self.combat.kinds[0, k] = kind
         self.combat.until[0, k] = -1
-        self.worlds.places[0, k] = x, y, BELOW
-        self.worlds.present[0, k] = True
+        self.envs.places[0, k] = x, y, BELOW
+        self.envs.present[0, k] = True
 
     def frames(self, count: int, fire: bool = False) -> None:
         """Only the fights, without the rest of the level."""
         for _ in range(count):
-            self.worlds.clock[0] += 1
-            fight.fight(self.worlds, 0, 0.0, 0.0, 0.0, 0.0, fire)
+            self.envs.clock[0] += 1
+            fight.fight(self.envs, 0, 0.0, 0.0, 0.0, 0.0, fire)
 
     def shoot(self, gadget: int, fighter: int = 0) -> None:
         self.give(gadget, 10, fighter)
-        shooting.shoot(self.worlds, 0, fighter)
+        shooting.shoot(self.envs, 0, fighter)
 
     def health(self, fighter: int) -> int:
         return int(self.status[fighter, HEALTH])
@@ -101,7 +101,7 @@ def test_arenas_have_what_they_should(level: str) -> None:
     large, three = level.endswith("large"), "three" in level
     hues, gadgets, supplies = set(), [], []
     for world, episode in enumerate(env.episodes):
-        combat, maze = env.worlds.combat, episode.maze
+        combat, maze = env.envs.combat, episode.maze
         assert combat.fighters[world] == (4 if three else 2)
         assert maze.solid.shape == ((21, 21) if large else (11, 11))
         assert all(len(room) == 3 for room in maze.spawns)
@@ -112,7 +112,7 @@ def test_arenas_have_what_they_should(level: str) -> None:
         assert (kinds[count:] == NOTHING).all()
         gadgets += kinds[: count // 3].tolist()
         supplies += kinds[count // 3 : count].tolist()
-        cells = {episode.ways.cell_of(x, y) for x, y, _ in env.worlds.places[world, :count]}
+        cells = {episode.ways.cell_of(x, y) for x, y, _ in env.envs.places[world, :count]}
         assert len(cells) == count
         assert not cells & spawns
         assert not any(maze.solid[cell] for cell in cells)
@@ -177,7 +177,7 @@ def test_reach_and_damage_of_gadgets(gadget: int, reach: float, damage: int) -> 
     # Impulse is spent on contact only, and needs no ammunition.
     scene.put(1, 150 + 300, 500, health=200)
     scene.give(gadget, 10)
-    shooting.shoot(scene.worlds, 0, 0)
+    shooting.shoot(scene.envs, 0, 0)
     spent = scene.status[0, WAIT]
     assert spent == (0 if gadget == IMPULSE else {RAPID: 100, BEAM: 50, DISC: 1500}[gadget])
     assert scene.status[0, LOADED + gadget] == (10 if gadget == IMPULSE else 9)
@@ -186,7 +186,7 @@ def test_reach_and_damage_of_gadgets(gadget: int, reach: float, damage: int) -> 
 def test_walls_stop_shots() -> None:
     scene = Scene()
     scene.put(1, 900, 500)
-    scene.worlds.solid[0, 5, 7] = True
+    scene.envs.solid[0, 5, 7] = True
     for gadget in (RAPID, BEAM, DISC):
         scene.shoot(gadget)
     assert scene.health(1) == 100
@@ -235,10 +235,10 @@ def test_an_orb_flies_bursts_and_hurts_around() -> None:
     scene.put(3, 1100, 700, health=300)
     scene.shoot(ORB)
     before = scene.combat.shots[0, 0, X]
-    shooting.fly(scene.worlds, 0)
+    shooting.fly(scene.envs, 0)
     assert scene.combat.shots[0, 0, X] - before == pytest.approx(900 * 0.016)
     for _ in range(100):
-        shooting.fly(scene.worlds, 0)
+        shooting.fly(scene.envs, 0)
     assert (scene.combat.shots[0, :, SHOOTER] < 0).all()
     assert scene.health(1) == 200
     # 70 units beside where it burst less half a body, and as far as the orb was before the body.
@@ -253,12 +253,12 @@ def test_tagging_oneself_costs_a_point_and_hurts_half() -> None:
     scene.put(0, 1960, 1000, health=100)
     scene.shoot(ORB)
     for _ in range(10):
-        shooting.fly(scene.worlds, 0)
+        shooting.fly(scene.envs, 0)
     lost = 100 - scene.health(0)
     assert 40 <= lost <= 50
     assert scene.combat.bodies[0, 0, VX] < -300  # the push is not halved
     scene.put(0, 1960, 1000, health=30)
-    scene.worlds.bodies[0] = scene.combat.bodies[0, 0]
+    scene.envs.bodies[0] = scene.combat.bodies[0, 0]
     scene.shoot(ORB)
     _, reward, *_ = scene.env.step([FIRE])
     assert reward[0] == -1
@@ -270,14 +270,14 @@ def test_dry_gadgets_are_exchanged_for_the_best() -> None:
     status = scene.status[0]
     status[LOADED + ORB], status[LOADED + RAPID] = 3, 100
     scene.give(DISC, 1)
-    shooting.shoot(scene.worlds, 0, 0)
+    shooting.shoot(scene.envs, 0, 0)
     assert status[GADGET] == ORB
     assert status[WAIT] == 1500 + 450
     scene.give(ORB, 1)
-    shooting.shoot(scene.worlds, 0, 0)
+    shooting.shoot(scene.envs, 0, 0)
     assert status[GADGET] == RAPID
     scene.give(RAPID, 1)
-    shooting.shoot(scene.worlds, 0, 0)
+    shooting.shoot(scene.envs, 0, 0)
     assert status[GADGET] == IMPULSE
 
 
@@ -306,28 +306,28 @@ def test_supplies(kind: tuple[int, int], before: int, after: int | None, seconds
     scene.status[0, column] = before
     gadget = int(scene.status[0, GADGET])
     scene.lay(supply, 530, 510)
-    clock = int(scene.worlds.clock[0])
+    clock = int(scene.envs.clock[0])
     scene.frames(1)
     taken = scene.status[0, column]
     if after is None:
         assert taken == before
-        assert scene.worlds.present[0, 0]
+        assert scene.envs.present[0, 0]
         return
     assert taken in (after, after - 1)  # what is above 100 decays
-    assert not scene.worlds.present[0, 0]
-    assert scene.worlds.returning[0, 0] == clock + 1 + 60 * seconds
+    assert not scene.envs.present[0, 0]
+    assert scene.envs.returning[0, 0] == clock + 1 + 60 * seconds
     is_gadget = supply in (ORB, BEAM, DISC)
     assert scene.status[0, GADGET] == (supply if is_gadget else gadget)
     assert (scene.status[0, WAIT] > 400) == is_gadget
     # It is there again, and opponents take supplies too.
-    scene.worlds.clock[0] = scene.worlds.returning[0, 0] - 4
+    scene.envs.clock[0] = scene.envs.returning[0, 0] - 4
     scene.put(0, 1500, 1500)
     scene.env.step([FIRE])
-    assert scene.worlds.present[0, 0]
+    assert scene.envs.present[0, 0]
     scene.put(1, 530, 500, health=20)
     scene.status[1, ARMOUR] = 0
     scene.frames(1)
-    assert not scene.worlds.present[0, 0]
+    assert not scene.envs.present[0, 0]
 
 
 def test_a_supply_of_no_use_does_not_hide_another() -> None:
@@ -336,7 +336,7 @@ def test_a_supply_of_no_use_does_not_hide_another() -> None:
     scene.lay(HEALTH_PACK, 500, 505)
     scene.lay(DISC, 505, 500, k=1)
     scene.frames(1)
-    assert scene.worlds.present[0, :2].tolist() == [True, False]
+    assert scene.envs.present[0, :2].tolist() == [True, False]
     assert scene.status[0, GADGET] == DISC
 
 
@@ -346,18 +346,18 @@ def test_who_is_tagged_drops_the_gadget_in_hand_for_half_a_minute() -> None:
     scene.give(BEAM, 7, fighter=1)
     scene.shoot(RAPID)
     assert scene.combat.kinds[0, 0] == BEAM
-    assert scene.worlds.places[0, 0].tolist() == [800, 500, BELOW]
+    assert scene.envs.places[0, 0].tolist() == [800, 500, BELOW]
     scene.status[1, TAGGED_AT] = GONE
-    clock = int(scene.worlds.clock[0])
+    clock = int(scene.envs.clock[0])
     scene.frames(DROP_LIFE - 1)
-    assert scene.worlds.present[0, 0]
+    assert scene.envs.present[0, 0]
     scene.frames(1)
-    assert not scene.worlds.present[0, 0]
-    assert scene.worlds.clock[0] == clock + 1800
+    assert not scene.envs.present[0, 0]
+    assert scene.envs.clock[0] == clock + 1800
     scene.put(1, 900, 500, health=5)  # Rapid is not dropped
     scene.give(RAPID, 50, fighter=1)
     scene.shoot(RAPID)
-    assert not scene.worlds.present[0, :SUPPLIES].any()
+    assert not scene.envs.present[0, :SUPPLIES].any()
 
 
 def test_health_decays_to_100() -> None:
@@ -385,7 +385,7 @@ def test_tags_of_the_player_are_rewarded_and_those_of_others_are_not() -> None:
     scene.put(2, 500, 900, yaw=-math.pi / 2, health=100)
     scene.put(0, 500, 500, health=50)
     scene.give(DISC, 5, fighter=2)
-    shooting.shoot(scene.worlds, 0, 2)
+    shooting.shoot(scene.envs, 0, 2)
     assert scene.health(0) == 0
     assert scene.status[2, TAGS] == 1
     _, reward, *_ = scene.env.step([0])
@@ -396,18 +396,18 @@ def test_tags_of_the_player_are_rewarded_and_those_of_others_are_not() -> None:
 @pytest.mark.parametrize(("action", "frames"), [(FIRE, 102), (0, 1302)])
 def test_the_player_respawns_by_firing_or_much_later(action: int, frames: int) -> None:
     scene = Scene()
-    scene.status[0, TAGGED_AT] = scene.worlds.clock[0]
+    scene.status[0, TAGGED_AT] = scene.envs.clock[0]
     scene.give(ORB, 5)
-    place = scene.worlds.bodies[0].copy()
+    place = scene.envs.bodies[0].copy()
     waited = 0
     while scene.status[0, TAGGED_AT] >= 0:
-        assert (scene.worlds.bodies[0] == place).all()  # a still camera
+        assert (scene.envs.bodies[0] == place).all()  # a still camera
         scene.env.step([action])
         waited += 4
     assert frames <= waited < frames + 4
     assert scene.status[0, [HEALTH, ARMOUR, GADGET]].tolist() == [125, 0, RAPID]
     assert scene.status[0, LOADED:].tolist() in ([0, 100, 0, 0, 0], [0, 99, 0, 0, 0])
-    cell = [int(scene.worlds.bodies[0, Y] // 100), int(scene.worlds.bodies[0, X] // 100)]
+    cell = [int(scene.envs.bodies[0, Y] // 100), int(scene.envs.bodies[0, X] // 100)]
     count = scene.combat.spawn_count[0]
     assert cell in scene.combat.spawns[0, :count].tolist()
 
@@ -435,20 +435,20 @@ def test_fighters_respawn_where_nobody_is() -> None:
 def test_fighters_move_as_all_players_do(seed: int) -> None:
     env = batch("lasertag_one_opponent_small", 1)
     env.reset(seed=seed)
-    worlds, combat = env.worlds, env.worlds.combat
+    envs, combat = env.envs, env.envs.combat
     combat.status[0, 1, TAGGED_AT] = GONE
     bodies = combat.bodies[0]
-    bodies[0] = worlds.bodies[0]
+    bodies[0] = envs.bodies[0]
     rng = np.random.default_rng(seed)
     for _ in range(60):
         command = [float(rng.uniform(-0.2, 0.2)), 0.05, *rng.integers(-1, 2, 2).astype(float)]
         if rng.random() < 0.1:  # a push
-            worlds.bodies[0, [VX, VY, VZ]] += rng.uniform(-300, 300, 3)
-            bodies[0] = worlds.bodies[0]
+            envs.bodies[0, [VX, VY, VZ]] += rng.uniform(-300, 300, 3)
+            bodies[0] = envs.bodies[0]
         for _ in range(4):
-            move(worlds, 0, *command)
-            walking.walk(worlds.solid[0], bodies, combat.status[0], 2, 0, *command)
-        np.testing.assert_allclose(bodies[0], worlds.bodies[0], atol=1e-9)
+            move(envs, 0, *command)
+            walking.walk(envs.solid[0], bodies, combat.status[0], 2, 0, *command)
+        np.testing.assert_allclose(bodies[0], envs.bodies[0], atol=1e-9)
 
 
 def test_fighters_do_not_walk_through_each_other() -> None:
@@ -456,7 +456,7 @@ def test_fighters_do_not_walk_through_each_other() -> None:
     scene.put(1, 700, 505)
     for _ in range(60):
         walking.walk(
-            scene.worlds.solid[0], scene.combat.bodies[0], scene.status, 2, 0, 0.0, 0.0, 0.0, 1.0
+            scene.envs.solid[0], scene.combat.bodies[0], scene.status, 2, 0, 0.0, 0.0, 0.0, 1.0
         )
     assert 650 < scene.combat.bodies[0, 0, X] <= 670
     assert scene.combat.bodies[0, 0, VX] == 0
@@ -519,7 +519,7 @@ def test_opponents_play_at_the_pace_of_people() -> None:
     """About one tag in 15 to 20 s each where the way is short, and none stands still for long."""
     env = batch("lasertag_three_opponents_small", 8, autoreset_mode="Disabled")
     env.reset(seed=0)
-    combat = env.worlds.combat
+    combat = env.envs.combat
     for world in range(8):
         combat.status[world, 0, TAGGED_AT] = GONE  # opponents among themselves
     places, still = [], 0.0
@@ -544,22 +544,22 @@ def test_fights_are_replayed_bit_for_bit(level: str) -> None:
     rng = np.random.default_rng(0)
     for _ in range(700):
         env.step(rng.choice([0, 0, 10, 11, 12, 13, 14], size=3))
-    assert (env.worlds.combat.status[:, :, TAGS] > 0).any()
+    assert (env.envs.combat.status[:, :, TAGS] > 0).any()
     other = batch(level, 3)
     other.reset(seed=5)
     other.set_state(env.get_state())
     for name in ("status", "minds", "stream", "kinds", "shots"):
         np.testing.assert_equal(
-            getattr(other.worlds.combat, name), getattr(env.worlds.combat, name), err_msg=name
+            getattr(other.envs.combat, name), getattr(env.envs.combat, name), err_msg=name
         )
-    np.testing.assert_equal(other.worlds.bodies, env.worlds.bodies)
+    np.testing.assert_equal(other.envs.bodies, env.envs.bodies)
 
 
 # The view.
 
 
 def drawn(scene: Scene) -> np.ndarray:
-    scene.worlds.bodies[0] = scene.combat.bodies[0, 0]
+    scene.envs.bodies[0] = scene.combat.bodies[0, 0]
     image: np.ndarray = scene.env._scenery.large_views()[0].astype(int)
     return image
 
@@ -577,19 +577,19 @@ def test_opponents_and_shots_are_seen() -> None:
     assert (drawn(scene) == empty).all()
     scene.give(DISC, 10)
     empty = drawn(scene)
-    shooting.shoot(scene.worlds, 0, 0)
+    shooting.shoot(scene.envs, 0, 0)
     scene.status[0, LOADED + DISC] = 10
     assert (drawn(scene) != empty).any(-1).sum() > 200
-    scene.worlds.clock[0] += 120
+    scene.envs.clock[0] += 120
     assert (drawn(scene) == empty).all()
 
 
 def test_what_was_dropped_is_seen_at_once() -> None:
     scene = Scene()
     scene.combat.kinds[0, 20] = ORB
-    scene.worlds.places[0, 20] = 650, 500, BELOW
+    scene.envs.places[0, 20] = 650, 500, BELOW
     empty = drawn(scene)
-    scene.worlds.present[0, 20] = True
+    scene.envs.present[0, 20] = True
     looks = []
     for kind in (ORB, BEAM, DISC, HEALTH_PACK, ARMOUR_PACK):
         scene.combat.kinds[0, 20] = kind
@@ -630,8 +630,8 @@ def test_other_levels_have_no_combat_after_one() -> None:
     env._scenery.clear(0)
     from zipf.envs.labyrinth.state import clear
 
-    clear(env.worlds, 0)
-    assert env.worlds.combat.fighters[0] == 0
+    clear(env.envs, 0)
+    assert env.envs.combat.fighters[0] == 0
     assert env._scenery.scenes.overlay_count[0] == 0
     env._scenery._update(np.ones(1, np.bool_))
     assert (env._scenery.scenes.mesh[0] == -1).all()

@@ -20,13 +20,13 @@ ALL = pytest.mark.parametrize("level", LEVELS)
 
 
 def put_player(env: LabyrinthVectorEnv, world: int, x: float, y: float, z: float = BELOW) -> None:
-    env.worlds.bodies[world, :3] = x, y, z
-    env.worlds.bodies[world, 3:6] = 0.0
+    env.envs.bodies[world, :3] = x, y, z
+    env.envs.bodies[world, 3:6] = 0.0
 
 
 def touch(env: LabyrinthVectorEnv, world: int, item: int) -> None:
     """Puts a player on an item; the next step picks it up."""
-    put_player(env, world, *env.worlds.places[world, item].tolist())
+    put_player(env, world, *env.envs.places[world, item].tolist())
 
 
 def wait(env: LabyrinthVectorEnv) -> tuple[float, bool, bool]:
@@ -65,7 +65,7 @@ def test_random_actions_are_rewarded_as_described(level: str, monkeypatch) -> No
         observation, reward, *_ = env.step(rng.integers(15, size=16))
         total += float(reward.sum())
         assert observation["instruction"].any() == level.startswith("language")
-        assert np.isfinite(env.worlds.bodies).all()
+        assert np.isfinite(env.envs.bodies).all()
     assert set(rewards) <= REWARDS[level]
     assert total == sum(rewards)
 
@@ -81,25 +81,25 @@ def test_players_start_free_and_touch_nothing(level: str) -> None:
 
 
 def assert_free(env: LabyrinthVectorEnv, world: int) -> None:
-    worlds = env.worlds
-    x, y, z = worlds.bodies[world, :3].tolist()
-    rows = int(worlds.cells[world, 0])
+    envs = env.envs
+    x, y, z = envs.bodies[world, :3].tolist()
+    rows = int(envs.cells[world, 0])
     for dx in (-WIDE, WIDE):
         for dy in (-WIDE, WIDE):
             if rows:
                 cell = int((y + dy) // 100), int((x + dx) // 100)
-                assert not worlds.solid[world, cell[0], cell[1]]
-                assert worlds.floor[world, cell[0], cell[1]] == pytest.approx(z - BELOW)
-            for normal_x, normal_y, far in worlds.planes[world, : worlds.plane_count[world]]:
+                assert not envs.solid[world, cell[0], cell[1]]
+                assert envs.floor[world, cell[0], cell[1]] == pytest.approx(z - BELOW)
+            for normal_x, normal_y, far in envs.planes[world, : envs.plane_count[world]]:
                 assert normal_x * (x + dx) + normal_y * (y + dy) <= far
-    for x0, y0, z0, x1, y1, z1 in worlds.boxes[world, : worlds.box_count[world]]:
+    for x0, y0, z0, x1, y1, z1 in envs.boxes[world, : envs.box_count[world]]:
         apart = x + WIDE <= x0 or x - WIDE >= x1 or y + WIDE <= y0 or y - WIDE >= y1
         assert apart or z - BELOW >= z1 or z + ABOVE <= z0
-    for px, py, radius in worlds.pillars[world, : worlds.pillar_count[world]]:
+    for px, py, radius in envs.pillars[world, : envs.pillar_count[world]]:
         assert math.hypot(px - x, py - y) >= radius
-    assert engine._touched(worlds, world) == -1
-    assert not worlds.inside[world].any()
-    assert engine._entered(worlds, world) == -1
+    assert engine._touched(envs, world) == -1
+    assert not envs.inside[world].any()
+    assert engine._entered(envs, world) == -1
 
 
 @ALL
@@ -112,9 +112,9 @@ def test_the_time_limit_truncates(level: str) -> None:
         for _ in range(179):
             assert wait(env)[1:] == (False, False)
     else:
-        env.worlds.clock[:] = found.frames - 4
+        env.envs.clock[:] = found.frames - 4
     assert wait(env)[1:] == (False, True)
-    assert env.worlds.clock.tolist() == [found.frames] * 2
+    assert env.envs.clock.tolist() == [found.frames] * 2
 
 
 def test_other_action_repeats_have_the_same_length_in_time() -> None:
@@ -135,7 +135,7 @@ def test_episodes_can_be_cut_short() -> None:
     assert [wait(env)[1:] for _ in range(5)] == [(False, False)] * 4 + [(False, True)]
     longer = batch("rooms_select_nonmatching_object", 1, max_steps=10_000)
     longer.reset(seed=0)
-    assert longer.worlds.limit.tolist() == [720]
+    assert longer.envs.limit.tolist() == [720]
 
 
 @pytest.mark.parametrize(
@@ -145,12 +145,12 @@ def test_the_tenth_object_ends_the_episode(level: str) -> None:
     env = batch(level, 1, autoreset_mode="Disabled")
     env.reset(seed=1)
     for count in range(10):
-        touch(env, 0, int(np.flatnonzero(env.worlds.present[0] & env.worlds.touchable[0])[0]))
+        touch(env, 0, int(np.flatnonzero(env.envs.present[0] & env.envs.touchable[0])[0]))
         reward, terminated, truncated = wait(env)
         assert reward != 0
         assert not truncated
         assert not terminated
-        assert (env.worlds.ending[0] > 0) == (count == 9)
+        assert (env.envs.ending[0] > 0) == (count == 9)
     put_player(env, 0, -250.0, -250.0)
     # 12 frames after the last, which was touched in the first frame of a step.
     assert [wait(env)[1] for _ in range(3)] == [False, False, True]
@@ -194,19 +194,19 @@ def test_a_trial_of_the_nonmatching_object() -> None:
     episode = env.episodes[0]
     match, others, sides = episode.match, set(), set()
     for right in (True, False) * 6:
-        assert env.worlds.bodies[0, [X, Y, YAW]].tolist() == [-232.0, -64.0, 0.0]
+        assert env.envs.bodies[0, [X, Y, YAW]].tolist() == [-232.0, -64.0, 0.0]
         shapes = env._scenery.shape[0]
         assert shapes[episode.sample] == shapes[episode.same] != shapes[episode.other]
         others.add(int(shapes[episode.other]))
-        sides.add(tuple(env.worlds.places[0, episode.other]))
+        sides.add(tuple(env.envs.places[0, episode.other]))
         # What is shown cannot be touched.
-        x, y, _ = env.worlds.places[0, episode.sample].tolist()
+        x, y, _ = env.envs.places[0, episode.sample].tolist()
         put_player(env, 0, x - 60, y)
         assert wait(env)[0] == 0
         put_player(env, 0, 64.0, -64.0)
         assert wait(env)[0] == 1
-        assert env.worlds.bodies[0, X] > 256
-        assert env.worlds.bodies[0, YAW] == 0
+        assert env.envs.bodies[0, X] > 256
+        assert env.envs.bodies[0, YAW] == 0
         touch(env, 0, episode.other if right else episode.same)
         assert wait(env)[0] == (10 if right else -10)
         wait(env)
@@ -222,23 +222,23 @@ def test_a_visit_of_the_platform() -> None:
     env.reset(seed=0)
     episode = env.episodes[0]
     place = episode.place
-    assert not env.worlds.present[0, episode.platform]
+    assert not env.envs.present[0, episode.platform]
     starts = set()
     for _ in range(6):
-        starts.add((round(env.worlds.bodies[0, X]), round(env.worlds.bodies[0, Y])))
+        starts.add((round(env.envs.bodies[0, X]), round(env.envs.bodies[0, Y])))
         put_player(env, 0, *place)
         total, steps = 0.0, 0
         while True:
             reward, *_ = wait(env)
             total, steps = total + reward, steps + 1
-            if math.dist(env.worlds.bodies[0, :2], place) > 60:
+            if math.dist(env.envs.bodies[0, :2], place) > 60:
                 break
-            assert env.worlds.bodies[0, :2].tolist() == pytest.approx(place)
-            assert env.worlds.present[0, episode.platform]
+            assert env.envs.bodies[0, :2].tolist() == pytest.approx(place)
+            assert env.envs.present[0, episode.platform]
         assert total == 5
         assert steps == pytest.approx(2.2 * 15, abs=2)
         assert env.episodes[0].place == place
-        assert not env.worlds.present[0, episode.platform]
+        assert not env.envs.present[0, episode.platform]
     assert len(starts) > 2
     radii = []
     for seed in range(40):
@@ -270,13 +270,13 @@ def test_keys_open_doors_of_their_colour_once() -> None:
             return float(env.step(np.full(60, 14))[1][i])
 
         def closed(k: int, i: int = i, episode=episode) -> bool:
-            return bool(env.worlds.boxes[i, episode.doors[k]].any())
+            return bool(env.envs.boxes[i, episode.doors[k]].any())
 
         assert all(closed(k) for k in doors)
         assert not shown[i]
         assert do(*middle(episode.link_cells[same[0]])) == 0
         assert closed(same[0])
-        assert do(*env.worlds.places[i, first, :2].tolist()) == 1
+        assert do(*env.envs.places[i, first, :2].tolist()) == 1
         assert shown[i]
         assert do(*middle(episode.link_cells[other[0]])) == 0
         assert closed(other[0])
@@ -321,11 +321,11 @@ def test_nobody_climbs_in_a_skymaze() -> None:
     env = batch("skymaze_irreversible_path_hard", 16)
     env.reset(seed=0)
     rng = np.random.default_rng(0)
-    start = env.worlds.bodies[:, Z].copy()
+    start = env.envs.bodies[:, Z].copy()
     stood = start.copy()  # the lowest platform that each has stood on
     for _ in range(600):
         env.step(rng.choice([0, 0, 10, 11, 12, 13], size=16))
-        z, falling = env.worlds.bodies[:, Z], env.worlds.bodies[:, VZ] < 0
+        z, falling = env.envs.bodies[:, Z], env.envs.bodies[:, VZ] < 0
         assert (z <= stood + 1e-6).all()
         stood = np.where(falling, stood, z)
     assert (stood < start - 90).sum() > 8
@@ -338,20 +338,20 @@ def test_mushrooms_grow_again_where_they_were() -> None:
     far = next(place for place in env.episodes[0].terrain.starts)
     waits = []
     for _ in range(3):
-        place = env.worlds.places[0, item].copy()
+        place = env.envs.places[0, item].copy()
         touch(env, 0, item)
         assert wait(env)[0] == 1
-        assert not env.worlds.present[0, item]
+        assert not env.envs.present[0, item]
         put_player(env, 0, *far, 1e4)
-        taken = int(env.worlds.clock[0])
-        waits.append((env.worlds.returning[0, item] - taken) / 60)
+        taken = int(env.envs.clock[0])
+        waits.append((env.envs.returning[0, item] - taken) / 60)
         assert 24 - 0.1 <= waits[-1] <= 108
-        env.worlds.clock[0] = env.worlds.returning[0, item] - 2
-        env.worlds.limit[0] = 10**9
+        env.envs.clock[0] = env.envs.returning[0, item] - 2
+        env.envs.limit[0] = 10**9
         put_player(env, 0, *far, env.episodes[0].terrain.height(*far) + BELOW)
         wait(env)
-        assert env.worlds.present[0, item]
-        assert (env.worlds.places[0, item] == place).all()
+        assert env.envs.present[0, item]
+        assert (env.envs.places[0, item] == place).all()
     assert len(set(waits)) == 3
 
 
@@ -361,7 +361,7 @@ def test_mushrooms_of_other_levels_do_not_grow_again(level: str) -> None:
     env.reset(seed=0)
     touch(env, 0, next(iter(env.episodes[0].mushrooms)))
     assert wait(env)[0] == 1
-    assert (env.worlds.returning == -1).all()
+    assert (env.envs.returning == -1).all()
 
 
 def test_deserts_of_the_natlab_levels() -> None:
@@ -396,7 +396,7 @@ def test_a_way_to_the_goal_is_always_open(size: str) -> None:
     shares = []
     for _ in range(4):
         for i, episode in enumerate(env.episodes):
-            shut = [cell for cell, door in episode.doors.items() if env.worlds.boxes[i, door].any()]
+            shut = [cell for cell, door in episode.doors.items() if env.envs.boxes[i, door].any()]
             blocked = episode.maze.solid.copy()
             for cell in shut:
                 blocked[cell] = True
@@ -418,7 +418,7 @@ def test_apples_come_back_when_all_are_taken(size: str) -> None:
         for k, apple in enumerate(episode.apples):
             touch(env, 0, apple)
             assert wait(env)[0] == 1
-            assert env.worlds.present[0].sum() == (count - k - 1 or count)
+            assert env.envs.present[0].sum() == (count - k - 1 or count)
 
 
 @pytest.mark.parametrize(("level", "kinds"), [("few", 4), ("many", 8)])
@@ -438,7 +438,7 @@ def test_kinds_of_objects_with_rewards(level: str, kinds: int) -> None:
     for item in episode.good:
         touch(env, 0, item)
         assert wait(env)[0] == 2
-    assert env.worlds.present[0].sum() == kinds  # a new map
+    assert env.envs.present[0].sum() == kinds  # a new map
     assert episode.cells != cells
     assert set(episode.cells.values()) <= set(episode.places)
     assert len(set(SHAPES)) == 40

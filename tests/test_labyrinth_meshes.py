@@ -99,7 +99,7 @@ def shares() -> dict[str, np.ndarray]:
     scenes = Scenes(8 * len(ATLAS.names), instances=1)
     scenes.colours[:] = (255, 0, 0), (0, 255, 0)
     scenes.sky[:] = 0, 0, 255
-    for world in range(scenes.num_worlds):
+    for world in range(scenes.num_envs):
         mesh, side = divmod(world, 8)
         scenes.mesh[world, 0] = mesh
         yaw = (side + 0.3) * math.pi / 4
@@ -107,7 +107,7 @@ def shares() -> dict[str, np.ndarray]:
         pitch = math.atan2(float(ATLAS.extent[mesh, 2]) / 2 - 0.5, away)
         place = (-away * math.cos(yaw), -away * math.sin(yaw), 0.5, yaw, pitch)
         scenes.camera[world] = place
-    images = np.zeros((scenes.num_worlds, 72, 96, 3), np.uint8)
+    images = np.zeros((scenes.num_envs, 72, 96, 3), np.uint8)
     Renderer(ATLAS, textures.stack()).render(scenes, images)
     red, green, blue = np.moveaxis(images.astype(int), -1, 0)
     thing = blue < np.maximum(red, green).clip(200)

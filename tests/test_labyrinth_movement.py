@@ -9,12 +9,12 @@ from zipf.envs import make_vec
 from zipf.envs.labyrinth.actions import EXTENDED, IMPALA, commands
 from zipf.envs.labyrinth.levels.skymaze import UNIT
 from zipf.envs.labyrinth.mover import BELOW, WIDE, move
-from zipf.envs.labyrinth.state import PITCH, VX, VY, VZ, YAW, Worlds, X, Y, Z, make_worlds
+from zipf.envs.labyrinth.state import PITCH, VX, VY, VZ, YAW, Envs, X, Y, Z, make_envs
 
 FRAMES_A_STEP = 4
 
 
-class Player:
+class BoundPolicy:
     """Quake III's walk on endless level ground, written out."""
 
     def __init__(self) -> None:
@@ -42,34 +42,34 @@ class Player:
         self.place = [p + v * 0.016 for p, v in zip(self.place, self.velocity, strict=True)]
 
 
-def grid(solid: list[str]) -> Worlds:
+def grid(solid: list[str]) -> Envs:
     """An env with a text map, rows from the north; `#` is solid, a digit a height of 10 units."""
-    worlds = make_worlds(1)
+    envs = make_envs(1)
     rows, columns = len(solid), len(solid[0])
-    worlds.cells[0] = rows, columns
-    worlds.solid[0] = True
+    envs.cells[0] = rows, columns
+    envs.solid[0] = True
     for row, line in enumerate(solid[::-1]):
         for column, letter in enumerate(line):
-            worlds.solid[0, row, column] = letter == "#"
-            worlds.floor[0, row, column] = 10.0 * int(letter) if letter.isdigit() else 0.0
-    return worlds
+            envs.solid[0, row, column] = letter == "#"
+            envs.floor[0, row, column] = 10.0 * int(letter) if letter.isdigit() else 0.0
+    return envs
 
 
-def plain() -> Worlds:
+def plain() -> Envs:
     """Endless level ground."""
-    return make_worlds(1)
+    return make_envs(1)
 
 
-def stand(worlds: Worlds, x: float, y: float, yaw: float = 0.0, floor: float = 0.0) -> np.ndarray:
-    body = worlds.bodies[0]
+def stand(envs: Envs, x: float, y: float, yaw: float = 0.0, floor: float = 0.0) -> np.ndarray:
+    body = envs.bodies[0]
     body[:] = 0.0
     body[X], body[Y], body[Z], body[YAW] = x, y, floor + BELOW, yaw
     return body
 
 
-def frames(worlds: Worlds, count: int, *, strafe: float = 0.0, forward: float = 0.0) -> None:
+def frames(envs: Envs, count: int, *, strafe: float = 0.0, forward: float = 0.0) -> None:
     for _ in range(count):
-        move(worlds, 0, 0.0, 0.0, strafe, forward)
+        move(envs, 0, 0.0, 0.0, strafe, forward)
 
 
 def speed(body: np.ndarray) -> float:
@@ -77,14 +77,14 @@ def speed(body: np.ndarray) -> float:
 
 
 def test_random_walks_are_those_of_the_slow_version() -> None:
-    worlds, slow = plain(), Player()
-    body = stand(worlds, 0.0, 0.0)
+    envs, slow = plain(), BoundPolicy()
+    body = stand(envs, 0.0, 0.0)
     rng = np.random.default_rng(0)
     table = commands(15)
     for action in rng.integers(15, size=400).tolist():
         turn, rise, strafe, forward = table[action, :4].tolist()
         for _ in range(FRAMES_A_STEP):
-            move(worlds, 0, turn, rise, strafe, forward)
+            move(envs, 0, turn, rise, strafe, forward)
             slow.frame(turn, strafe, forward)
             assert body[X:Z].tolist() == pytest.approx(slow.place, abs=1e-6)
             assert body[VX:VZ].tolist() == pytest.approx(slow.velocity, abs=1e-6)
@@ -96,29 +96,29 @@ def test_random_walks_are_those_of_the_slow_version() -> None:
 def test_speeding_up_and_slowing_down() -> None:
     """The table: full speed after about 10 frames, half of it 7 frames after letting go, rest
     after about 22; 20.5 units a step."""
-    worlds = plain()
-    body = stand(worlds, 0.0, 0.0)
+    envs = plain()
+    body = stand(envs, 0.0, 0.0)
     ramp = []
     for _ in range(30):
-        frames(worlds, 1, forward=1.0)
+        frames(envs, 1, forward=1.0)
         ramp.append(speed(body))
     assert next(k for k, v in enumerate(ramp, 1) if v > 319.9) in range(8, 13)
     assert ramp[-1] == pytest.approx(320.0)
     before = body[X]
-    frames(worlds, FRAMES_A_STEP, forward=1.0)
+    frames(envs, FRAMES_A_STEP, forward=1.0)
     assert body[X] - before == pytest.approx(20.48, abs=1e-6)
     stop = []
     for _ in range(30):
-        frames(worlds, 1)
+        frames(envs, 1)
         stop.append(speed(body))
     assert next(k for k, v in enumerate(stop, 1) if v <= 160) == 7
     assert next(k for k, v in enumerate(stop, 1) if v == 0) in range(20, 24)
 
 
 def test_who_walks_askew_is_not_faster() -> None:
-    worlds = plain()
-    body = stand(worlds, 0.0, 0.0)
-    frames(worlds, 40, strafe=1.0, forward=1.0)
+    envs = plain()
+    body = stand(envs, 0.0, 0.0)
+    frames(envs, 40, strafe=1.0, forward=1.0)
     assert speed(body) == pytest.approx(320.0)
     assert body[X] == pytest.approx(-body[Y])  # to the right is to the south
 
@@ -139,10 +139,10 @@ def test_turns(count: int, name: str, degrees: float) -> None:
         "labyrinth/explore_goal_locations_small", 1, num_actions=count, image_size=(1, 1)
     )
     env.reset(seed=0)
-    yaw = env.worlds.bodies[0, YAW]
+    yaw = env.envs.bodies[0, YAW]
     names = [action.name for action in (EXTENDED if count == 15 else IMPALA)]
     env.step(np.array([names.index(name)]))
-    turned = math.degrees((env.worlds.bodies[0, YAW] - yaw + math.pi) % (2 * math.pi) - math.pi)
+    turned = math.degrees((env.envs.bodies[0, YAW] - yaw + math.pi) % (2 * math.pi) - math.pi)
     assert turned == pytest.approx(degrees, abs=0.01)
 
 
@@ -151,67 +151,67 @@ def test_looking_up_and_down_ends_near_the_vertical() -> None:
     env.reset(seed=0)
     names = [action.name for action in EXTENDED]
     env.step(np.array([names.index("look up")]))
-    assert math.degrees(env.worlds.bodies[0, PITCH]) == pytest.approx(4.22, abs=0.01)
+    assert math.degrees(env.envs.bodies[0, PITCH]) == pytest.approx(4.22, abs=0.01)
     for name, limit in (("look up", 89), ("look down", -89)):
         for _ in range(50):
             env.step(np.array([names.index(name)]))
-        assert math.degrees(env.worlds.bodies[0, PITCH]) == pytest.approx(limit)
+        assert math.degrees(env.envs.bodies[0, PITCH]) == pytest.approx(limit)
 
 
 def test_a_wall_stops_and_lets_slide() -> None:
-    worlds = grid(["#####", "#   #", "#####"])
-    body = stand(worlds, 150.0, 150.0, yaw=math.pi / 4)
-    frames(worlds, 10, forward=1.0)
-    frames(worlds, 30, forward=1.0)
+    envs = grid(["#####", "#   #", "#####"])
+    body = stand(envs, 150.0, 150.0, yaw=math.pi / 4)
+    frames(envs, 10, forward=1.0)
+    frames(envs, 30, forward=1.0)
     assert body[Y] == pytest.approx(200.0 - WIDE, abs=1e-3)  # at the north wall
     assert body[VY] == 0.0
     # Along it: half a second of more than 0.7 of the speed.
     assert body[X] > 150.0 + 0.7 * 320 * 30 * 0.016 - 40 or body[X] == pytest.approx(385.0)
-    frames(worlds, 100, forward=1.0)
+    frames(envs, 100, forward=1.0)
     assert body[X] == pytest.approx(400.0 - WIDE, abs=1e-3)  # in the corner
     assert speed(body) < 60
 
 
 def test_nobody_gets_through_walls() -> None:
     """A thousand steps in a narrow maze; the box never touches a solid cell."""
-    worlds = grid(["#######", "#     #", "# ### #", "# # # #", "#   # #", "#######"])
-    body = stand(worlds, 150.0, 150.0)
+    envs = grid(["#######", "#     #", "# ### #", "# # # #", "#   # #", "#######"])
+    body = stand(envs, 150.0, 150.0)
     rng = np.random.default_rng(1)
     table = commands(15)
     visited = set()
     for action in rng.choice([0, 0, 1, 2, 3, 6, 7, 12, 13], size=1000).tolist():
         for _ in range(FRAMES_A_STEP):
-            move(worlds, 0, *table[action, :4])
+            move(envs, 0, *table[action, :4])
             for x in (body[X] - WIDE, body[X] + WIDE):
                 for y in (body[Y] - WIDE, body[Y] + WIDE):
-                    assert not worlds.solid[0, int(y // 100), int(x // 100)]
+                    assert not envs.solid[0, int(y // 100), int(x // 100)]
         visited.add((int(body[Y] // 100), int(body[X] // 100)))
     assert len(visited) >= 5
 
 
 def test_boxes_block_and_low_ones_do_not() -> None:
-    worlds = plain()
-    worlds.box_count[0] = 1
+    envs = plain()
+    envs.box_count[0] = 1
     for top, blocked in ((18.0, False), (18.5, True), (80.0, True)):
-        worlds.boxes[0, 0] = 100.0, -50.0, 0.0, 130.0, 50.0, top
-        body = stand(worlds, 0.0, 0.0)
-        frames(worlds, 60, forward=1.0)
+        envs.boxes[0, 0] = 100.0, -50.0, 0.0, 130.0, 50.0, top
+        body = stand(envs, 0.0, 0.0)
+        frames(envs, 60, forward=1.0)
         assert (body[X] == pytest.approx(100.0 - WIDE, abs=1e-3)) == blocked
-    worlds.boxes[0, 0] = 100.0, -50.0, 60.0, 130.0, 50.0, 80.0  # above the head
-    body = stand(worlds, 0.0, 0.0)
-    frames(worlds, 60, forward=1.0)
+    envs.boxes[0, 0] = 100.0, -50.0, 60.0, 130.0, 50.0, 80.0  # above the head
+    body = stand(envs, 0.0, 0.0)
+    frames(envs, 60, forward=1.0)
     assert body[X] > 150
 
 
 def test_steps_of_eighteen_units_can_be_climbed() -> None:
-    worlds = grid(["#####", "#012#", "#####"])
-    body = stand(worlds, 150.0, 150.0)
-    frames(worlds, 60, forward=1.0)
+    envs = grid(["#####", "#012#", "#####"])
+    body = stand(envs, 150.0, 150.0)
+    frames(envs, 60, forward=1.0)
     assert body[X] > 350
     assert body[Z] == pytest.approx(20.0 + BELOW)
-    worlds = grid(["#####", "#02 #", "#####"])
-    body = stand(worlds, 150.0, 150.0)
-    frames(worlds, 60, forward=1.0)
+    envs = grid(["#####", "#02 #", "#####"])
+    body = stand(envs, 150.0, 150.0)
+    frames(envs, 60, forward=1.0)
     assert body[X] == pytest.approx(200.0 - WIDE, abs=1e-3)
     assert body[Z] == BELOW
     assert UNIT > 18.0  # no platform of the skymazes can be climbed
@@ -219,14 +219,14 @@ def test_steps_of_eighteen_units_can_be_climbed() -> None:
 
 def test_falling() -> None:
     """800 units per second squared, in frames of 0.016 s, and little control in the air."""
-    worlds = grid(["####", "#9 #", "####"])
-    body = stand(worlds, 150.0, 150.0, floor=90.0)
+    envs = grid(["####", "#9 #", "####"])
+    body = stand(envs, 150.0, 150.0, floor=90.0)
     while body[Z] == 90.0 + BELOW:
-        frames(worlds, 1, forward=1.0)
+        frames(envs, 1, forward=1.0)
     height, fall, count = 90.0, 0.0, 0
     heights = [body[Z] - BELOW]
     while body[Z] > BELOW:
-        frames(worlds, 1)
+        frames(envs, 1)
         heights.append(body[Z] - BELOW)
     while height > 0:
         fall += 800 * 0.016
@@ -244,7 +244,7 @@ def test_a_round_room_holds_the_player() -> None:
     for _ in range(300):
         env.step(rng.choice([0, 0, 0, 12, 13], size=8))
         for i in range(8):
-            body, planes = env.worlds.bodies[i], env.worlds.planes[i, : env.worlds.plane_count[i]]
+            body, planes = env.envs.bodies[i], env.envs.planes[i, : env.envs.plane_count[i]]
             reach = planes[:, :2] @ body[:2] + WIDE * abs(planes[:, :2]).sum(1)
             assert (reach <= planes[:, 2] + 1.0).all()
 
@@ -255,11 +255,11 @@ def test_on_a_desert_the_soles_are_on_the_ground() -> None:
     rng = np.random.default_rng(0)
     moved = np.zeros(8)
     for _ in range(300):
-        before = env.worlds.bodies[:, :2].copy()
+        before = env.envs.bodies[:, :2].copy()
         env.step(rng.choice([0, 0, 0, 12, 13], size=8))
-        moved += np.hypot(*(env.worlds.bodies[:, :2] - before).T)
+        moved += np.hypot(*(env.envs.bodies[:, :2] - before).T)
         for i, episode in enumerate(env.episodes):
-            x, y, z = env.worlds.bodies[i, :3].tolist()
+            x, y, z = env.envs.bodies[i, :3].tolist()
             side = 2048.0
             assert WIDE - 1 <= x <= side - WIDE + 1
             assert WIDE - 1 <= y <= side - WIDE + 1

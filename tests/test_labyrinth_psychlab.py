@@ -101,7 +101,7 @@ def test_one_frame_on_a_button_is_enough() -> None:
     env, episode = begin(RECOGNITION, action_repeat=4)
     look(env, episode, CENTRE)
     side, turn = (1, "left") if episode.right == ContinuousRecognition.NEW else (-1, "right")
-    env.worlds.bodies[0, [YAW, PITCH]] = math.pi / 2 + side * math.radians(16.5), 0.0
+    env.envs.bodies[0, [YAW, PITCH]] = math.pi / 2 + side * math.radians(16.5), 0.0
     reward = env.step(np.array([6 if turn == "left" else 7]))[1][0]
     assert reward == 1
     assert episode.done == 1
@@ -113,10 +113,10 @@ def test_the_last_trial_ends_the_episode(level: str) -> None:
     trials = 80 if level == SEARCH else 60
     assert episode.trials == trials
     for _ in range(trials):
-        assert env.worlds.ending[0] < 0
+        assert env.envs.ending[0] < 0
         answer(episode, right=True)
     assert episode.done == trials
-    env.worlds.timers[:] = -1  # those that no frame has seen
+    env.envs.timers[:] = -1  # those that no frame has seen
     for frame in range(13):  # that of the answer, which was given between frames here, and 12
         _, _, terminated, truncated, _ = env.step(np.array([14]))
         assert (bool(terminated[0]), bool(truncated[0])) == (frame == 12, False)
@@ -418,7 +418,7 @@ def turning(env: LabyrinthVectorEnv) -> np.ndarray:
         if not top <= 0.509 < bottom and isinstance(episode, ArbitraryVisuomotorMapping):
             left, _, right, _ = LEFT
         yaw, _ = episode.screen.direction((left + right) / 2, 0.509)
-        actions[i] = 4 if env.worlds.bodies[i, YAW] < yaw else 5
+        actions[i] = 4 if env.envs.bodies[i, YAW] < yaw else 5
     return actions
 
 

@@ -22,19 +22,19 @@ from zipf.envs.testing import check_vector_env
 def test_where_the_player_looks() -> None:
     """By the formulas of the description, from a level's measures alone."""
     env, _ = begin(SEARCH)
-    body = env.worlds.bodies[0]
+    body = env.envs.bodies[0]
     rng = np.random.default_rng(0)
     for _ in range(50):
         right, down = rng.uniform(-1.2, 1.2, 2)
         body[YAW], body[PITCH] = math.pi / 2 - right, -down
         x = 0.5 + 90 * math.tan(right) / 112
         y = 0.5 + 1 / 112 + 90 * math.tan(down) / (math.cos(right) * 112)
-        assert gaze(env.worlds, 0) == pytest.approx((x, y))
+        assert gaze(env.envs, 0) == pytest.approx((x, y))
     body[YAW], body[PITCH] = math.pi / 2, 0.0
-    assert gaze(env.worlds, 0) == pytest.approx((0.5, 0.509), abs=1e-3)
+    assert gaze(env.envs, 0) == pytest.approx((0.5, 0.509), abs=1e-3)
     for yaw in (-math.pi / 2, 0.0, math.pi, 4.0):
         body[YAW] = yaw
-        assert gaze(env.worlds, 0) == (NOWHERE, NOWHERE)
+        assert gaze(env.envs, 0) == (NOWHERE, NOWHERE)
 
 
 def test_the_gaze_is_the_middle_of_the_view() -> None:
@@ -43,7 +43,7 @@ def test_the_gaze_is_the_middle_of_the_view() -> None:
     image = np.zeros((1, 73, 97, 3), np.uint8)
     for _ in range(20):
         x, y = rng.uniform(0.05, 0.95, 2)
-        env.worlds.bodies[0, [YAW, PITCH]] = episode.screen.direction(x, y)
+        env.envs.bodies[0, [YAW, PITCH]] = episode.screen.direction(x, y)
         assert episode.screen.gaze == pytest.approx((x, y))
         episode.screen.clear()
         episode.screen.fill((x - 0.025, y - 0.025, x + 0.025, y + 0.025), BLACK)
@@ -54,7 +54,7 @@ def test_the_gaze_is_the_middle_of_the_view() -> None:
 def test_how_large_the_screen_is() -> None:
     env, episode = begin(SEARCH, image_size=(72, 96))
     episode.screen.clear()
-    env.worlds.bodies[0, [YAW, PITCH]] = math.pi / 2, 0.0
+    env.envs.bodies[0, [YAW, PITCH]] = math.pi / 2, 0.0
     image = np.zeros((1, 72, 96, 3), np.uint8)
     env._scenery.draw(image, np.ones(1, np.bool_))
     white = (image[0] == 255).all(-1)
@@ -66,7 +66,7 @@ def test_how_large_the_screen_is() -> None:
 def test_the_player_only_looks(level: str) -> None:
     env = batch(level, 200)
     env.reset(seed=0)
-    bodies = env.worlds.bodies
+    bodies = env.envs.bodies
     off = np.degrees(bodies[:, YAW]) - 90
     assert abs(off).max() <= 22.5
     assert np.ptp(off) > 40
@@ -122,7 +122,7 @@ def test_a_screen_is_restored_with_its_episode(level: str) -> None:
     for one in (other, pickle.loads(pickle.dumps(env))):
         np.testing.assert_equal(one.observations(), env.observations())
         np.testing.assert_equal(one._scenery.scenes.screen, env._scenery.scenes.screen)
-        np.testing.assert_equal(one.worlds, env.worlds)
+        np.testing.assert_equal(one.envs, env.envs)
     for _ in range(60):
         actions = player()
         expected = env.step(actions)
@@ -134,18 +134,18 @@ def test_other_levels_have_no_screen() -> None:
     names = (RECOGNITION, "rooms_watermaze")
     makers = {name: partial(make_vec, f"labyrinth/{name}") for name in names}
     env = Mixture(makers, 16, draw="resets", exponent=0.0, image_size=(9, 12))
-    worlds = env.batches[0].worlds
+    envs = env.batches[0].envs
     changes = 0
     for seed in range(8):
-        before = env.levels_of_worlds.copy()
+        before = env.levels_of_envs.copy()
         env.reset(seed=seed)
         for _ in range(3):
             env.step(np.full(16, 14))
-        on_screen = env.levels_of_worlds == 0
+        on_screen = env.levels_of_envs == 0
         changes += int((on_screen[before == 0] == 0).sum())
-        assert ((worlds.screen[:, 3] > 0) == on_screen).all()
-        assert (worlds.widgets.any((1, 2)) == on_screen).all()
-        assert (worlds.watched[~on_screen] == -1).all()
+        assert ((envs.screen[:, 3] > 0) == on_screen).all()
+        assert (envs.widgets.any((1, 2)) == on_screen).all()
+        assert (envs.watched[~on_screen] == -1).all()
     assert changes > 8
 
 
@@ -164,7 +164,7 @@ def test_the_page_of_a_screen_shows_where_the_player_looks() -> None:
     assert isinstance(episode, VisualSearch)
     episode.screen.clear()
     for x, y in ((0.2, 0.3), (0.8, 0.7)):
-        env.worlds.bodies[0, [YAW, PITCH]] = episode.screen.direction(x, y)
+        env.envs.bodies[0, [YAW, PITCH]] = episode.screen.direction(x, y)
         frames = env.render()
         assert frames is not None
         page = frames[0][:, 384:]

@@ -105,9 +105,9 @@ def unroll(seed, actions):
 
 
 def share(whole, rank):
-    worlds = slice(rank * BATCH // 2, (rank + 1) * BATCH // 2)
-    memory = {name: part[worlds] for name, part in whole.memory.items()}
-    return Unroll(whole.steps[:, worlds], memory)
+    envs = slice(rank * BATCH // 2, (rank + 1) * BATCH // 2)
+    memory = {name: part[envs] for name, part in whole.memory.items()}
+    return Unroll(whole.steps[:, envs], memory)
 
 
 ABLE = [name for name, agent in agents().items() if agent.averages_gradients]

@@ -52,9 +52,9 @@ MINIGRID = {
 }
 
 
-def learn(agent, id, updates, seed=0, options=None, **worlds):
+def learn(agent, id, updates, seed=0, options=None, **envs):
     """The mean return after that many updates, and the returns in training, in ten parts."""
-    env = GymnasiumVectorEnv(16, id, **worlds)
+    env = GymnasiumVectorEnv(16, id, **envs)
     network = compact(patch=None, size=64)
     memory = MLPOptions(name="mlp", size=64, layers=1)
     spaces = env.single_observation_space, env.single_action_space
@@ -69,7 +69,7 @@ def learn(agent, id, updates, seed=0, options=None, **worlds):
         if update % (updates // 10) == 0:
             curve.append(collector.episode_metrics().get("episode_return"))
     policy = AgentPolicy(learner, seed=1, device="cpu")
-    played = play(policy, GymnasiumVectorEnv(50, id, **worlds), episodes=100, seed=2)
+    played = play(policy, GymnasiumVectorEnv(50, id, **envs), episodes=100, seed=2)
     return float(played["return"].mean()), curve
 
 

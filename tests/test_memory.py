@@ -169,20 +169,20 @@ def test_every_parameter_learns(name):
 @pytest.mark.parametrize("layers", [1, 2])
 def test_lstm_equals_torch(layers):
     memory = build(LSTMOptions(name="lstm", size=SIZE, layers=layers))
-    reference = torch.nn.LSTM(FEATURES, SIZE, layers)
+    baseline = torch.nn.LSTM(FEATURES, SIZE, layers)
     state = some_state(memory)
     layer, hidden, cell = memory, [], []
     with torch.no_grad():
         for i in range(layers):
-            getattr(reference, f"weight_ih_l{i}").copy_(layer.input_gates.weight)
-            getattr(reference, f"bias_ih_l{i}").copy_(layer.input_gates.bias)
-            getattr(reference, f"weight_hh_l{i}").copy_(layer.recurrent_gates.weight)
-            getattr(reference, f"bias_hh_l{i}").zero_()
+            getattr(baseline, f"weight_ih_l{i}").copy_(layer.input_gates.weight)
+            getattr(baseline, f"bias_ih_l{i}").copy_(layer.input_gates.bias)
+            getattr(baseline, f"weight_hh_l{i}").copy_(layer.recurrent_gates.weight)
+            getattr(baseline, f"bias_hh_l{i}").zero_()
             layer = layer.above
             hidden.append(state["above." * i + "hidden"])
             cell.append(state["above." * i + "cell"])
     inputs, is_first = sequence(0, ends=0.0)
-    expected, _ = reference(inputs, (torch.stack(hidden), torch.stack(cell)))
+    expected, _ = baseline(inputs, (torch.stack(hidden), torch.stack(cell)))
     outputs, _ = memory(inputs, is_first, state)
     torch.testing.assert_close(outputs, expected)
 

@@ -13,7 +13,7 @@ from scipy.stats import chisquare
 
 from zipf.envs import (
     Mixture,
-    SingleWorld,
+    SingleEnv,
     Split,
     SplitLevel,
     ZipfVectorEnv,
@@ -53,8 +53,8 @@ def test_it_keeps_the_contract(count: int) -> None:
 def test_worlds_are_shared_evenly_in_blocks() -> None:
     env = mixture()
     assert env.level_names == LEVELS
-    np.testing.assert_array_equal(env.levels_of_worlds, [0, 0, 0, 1, 1, 2, 2])
-    np.testing.assert_array_equal(mixture(3).levels_of_worlds, [0, 1, 2])
+    np.testing.assert_array_equal(env.levels_of_envs, [0, 0, 0, 1, 1, 2, 2])
+    np.testing.assert_array_equal(mixture(3).levels_of_envs, [0, 1, 2])
 
 
 def parts(value: Any) -> list[Any]:
@@ -171,7 +171,7 @@ def test_it_draws_and_closes_every_level() -> None:
     for batch in batches:
         batch.reset(seed=0)
     for i, frame in enumerate(frames):
-        np.testing.assert_array_equal(frame, batches[env.levels_of_worlds[i]].render()[i])
+        np.testing.assert_array_equal(frame, batches[env.levels_of_envs[i]].render()[i])
     assert mixture().render() is None
     env.close()
     assert all(batch.closed for batch in env.batches)
@@ -262,10 +262,10 @@ class Counting(ZipfVectorEnv):
     def _describe(self) -> Any:
         return {"last": np.full(self.num_envs, self.last)}
 
-    def _get_worlds(self) -> Any:
+    def _get_env_states(self) -> Any:
         return {}
 
-    def _set_worlds(self, state: Any) -> None: ...
+    def _set_env_states(self, state: Any) -> None: ...
 
 
 COUNTING = {f"to_{last}": partial(Counting, last=last) for last in (2, 3, 5, 7, 9)}
@@ -285,7 +285,7 @@ def test_drawn_levels_keep_the_contract(levels: Any) -> None:
     if "short" in levels:
         del options["max_steps"]
     make_env = partial(Mixture, levels, draw="resets", exponent=0.5, **options)
-    check_vector_env(make_env, partial(SingleWorld, lambda n, **kw: make_env(n, **kw)))
+    check_vector_env(make_env, partial(SingleEnv, lambda n, **kw: make_env(n, **kw)))
 
 
 def test_an_episode_takes_one_number_more_than_the_levels_own() -> None:
@@ -294,7 +294,7 @@ def test_an_episode_takes_one_number_more_than_the_levels_own() -> None:
     streams = [pcg64.stream(5 + i) for i in range(6)]
     for i, stream in enumerate(streams):
         level = pcg64.choice(stream, pcg64.cumulative(env.probabilities))
-        assert level == env.levels_of_worlds[i]
+        assert level == env.levels_of_envs[i]
         alone = make_vec(f"gridworld/{env.level_names[level]}", 1, **SMALL)
         alone.reset()
         alone._streams[0] = stream
@@ -412,7 +412,7 @@ def test_drawn_levels_of_the_playroom_are_replayed() -> None:
     rng = np.random.default_rng(0)
     for _ in range(18):
         env.step(rng.integers(46, size=5))
-    assert len(set(env.levels_of_worlds.tolist())) > 1
+    assert len(set(env.levels_of_envs.tolist())) > 1
     other.reset(seed=7)
     other.set_state(env.get_state())
     pickled = pickle.loads(pickle.dumps(env))
@@ -428,7 +428,7 @@ def test_drawn_levels_of_the_playroom_keep_the_contract() -> None:
     make_env = partial(Mixture, levels, draw="resets", exponent=0.0, max_steps=11)
     levels["long"] = partial(levels["long"], max_steps=18)
     check_vector_env(
-        make_env, partial(SingleWorld, lambda n, **kw: make_env(n, **kw)), num_envs=3, steps=45
+        make_env, partial(SingleEnv, lambda n, **kw: make_env(n, **kw)), num_envs=3, steps=45
     )
 
 
@@ -439,7 +439,7 @@ def test_mixtures_are_levels_of_mixtures() -> None:
     }
     make_env = partial(Mixture, inner, draw="resets", exponent=1.0, rank="group")
     assert make_env(2).situation == {"group": 2, "level": 2, "map": 6, "target": 5}
-    check_vector_env(make_env, partial(SingleWorld, lambda n, **kw: make_env(n, **kw)))
+    check_vector_env(make_env, partial(SingleEnv, lambda n, **kw: make_env(n, **kw)))
 
 
 @pytest.mark.parametrize(

@@ -131,10 +131,10 @@ class Bandit(ZipfVectorEnv):
     def _situations(self):
         return {}
 
-    def _get_worlds(self):
+    def _get_env_states(self):
         return {}
 
-    def _set_worlds(self, state): ...
+    def _set_env_states(self, state): ...
 
 
 OPTIONS = ImpalaOptions(

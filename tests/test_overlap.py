@@ -190,7 +190,7 @@ def test_unrolls_before_the_last_are_left_alone():
 # Errors and interrupts
 
 
-class Worlds:
+class Envs:
     """A collector whose steps a test watches and breaks."""
 
     device = "cpu"
@@ -233,7 +233,7 @@ class Nobody:
 
 @pytest.mark.parametrize("error", [FloatingPointError, KeyboardInterrupt])
 def test_an_error_in_learning_stops_collection(error):
-    worlds = Worlds()
+    worlds = Envs()
     overlap = BackgroundRollouts(worlds, Nobody())
 
     def learn(unroll):
@@ -249,7 +249,7 @@ def test_an_error_in_collection_is_raised_after_learning():
     def at_step(step):
         raise MemoryError("from collection")
 
-    overlap = BackgroundRollouts(Worlds(at_step), Nobody())
+    overlap = BackgroundRollouts(Envs(at_step), Nobody())
     learned_from = []
     with pytest.raises(MemoryError, match="from collection"):
         overlap.step(learned_from.append)
@@ -261,7 +261,7 @@ def test_an_interrupt_while_waiting_stops_collection(request):
     # A shell's background jobs begin with the signal ignored.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
-    worlds = Worlds(lambda step: os.kill(os.getpid(), signal.SIGINT) if step == 3 else None)
+    worlds = Envs(lambda step: os.kill(os.getpid(), signal.SIGINT) if step == 3 else None)
     overlap = BackgroundRollouts(worlds, Nobody())
     with pytest.raises(KeyboardInterrupt):
         overlap.step(lambda unroll: None)
@@ -285,7 +285,7 @@ def test_autocast_in_one_thread_keeps_the_other_ones_casts():
         with torch.autocast("cpu", torch.bfloat16):
             F.linear(inputs, weight)
 
-    worlds = Worlds(at_step, steps=3)
+    worlds = Envs(at_step, steps=3)
     overlap = BackgroundRollouts(worlds, Nobody())
 
     def learn(unroll):

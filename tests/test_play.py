@@ -707,7 +707,7 @@ def test_a_level_shows_its_instruction_if_it_has_one(level, ending, monkeypatch,
     step = sessions.Shows.step
 
     def watched(self, env, observation, text):
-        shown.append((env.worlds.instruction[0].copy(), text.lines))
+        shown.append((env.envs.instruction[0].copy(), text.lines))
         step(self, env, observation, text)
 
     monkeypatch.setattr(sessions.Shows, "step", watched)

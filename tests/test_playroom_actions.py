@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from playroom_worlds import act, arrange, look_at, playroom
+from playroom_envs import act, arrange, look_at, playroom
 
 from zipf.envs.playroom.actions import ACTIONS, CONTROL_TABLE, CONTROLS
 from zipf.envs.playroom.constants import DAMPING, EYE, STEP
@@ -111,7 +111,7 @@ def test_the_image_moves_against_the_view(
     arrange(env, (*-0.7 * ahead, yaw, -0.3), {0: 1.4 * ahead})
     before = middle(pixels(env))
     act(env, hand + action)
-    assert env.worlds.hands[0] == -1  # it is out of reach
+    assert env.envs.hands[0] == -1  # it is out of reach
     moved = np.subtract(middle(pixels(env)), before)
     along = moved @ [down, right]
     assert along > 1
@@ -122,10 +122,10 @@ def test_slight_strafing_has_the_same_sign() -> None:
     env = watched()
     arrange(env)
     act(env, *["MOVE_RIGHT_SLIGHTLY"] * 8)
-    assert env.worlds.agents[0, AY] < -0.01
+    assert env.envs.agents[0, AY] < -0.01
     arrange(env)
     act(env, *["GRAB_AND_MOVE_LEFT_SLIGHTLY"] * 8)
-    assert env.worlds.agents[0, AY] > 0.01
+    assert env.envs.agents[0, AY] > 0.01
 
 
 def test_going_forward_enlarges_objects_ahead() -> None:
@@ -155,11 +155,11 @@ def test_looking_up_shows_the_ceiling_and_down_the_floor() -> None:
         return float((image != hidden).any(-1).mean())
 
     act(env, *["LOOK_UP_FULL"] * 12)
-    assert env.worlds.agents[0, PITCH] == HIGHEST
+    assert env.envs.agents[0, PITCH] == HIGHEST
     assert seen(1) > 0.5
     assert seen(0) == 0
     act(env, *["LOOK_DOWN_FULL"] * 20)
-    assert env.worlds.agents[0, PITCH] == LOWEST
+    assert env.envs.agents[0, PITCH] == LOWEST
     assert seen(0) > 0.5
     assert seen(1) == 0
 
@@ -187,10 +187,10 @@ def test_how_far_an_action_turns(action: str, column: int, degrees: float, hand:
     env = playroom()
     arrange(env)
     act(env, *[hand + action] * 3)
-    turned = env.worlds.agents[0, [YAW, PITCH]]
+    turned = env.envs.agents[0, [YAW, PITCH]]
     expected = np.where(np.array([YAW, PITCH]) == column, 3 * degrees, 0)
     np.testing.assert_allclose(np.degrees(turned), expected, atol=1e-9)
-    np.testing.assert_allclose(env.worlds.agents[0, :2], 0, atol=1e-9)
+    np.testing.assert_allclose(env.envs.agents[0, :2], 0, atol=1e-9)
 
 
 def test_yaw_wraps_around() -> None:
@@ -199,7 +199,7 @@ def test_yaw_wraps_around() -> None:
     yaws = []
     for _ in range(50):
         act(env, "LOOK_LEFT_FULL")
-        yaws.append(env.worlds.agents[0, YAW])
+        yaws.append(env.envs.agents[0, YAW])
     assert -math.pi <= min(yaws) < -3
     assert 3 < max(yaws) <= math.pi
     assert yaws[44] == pytest.approx(0, abs=1e-9)  # 45 times 16 degrees are two turns
@@ -222,10 +222,10 @@ def test_the_agent_has_momentum(yaw: float, action: str, aside: float) -> None:
     corners = [(1.7, 1.7), (1.7, -1.7), (-1.7, 1.7), (-1.7, -1.7)]
     free = sorted(corners, key=lambda corner: abs(np.dot(corner, heading)))  # out of the way
     arrange(env, (*start, yaw, 0), dict(enumerate([*free[:2], free[2]])))
-    places = [env.worlds.agents[0, :2].copy()]
+    places = [env.envs.agents[0, :2].copy()]
     for name in [action] * 6 + ["NOOP"] * 6:
         act(env, name)
-        places.append(env.worlds.agents[0, :2].copy())
+        places.append(env.envs.agents[0, :2].copy())
     moves = np.diff(places, axis=0) / STEP
     speeds = moves @ heading
     np.testing.assert_allclose(moves, np.outer(speeds, heading), atol=1e-9)
@@ -244,9 +244,9 @@ def test_the_agents_top_speed() -> None:
         arrange(env, (-1.7, 0, 0 if share == 1 else math.pi / 2, 0))
         speeds = []
         for _ in range(9):
-            before = env.worlds.agents[0, AX]
+            before = env.envs.agents[0, AX]
             act(env, action)
-            speeds.append((env.worlds.agents[0, AX] - before) / STEP)
+            speeds.append((env.envs.agents[0, AX] - before) / STEP)
         assert 0.96 * share * 2.7 < max(speeds[:7]) < share * 2.75
 
 
@@ -261,7 +261,7 @@ def holding(name: str = "duck", facing: float = 0.0, distance: float = 1.2) -> P
     )
     look_at(env, 0)
     act(env, "GRAB")
-    assert env.worlds.hands[0] == 0
+    assert env.envs.hands[0] == 0
     return env
 
 
@@ -271,23 +271,23 @@ APART = ((-1.2, 0.0, 0.0), (-0.2, 1.4, 0.0))
 @pytest.mark.parametrize("action", ["LOOK_RIGHT_FULL", "LOOK_LEFT_FULL", "LOOK_UP_FULL"])
 def test_a_held_object_stays_in_the_middle_of_the_view(action: str) -> None:
     env = holding("bottle")
-    before = env.worlds.agents.copy()
+    before = env.envs.agents.copy()
     act(env, *[f"GRAB_AND_{action}"] * 4, "GRAB")
     row, column = middle(pixels(env))
     assert abs(row - 35.5) < 3
     assert abs(column - 47.5) < 3
-    assert np.degrees(np.abs(env.worlds.agents - before).max()) > 45
+    assert np.degrees(np.abs(env.envs.agents - before).max()) > 45
 
 
 def test_looking_up_raises_the_held_object() -> None:
     env = holding()
-    heights = [env.worlds.objects[0, 0, Z]]
+    heights = [env.envs.objects[0, 0, Z]]
     for _ in range(5):
         act(env, "GRAB_AND_LOOK_UP_FULL")
-        heights.append(env.worlds.objects[0, 0, Z])
+        heights.append(env.envs.objects[0, 0, Z])
     assert (np.diff(heights) > 0.05).all()
     act(env, "GRAB_AND_LOOK_DOWN_FULL")
-    assert env.worlds.objects[0, 0, Z] < heights[-1]
+    assert env.envs.objects[0, 0, Z] < heights[-1]
 
 
 @pytest.mark.parametrize("amount", ["FULL", "MID"])
@@ -305,7 +305,7 @@ def test_pushing_makes_it_smaller_and_pulling_larger(amount: str) -> None:
 
 def test_how_far_an_action_pushes() -> None:
     env = holding()
-    distance = env.worlds.agents[0, HOLD]
+    distance = env.envs.agents[0, HOLD]
     for action, step in (
         ("GRAB_AND_PULL_CLOSER_FULL", -2 / 15),
         ("GRAB_AND_PULL_CLOSER_MID", -1 / 15),
@@ -314,7 +314,7 @@ def test_how_far_an_action_pushes() -> None:
     ):
         act(env, action)
         distance += step
-        assert env.worlds.agents[0, HOLD] == pytest.approx(distance)
+        assert env.envs.agents[0, HOLD] == pytest.approx(distance)
 
 
 @pytest.mark.parametrize(("action", "right"), [("SPIN_RIGHT", 1), ("SPIN_LEFT", -1)])
@@ -329,7 +329,7 @@ def test_spinning_right_turns_the_front_to_the_right(action: str, right: int) ->
     body[: rows[len(rows) // 2]] = False
     assert np.sign(middle(head)[1] - middle(body)[1]) == right
     assert abs(middle(head)[1] - middle(body)[1]) > 1.5
-    front = env.worlds.orientation[0, 0, :, 0]
+    front = env.envs.orientation[0, 0, :, 0]
     np.testing.assert_allclose(np.degrees(np.arctan2(front[1], front[0])), -96 * right)
 
 
@@ -339,7 +339,7 @@ def test_spinning_forward_tips_the_top_to_the_right(action: str, right: int) -> 
     act(env, "GRAB_AND_LOOK_UP_FULL", f"GRAB_AND_{action}")
     rows, columns = np.argwhere(pixels(env)).T
     assert np.cov(rows, columns)[0, 1] * right < -5  # rows are counted from the top
-    assert env.worlds.orientation[0, 0, 2, 2] == pytest.approx(math.cos(math.radians(24)))
+    assert env.envs.orientation[0, 0, 2, 2] == pytest.approx(math.cos(math.radians(24)))
 
 
 @pytest.mark.parametrize(("action", "up"), [("SPIN_UP", 1), ("SPIN_DOWN", -1)])
@@ -347,32 +347,32 @@ def test_spinning_forward_tips_the_top_to_the_right(action: str, right: int) -> 
 def test_spinning_up_turns_the_front_up(action: str, up: int, yaw: float) -> None:
     """From the agent's right side, where the agent's forward direction is to the right."""
     env = holding("bus")
-    env.worlds.agents[0, YAW] = yaw
+    env.envs.agents[0, YAW] = yaw
     act(env, *["GRAB"] * 4)
-    set_upright(env.worlds.orientation[0, 0], yaw)
+    set_upright(env.envs.orientation[0, 0], yaw)
     act(env, "GRAB_AND_LOOK_UP_FULL", f"GRAB_AND_{action}")
-    x, y, _, z, _ = env.worlds.objects[0, 0]
-    env.worlds.agents[0, :4] = (
+    x, y, _, z, _ = env.envs.objects[0, 0]
+    env.envs.agents[0, :4] = (
         x + 1.2 * math.sin(yaw),
         y - 1.2 * math.cos(yaw),
         yaw + math.pi / 2,
         0,
     )
-    env.worlds.agents[0, PITCH] = math.atan2(z + 0.1 - EYE, 1.2)
+    env.envs.agents[0, PITCH] = math.atan2(z + 0.1 - EYE, 1.2)
     rows, columns = np.argwhere(pixels(env)).T
     assert np.cov(rows, columns)[0, 1] * up < -3
-    assert env.worlds.orientation[0, 0, 2, 0] == pytest.approx(up * math.sin(math.radians(24)))
+    assert env.envs.orientation[0, 0, 2, 0] == pytest.approx(up * math.sin(math.radians(24)))
 
 
 def test_opposite_spins_cancel() -> None:
     env = holding("duck", 0.7)
-    before = env.worlds.orientation.copy()
+    before = env.envs.orientation.copy()
     spins = ["SPIN_RIGHT", "SPIN_UP", "SPIN_FORWARD"]
     back = ["SPIN_BACKWARD", "SPIN_DOWN", "SPIN_LEFT"]
     act(env, *[f"GRAB_AND_{name}" for name in spins])
-    assert np.abs(env.worlds.orientation - before).max() > 0.3
+    assert np.abs(env.envs.orientation - before).max() > 0.3
     act(env, *[f"GRAB_AND_{name}" for name in back])
-    np.testing.assert_allclose(env.worlds.orientation, before, atol=1e-12)
+    np.testing.assert_allclose(env.envs.orientation, before, atol=1e-12)
 
 
 @pytest.mark.parametrize("action", ["PULL_CLOSER_MID", "PUSH_AWAY_MID"])

@@ -14,7 +14,7 @@ from conftest import slow_but
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
-from playroom_worlds import KINDS
+from playroom_envs import KINDS
 
 from zipf.envs import Mixture, make, make_vec, split
 from zipf.envs.playroom.levels import LEVELS
@@ -204,9 +204,7 @@ def test_stepping_continues_from_a_state(level: str, looks: str) -> None:
         for other in copies:
             np.testing.assert_equal(other.step(actions), expected)
             for name in ("agents", "objects", "orientation", "status", "hands", "still", "lifted"):
-                np.testing.assert_array_equal(
-                    getattr(other.worlds, name), getattr(env.worlds, name)
-                )
+                np.testing.assert_array_equal(getattr(other.envs, name), getattr(env.envs, name))
 
 
 def test_an_episode_does_not_depend_on_those_before_it() -> None:
@@ -225,15 +223,15 @@ def test_an_episode_does_not_depend_on_those_before_it() -> None:
         actions = rng.choice([1, 1, 1, 2, 3, 5], size=2)
         np.testing.assert_equal(env.step(actions), fresh.step(actions))
         for name in ("agents", "objects", "orientation", "status"):
-            np.testing.assert_array_equal(getattr(env.worlds, name), getattr(fresh.worlds, name))
-    assert (env.worlds.objects[:, :, 3] >= 0).all()
+            np.testing.assert_array_equal(getattr(env.envs, name), getattr(fresh.envs, name))
+    assert (env.envs.objects[:, :, 3] >= 0).all()
 
 
 def test_a_damaged_state_is_refused_and_changes_nothing() -> None:
     env = played("put/put_on_bed_tray_all", 30)
     before = env.get_state()
     kept = {
-        name: getattr(env.worlds, name).copy() for name in ("agents", "objects", "status", "ranks")
+        name: getattr(env.envs, name).copy() for name in ("agents", "objects", "status", "ranks")
     }
     expected = copy.deepcopy(env).step(np.array([1, 2, 3]))
 
@@ -260,7 +258,7 @@ def test_a_damaged_state_is_refused_and_changes_nothing() -> None:
             env.set_state(state)
         np.testing.assert_equal(env.get_state(), before)
         for name, value in kept.items():
-            np.testing.assert_array_equal(getattr(env.worlds, name), value)
+            np.testing.assert_array_equal(getattr(env.envs, name), value)
     np.testing.assert_equal(env.step(np.array([1, 2, 3])), expected)
 
 
@@ -279,10 +277,10 @@ def test_any_state_in_range_is_accepted(level: str) -> None:
         state["actions"][:] = rng.integers(46, size=state["actions"].shape)
         state["lengths"][:] = 199, 0, 120
         env.set_state(state)
-        np.testing.assert_array_equal(env.worlds.ranks, [[0, 0, 49]] * 3)
+        np.testing.assert_array_equal(env.envs.ranks, [[0, 0, 49]] * 3)
         *_, truncated, _ = env.step(np.zeros(3, np.int64))
         assert truncated[0]
-        assert np.isfinite(env.worlds.objects).all()
+        assert np.isfinite(env.envs.objects).all()
 
 
 def test_worlds_without_an_episode_can_be_observed() -> None:
@@ -338,4 +336,4 @@ def test_the_image_size_does_not_change_the_episodes() -> None:
         results = [env.step(actions)[1:] for env in envs]
         for env, result in zip(envs[1:], results[1:], strict=True):
             np.testing.assert_equal(result[:3], results[0][:3])
-            np.testing.assert_array_equal(env.worlds.objects, envs[0].worlds.objects)
+            np.testing.assert_array_equal(env.envs.objects, envs[0].envs.objects)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playroom_worlds import BED, TRAY, act, arrange, check_held, look_at, playroom
+from playroom_envs import BED, TRAY, act, arrange, check_held, look_at, playroom
 
 from zipf.envs.playroom.actions import ACTIONS, CONTROL_TABLE
 from zipf.envs.playroom.constants import AGENT_RADIUS, CEILING, EYE, FURNITURE_SIZE, ROOM
@@ -19,27 +19,27 @@ FREE = "put/put_on_bed_tray_all"  # lifting does not end the episode
 
 def held(env: PlayroomVectorEnv) -> int:
     """The held object, or -1; checks that `hands` and `status` agree."""
-    item = int(env.worlds.hands[0])
+    item = int(env.envs.hands[0])
     np.testing.assert_array_equal(
-        np.flatnonzero(env.worlds.status[0] == HELD), [item] if item >= 0 else []
+        np.flatnonzero(env.envs.status[0] == HELD), [item] if item >= 0 else []
     )
     return item
 
 
 def gap(env: PlayroomVectorEnv, item: int, piece: int) -> float:
     """The distance of an object's centre from a piece of furniture, 0 above it."""
-    x, y = env.worlds.objects[0, item, :2]
-    return rectangle_gap(env.worlds.furniture[0, piece], FURNITURE_SIZE[piece], x, y)
+    x, y = env.envs.objects[0, item, :2]
+    return rectangle_gap(env.envs.furniture[0, piece], FURNITURE_SIZE[piece], x, y)
 
 
 def distances(env: PlayroomVectorEnv) -> np.ndarray:
     """The distances of the objects from the agent."""
-    return np.linalg.norm(env.worlds.objects[0, :, :2] - env.worlds.agents[0, :2], axis=1)
+    return np.linalg.norm(env.envs.objects[0, :, :2] - env.envs.agents[0, :2], axis=1)
 
 
 def half_width(env: PlayroomVectorEnv) -> float:
     """Of the first object."""
-    return float(env.worlds.extents[env.worlds.ranks[0, 0], 0]) / 2
+    return float(env.envs.extents[env.envs.ranks[0, 0], 0]) / 2
 
 
 # Gripping.
@@ -75,7 +75,7 @@ def test_the_hand_may_point_slightly_beside_an_object(aside: float, taken: bool)
     env = playroom()
     arrange(env, items={0: (1.0, 0.0)}, names=("bottle", "dice", "robot"))
     look_at(env, 0)
-    env.worlds.agents[0, YAW] += aside
+    env.envs.agents[0, YAW] += aside
     act(env, "GRAB")
     assert held(env) == (0 if taken else -1)
 
@@ -128,11 +128,11 @@ def test_the_first_action_that_does_not_grip_lets_go(action: int) -> None:
     arrange(env, items={0: (1.0, 0.0)}, task="on bed")
     look_at(env, 0)
     act(env, "GRAB", *["GRAB_AND_LOOK_UP_FULL"] * 3)
-    height = env.worlds.objects[0, 0, Z]
+    height = env.envs.objects[0, 0, Z]
     assert height > 0.3
     act(env, int(action))
     assert held(env) == -1, ACTIONS[action]
-    assert env.worlds.objects[0, 0, Z] < height
+    assert env.envs.objects[0, 0, Z] < height
 
 
 @pytest.mark.parametrize("action", np.flatnonzero(CONTROL_TABLE[:, -1] == 1))
@@ -149,10 +149,10 @@ def test_looking_up_raises_an_object_to_the_ceiling_at_most() -> None:
     arrange(env, items={0: (1.2, 0.0)}, task="on bed")
     look_at(env, 0)
     act(env, "GRAB", *["GRAB_AND_PUSH_AWAY_FULL"] * 6, *["GRAB_AND_LOOK_UP_FULL"] * 9)
-    top = env.worlds.objects[0, 0, Z] + env.worlds.extents[env.worlds.ranks[0, 0], 2]
+    top = env.envs.objects[0, 0, Z] + env.envs.extents[env.envs.ranks[0, 0], 2]
     assert top == pytest.approx(CEILING)
     act(env, *["GRAB_AND_LOOK_DOWN_FULL"] * 14)
-    assert env.worlds.objects[0, 0, Z] == 0
+    assert env.envs.objects[0, 0, Z] == 0
 
 
 @pytest.mark.parametrize("yaw", np.linspace(-3, 3, 7))
@@ -168,7 +168,7 @@ def test_a_held_object_stays_in_the_room(yaw: float) -> None:
         act(env, int(action))
         assert held(env) == 0
         check_held(env, 0)
-    assert np.abs(env.worlds.objects[0, 0, :2]).max() > 1.2
+    assert np.abs(env.envs.objects[0, 0, :2]).max() > 1.2
 
 
 @pytest.mark.parametrize("name", ["bottle", "guitar", "keyboard", "umbrella", "dice"])
@@ -196,27 +196,27 @@ def test_a_held_object_keeps_the_agent_from_the_wall() -> None:
             furniture=((-1.2, -1.5, 0.0), (1.2, -1.5, 0.0)))  # fmt: skip
     look_at(env, 0)
     act(env, "GRAB", *["GRAB_AND_LOOK_UP_FULL"] * 3, *["GRAB_AND_MOVE_FORWARD_FULL"] * 12)
-    wide = env.worlds.extents[env.worlds.ranks[0, 0], 0]
-    assert env.worlds.objects[0, 0, X] == pytest.approx(ROOM / 2 - wide / 2, abs=1e-6)
-    gap = env.worlds.objects[0, 0, X] - env.worlds.agents[0, 0]
+    wide = env.envs.extents[env.envs.ranks[0, 0], 0]
+    assert env.envs.objects[0, 0, X] == pytest.approx(ROOM / 2 - wide / 2, abs=1e-6)
+    gap = env.envs.objects[0, 0, X] - env.envs.agents[0, 0]
     assert gap == pytest.approx(AGENT_RADIUS + wide / 2 + CLEARANCE, abs=1e-6)
     # Without the object, the agent reaches the wall.
     act(env, "NOOP", "MOVE_LEFT_FULL", *["MOVE_FORWARD_FULL"] * 20)
-    assert env.worlds.agents[0, 0] > env.worlds.objects[0, 0, X] - wide / 2 - AGENT_RADIUS - 0.05
+    assert env.envs.agents[0, 0] > env.envs.objects[0, 0, X] - wide / 2 - AGENT_RADIUS - 0.05
 
 
 def test_the_agent_walks_over_the_tray() -> None:
     env = playroom(FREE)
     arrange(env, (-0.5, 1.2, 0, 0), task="on bed")
     act(env, *["MOVE_FORWARD_FULL"] * 8)
-    assert env.worlds.agents[0, 0] > 1.2
+    assert env.envs.agents[0, 0] > 1.2
     # But not through an object there.
     arrange(env, (-0.5, 1.2, 0, 0), {0: (0.8, 1.2, 0.0, 0.03)}, task="on bed")
     act(env, "NOOP", *["MOVE_FORWARD_FULL"] * 4)
-    assert env.worlds.agents[0, 0] < env.worlds.objects[0, 0, X] - AGENT_RADIUS
+    assert env.envs.agents[0, 0] < env.envs.objects[0, 0, X] - AGENT_RADIUS
     act(env, *["MOVE_FORWARD_FULL"] * 8)
-    assert env.worlds.status[0, 0] == FLOOR
-    assert env.worlds.objects[0, 0, X] > 1.1
+    assert env.envs.status[0, 0] == FLOOR
+    assert env.envs.objects[0, 0, X] > 1.1
 
 
 @pytest.mark.parametrize("height", [0.0, 0.05, 0.12, 0.2])
@@ -229,8 +229,8 @@ def test_an_object_held_low_does_not_enter_the_bed(height: float, move: str) -> 
     act(env, "GRAB")
     for _ in range(25):
         # Keep it at this height at any distance.
-        agent = env.worlds.agents[0]
-        below = height + env.worlds.extents[env.worlds.ranks[0, 0], 2] / 2 - EYE
+        agent = env.envs.agents[0]
+        below = height + env.envs.extents[env.envs.ranks[0, 0], 2] / 2 - EYE
         agent[PITCH] = math.asin(max(below / agent[HOLD], -0.95))
         act(env, f"GRAB_AND_{move}")
         assert held(env) == 0
@@ -247,7 +247,7 @@ def test_an_object_held_high_goes_over_the_bed() -> None:
     assert gap(env, 0, 0) == 0
     # It cannot be pushed into the mattress.
     act(env, *["GRAB_AND_LOOK_DOWN_FULL"] * 4)
-    assert env.worlds.objects[0, 0, Z] == 0.35
+    assert env.envs.objects[0, 0, Z] == 0.35
 
 
 # Releasing.
@@ -259,13 +259,13 @@ def test_a_released_object_falls_to_the_floor() -> None:
     heights = [1.0]
     while heights[-1] > 0:
         act(env, "NOOP")
-        heights.append(env.worlds.objects[0, 0, Z])
+        heights.append(env.envs.objects[0, 0, Z])
     # By g t^2 / 2 it takes 0.45 s, between three and four actions.
     assert len(heights) == 5
     assert (np.diff(heights[:4], 2) < 0).all()
-    assert env.worlds.status[0, 0] == FLOOR
+    assert env.envs.status[0, 0] == FLOOR
     act(env, *["NOOP"] * 5)
-    assert env.worlds.objects[0, 0].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
+    assert env.envs.objects[0, 0].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -279,9 +279,9 @@ def test_an_object_released_over_a_support_lands_on_it(
     spot = place[0] + 0.1, place[1] - 0.1
     arrange(env, (0, -1.2, 0, 0), {1: (*spot, 0.0, 1.2)}, task="on bed")
     act(env, *["NOOP"] * 8)
-    assert env.worlds.objects[0, 1, Z] == height
-    assert env.worlds.status[0, 1] == where
-    np.testing.assert_allclose(env.worlds.objects[0, 1, :2], spot)
+    assert env.envs.objects[0, 1, Z] == height
+    assert env.envs.status[0, 1] == where
+    np.testing.assert_allclose(env.envs.objects[0, 1, :2], spot)
 
 
 @pytest.mark.parametrize("side", [0.02, 0.1, 0.2])
@@ -290,8 +290,8 @@ def test_an_object_that_falls_beside_the_bed_ends_beside_it(side: float) -> None
     names = ("dice", "candle", "robot")
     arrange(env, (1.0, 0, 0, 0), {0: (-0.5 + side, 0.0, 0.0, 1.0)}, names, task="on bed")
     act(env, *["NOOP"] * 20)
-    assert env.worlds.objects[0, 0, Z] == 0
-    assert env.worlds.status[0, 0] == FLOOR
+    assert env.envs.objects[0, 0, Z] == 0
+    assert env.envs.status[0, 0] == FLOOR
     assert gap(env, 0, 0) > 0.85 * half_width(env)
 
 
@@ -301,13 +301,13 @@ def test_a_throw_keeps_its_momentum() -> None:
             furniture=((0, 1.5, 0.0), (-1.2, 1.5, 0.0)))  # fmt: skip
     look_at(env, 0)
     act(env, "GRAB", "GRAB_AND_LOOK_UP_FULL", *["GRAB_AND_LOOK_LEFT_FULL"] * 3)
-    before = env.worlds.objects[0, 0, :3].copy()
+    before = env.envs.objects[0, 0, :3].copy()
     places = []
     for _ in range(5):
         act(env, "NOOP")
-        places.append(env.worlds.objects[0, 0, :2].copy())
+        places.append(env.envs.objects[0, 0, :2].copy())
     flight = places[0] - before[:2]
-    tangent = np.array([-math.sin(env.worlds.agents[0, YAW]), math.cos(env.worlds.agents[0, YAW])])
+    tangent = np.array([-math.sin(env.envs.agents[0, YAW]), math.cos(env.envs.agents[0, YAW])])
     assert np.linalg.norm(flight) > 0.1
     assert flight @ tangent > 0.8 * np.linalg.norm(flight)  # the direction of the hand
     moves = np.linalg.norm(np.diff(places, axis=0), axis=1)
@@ -321,10 +321,10 @@ def test_a_spun_object_stands_up_again() -> None:
         look_at(env, 0)
         act(env, "GRAB", "GRAB_AND_LOOK_UP_FULL", *[f"GRAB_AND_{spin}" for spin in spins])
         act(env, *["NOOP"] * 12)
-        np.testing.assert_allclose(env.worlds.orientation[0, 0, :, 2], [0, 0, 1], atol=1e-12)
-        angle = env.worlds.objects[0, 0, ANGLE]
+        np.testing.assert_allclose(env.envs.orientation[0, 0, :, 2], [0, 0, 1], atol=1e-12)
+        angle = env.envs.objects[0, 0, ANGLE]
         np.testing.assert_allclose(
-            env.worlds.orientation[0, 0, :2, 0], [math.cos(angle), math.sin(angle)]
+            env.envs.orientation[0, 0, :2, 0], [math.cos(angle), math.sin(angle)]
         )
         if spins[0] == "SPIN_RIGHT":
             assert math.degrees(angle) == pytest.approx(-72)
@@ -334,9 +334,9 @@ def test_an_object_released_on_another_ends_beside_it() -> None:
     env = playroom()
     arrange(env, items={0: (1.0, 0.0, 0.0, 1.0), 1: (1.05, 0.02)}, names=("dice", "dice", "ball"))
     act(env, *["NOOP"] * 30)
-    assert env.worlds.objects[0, :, Z].tolist() == [0, 0, 0]
+    assert env.envs.objects[0, :, Z].tolist() == [0, 0, 0]
     assert np.linalg.norm(
-        env.worlds.objects[0, 0, :2] - env.worlds.objects[0, 1, :2]
+        env.envs.objects[0, 0, :2] - env.envs.objects[0, 1, :2]
     ) > 1.9 * half_width(env)
 
 
@@ -344,9 +344,9 @@ def test_an_object_that_falls_on_the_agent_ends_beside_it() -> None:
     env = playroom()
     arrange(env, items={0: (0.01, 0.0, 0.0, 2.0)}, names=("dice", "dice", "ball"))
     act(env, *["NOOP"] * 30)
-    assert env.worlds.objects[0, 0, Z] == 0
+    assert env.envs.objects[0, 0, Z] == 0
     assert np.linalg.norm(
-        env.worlds.objects[0, 0, :2] - env.worlds.agents[0, :2]
+        env.envs.objects[0, 0, :2] - env.envs.agents[0, :2]
     ) > AGENT_RADIUS + 0.85 * half_width(env)
 
 
@@ -357,11 +357,11 @@ def test_the_body_pushes_loose_objects() -> None:
     env = playroom()
     arrange(env, (-1.5, 0, 0, 0), {0: (-0.7, 0.0), 1: (0.3, 0.05)}, ("dice", "dice", "ball"))
     act(env, *["MOVE_FORWARD_FULL"] * 9)
-    x = env.worlds.objects[0, :2, X]
+    x = env.envs.objects[0, :2, X]
     assert x[0] > 0.0
     assert x[1] > 0.6
-    assert env.worlds.objects[0, :2, Z].tolist() == [0, 0]
-    assert (np.abs(env.worlds.objects[0, :, :2]) < ROOM / 2 - 0.05).all()
+    assert env.envs.objects[0, :2, Z].tolist() == [0, 0]
+    assert (np.abs(env.envs.objects[0, :, :2]) < ROOM / 2 - 0.05).all()
     np.testing.assert_array_less(AGENT_RADIUS, distances(env))
 
 
@@ -371,19 +371,19 @@ def test_furniture_does_not_move(place: Any) -> None:
     arrange(
         env, (0.0, 0, math.pi if place[0] < 0 else 0, 0), {0: (place[0] * 0.3, 0.0)}, task="on bed"
     )
-    before = env.worlds.furniture.copy()
+    before = env.envs.furniture.copy()
     act(env, *["MOVE_FORWARD_FULL"] * 25)
-    np.testing.assert_array_equal(env.worlds.furniture, before)
+    np.testing.assert_array_equal(env.envs.furniture, before)
     piece = 0 if place is BED else 1
-    x, y = env.worlds.agents[0, :2]
-    pose, size = env.worlds.furniture[0, piece], FURNITURE_SIZE[piece]
+    x, y = env.envs.agents[0, :2]
+    pose, size = env.envs.furniture[0, piece], FURNITURE_SIZE[piece]
     assert rectangle_gap(pose, size, x, y) > AGENT_RADIUS - 0.02
     assert gap(env, 0, piece) > 0.05
-    assert env.worlds.objects[0, 0, Z] == 0
+    assert env.envs.objects[0, 0, Z] == 0
 
 
 def test_the_body_does_not_push_an_object_on_the_bed() -> None:
     env = playroom(FREE)
     arrange(env, (0.5, 0, math.pi, 0), {0: (-0.55, 0.0, 0.0, 0.35)}, task="on bed")
     act(env, *["MOVE_FORWARD_FULL"] * 15)
-    np.testing.assert_allclose(env.worlds.objects[0, 0, [X, Y, Z]], [-0.55, 0, 0.35])
+    np.testing.assert_allclose(env.envs.objects[0, 0, [X, Y, Z]], [-0.55, 0, 0.35])

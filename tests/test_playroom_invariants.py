@@ -6,7 +6,7 @@ from conftest import slow_but
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from playroom_worlds import check_held
+from playroom_envs import check_held
 
 from zipf.envs.playroom.actions import ACTIONS, GRAB
 from zipf.envs.playroom.constants import AGENT_RADIUS, CEILING, FURNITURE_SIZE, ROOM
@@ -43,55 +43,55 @@ def inside(pose: NDArray, size: NDArray, x: float, y: float) -> float:
 
 def check(env: PlayroomVectorEnv, ranks: NDArray[np.int64], overlap: float = OVERLAP) -> None:
     """Raises unless the state of all envs is consistent."""
-    worlds, half = env.worlds, ROOM / 2
-    np.testing.assert_array_equal(worlds.ranks, ranks)
-    for values in (worlds.agents, worlds.objects, worlds.orientation):
+    envs, half = env.envs, ROOM / 2
+    np.testing.assert_array_equal(envs.ranks, ranks)
+    for values in (envs.agents, envs.objects, envs.orientation):
         assert np.isfinite(values).all()
     # Everything is in the room.
-    assert (np.abs(worlds.agents[:, [AX, AY]]) <= half - AGENT_RADIUS + overlap).all()
-    width = worlds.extents[worlds.ranks, :2].min(-1) / 2
-    assert (np.abs(worlds.objects[:, :, :2]).max(-1) <= half - width + overlap).all()
-    heights, tops = worlds.objects[:, :, Z], worlds.extents[worlds.ranks, 2]
-    held = worlds.status == HELD
+    assert (np.abs(envs.agents[:, [AX, AY]]) <= half - AGENT_RADIUS + overlap).all()
+    width = envs.extents[envs.ranks, :2].min(-1) / 2
+    assert (np.abs(envs.objects[:, :, :2]).max(-1) <= half - width + overlap).all()
+    heights, tops = envs.objects[:, :, Z], envs.extents[envs.ranks, 2]
+    held = envs.status == HELD
     assert (heights >= 0).all()
     assert (heights + tops <= CEILING + 1e-9)[~held].all()
     # Angles and the hand are in range.
-    assert (np.abs(worlds.agents[:, YAW]) <= np.pi).all()
-    assert (worlds.agents[:, PITCH] >= LOWEST).all()
-    assert (worlds.agents[:, PITCH] <= HIGHEST).all()
-    assert (held.sum(1) == (worlds.hands >= 0)).all()
-    for i in np.flatnonzero(worlds.hands >= 0):
-        assert held[i, worlds.hands[i]]
-        assert NEAREST_HOLD <= worlds.agents[i, HOLD] <= worlds.reach
-        assert worlds.agents[i, BASE] >= 0
+    assert (np.abs(envs.agents[:, YAW]) <= np.pi).all()
+    assert (envs.agents[:, PITCH] >= LOWEST).all()
+    assert (envs.agents[:, PITCH] <= HIGHEST).all()
+    assert (held.sum(1) == (envs.hands >= 0)).all()
+    for i in np.flatnonzero(envs.hands >= 0):
+        assert held[i, envs.hands[i]]
+        assert NEAREST_HOLD <= envs.agents[i, HOLD] <= envs.reach
+        assert envs.agents[i, BASE] >= 0
         check_held(env, i)
-    product = np.einsum("njrk,njrl->njkl", worlds.orientation, worlds.orientation)
+    product = np.einsum("njrk,njrl->njkl", envs.orientation, envs.orientation)
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-9)
-    np.testing.assert_allclose(np.linalg.det(worlds.orientation), 1, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(envs.orientation), 1, atol=1e-9)
     # The status agrees with the poses.
     top = np.array([0, 0, 0, FURNITURE_SIZE[0, 2], FURNITURE_SIZE[1, 2]])
-    resting = (worlds.status != AIR) & ~held
-    np.testing.assert_array_equal(heights[resting], top[worlds.status][resting])
-    assert (worlds.still <= STILL_STEPS).all()
+    resting = (envs.status != AIR) & ~held
+    np.testing.assert_array_equal(heights[resting], top[envs.status][resting])
+    assert (envs.still <= STILL_STEPS).all()
     if not env.level.furnished:
-        assert (worlds.status <= HELD).all()
+        assert (envs.status <= HELD).all()
         return
     for i in range(env.num_envs):
-        pieces = list(zip(worlds.furniture[i], FURNITURE_SIZE, strict=True))
+        pieces = list(zip(envs.furniture[i], FURNITURE_SIZE, strict=True))
         for k, (pose, size) in enumerate(pieces):
             # A held object may slide onto the tray, but reaches the bed only from above.
-            assert k == 1 or inside(pose, size, *worlds.agents[i, :2]) == 0
-            for j in range(worlds.objects.shape[1]):
-                depth = inside(pose, size, *worlds.objects[i, j, :2])
-                low = held[i, j] and k == 0 and worlds.objects[i, j, Z] < 0.25
-                if worlds.status[i, j] == ON_BED + k:
+            assert k == 1 or inside(pose, size, *envs.agents[i, :2]) == 0
+            for j in range(envs.objects.shape[1]):
+                depth = inside(pose, size, *envs.objects[i, j, :2])
+                low = held[i, j] and k == 0 and envs.objects[i, j, Z] < 0.25
+                if envs.status[i, j] == ON_BED + k:
                     assert depth > 0
-                elif low or worlds.status[i, j] == FLOOR:
+                elif low or envs.status[i, j] == FLOOR:
                     assert depth <= overlap
 
 
 def play(env: PlayroomVectorEnv, actions: NDArray[np.int64]) -> None:
-    ranks = env.worlds.ranks.copy()
+    ranks = env.envs.ranks.copy()
     for row in actions:
         env.step(row)
         check(env, ranks)
@@ -141,7 +141,7 @@ def test_the_same_actions_give_the_same_episode(actions: list[int], seed: int) -
     first, second = env.reset(seed=seed)[0], other.reset(seed=[5, seed])[0]
     for action in actions:
         np.testing.assert_array_equal(first["image"][0], second["image"][1])
-        np.testing.assert_array_equal(env.worlds.objects[0], other.worlds.objects[1])
+        np.testing.assert_array_equal(env.envs.objects[0], other.envs.objects[1])
         if not (env._running.all() and other._running.all()):
             break
         first, *ends, _ = env.step(np.array([action]))
@@ -160,7 +160,7 @@ def test_a_state_can_be_continued_from_any_step() -> None:
         for row in actions[t : t + 40]:
             np.testing.assert_equal(other.step(row)[:4], env.step(row)[:4])
         for name in ("agents", "objects", "orientation", "status", "hands", "still", "lifted"):
-            np.testing.assert_array_equal(getattr(other.worlds, name), getattr(env.worlds, name))
+            np.testing.assert_array_equal(getattr(other.envs, name), getattr(env.envs, name))
 
 
 # Tight corners.
@@ -187,16 +187,16 @@ def test_throwing_at_walls_and_furniture() -> None:
     for seed in range(12):
         env.reset(seed=seed)
         for i in range(N):  # held from the start, wherever the object is
-            env.worlds.hands[i], env.worlds.status[i, 0] = 0, HELD
-            env.worlds.agents[i, HOLD] = 1.5
-        ranks = env.worlds.ranks.copy()
+            env.envs.hands[i], env.envs.status[i, 0] = 0, HELD
+            env.envs.agents[i, HOLD] = 1.5
+        ranks = env.envs.ranks.copy()
         swing = [turn] * int(rng.integers(3, 9)) + [up] * int(rng.integers(4)) + [far] * 2 + [turn]
         for action in [*swing, *[0] * 12]:
-            before = env.worlds.objects[:, 0, :2].copy()
+            before = env.envs.objects[:, 0, :2].copy()
             env.step(np.full(N, action))
             check(env, ranks)
-            moved = np.linalg.norm(env.worlds.objects[:, 0, :2] - before, axis=1)
-            flying += int(((env.worlds.status[:, 0] == AIR) & (moved > 0.1)).sum())
+            moved = np.linalg.norm(env.envs.objects[:, 0, :2] - before, axis=1)
+            flying += int(((env.envs.status[:, 0] == AIR) & (moved > 0.1)).sum())
     assert flying > 20
 
 
@@ -209,16 +209,16 @@ def test_overlapping_objects_are_separated() -> None:
             room = env.rooms[i]
             assert room is not None
             for j, body in enumerate(room.objects):
-                sign = np.sign(-env.worlds.furniture[i, 0, :2] - env.worlds.furniture[i, 1, :2])
+                sign = np.sign(-env.envs.furniture[i, 0, :2] - env.envs.furniture[i, 1, :2])
                 body.position = tuple(sign * (corner - 0.01 * j))
                 room.space.reindex_shapes_for_body(body)
         for _ in range(60):
             env.step(np.zeros(N, np.int64))
-        assert np.isfinite(env.worlds.objects).all()
-        assert (np.abs(env.worlds.objects[:, :, :2]) < ROOM / 2).all()
+        assert np.isfinite(env.envs.objects).all()
+        assert (np.abs(env.envs.objects[:, :, :2]) < ROOM / 2).all()
         for i in range(N):
             for j in range(1, 6):
                 gaps = np.linalg.norm(
-                    env.worlds.objects[i, :j, :2] - env.worlds.objects[i, j, :2], axis=1
+                    env.envs.objects[i, :j, :2] - env.envs.objects[i, j, :2], axis=1
                 )
                 assert gaps.min() > 0.05

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import slow_but
 from numpy.typing import NDArray
-from playroom_worlds import KINDS
+from playroom_envs import KINDS
 from scipy.stats import chisquare
 
 from zipf.envs import make_vec, split
@@ -213,7 +213,7 @@ def test_forcing_does_not_change_the_episodes_that_follow(level: str) -> None:
     env.reset(seed=5)
     streams = env.get_state()["streams"]
     expected = env.reset()[1]
-    poses = env.worlds.objects.copy()
+    poses = env.envs.objects.copy()
     rng = np.random.default_rng(0)
     for _ in range(4):
         names = [name for name in env.situation if rng.random() < 0.7]
@@ -222,7 +222,7 @@ def test_forcing_does_not_change_the_episodes_that_follow(level: str) -> None:
         )
         np.testing.assert_array_equal(env.get_state()["streams"], streams)
         np.testing.assert_equal(env.reset()[1], expected)
-        np.testing.assert_array_equal(env.worlds.objects, poses)
+        np.testing.assert_array_equal(env.envs.objects, poses)
 
 
 def test_any_task_may_be_forced() -> None:
@@ -253,12 +253,12 @@ def begun(level: str, num_envs: int, **forced: int) -> PlayroomVectorEnv:
 )
 def test_nothing_overlaps_at_the_start(level: str) -> None:
     env = begun(level, 800)
-    radius = np.array([footprint(extent) for extent in env.worlds.extents])[env.worlds.ranks]
-    places, agents = env.worlds.objects[:, :, :2], env.worlds.agents[:, :2]
+    radius = np.array([footprint(extent) for extent in env.envs.extents])[env.envs.ranks]
+    places, agents = env.envs.objects[:, :, :2], env.envs.agents[:, :2]
     half = ROOM / 2
     assert (np.abs(places).max(-1) + radius < half).all()
     assert (np.abs(agents) + AGENT_RADIUS < half).all()
-    assert (env.worlds.objects[:, :, Z] == 0).all()
+    assert (env.envs.objects[:, :, Z] == 0).all()
     gaps = np.linalg.norm(places - agents[:, None], axis=-1) - radius - AGENT_RADIUS
     assert gaps.min() > 0.05
     for j, k in itertools.combinations(range(places.shape[1]), 2):
@@ -267,7 +267,7 @@ def test_nothing_overlaps_at_the_start(level: str) -> None:
     if not env.level.furnished:
         return
     for i in range(800):
-        pieces = list(zip(env.worlds.furniture[i], FURNITURE_SIZE, strict=True))
+        pieces = list(zip(env.envs.furniture[i], FURNITURE_SIZE, strict=True))
         for pose, size in pieces:
             assert rectangle_gap(pose, size, *agents[i]) > AGENT_RADIUS
             for place, r in zip(places[i], radius[i], strict=True):
@@ -284,18 +284,18 @@ def test_poses_and_colours_cover_their_ranges() -> None:
     def octants(angles: NDArray[np.float64]) -> NDArray[np.int64]:
         return np.bincount(((angles + np.pi) / (2 * np.pi) * 8).astype(int) % 8, minlength=8)
 
-    assert fits(octants(env.worlds.agents[:, YAW]), eight)
-    assert fits(octants(env.worlds.furniture[:, 1, 2]), eight)
+    assert fits(octants(env.envs.agents[:, YAW]), eight)
+    assert fits(octants(env.envs.furniture[:, 1, 2]), eight)
     for j in range(3):
-        assert fits(octants(env.worlds.objects[:, j, ANGLE]), eight)
+        assert fits(octants(env.envs.objects[:, j, ANGLE]), eight)
         # All corners of the room are equally likely.
-        x, y = env.worlds.objects[:, j, :2].T
+        x, y = env.envs.objects[:, j, :2].T
         assert fits(np.bincount(2 * (x > 0) + (y > 0), minlength=4), np.full(4, 0.25))
-    quarter = np.bincount((np.round(env.worlds.furniture[:, 0, 2] / (np.pi / 2)) % 4).astype(int))
+    quarter = np.bincount((np.round(env.envs.furniture[:, 0, 2] / (np.pi / 2)) % 4).astype(int))
     assert fits(quarter, np.full(4, 0.25))
-    assert len(np.unique(env.worlds.colours.reshape(1500, -1), axis=0)) == 1500
-    assert (env.worlds.colours[:, :, 0] != env.worlds.colours[:, :, 1]).any(-1).all()
-    assert (env.worlds.agents[:, PITCH] == FIRST_PITCH).all()
+    assert len(np.unique(env.envs.colours.reshape(1500, -1), axis=0)) == 1500
+    assert (env.envs.colours[:, :, 0] != env.envs.colours[:, :, 1]).any(-1).all()
+    assert (env.envs.agents[:, PITCH] == FIRST_PITCH).all()
 
 
 def test_the_place_does_not_tell_the_target() -> None:
@@ -307,7 +307,7 @@ def test_the_place_does_not_tell_the_target() -> None:
     first: dict[str, list[NDArray[np.int64]]] = {"central": [], "aside": [], "near": []}
     for seed in range(0, 50_000, 10_000):
         env.reset(seed=seed)
-        places, agents = env.worlds.objects[:, :, :2], env.worlds.agents[:, None]
+        places, agents = env.envs.objects[:, :, :2], env.envs.agents[:, None]
         x, y = (places - agents[..., :2]).transpose(2, 0, 1)
         aside = np.angle(np.exp(1j * (np.arctan2(y, x) - agents[..., YAW])))
         first["central"].append(np.linalg.norm(places, axis=-1).argmin(1))
@@ -322,7 +322,7 @@ def test_the_first_frame_shows_an_object() -> None:
     for level in ("lift/lift_shape_uniform", "put/put_on_bed_tray_all"):
         env = PlayroomVectorEnv(300, level, image_size=(24, 32))
         first = env.reset(seed=0)[0]["image"].copy()
-        count = env.worlds.ranks.shape[1]
+        count = env.envs.ranks.shape[1]
         env._view.scenes.mesh[:, :count] = -1
         shown = (first != env.observations()["image"]).any((1, 2, 3))
         assert shown.mean() > 0.97
@@ -331,7 +331,7 @@ def test_the_first_frame_shows_an_object() -> None:
 def test_no_place_is_near_both_supports() -> None:
     env = begun("put/put_near_bed_tray_frequent", 300)
     grid = np.stack(np.meshgrid(*[np.linspace(-ROOM / 2, ROOM / 2, 30)] * 2), -1).reshape(-1, 2)
-    for furniture in env.worlds.furniture:
+    for furniture in env.envs.furniture:
         gaps = [
             [rectangle_gap(pose, size, *place) for place in grid]
             for pose, size in zip(furniture, FURNITURE_SIZE, strict=True)
@@ -354,7 +354,7 @@ def test_colours_do_not_depend_on_the_object() -> None:
     means = []
     for rank in (0, 25, 49):
         env = begun("lift/lift_shape_uniform", 1500, target=rank)
-        means.append(env.worlds.colours[:, 0].mean(0))
+        means.append(env.envs.colours[:, 0].mean(0))
     assert np.ptp(means, axis=0).max() == 0
 
 
@@ -371,7 +371,7 @@ def test_the_side_is_where_the_target_appears() -> None:
         assert len(column) >= 3
         assert (column.mean() > 47.5) == info["side"][i]
     # The agent is as often nearer to one object as to the other.
-    gaps = np.linalg.norm(env.worlds.objects[:, :, :2] - env.worlds.agents[:, None, :2], axis=-1)
+    gaps = np.linalg.norm(env.envs.objects[:, :, :2] - env.envs.agents[:, None, :2], axis=-1)
     assert (gaps > APPROACH_DISTANCE + 0.1).all()
     assert abs((gaps[:, 0] < gaps[:, 1]).mean() - 0.5) < 0.15
 

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playroom_worlds import TRAY, act, arrange, look_at, playroom
+from playroom_envs import TRAY, act, arrange, look_at, playroom
 
-from zipf.envs import reference
+from zipf.envs import baseline
 from zipf.envs.playroom.constants import FURNITURE_SIZE
 from zipf.envs.playroom.state import PITCH, Z
 from zipf.envs.playroom.varied_looks import SMALLEST, VARIED_FLOORS, VARIED_WALLS
@@ -37,7 +37,7 @@ def test_a_shadow_lies_on_what_is_below_and_is_fainter_and_softer_the_higher(
     for there in shadows:
         np.testing.assert_allclose(there[:4], [*place, height, 0.7], atol=1e-6)
     rest, low, high = shadows
-    size = env.worlds.extents[env.worlds.ranks[0, 0]]
+    size = env.envs.extents[env.envs.ranks[0, 0]]
     assert (rest[4:6] < size[:2] / 2).all()
     assert (rest[4:6] + rest[6] > size[:2] / 2).all()
     assert rest[7] > low[7] > high[7] > 0.1
@@ -56,9 +56,9 @@ def test_the_shadow_of_an_object_that_is_spun_is_that_of_its_pose() -> None:
     env = playroom("lift/lift_shape_uniform")
     arrange(env, items={0: (1.0, 0.0)}, names=["fork"])
     standing = shadow(env, 0)
-    env.worlds.orientation[0, 0] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # lies on its side
+    env.envs.orientation[0, 0] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # lies on its side
     lying = shadow(env, 0)
-    height = env.worlds.extents[env.worlds.ranks[0, 0], 2]
+    height = env.envs.extents[env.envs.ranks[0, 0], 2]
     assert max(standing[4:6]) < 0.4 * height
     assert max(lying[4:6]) == pytest.approx(0.3 * height, rel=1e-3)
     assert min(lying[4:6]) < 0.1 * height
@@ -69,8 +69,8 @@ def test_a_shadow_is_seen_below_a_toy_that_is_lifted() -> None:
     arrange(env, items={0: (1.0, 0.0)}, names=["ball"])
     look_at(env, 0)
     act(env, "GRAB", "GRAB_AND_LOOK_UP_FULL")
-    assert env.worlds.objects[0, 0, Z] > 0.05
-    env.worlds.agents[0, PITCH] = -0.6  # of the picture alone
+    assert env.envs.objects[0, 0, Z] > 0.05
+    env.envs.agents[0, PITCH] = -0.6  # of the picture alone
     shaded = env.observations()["image"][0].astype(int)
     env._view.scenes.shadows = np.zeros((1, 0, 8), np.float32)
     draw = env._view.renderer.render
@@ -86,7 +86,7 @@ def test_a_shadow_is_seen_below_a_toy_that_is_lifted() -> None:
 
 def test_chance_does_not_depend_on_looks() -> None:
     name = f"playroom/{LEVEL}"
-    assert reference("chance", name, looks="varied", max_steps=900) == reference("chance", name)
+    assert baseline("chance", name, looks="varied", max_steps=900) == baseline("chance", name)
 
 
 @pytest.mark.parametrize("level", ["lift/lift_shape_zipf3", LEVEL, "supervised/find_shape_uniform"])
@@ -106,9 +106,9 @@ def test_looks_change_the_images_and_nothing_else(level: str) -> None:
         for told in (info, other_info):
             told.pop("final_obs", None)
         np.testing.assert_equal((rest, info), (others, other_info))
-        for name, array in plain.worlds._asdict().items():
+        for name, array in plain.envs._asdict().items():
             if name != "scenery":
-                np.testing.assert_array_equal(getattr(varied.worlds, name), array, err_msg=name)
+                np.testing.assert_array_equal(getattr(varied.envs, name), array, err_msg=name)
         actions = rng.integers(46, size=5)
         results = [env.step(actions) for env in (plain, varied)]
     assert different == 60 * 5
@@ -129,7 +129,7 @@ def test_every_episode_has_its_own_looks() -> None:
     assert lamp.min() > 0.4
     assert lamp.max() <= 1
     assert (lamp[:, 0] > lamp[:, 2]).mean() == pytest.approx(0.5, abs=0.15)
-    toys = env.worlds.ranks.shape[1]
+    toys = env.envs.ranks.shape[1]
     assert (scale[:, toys:] == 1).all()  # bed and tray, whose tops carry toys
     assert SMALLEST <= scale[:, :toys].min() < SMALLEST + 0.01
     assert 0.99 < scale[:, :toys].max() <= 1

@@ -11,13 +11,13 @@ from zipf.envs.playroom.room import Room
 from zipf.envs.playroom.state import ANGLE, AX, AY, YAW, X, Y
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
-WORLDS, OBJECTS = 3, 4
+ENVS, OBJECTS = 3, 4
 
 
 def rooms(seed: int) -> list[Room]:
     """Rooms whose objects lie around the agent, so that it pushes them."""
     rng = np.random.default_rng(seed)
-    made = [Room(OBJECTS, furnished=True) for _ in range(WORLDS)]
+    made = [Room(OBJECTS, furnished=True) for _ in range(ENVS)]
     for room in made:
         places = rng.uniform(-1.5, 1.5, (OBJECTS, 2))
         sizes = rng.uniform(0.1, 0.5, (OBJECTS, 2))
@@ -34,12 +34,12 @@ def test_compiled_physics_is_pymunks(seed: int) -> None:
     found = [room.addresses() for room in ours]
     spaces = np.array([space for space, _ in found])
     bodies = np.array([of_room for _, of_room in found])
-    agents, objects = np.zeros((WORLDS, 6)), np.zeros((WORLDS, OBJECTS, 5))
+    agents, objects = np.zeros((ENVS, 6)), np.zeros((ENVS, OBJECTS, 5))
     rng = np.random.default_rng(seed)
     pushed = 0.0
     for step in range(60):
-        forces = rng.uniform(-400, 400, (WORLDS, 2)) * (rng.random((WORLDS, 1)) < 0.8)
-        mask = rng.random(WORLDS) < 0.7
+        forces = rng.uniform(-400, 400, (ENVS, 2)) * (rng.random((ENVS, 1)) < 0.8)
+        mask = rng.random(ENVS) < 0.7
         before = agents.copy(), objects.copy()
         chipmunk.simulate(mask, chipmunk.functions(), spaces, bodies, forces, agents, objects)
         for i, room in enumerate(theirs):
@@ -84,12 +84,12 @@ def test_what_is_held_moves_as_by_pymunk(seed: int) -> None:
     rng = np.random.default_rng(seed)
     slowed = 0
     for _ in range(40):
-        mask = rng.random(WORLDS) < 0.8
-        hands = rng.integers(-1, OBJECTS, WORLDS)
-        turned = np.where(hands < 0, rng.integers(-1, OBJECTS, WORLDS), -1)
-        agents, objects = rng.normal(size=(WORLDS, 6)), rng.normal(size=(WORLDS, OBJECTS, 5))
-        drives, velocities = rng.normal(size=(WORLDS, 2)), rng.normal(size=(WORLDS, 2))
-        for i in range(WORLDS):
+        mask = rng.random(ENVS) < 0.8
+        hands = rng.integers(-1, OBJECTS, ENVS)
+        turned = np.where(hands < 0, rng.integers(-1, OBJECTS, ENVS), -1)
+        agents, objects = rng.normal(size=(ENVS, 6)), rng.normal(size=(ENVS, OBJECTS, 5))
+        drives, velocities = rng.normal(size=(ENVS, 2)), rng.normal(size=(ENVS, 2))
+        for i in range(ENVS):
             for room in (ours[i], theirs[i]):
                 room.agent.velocity = tuple(velocities[i])
             if rng.random() < 0.3:
@@ -97,7 +97,7 @@ def test_what_is_held_moves_as_by_pymunk(seed: int) -> None:
         chipmunk.move_held(
             mask, chipmunk.functions(), bodies, hands, turned, drives, agents, objects
         )
-        for i in range(WORLDS):
+        for i in range(ENVS):
             if mask[i] and max(hands[i], turned[i]) >= 0:
                 item = objects[i, hands[i], [X, Y]]
                 carry(theirs[i], hands[i], agents[i, [AX, AY]], item, drives[i])

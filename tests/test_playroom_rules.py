@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playroom_worlds import (
+from playroom_envs import (
     DONE,
     FAILED,
     RUNS,
@@ -36,7 +36,7 @@ def test_lifting(level: str, item: int, end: Any) -> None:
     look_at(env, item)
     assert outcome(act(env, "GRAB")) == RUNS
     result = act(env, "GRAB_AND_LOOK_UP_FULL")
-    assert env.worlds.objects[0, item, Z] >= 0.15
+    assert env.envs.objects[0, item, Z] >= 0.15
     assert outcome(result) == end
 
 
@@ -45,7 +45,7 @@ def test_lifting_takes_fifteen_centimetres() -> None:
     arrange(env, items={0: (1.0, 0.0)})
     look_at(env, 0)
     result = act(env, "GRAB")
-    while env.worlds.objects[0, 0, Z] < 0.15:
+    while env.envs.objects[0, 0, Z] < 0.15:
         assert outcome(result) == RUNS
         result = act(env, "GRAB_AND_LOOK_UP_MID")
     assert outcome(result) == DONE
@@ -56,7 +56,7 @@ def test_the_height_counts_from_where_the_object_was() -> None:
     arrange(env, items={0: (-0.7, 0.0, 0.0, 0.35)}, task="lift")
     look_at(env, 0)
     result = act(env, "GRAB")
-    while env.worlds.objects[0, 0, Z] < 0.5:
+    while env.envs.objects[0, 0, Z] < 0.5:
         assert outcome(result) == RUNS
         result = act(env, "GRAB_AND_LOOK_UP_MID")
     assert outcome(result) == DONE
@@ -74,8 +74,8 @@ def test_pushing_is_not_lifting() -> None:
     env = playroom()
     arrange(env, (-1, 0, 0, 0), items={0: (0.0, 0.0)})
     assert outcome(act(env, *["MOVE_FORWARD_FULL"] * 30)) == RUNS
-    assert env.worlds.objects[0, 0, X] > 0.3
-    assert not env.worlds.lifted.any()
+    assert env.envs.objects[0, 0, X] > 0.3
+    assert not env.envs.lifted.any()
 
 
 # Putting.
@@ -92,7 +92,7 @@ PLACES = {
 def put(env: PlayroomVectorEnv, item: int, place: str, task: str, lifted: bool = True) -> None:
     """Puts an object somewhere, as if it had just come to rest after it was lifted."""
     arrange(env, (0.2, -0.2, 0, 0), {item: PLACES[place]}, task=task)
-    env.worlds.lifted[0, item] = lifted
+    env.envs.lifted[0, item] = lifted
 
 
 @pytest.mark.parametrize("near_failure", [False, True])
@@ -149,14 +149,14 @@ def test_near_is_half_a_metre_from_the_edge(gap: float, near: bool, corner: bool
     aside = gap / math.sqrt(2)
     place = (-0.5 + aside, -0.45 - aside) if corner else (-1.2, -0.45 - gap)
     arrange(env, (1.0, 0, 0, 0), {0: place}, task="near bed")
-    env.worlds.lifted[0, 0] = True
+    env.envs.lifted[0, 0] = True
     assert outcome(act(env, "NOOP", "NOOP")) == (DONE if near else RUNS)
 
 
 def test_a_held_object_does_not_count_as_put() -> None:
     env = playroom("put/put_near_bed_tray_frequent")
     arrange(env, (-1.1, -1.6, 0, 0), {0: (-1.1, -0.85)}, task="near bed")
-    env.worlds.lifted[0, 0] = True
+    env.envs.lifted[0, 0] = True
     look_at(env, 0)
     assert outcome(act(env, *["GRAB"] * 8)) == RUNS
     assert wait(env) == DONE
@@ -169,9 +169,9 @@ def test_a_moving_object_does_not_count_as_put() -> None:
     steps = 0
     result = act(env, "NOOP")
     while outcome(result) == RUNS:
-        motion = env.worlds.objects[0, 0, X]
+        motion = env.envs.objects[0, 0, X]
         result = act(env, "NOOP")
-        motion = env.worlds.objects[0, 0, X] - motion
+        motion = env.envs.objects[0, 0, X] - motion
         steps += 1
     assert outcome(result) == DONE
     assert steps >= 4
@@ -181,11 +181,11 @@ def test_a_moving_object_does_not_count_as_put() -> None:
 def test_an_object_that_falls_onto_the_support_counts_at_rest() -> None:
     env = playroom("put/put_on_bed_tray_all")
     arrange(env, (0.5, 0, 0, 0), {0: (-0.8, 0.1, 0.0, 1.2)}, task="on bed")
-    env.worlds.lifted[0, 0] = True
+    env.envs.lifted[0, 0] = True
     heights = []
     result = act(env, "NOOP")
     while outcome(result) == RUNS:
-        heights.append(env.worlds.objects[0, 0, Z])
+        heights.append(env.envs.objects[0, 0, Z])
         result = act(env, "NOOP")
     assert outcome(result) == DONE
     assert min(heights) == 0.35
@@ -202,9 +202,9 @@ def test_an_object_pushed_against_a_support_does_not_count() -> None:
         arrange(env, agent, {0: item}, task=("near bed", "near tray")[piece])
         assert outcome(act(env, *["MOVE_FORWARD_FULL"] * 6)) == RUNS
         assert wait(env) == RUNS
-        x, y = env.worlds.objects[0, 0, [X, Y]]
+        x, y = env.envs.objects[0, 0, [X, Y]]
         size = FURNITURE_SIZE[piece]
-        assert rectangle_gap(env.worlds.furniture[0, piece], size, x, y) < 0.3
+        assert rectangle_gap(env.envs.furniture[0, piece], size, x, y) < 0.3
 
 
 def test_an_object_dropped_elsewhere_can_be_gripped_again() -> None:
@@ -213,8 +213,8 @@ def test_an_object_dropped_elsewhere_can_be_gripped_again() -> None:
     assert wait(env) == RUNS
     look_at(env, 0)
     act(env, "GRAB")
-    assert env.worlds.hands[0] == 0
-    env.worlds.objects[0, 0, :4] = PLACES["on bed"]
+    assert env.envs.hands[0] == 0
+    env.envs.objects[0, 0, :4] = PLACES["on bed"]
     env.rooms[0].objects[0].position = PLACES["on bed"][:2]
     assert wait(env) == DONE
 
@@ -228,7 +228,7 @@ def test_putting_by_hand() -> None:
         raised = ["GRAB", *["GRAB_AND_LOOK_UP_FULL"] * 2, *["GRAB_AND_MOVE_FORWARD_FULL"] * 7]
         assert outcome(act(env, *raised, *["GRAB"] * 4)) == RUNS
         assert wait(env) == end
-        assert env.worlds.status[0, item] == ON_BED
+        assert env.envs.status[0, item] == ON_BED
 
 
 # Finding.
@@ -240,11 +240,10 @@ def find(env: PlayroomVectorEnv, names: tuple[str, str], item: int) -> Any:
     look_at(env, item)
     result = act(env, "MOVE_FORWARD_FULL")
     while outcome(result) == RUNS:
-        before = env.worlds.agents.copy()
+        before = env.envs.agents.copy()
         result = act(env, "MOVE_FORWARD_FULL")
     gaps = [
-        np.linalg.norm(env.worlds.objects[0, item, :2] - a[0, :2])
-        for a in (before, env.worlds.agents)
+        np.linalg.norm(env.envs.objects[0, item, :2] - a[0, :2]) for a in (before, env.envs.agents)
     ]
     assert gaps[1] < 0.7 <= gaps[0]
     return result
@@ -266,10 +265,10 @@ def test_between_two_objects_the_nearer_one_counts(target_side: float, end: Any)
     result = act(env, "MOVE_FORWARD_FULL")
     while outcome(result) == RUNS:
         result = act(env, "MOVE_FORWARD_FULL")
-    gaps = [math.hypot(*(env.worlds.objects[0, j, :2] - env.worlds.agents[0, :2])) for j in (0, 1)]
+    gaps = [math.hypot(*(env.envs.objects[0, j, :2] - env.envs.agents[0, :2])) for j in (0, 1)]
     assert max(gaps) < 0.7
     assert outcome(result) == end
-    assert achieved(env.worlds, 0) == ((0 if end == DONE else 1), env.worlds.task[0])
+    assert achieved(env.envs, 0) == ((0 if end == DONE else 1), env.envs.task[0])
 
 
 # Time.

@@ -60,10 +60,10 @@ WORLD = """
         def _situations(self):
             return {"number": self.numbers.copy()}
 
-        def _get_worlds(self):
+        def _get_env_states(self):
             return {"numbers": self.numbers}
 
-        def _set_worlds(self, state):
+        def _set_env_states(self, state):
             self.numbers[:] = state["numbers"]
 
 

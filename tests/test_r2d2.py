@@ -32,7 +32,7 @@ from zipf.experiments.options.schema import schema
 from zipf.experiments.training import runner
 from zipf.experiments.training.collector import Collector
 
-ACTIONS, STEPS, WORLDS, BURN_IN = 3, 6, 4, 2
+ACTIONS, STEPS, ENVS, BURN_IN = 3, 6, 4, 2
 OPTIONS = R2D2Options(
     name="r2d2",
     learning_rate=1e-3,
@@ -75,7 +75,7 @@ def learn(made, items, weights):
     return metrics, kept["priorities"]
 
 
-def agent(memory=LSTM, worlds=WORLDS, seed=0, **changes):
+def agent(memory=LSTM, worlds=ENVS, seed=0, **changes):
     spec = AgentSpec(
         gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
         gym.spaces.Discrete(ACTIONS),
@@ -162,10 +162,10 @@ def sequences(batch, seed=0, places=2):
 
 def unrolls(count, seed=0):
     """Unrolls as a collector's: row T is the next one's first row, and memories follow."""
-    steps = random_steps(count * STEPS + 1, WORLDS, seed)
+    steps = random_steps(count * STEPS + 1, ENVS, seed)
     for i in range(count):
         rows = steps[i * STEPS : (i + 1) * STEPS + 1].clone()
-        memories = random_memory(WORLDS, 2 * i), random_memory(WORLDS, 2 * i + 1)
+        memories = random_memory(ENVS, 2 * i), random_memory(ENVS, 2 * i + 1)
         yield Unroll(rows, *memories, finals_of(rows[:-1], seed=i))
 
 
@@ -431,11 +431,11 @@ def test_replay_holds_unrolls_with_the_rows_before_them(burn_in):
         reused.zero_()  # as the collector writes over it
         final.zero_()
     without = 1 if burn_in else 0
-    assert len(made.replay) == (3 - without) * WORLDS
+    assert len(made.replay) == (3 - without) * ENVS
     items, _, _ = made.replay.sample(64)
     assert set(items["number"].tolist()) == set(range(len(made.replay)))
     for item in items:
-        which, world = divmod(int(item["number"]), WORLDS)
+        which, world = divmod(int(item["number"]), ENVS)
         first = (which + without) * STEPS - burn_in
         expected = history[first : first + burn_in + STEPS + 1, world]
         for name in ("action", "is_first", "truncated", ("observation", "image")):
@@ -525,13 +525,13 @@ def test_a_fresh_sequence_has_the_priority_of_its_errors_or_the_largest():
 @pytest.mark.parametrize("storage", ["ram", "memmap"])
 def test_after_the_burn_in_memory_equals_that_of_the_whole_history(memory, storage, tmp_path):
     """With weights that do not change: Q of replayed steps is Q from the start of the history."""
-    env = Recall(WORLDS, 3)
+    env = Recall(ENVS, 3)
     spec = AgentSpec(
         env.single_observation_space,
         env.single_action_space,
         NETWORK,
         memory,
-        num_envs=WORLDS,
+        num_envs=ENVS,
         unroll_length=STEPS,
     )
     made = R2D2(OPTIONS.model_copy(update={"replay_min": 20, "storage": storage}), spec)
@@ -544,9 +544,9 @@ def test_after_the_burn_in_memory_equals_that_of_the_whole_history(memory, stora
         made.update(unroll)
     history = torch.cat([*history, unroll.steps[-1:]])
     with torch.no_grad():
-        whole, _ = made.network(Inputs.of(history), made.initial_memory(WORLDS))
+        whole, _ = made.network(Inputs.of(history), made.initial_memory(ENVS))
         for item in made.replay.sample(32)[0]:
-            which, world = divmod(int(item["number"]), WORLDS)
+            which, world = divmod(int(item["number"]), ENVS)
             steps = item["steps"].unsqueeze(1)
             state = {name: part.unsqueeze(0) for name, part in item["memory"].items()}
             _, state = made.network(Inputs.of(steps[:BURN_IN]), state)
@@ -657,7 +657,7 @@ def test_impossible_options_are_reported_before_a_run(tmp_path):
         "agent.burn_in=7: should be at most collector.unroll_length=5",
     ]
     with pytest.raises(ValueError, match="burn-in of 2 rows is longer than an unroll of 1"):
-        Collector(Recall(WORLDS, 3), agent(), unroll_length=1, seed=0)
+        Collector(Recall(ENVS, 3), agent(), unroll_length=1, seed=0)
 
 
 def test_the_papers_values():

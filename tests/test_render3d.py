@@ -35,9 +35,9 @@ def test_matches_rays(seed):
     """Away from edges, images agree except for pixels on the border of two texels."""
     scenes = random_scenes(seed)
     images = view(scenes).astype(float)
-    for world in range(scenes.num_worlds):
-        image, shown = cast(scenes, world, STACK)
-        off = abs(images[world] - image).max(-1)
+    for env in range(scenes.num_envs):
+        image, shown = cast(scenes, env, STACK)
+        off = abs(images[env] - image).max(-1)
         assert (off[inner(shown)] > 1.5).mean() < 0.01
         assert (off > 1.5).mean() < 0.03
 
@@ -46,9 +46,9 @@ def assert_patterns_match(scenes):
     """Where meshes are, away from edges. All else than textures' borders agrees."""
     images = view(scenes, atlas=COLOURED).astype(float)
     inside = []
-    for world in range(scenes.num_worlds):
-        image, shown = cast(scenes, world, STACK, atlas=COLOURED)
-        off = abs(images[world] - image).max(-1)
+    for env in range(scenes.num_envs):
+        image, shown = cast(scenes, env, STACK, atlas=COLOURED)
+        off = abs(images[env] - image).max(-1)
         inside.extend(off[inner(shown) & (shown > 0)])
         assert (off > 2.5).mean() < 0.04
     assert len(inside) > 2000
@@ -58,7 +58,7 @@ def assert_patterns_match(scenes):
 @pytest.mark.parametrize("seed", range(3))
 def test_patterns_match_rays(seed):
     """Meshes in patterns of all textures, of which the red channel counts."""
-    scenes = random_scenes(seed, worlds=12, patterns=True)
+    scenes = random_scenes(seed, envs=12, patterns=True)
     scenes.wall_count[:] = scenes.flat_count[:] = 0
     scenes.shadows[:] = 0
     scenes.scale[:] *= 2.5
@@ -72,10 +72,10 @@ def test_patterns_around_the_eye():
     scenes.mesh[:] = rng.integers(0, 2, (40, 1))
     scenes.pattern[:] = rng.integers(0, len(STACK), (40, 1))
     scenes.scale[:] = 4
-    for world in range(40):
-        scenes.rotation[world, 0] = random_rotation(rng)
-        scenes.position[world, 0] = rng.uniform(-1, 1, 3)
-        scenes.camera[world, 3:] = rng.uniform((-3, -1), (3, 1))
+    for env in range(40):
+        scenes.rotation[env, 0] = random_rotation(rng)
+        scenes.position[env, 0] = rng.uniform(-1, 1, 3)
+        scenes.camera[env, 3:] = rng.uniform((-3, -1), (3, 1))
     assert_patterns_match(scenes)
 
 
@@ -112,19 +112,19 @@ def test_shows_the_right_surfaces(seed):
     scenes.wall_tint[:] = scenes.flat_tint[:] = 255
     stack = plain(*rng.integers(30, 256, (14, 3)))
     images = view(scenes, stack).astype(float)
-    for world in range(scenes.num_worlds):
-        image, shown = cast(scenes, world, stack)
-        off = abs(images[world] - image).max(-1)
+    for env in range(scenes.num_envs):
+        image, shown = cast(scenes, env, stack)
+        off = abs(images[env] - image).max(-1)
         assert off[inner(shown)].max() <= 1.5
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 5), (16, 3), (33, 20), (160, 120)])
 def test_any_size(size):
-    scenes = random_scenes(9, worlds=2)
+    scenes = random_scenes(9, envs=2)
     images = view(scenes, width=size[0], height=size[1]).astype(float)
-    for world in range(2):
-        image, _ = cast(scenes, world, STACK, *size)
-        off = abs(images[world] - image).max(-1)
+    for env in range(2):
+        image, _ = cast(scenes, env, STACK, *size)
+        off = abs(images[env] - image).max(-1)
         assert (off > 1.5).mean() <= 0.05
 
 
@@ -134,15 +134,15 @@ def test_meshes_around_the_eye():
     scenes = Scenes(40, instances=1)
     scenes.mesh[:] = rng.integers(0, 2, (40, 1))
     scenes.scale[:] = 4
-    for world in range(40):
-        scenes.rotation[world, 0] = random_rotation(rng)
-        scenes.position[world, 0] = rng.uniform(-1, 1, 3)
-        scenes.camera[world, 3:] = rng.uniform((-3, -1), (3, 1))
+    for env in range(40):
+        scenes.rotation[env, 0] = random_rotation(rng)
+        scenes.position[env, 0] = rng.uniform(-1, 1, 3)
+        scenes.camera[env, 3:] = rng.uniform((-3, -1), (3, 1))
     images = view(scenes).astype(float)
     cut = 0
-    for world in range(40):
-        image, shown = cast(scenes, world, STACK)
-        off = abs(images[world] - image).max(-1)
+    for env in range(40):
+        image, shown = cast(scenes, env, STACK)
+        off = abs(images[env] - image).max(-1)
         assert off[inner(shown)].max(initial=0) <= 1.5
         cut += shown.any()
     assert cut > 20
@@ -248,8 +248,8 @@ def test_a_screen_shows_its_worlds_image():
     scenes = Scenes(2, walls=1, screen=(4, 6))
     rng = np.random.default_rng(0)
     scenes.screen[:] = rng.integers(0, 256, scenes.screen.shape)
-    for world in range(2):
-        scenes.add_wall(world, (1, -1, 1, 1), (-1, 1), SCREEN)
+    for env in range(2):
+        scenes.add_wall(env, (1, -1, 1, 1), (-1, 1), SCREEN)
     images = view(scenes, width=48, height=48)
     assert (images == scenes.screen[..., :3].repeat(12, 1).repeat(8, 2)).all()
 
@@ -297,36 +297,36 @@ def test_overlays_lie_over_the_view():
     assert (view(scenes, width=8, height=8)[0, :, 0] == (200, 10, 10)).all()
 
 
-def maze(seed, worlds=30):
+def maze(seed, envs=30):
     """Random solid cells with a wall on every face, and a camera in a random free cell."""
     rng = np.random.default_rng(seed)
     size = (9, 12)
-    scenes = Scenes(worlds, walls=400, flats=1, grid=size)
+    scenes = Scenes(envs, walls=400, flats=1, grid=size)
     ways = (
         (0, 1, (1, 1, 1, 0)),
         (1, 0, (0, 1, 1, 1)),
         (0, -1, (0, 0, 0, 1)),
         (-1, 0, (1, 0, 0, 0)),
     )
-    for world in range(worlds):
+    for env in range(envs):
         solid = rng.random(size) < rng.uniform(0.05, 0.5)
         solid[0] = solid[-1] = solid[:, 0] = solid[:, -1] = True
         solid[4, 5] = False
-        scenes.solid[world] = solid
-        scenes.grid[world] = -3, 2, 0.5
+        scenes.solid[env] = solid
+        scenes.grid[env] = -3, 2, 0.5
         for row, column in np.argwhere(solid):
             for side, (down, right, ends) in enumerate(ways):
                 r, c = row + down, column + right
                 if 0 <= r < size[0] and 0 <= c < size[1] and not solid[r, c]:
                     ends = np.array(ends) + (column, row, column, row)
                     scenes.add_wall(
-                        world, ends * 0.5 + (-3, 2, -3, 2), (0, 0.5), int(rng.integers(20)),
+                        env, ends * 0.5 + (-3, 2, -3, 2), (0, 0.5), int(rng.integers(20)),
                         face=(row * size[1] + column) * 4 + side,
                     )  # fmt: skip
         free = np.argwhere(~solid)
         y, x = free[rng.integers(len(free))] + rng.uniform(0.1, 0.9, 2)
         pitch = rng.choice([0, rng.uniform(-0.6, 0.6), rng.uniform(-1.5, 1.5)])
-        scenes.camera[world] = -3 + x / 2, 2 + y / 2, 0.25, rng.uniform(-4, 4), pitch
+        scenes.camera[env] = -3 + x / 2, 2 + y / 2, 0.25, rng.uniform(-4, 4), pitch
     return scenes
 
 
@@ -358,7 +358,7 @@ def test_grid_skips_hidden_faces():
 
 
 def test_pixels_do_not_depend_on_other_worlds_or_mask():
-    scenes = random_scenes(1, worlds=7)
+    scenes = random_scenes(1, envs=7)
     renderer = Renderer(ATLAS, STACK, width=50, height=20)
     out = np.zeros((7, 20, 50, 3), np.uint8)
     renderer.render(scenes, out)
@@ -368,18 +368,18 @@ def test_pixels_do_not_depend_on_other_worlds_or_mask():
     assert (some[mask] == out[mask]).all()
     assert (some[~mask] == 7).all()
     alone = Scenes(1, walls=10, flats=4, instances=5, tile_cells=12, shadows=6)
-    for world in range(7):
+    for env in range(7):
         for name, array in vars(alone).items():
             if isinstance(array, np.ndarray):
-                array[:] = getattr(scenes, name)[world]
+                array[:] = getattr(scenes, name)[env]
         one = np.zeros((1, 20, 50, 3), np.uint8)
         renderer.render(alone, one)
-        assert (one[0] == out[world]).all()
+        assert (one[0] == out[env]).all()
 
 
 def test_images_are_the_same_at_every_address():
     """Where lines begin at multiples of 16 bytes they are written past the caches."""
-    scenes = random_scenes(1, worlds=7, overlays=1)
+    scenes = random_scenes(1, envs=7, overlays=1)
     scenes.overlays[2], scenes.overlay_colours[2] = (0.1, 0.2, 0.6, 0.9), (10, 20, 30, 200)
     scenes.overlay_count[2] = 1
     renderer = Renderer(ATLAS, STACK, width=48, height=20)
@@ -403,15 +403,15 @@ def test_no_background_between_surfaces():
     scenes = Scenes(1000, walls=12, flats=4, tile_cells=8)
     scenes.sky[:] = 255, 0, 255
     angles = np.linspace(0, 2 * math.pi, 7)
-    for world in range(1000):
+    for env in range(1000):
         x, y = 3 * np.cos(angles), 3 * np.sin(angles)
         for k in range(6):
             for heights in ((0, 0.8), (0.8, 2)):
-                scenes.add_wall(world, (x[k], y[k], x[k + 1], y[k + 1]), heights, 0)
+                scenes.add_wall(env, (x[k], y[k], x[k + 1], y[k + 1]), heights, 0)
         for west in (-3, 0):
-            scenes.add_flat(world, (west, -3, west + 3, 3), 0, 0)
-            scenes.add_flat(world, (west, -3, west + 3, 3), 2, 0, flags=FACES_DOWN)
-        scenes.camera[world] = (
+            scenes.add_flat(env, (west, -3, west + 3, 3), 0, 0)
+            scenes.add_flat(env, (west, -3, west + 3, 3), 2, 0, flags=FACES_DOWN)
+        scenes.camera[env] = (
             *rng.uniform((-1.7, -1.7, 0.2), (1.7, 1.7, 1.8)),
             *rng.uniform(-1.5, 1.5, 2),
         )
@@ -447,7 +447,7 @@ def test_textures():
 
 
 def test_renderers_may_share_packed_textures():
-    scenes = random_scenes(2, worlds=3)
+    scenes = random_scenes(2, envs=3)
     out = np.zeros((2, 3, 20, 50, 3), np.uint8)
     for images, given in zip(out, (STACK, pack_textures(STACK)), strict=True):
         Renderer(ATLAS, given, width=50, height=20).render(scenes, images)

@@ -11,24 +11,24 @@ from zipf.envs.render3d import FACES_DOWN, Scenes
 STACK = plain((250, 250, 250), (120, 160, 200))
 
 
-def blocks(seed: int, worlds: int = 6) -> Scenes:
+def blocks(seed: int, envs: int = 6) -> Scenes:
     """Upright boxes on a floor, with shadows on the floor and on the boxes."""
     rng = np.random.default_rng(seed)
-    scenes = Scenes(worlds, flats=1, instances=3, shadows=6)
+    scenes = Scenes(envs, flats=1, instances=3, shadows=6)
     scenes.mesh[:] = 0
-    for world in range(worlds):
-        scenes.add_flat(world, (-3, -3, 3, 3), 0, 0)
-        scenes.camera[world] = 0, 0, rng.uniform(0.9, 2), *rng.uniform((-4, -1.4), (4, -0.2))
+    for env in range(envs):
+        scenes.add_flat(env, (-3, -3, 3, 3), 0, 0)
+        scenes.camera[env] = 0, 0, rng.uniform(0.9, 2), *rng.uniform((-4, -1.4), (4, -0.2))
         for k in range(3):
-            angle = scenes.camera[world, 3] + rng.uniform(-0.6, 0.6)
+            angle = scenes.camera[env, 3] + rng.uniform(-0.6, 0.6)
             x, y = rng.uniform(0.3, 2) * np.array([math.cos(angle), math.sin(angle)])
             turn, size = rng.uniform(-4, 4), rng.uniform(0.4, 1.4)
             cos, sin = math.cos(turn), math.sin(turn)
-            scenes.position[world, k, :2] = x, y
-            scenes.rotation[world, k, :2, :2] = (cos, -sin), (sin, cos)
-            scenes.scale[world, k] = size
+            scenes.position[env, k, :2] = x, y
+            scenes.rotation[env, k, :2, :2] = (cos, -sin), (sin, cos)
+            scenes.scale[env, k] = size
             for top, row in ((0.0, k), (0.4 * size, 3 + k)):
-                scenes.shadows[world, row] = (
+                scenes.shadows[env, row] = (
                     x, y, top, turn + rng.uniform(0, 1), *rng.uniform(0, 0.3, 2),
                     *rng.uniform((0.05, 0.2), (0.5, 1)),
                 )  # fmt: skip
@@ -40,9 +40,9 @@ def test_shadows_match_rays(seed: int) -> None:
     scenes = blocks(seed)
     images = view(scenes, STACK).astype(float)
     darker = np.zeros(2, np.int64)
-    for world in range(scenes.num_worlds):
-        image, shown = cast(scenes, world, STACK)
-        off = abs(images[world] - image).max(-1)
+    for env in range(scenes.num_envs):
+        image, shown = cast(scenes, env, STACK)
+        off = abs(images[env] - image).max(-1)
         assert off[inner(shown)].max() <= 1.5
         assert (off > 1.5).mean() < 0.03
     for rows in (slice(0, 3), slice(3, 6)):  # on the floor, and on the boxes

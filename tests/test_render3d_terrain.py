@@ -19,13 +19,13 @@ def hills(rng, rows=ROWS, columns=COLUMNS, rough=0.25):
     return (0.4 * waves + rough * rng.uniform(-1, 1, x.shape)).astype(np.float32)
 
 
-def over(scenes, world, x, y):
+def over(scenes, env, x, y):
     """The height of the ground at x, y."""
-    west, south, size, _ = scenes.terrain[world]
+    west, south, size, _ = scenes.terrain[env]
     c, r = (x - west) / size, (y - south) / size
     column, row = int(c), int(r)
     c, r = c - column, r - row
-    (sw, se), (nw, ne) = scenes.heights[world, row : row + 2, column : column + 2].astype(float)
+    (sw, se), (nw, ne) = scenes.heights[env, row : row + 2, column : column + 2].astype(float)
     if c > r:
         return sw + c * (se - sw) + r * (ne - se)
     return sw + r * (nw - sw) + c * (ne - nw)
@@ -34,28 +34,28 @@ def over(scenes, world, x, y):
 def add_terrain(scenes, rng, looks=None, eye=(0.1, 1.5), pitch=0.8):
     """Adds hills with some holes, with every env's camera above them."""
     shape = scenes.terrain_looks.shape[1:]
-    for world in range(scenes.num_worlds):
-        cells = rng.integers(len(STACK), size=shape) if looks is None else looks[world]
+    for env in range(scenes.num_envs):
+        cells = rng.integers(len(STACK), size=shape) if looks is None else looks[env]
         cells = np.where(rng.random(shape) < 0.05, -1, cells)
         corner, size = rng.uniform(-3, 0, 2), rng.uniform(0.3, 0.6)
         scenes.set_terrain(
-            world, corner, size, hills(rng, *shape), cells, repeat=rng.choice([0, 0.7]),
+            env, corner, size, hills(rng, *shape), cells, repeat=rng.choice([0, 0.7]),
             tint=rng.integers(150, 256, 3),
         )  # fmt: skip
         x, y = corner + size * rng.uniform((0, 0), shape[::-1])
         north, east = corner[::-1] + size * np.array(shape) / 2 - (y, x)
-        scenes.camera[world] = (
+        scenes.camera[env] = (
             x,
             y,
-            over(scenes, world, x, y) + rng.uniform(*eye),
+            over(scenes, env, x, y) + rng.uniform(*eye),
             math.atan2(north, east) + rng.uniform(-1, 1),
             rng.uniform(-pitch, pitch),
         )
 
 
-def furnished(seed, worlds=3):
+def furnished(seed, envs=3):
     """Random scenes of rooms, with hills."""
-    scenes = random_scenes(seed, worlds, terrain=(ROWS, COLUMNS))
+    scenes = random_scenes(seed, envs, terrain=(ROWS, COLUMNS))
     add_terrain(scenes, np.random.default_rng(seed))
     return scenes
 
@@ -65,9 +65,9 @@ def test_matches_rays(seed):
     """With walls, floors and meshes; pixels on the border of two texels may differ."""
     scenes = furnished(seed)
     images = view(scenes).astype(float)
-    for world in range(scenes.num_worlds):
-        image, shown = cast(scenes, world, STACK)
-        off = abs(images[world] - image).max(-1)
+    for env in range(scenes.num_envs):
+        image, shown = cast(scenes, env, STACK)
+        off = abs(images[env] - image).max(-1)
         assert (off[inner(shown)] > 1.5).mean() < 0.02
         assert (off > 1.5).mean() < 0.04
 
@@ -81,9 +81,9 @@ def test_shows_the_right_triangles(seed):
     add_terrain(scenes, rng, looks=np.arange(ROWS * COLUMNS).reshape(1, ROWS, COLUMNS).repeat(4, 0))
     images = view(scenes, stack).astype(float)
     ground = 0
-    for world in range(4):
-        image, shown = cast(scenes, world, stack)
-        off = abs(images[world] - image).max(-1)
+    for env in range(4):
+        image, shown = cast(scenes, env, stack)
+        off = abs(images[env] - image).max(-1)
         assert off[inner(shown)].max() <= 1.5
         assert (off > 1.5).mean() < 0.02
         ground += (shown > 0).mean() / 4
@@ -92,11 +92,11 @@ def test_shows_the_right_triangles(seed):
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 5), (33, 20), (130, 90)])
 def test_any_size(size):
-    scenes = furnished(9, worlds=2)
+    scenes = furnished(9, envs=2)
     images = view(scenes, width=size[0], height=size[1]).astype(float)
-    for world in range(2):
-        image, _ = cast(scenes, world, STACK, *size)
-        off = abs(images[world] - image).max(-1)
+    for env in range(2):
+        image, _ = cast(scenes, env, STACK, *size)
+        off = abs(images[env] - image).max(-1)
         assert (off > 1.5).mean() <= 0.06
 
 
@@ -109,9 +109,9 @@ def test_ground_around_the_eye():
     add_terrain(scenes, rng, looks, eye=(0.005, 0.05), pitch=1.5)
     images = view(scenes, stack).astype(float)
     near = 0
-    for world in range(12):
-        image, shown = cast(scenes, world, stack)
-        off = abs(images[world] - image).max(-1)
+    for env in range(12):
+        image, shown = cast(scenes, env, stack)
+        off = abs(images[env] - image).max(-1)
         assert off[inner(shown)].max(initial=0) <= 1.5
         assert (off > 1.5).mean() < 0.03
         near += (shown[-1] > 0).any()
@@ -123,17 +123,17 @@ def test_looking_up_from_a_valley():
     scenes = Scenes(3, terrain=(8, 8))
     scenes.sky[:] = 255, 0, 255
     y, x = np.mgrid[:9, :9]
-    for world, pitch in enumerate((math.pi / 2, 0.7, 0.0)):
-        scenes.set_terrain(world, (-4, -4), 1, np.float32(0.3 * ((x - 4) ** 2 + (y - 4) ** 2)), 0)
-        scenes.camera[world] = 0, 0, 0.5, 0.4, pitch
+    for env, pitch in enumerate((math.pi / 2, 0.7, 0.0)):
+        scenes.set_terrain(env, (-4, -4), 1, np.float32(0.3 * ((x - 4) ** 2 + (y - 4) ** 2)), 0)
+        scenes.camera[env] = 0, 0, 0.5, 0.4, pitch
     up, slope, level = view(scenes, stack)
     sky = [(image == (255, 0, 255)).all(-1) for image in (up, slope, level)]
     assert sky[0][12:-12, 20:-20].all()
     assert sky[1][0, 20:-20].all()
     assert not sky[1][-1].any()
     assert not sky[2][HEIGHT // 2 :].any()
-    for world, image in enumerate((up, slope, level)):
-        expected, shown = cast(scenes, world, stack)
+    for env, image in enumerate((up, slope, level)):
+        expected, shown = cast(scenes, env, stack)
         assert abs(image - expected)[inner(shown)].max() <= 1.5
 
 
@@ -142,11 +142,11 @@ def test_level_ground_looks_like_a_flat():
     for repeat in (0.0, 1.5):
         ground = Scenes(8, terrain=(6, 9))
         floor = Scenes(8, flats=1)
-        for world in range(8):
-            ground.set_terrain(world, (-3, -2), 0.8, np.full((7, 10), 0.3), 4, repeat=repeat)
-            floor.add_flat(world, (-3, -2, 4.2, 2.8), 0.3, 4, repeat=repeat or 0.8)
+        for env in range(8):
+            ground.set_terrain(env, (-3, -2), 0.8, np.full((7, 10), 0.3), 4, repeat=repeat)
+            floor.add_flat(env, (-3, -2, 4.2, 2.8), 0.3, 4, repeat=repeat or 0.8)
             place = rng.uniform((-3, -2, 0.4, -4, -1), (4, 2.5, 2, 4, 0.3))
-            ground.camera[world] = floor.camera[world] = place
+            ground.camera[env] = floor.camera[env] = place
         sun = np.array(optics.SUN)[2] * 0.5 + 0.5
         darker = (optics.MESH_DARK + optics.MESH_SUN * sun) / (
             optics.SURFACE_DARK + optics.SURFACE_SUN * sun
@@ -184,9 +184,9 @@ def test_rows_run_north_and_columns_east():
 def test_slopes_that_face_the_sun_are_brighter():
     scenes = Scenes(3, terrain=(1, 1))
     scenes.sky[:] = 0
-    for world, slope in enumerate((-0.5, 0, 0.5)):
+    for env, slope in enumerate((-0.5, 0, 0.5)):
         heights = slope * np.array([[-0.5, 0.5], [-0.5, 0.5]])
-        scenes.set_terrain(world, (-0.5, -0.5), 1, heights, 0)
+        scenes.set_terrain(env, (-0.5, -0.5), 1, heights, 0)
     scenes.camera[:, 2:] = 2, 0, -math.pi / 2
     middle = view(scenes, plain((250, 250, 250)))[:, HEIGHT // 2, WIDTH // 2, 0].astype(int)
     assert middle[0] > middle[1] + 5 > middle[2] + 20
@@ -204,23 +204,23 @@ def test_terrains_are_invisible_from_below():
 def test_no_background_between_cells():
     """From inside a bowl no sky is visible through the ground."""
     rng = np.random.default_rng(3)
-    worlds = 300
-    scenes = Scenes(worlds, terrain=(24, 24))
+    envs = 300
+    scenes = Scenes(envs, terrain=(24, 24))
     scenes.sky[:] = 255, 0, 255
     y, x = np.mgrid[:25, :25]
     rim = np.maximum(abs(x - 12), abs(y - 12)) == 12
-    for world in range(worlds):
+    for env in range(envs):
         heights = np.where(rim, 30, rng.uniform(0, 0.3, x.shape))
-        scenes.set_terrain(world, (0, 0), 0.33, heights, 0)
+        scenes.set_terrain(env, (0, 0), 0.33, heights, 0)
         x0, y0 = rng.uniform(1, 7, 2)
-        z = over(scenes, world, x0, y0) + rng.uniform(0.05, 1)
-        scenes.camera[world] = x0, y0, z, *rng.uniform(-1.5, (1.5, 0))
+        z = over(scenes, env, x0, y0) + rng.uniform(0.05, 1)
+        scenes.camera[env] = x0, y0, z, *rng.uniform(-1.5, (1.5, 0))
     images = view(scenes, plain((200, 200, 200)))
     assert (images[..., 0] == images[..., 1]).all()
 
 
 def test_pixels_do_not_depend_on_other_worlds_or_mask():
-    scenes = furnished(1, worlds=7)
+    scenes = furnished(1, envs=7)
     renderer = Renderer(ATLAS, STACK, width=50, height=20)
     out = np.zeros((7, 20, 50, 3), np.uint8)
     renderer.render(scenes, out)
@@ -233,14 +233,14 @@ def test_pixels_do_not_depend_on_other_worlds_or_mask():
     alone = Scenes(
         1, walls=10, flats=4, instances=5, tile_cells=12, shadows=6, terrain=(ROWS, COLUMNS)
     )
-    for world in range(7):
-        renderer.render(random_scenes(world), bare)
+    for env in range(7):
+        renderer.render(random_scenes(env), bare)
         for name, array in vars(alone).items():
             if isinstance(array, np.ndarray):
-                array[:] = getattr(scenes, name)[world]
+                array[:] = getattr(scenes, name)[env]
         one = np.zeros((1, 20, 50, 3), np.uint8)
         renderer.render(alone, one)
-        assert (one[0] == out[world]).all()
+        assert (one[0] == out[env]).all()
 
 
 @pytest.mark.parametrize("terrain", [(0, 3), (3, 0), (-1, 4), (-1, -1)])

@@ -150,7 +150,7 @@ def test_the_papers_numbers_stand_beside(runs: Path) -> None:
     assert np.isnan(train["paper_error"])
     assert (rare["paper_value"], rare["paper_error"]) == (0.24, 0.04)
     assert np.isnan(line(table, "my_agent", "rare")["paper_value"])
-    assert table.reference("chance") == CHANCE
+    assert table.baseline("chance") == CHANCE
 
 
 def test_a_table_without_a_published_number_is_silent_about_the_paper(tmp_path: Path) -> None:
@@ -214,11 +214,11 @@ def test_the_record_has_the_command_that_finished_a_run(tmp_path: Path) -> None:
 
 def test_the_record_begins_with_links_to_its_parts(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5))
-    pages = ["## Zipf's Gridworld: references\n\n### A part\n"]
+    pages = ["## Zipf's Gridworld: baselines\n\n### A part\n"]
     text = markdown.record(tables.score_tables(results.load_runs([tmp_path])), "", pages)
     contents, _ = text.split("\n\n## gridworld\n", 1)
     assert "# Results\n\n- [gridworld](#gridworld)\n- [" in contents
-    assert contents.endswith("\n- [Zipf's Gridworld: references](#zipfs-gridworld-references)")
+    assert contents.endswith("\n- [Zipf's Gridworld: baselines](#zipfs-gridworld-baselines)")
     linked = re.findall(r"^- \[(.+)\]\(#.+\)$", contents, re.MULTILINE)
     assert linked == re.findall(r"^## (.+)$", text, re.MULTILINE)
 
@@ -471,7 +471,7 @@ def test_seeds_trained_with_other_settings_are_noted(tmp_path: Path) -> None:
 def test_chance_may_be_known_for_some_levels_only(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5), levels=gridworld({"train": 0.1}))
     table = only_table(tmp_path)
-    assert table.reference("chance") == {"train": 0.1}
+    assert table.baseline("chance") == {"train": 0.1}
     assert "| Chance |  | 0.10 |  | – |  | – |  |" in markdown.markdown(table)
 
 
@@ -479,7 +479,7 @@ def test_disagreement_about_chance_is_noted(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5))
     write_run(tmp_path, constant(0.5), seed=1, levels=gridworld({**CHANCE, "rare": 0.1}))
     table = only_table(tmp_path)
-    assert table.reference("chance") == CHANCE
+    assert table.baseline("chance") == CHANCE
     assert "seed1 disagree about chance (0.09 and 0.10 on gridworld/rare)" in table.notes[0]
 
 
@@ -490,9 +490,9 @@ def test_episodes_of_a_reference_are_those_of_the_score_that_is_shown(tmp_path: 
     ]
     write_run(tmp_path, constant(0.5))
     write_run(tmp_path, constant(0.5), seed=1, levels=measured)
-    assert only_table(tmp_path).reference_episodes("chance") == []
+    assert only_table(tmp_path).baseline_episodes("chance") == []
     write_run(tmp_path / "other", constant(0.5), levels=measured)
-    assert only_table(tmp_path / "other").reference_episodes("chance") == [500] * 3
+    assert only_table(tmp_path / "other").baseline_episodes("chance") == [500] * 3
 
 
 def test_text_in_square_brackets_is_no_link(tmp_path: Path) -> None:

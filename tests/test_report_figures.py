@@ -29,11 +29,11 @@ from zipf.experiments.reporting import markdown, statistics
 from zipf.experiments.reporting.draw_matplotlib import STYLE
 from zipf.experiments.reporting.panels import COLOURS, LineStyle, line_styles
 from zipf.experiments.reporting.situations import (
+    baseline_by_rank,
+    baseline_on_uniform,
     measure_of,
     rare_ranks,
     rates,
-    reference_by_rank,
-    reference_on_uniform,
     spans,
 )
 from zipf.experiments.reporting.tables import ScoreTable
@@ -132,9 +132,9 @@ def test_chance_is_drawn_where_it_has_the_same_unit(
     run = {"situations": RETURNS, "success": False, "normalised": normalised}
     write_run(tmp_path, constant(0.5), **run)
     table = only_table(tmp_path)
-    for reference in ("chance", "blind"):
-        known = table.reference(reference)["uniform"] if drawn else None
-        assert reference_on_uniform(table, "return", reference) == known
+    for baseline in ("chance", "blind"):
+        known = table.baseline(baseline)["uniform"] if drawn else None
+        assert baseline_on_uniform(table, "return", baseline) == known
     figure = picture_of(table, "ranks")
     assert ("Chance (random actions), mean over ranks" in legend(figure)) == drawn
     assert ("Blind (neither reads nor looks), mean over ranks" in legend(figure)) == drawn
@@ -150,8 +150,8 @@ def test_chance_is_drawn_at_each_rank_where_it_is_known(tmp_path: Path) -> None:
     sizes = {"map": 2, "target": 2}
     write_run(tmp_path, constant(0.5), levels=levels, situations=rows, situation=sizes)
     table = only_table(tmp_path)
-    assert reference_by_rank(table, "success", "chance") == {"target": (0.1, 0.3)}
-    assert reference_by_rank(table, "success", "blind") == {}
+    assert baseline_by_rank(table, "success", "chance") == {"target": (0.1, 0.3)}
+    assert baseline_by_rank(table, "success", "blind") == {}
     figure = picture_of(table, "ranks")
     of_map, of_target = (axis.lines[-1] for axis in figure.axes)
     np.testing.assert_array_equal(of_map.get_ydata(), [0.2, 0.2])
@@ -159,7 +159,7 @@ def test_chance_is_drawn_at_each_rank_where_it_is_known(tmp_path: Path) -> None:
     np.testing.assert_array_equal(of_target.get_ydata(), [0.1, 0.3])
     several = [*levels, level("uniform", "d", chance=0.2, by_rank={"target": [0.2, 0.2]})]
     write_run(tmp_path / "several", constant(0.5, 4), levels=several, situations=rows)
-    assert reference_by_rank(only_table(tmp_path / "several"), "success", "chance") == {}
+    assert baseline_by_rank(only_table(tmp_path / "several"), "success", "chance") == {}
 
 
 def test_ranks_that_the_rare_level_does_not_choose_by_are_not_marked(tmp_path: Path) -> None:

@@ -423,7 +423,7 @@ def test_many_levels_are_lines(tmp_path: Path) -> None:
 
 
 def test_references_are_columns_beside_many_levels(tmp_path: Path) -> None:
-    """In the order of `REFERENCES`, and as many rows as leave the table as wide as others."""
+    """In the order of `BASELINES`, and as many rows as leave the table as wide as others."""
     many = [
         *(
             level("train", f"a/task {n}", 1 / (n + 1), 0.1, expert=2, blind=0.2, generalist=1)

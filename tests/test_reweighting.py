@@ -8,7 +8,7 @@ import pytest
 import tiny_gridworld
 import torch
 from networks import compact
-from test_agent import ACTIONS, LSTM, NAMES, STEPS, WORLDS, build, unrolls, weights
+from test_agent import ACTIONS, ENVS, LSTM, NAMES, STEPS, build, unrolls, weights
 
 from zipf import envs
 from zipf.agents import agents
@@ -185,7 +185,7 @@ def data_of(made, seed):
     """Unrolls of the agent with random weights."""
     generator = torch.Generator().manual_seed(seed)
     for unroll in unrolls(made, 3):
-        unroll.steps["weight"] = 3 * torch.rand(STEPS + 1, WORLDS, generator=generator)
+        unroll.steps["weight"] = 3 * torch.rand(STEPS + 1, ENVS, generator=generator)
         yield unroll
 
 
@@ -201,7 +201,7 @@ def test_weights_of_one_change_nothing(name):
     plain, weighing = build(name), build(name, weighted=True)
     for unroll in list(unrolls(plain, 3)):
         plain.update(unroll)
-        unroll.steps["weight"] = torch.ones(STEPS + 1, WORLDS)
+        unroll.steps["weight"] = torch.ones(STEPS + 1, ENVS)
         weighing.update(unroll)
     for one, other in zip(weights(plain.network), weights(weighing.network), strict=True):
         assert torch.equal(one, other)
@@ -222,7 +222,7 @@ def test_losses_are_weighted_frame_by_frame(name):
     given = data.steps["weight"].clone()
     total = 0.0
     for t in range(STEPS):
-        for b in range(WORLDS):
+        for b in range(ENVS):
             only = torch.zeros_like(given)
             only[t, b] = 1.0
             total += float(given[t, b]) * loss(only)
@@ -302,7 +302,7 @@ def test_vmpo_gives_its_losses_the_weights_of_the_frames():
 def rare_success(options, seed, updates=60):
     """In the tiny gridworld: how often the rarest of three objects is reached, after imitation."""
     level = "gridworld/zipf_4"
-    env = envs.make_vec(level, 32, **tiny_gridworld.WORLDS)
+    env = envs.make_vec(level, 32, **tiny_gridworld.ENVS)
     spaces = env.single_observation_space, env.single_action_space
     memory = MLPOptions(name="mlp", size=32, layers=1)
     config = loading.load(["experiment=demo", "condition=imitation"])
@@ -316,7 +316,7 @@ def rare_success(options, seed, updates=60):
     collector = Collector(env, agent, unroll_length=8, seed=1000 * seed, hooks=hooks)
     for _ in range(updates):
         agent.update(collector.collect())
-    test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.WORLDS)
+    test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.ENVS)
     played = play(AgentPolicy(agent, seed=1, device="cpu"), test, episodes=600, seed=2)
     return played["success"][played["target"] == 2].mean()
 

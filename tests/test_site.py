@@ -58,7 +58,7 @@ def test_a_familys_page_has_a_picture_and_all_tables():
         assert re.search(r"!\[[^\]]{20,}\]\(\.\./\w+\.png\)", text), name
         for block in ("family", "constructor_options"):
             assert f"<!-- {block} {name} -->" in text
-        assert f"<!-- levels {name} -->" in text or f"<!-- {name}_references -->" in text, name
+        assert f"<!-- levels {name} -->" in text or f"<!-- {name}_baselines -->" in text, name
 
 
 def test_the_api_has_what_the_pages_name():

@@ -20,7 +20,7 @@ from zipf.envs.playroom.expert import Expert
 from zipf.envs.playroom.first_frame import LEFT, RIGHT, FirstFrameVectorEnv
 from zipf.envs.playroom.generalist import Generalist
 from zipf.envs.playroom.vector import PlayroomVectorEnv
-from zipf.envs.single import SingleWorld
+from zipf.envs.single import SingleEnv
 from zipf.envs.testing import check_vector_env
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
@@ -53,7 +53,7 @@ def classifier(env, memory=MLP, network=NETWORK, spec=None, **changes):
 def test_its_worlds_pass_the_self_check():
     check_vector_env(
         lambda n=1, **options: FirstFrameVectorEnv(n, LEVEL, image_size=(18, 24), **options),
-        lambda: SingleWorld(
+        lambda: SingleEnv(
             lambda n=1, **options: FirstFrameVectorEnv(n, LEVEL, image_size=(18, 24), **options)
         ),
         steps=30,
@@ -86,14 +86,14 @@ def test_the_right_answer_is_the_side_of_the_object_on_the_levels_first_frame():
 @pytest.mark.parametrize("kind", envs.PAPER_KINDS)
 def test_random_answers_score_as_their_reference_says(kind):
     [asked] = envs.questions(envs.split("playroom_find")).levels(kind)
-    known = envs.reference("chance", asked, image_size=(18, 24))
+    known = envs.baseline("chance", asked, image_size=(18, 24))
     measured = envs.measure_chance(asked, episodes=4000, image_size=(18, 24))
     assert known.episodes is None
     assert measured.score == pytest.approx(known.score, abs=0.025)  # three standard errors
     # Who walks, and is never stopped, is at the wrong object as often as at the right one.
-    walked = envs.reference("blind", asked.name)
+    walked = envs.baseline("blind", asked.name)
     assert (walked.score, walked.by_rank) == (known.score, known.by_rank)
-    assert envs.reference("expert", asked) is None
+    assert envs.baseline("expert", asked) is None
 
 
 def test_either_answer_is_right_where_both_objects_are_the_same():
@@ -195,19 +195,19 @@ def test_an_update_is_one_step_of_adam_on_the_cross_entropy_of_the_sides():
         frames, *_, info = env.step(np.zeros(4, np.int64))
     sides = torch.from_numpy(np.where(alike, unroll.steps["action"][:3], sides))
 
-    reference = classifier(env)
-    optimiser = torch.optim.Adam(reference.network.parameters(), lr=1e-3)
+    baseline = classifier(env)
+    optimiser = torch.optim.Adam(baseline.network.parameters(), lr=1e-3)
     loss = torch.zeros(())
     for t in range(3):
         for world in range(4):
             steps = unroll.steps[t : t + 1, world : world + 1]
-            logits = reference.network(Inputs.of(steps), {})[0, 0]
+            logits = baseline.network(Inputs.of(steps), {})[0, 0]
             loss = loss + F.cross_entropy(logits, sides[t, world]) / 12
     loss.backward()
     optimiser.step()
     metrics = made.update(unroll)
     assert metrics["loss"] == pytest.approx(loss.item(), rel=1e-5)
-    for one, other in zip(made.network.parameters(), reference.network.parameters(), strict=True):
+    for one, other in zip(made.network.parameters(), baseline.network.parameters(), strict=True):
         torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-6)
 
 
@@ -265,7 +265,7 @@ class Painted(FirstFrameVectorEnv):
         super()._observe(out, mask)
         middle = out["image"].shape[2] // 2
         for i in np.flatnonzero(mask):
-            objects = self.worlds.ranks[i, :2][:: 1 if self._side[i] == LEFT else -1]
+            objects = self.envs.ranks[i, :2][:: 1 if self._side[i] == LEFT else -1]
             out["image"][i, :, :middle], out["image"][i, :, middle:] = 5 * objects[:, None, None]
 
 
@@ -354,7 +354,7 @@ class Squares(FirstFrameVectorEnv):
 
     def _observe(self, out, mask):
         words = self._instructions[mask]
-        black = self.worlds.ranks[mask, 0] % 2
+        black = self.envs.ranks[mask, 0] % 2
         image = np.zeros((len(words), 12, 24, 3), np.uint8)
         white_is_right = self._side[mask] ^ black
         image[white_is_right == LEFT, :, :12] = 255

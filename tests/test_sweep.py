@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from conftest import PACKAGE, TINY, command, contents
-from worlds_of import chosen, needs
+from envs_of import chosen, needs
 
 from zipf import envs, report
 from zipf.errors import UserError

@@ -28,7 +28,7 @@ from conftest import (
     slow_but,
     untimed,
 )
-from worlds_of import cheapest_pairs, pairs_once
+from envs_of import cheapest_pairs, pairs_once
 
 import zipf.envs.family
 from zipf import envs, evaluate
@@ -95,7 +95,7 @@ def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path)
     assert [(one["level_kind"], one["level"]) for one in description["levels"]] == scored
     assert description["experiment"] == experiment
     assert description["condition"] == condition
-    names = [reference.name for reference in envs.REFERENCES]
+    names = [baseline.name for baseline in envs.BASELINES]
     assert all(one["references"].keys() <= set(names) for one in description["levels"])
     assert list((whole.folder / "tensorboard").iterdir())
 

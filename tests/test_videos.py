@@ -146,14 +146,14 @@ def test_worlds_without_success_or_situation(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    made = recorder._worlds
+    made = recorder._envs
 
     def without(*args, **kwargs):
         env = made(*args, **kwargs)
         setattr(env, attribute, value)
         return env
 
-    monkeypatch.setattr(recorder, "_worlds", without)
+    monkeypatch.setattr(recorder, "_envs", without)
     told = refusal(capsys, str(run), "videos=gif")
     assert f"the envs of {run.as_posix()} {message}" in told
     assert not (run / "videos").exists()

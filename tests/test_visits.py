@@ -9,11 +9,11 @@ from test_collector import build
 from zipf.experiments.hooks.visits import Visits
 
 
-def random_episodes(rng, steps=50, worlds=7):
+def random_episodes(rng, steps=50, envs=7):
     for _ in range(steps):
-        ended = rng.random(worlds) < 0.4
-        ranks = {name: rng.integers(0, 3, worlds) for name in ("map", "target")}
-        yield ranks | {"return": rng.random(worlds)}, ended
+        ended = rng.random(envs) < 0.4
+        ranks = {name: rng.integers(0, 3, envs) for name in ("map", "target")}
+        yield ranks | {"return": rng.random(envs)}, ended
 
 
 def test_visits_against_an_oracle():

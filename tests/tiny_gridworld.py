@@ -5,7 +5,7 @@ from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.training.collector import Collector
 
-WORLDS = {
+ENVS = {
     "num_maps": 1,
     "num_rooms": [1, 1],
     "num_objects": 3,
@@ -16,11 +16,11 @@ WORLDS = {
 
 def after_learning(build, seed):
     """A thousand episodes of `build(observation_space, action_space)` after 250 updates."""
-    env = envs.make_vec("gridworld/uniform", 64, **WORLDS)
+    env = envs.make_vec("gridworld/uniform", 64, **ENVS)
     agent = build(env.single_observation_space, env.single_action_space)
     collector = Collector(env, agent, unroll_length=8, seed=seed)
     for _ in range(250):
         agent.update(collector.collect())
     policy = AgentPolicy(agent, seed=1, device="cpu")
-    test = envs.make_vec("gridworld/uniform", 100, **WORLDS)
+    test = envs.make_vec("gridworld/uniform", 100, **ENVS)
     return play(policy, test, episodes=1000, seed=2)

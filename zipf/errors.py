@@ -11,7 +11,7 @@ class UserError(Exception):
     """What the user should change, a line for each mistake."""
 
 
-TOLD = (UserError, EngineError)
+EXPECTED = (UserError, EngineError)
 """What commands print without a traceback."""
 
 

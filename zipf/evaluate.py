@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import zipf
-from zipf.errors import TOLD, UserError, tell
+from zipf.errors import EXPECTED, UserError, tell
 from zipf.experiments.evaluation.evaluator import Policy
 from zipf.experiments.evaluation.external import record
 from zipf.experiments.evaluation.policies import trained
@@ -26,7 +26,7 @@ USAGE = """usage: python -m zipf.evaluate run=FOLDER [option=value ...]
        python -m zipf.evaluate policy=NAME split=NAME [option=value ...]
 
 Plays the agent of a run's last checkpoint, or a scripted policy, on the train, uniform and rare
-levels of a split, and prints its scores beside those of chance and other references.
+levels of a split, and prints its scores beside those of chance and other baselines.
 
 Examples:
 
@@ -65,7 +65,7 @@ def main() -> None:
         _evaluate(arguments)
     except KeyboardInterrupt:
         sys.exit(130)
-    except TOLD as error:
+    except EXPECTED as error:
         tell(error)
         sys.exit(2)
 
@@ -135,7 +135,7 @@ def _progress() -> Iterator[Watch]:
 
 
 def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> None:
-    """Prints scores by kind, and by level where there are more, beside those of references."""
+    """Prints scores by kind, and by level where there are more, beside those of baselines."""
     from rich.console import Console
     from rich.table import Column, Table
 
@@ -146,10 +146,10 @@ def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> No
     by_kind = scores(results)
     table = Table("", *by_kind)
     table.add_row("score", *(f"{value:.3f}" for value in by_kind.values()))
-    for reference in envs.REFERENCES:
-        means = [run_folder.mean_of_levels(levels, kind, reference.name) for kind in by_kind]
-        if reference.name == "chance" or any(mean is not None for mean in means):
-            table.add_row(reference.name, *map(_figure, means))
+    for baseline in envs.BASELINES:
+        means = [run_folder.mean_of_levels(levels, kind, baseline.name) for kind in by_kind]
+        if baseline.name == "chance" or any(mean is not None for mean in means):
+            table.add_row(baseline.name, *map(_figure, means))
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=120)
@@ -158,7 +158,7 @@ def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> No
     if len(results) > len(by_kind):
         described = {level["level"]: level for level in levels}
         of_any = {name for level in levels for name in level["references"]}
-        names = [one.name for one in envs.REFERENCES if one.name in of_any]
+        names = [one.name for one in envs.BASELINES if one.name in of_any]
         each = Table(Column("level", overflow="fold"), "score", *names)
         for result in {result.level: result for result in results}.values():
             known = described[result.level]["references"]

@@ -6,7 +6,7 @@ import signal
 import sys
 
 import zipf
-from zipf.errors import TOLD, tell
+from zipf.errors import EXPECTED, tell
 from zipf.experiments.options.command_line import read_options
 from zipf.experiments.playing.playing import PlayOptions, play
 from zipf.output import keep_going
@@ -65,7 +65,7 @@ def main() -> None:
         play(read_options(PlayOptions, arguments), lambda line: print(line, flush=True))
     except KeyboardInterrupt:
         sys.exit(130)
-    except TOLD as error:
+    except EXPECTED as error:
         tell(error)
         sys.exit(2)
 

@@ -1,7 +1,7 @@
-"""What every score is taken by: kinds of levels, and references.
+"""What every score is taken by: kinds of levels, and baselines.
 
-References are players that do not learn, whose scores tables show below those of agents.
-`REFERENCES` is the only list of them: a `zipf.envs.Family` states the score of each, and run.json,
+Baselines are policies that do not learn, whose scores tables show below those of agents.
+`BASELINES` is the only list of them: a `zipf.envs.Family` states the score of each, and run.json,
 tables, captions, plots and report.csv have those that are known.
 """
 
@@ -19,11 +19,11 @@ whose situations nobody trains on, reported and never chosen on."""
 
 
 @dataclass(frozen=True)
-class Reference:
-    """A player that does not learn.
+class Baseline:
+    """A policy that does not learn.
 
     Attributes:
-        name: in `Family.references`, in run.json, and of its column of report.csv.
+        name: in `Family.baselines`, in run.json, and of its column of report.csv.
         title: in tables.
         hint: what it does in a few words, for legends.
         meaning: what it does, for captions: a sentence without its subject, verb and full stop.
@@ -35,30 +35,30 @@ class Reference:
     meaning: str
 
 
-REFERENCES = (
-    Reference("chance", "Chance", "random actions", "uniformly random actions"),
-    Reference(
+BASELINES = (
+    Baseline("chance", "Chance", "random actions", "uniformly random actions"),
+    Baseline(
         "blind",
         "Blind",
         "neither reads nor looks",
         "the best known policy that neither reads what an episode asks for nor looks",
     ),
-    Reference(
+    Baseline(
         "generalist",
         "Generalist",
         "scripted, acts on what it has seen",
         "a scripted policy that acts only on what it has seen in the episode, and knows no map",
     ),
-    Reference(
+    Baseline(
         "expert",
         "Expert",
         "scripted, reads the state",
         "a scripted policy that reads the whole state of the env",
     ),
 )
-"""All references, in the order of tables."""
+"""All baselines, in the order of tables."""
 
-REFERENCE_NAMES = tuple(reference.name for reference in REFERENCES)
+BASELINE_NAMES = tuple(baseline.name for baseline in BASELINES)
 
 
 def says_little(blind: float | None, expert: float | None) -> bool:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import Field
 
 import zipf
-from zipf.errors import TOLD, UserError, tell
+from zipf.errors import EXPECTED, UserError, tell
 from zipf.experiments.records.wording import PlotFormat, VideoFormat
 from zipf.options import Options
 from zipf.output import keep_going
@@ -257,7 +257,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         _report(words)
-    except TOLD as error:
+    except EXPECTED as error:
         tell(error)
         return 2
     except KeyboardInterrupt:

@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 import zipf
-from zipf.errors import TOLD, UserError, tell
+from zipf.errors import EXPECTED, UserError, tell
 from zipf.experiments.building import loading
 from zipf.experiments.options import catalogue, command_line, composing, config_files
 from zipf.experiments.options.config_files import CONFIG_DIR, PRIMARY
@@ -35,7 +35,7 @@ def _run(_: DictConfig) -> None:
     try:
         config = loading.load(list(HydraConfig.get().overrides.task))
         stopped = runner.train(config, cluster.runtime_of(config))
-    except TOLD as error:
+    except EXPECTED as error:
         _tell(error)
         sys.exit(2)
     except KeyboardInterrupt:
@@ -58,10 +58,10 @@ def main() -> None:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # otherwise Hydra shortens the traceback of a run
     try:
         sys.exit(_main())
-    except TOLD as error:
+    except EXPECTED as error:
         _tell(error)
     except (HydraException, OmegaConfBaseException) as error:
-        _tell(UserError(composing.told(error)))
+        _tell(UserError(composing.message_of(error)))
     except KeyboardInterrupt:
         sys.exit(128 + signal.SIGINT)
     sys.exit(2)

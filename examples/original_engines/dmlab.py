@@ -53,24 +53,24 @@ class Labs:
     def __init__(self, num_envs: int) -> None:
         self._open: list[tuple[str, Any] | None] = [None] * num_envs
 
-    def of(self, world: int, level: str, make: Callable[[], Any]) -> Any:
+    def of(self, env: int, level: str, make: Callable[[], Any]) -> Any:
         """The env's instance of a level, made if it has none."""
-        found = self._open[world]
+        found = self._open[env]
         if found is None or found[0] != level:
-            self.close(world)
-            found = self._open[world] = level, make()
+            self.close(env)
+            found = self._open[env] = level, make()
         return found[1]
 
-    def close(self, world: int) -> None:
+    def close(self, env: int) -> None:
         """Closes an env's instance, if it has one."""
-        found, self._open[world] = self._open[world], None
+        found, self._open[env] = self._open[env], None
         if found is not None:
             found[1].close()
 
     def close_all(self) -> None:
         """Closes the instances of all envs."""
-        for world in range(len(self._open)):
-            self.close(world)
+        for env in range(len(self._open)):
+            self.close(env)
 
     def __getstate__(self) -> dict[str, Any]:
         return {"_open": [None] * len(self._open)}

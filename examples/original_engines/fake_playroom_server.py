@@ -57,7 +57,7 @@ class Service(dm_env_rpc_pb2_grpc.EnvironmentServicer):
     def __init__(self) -> None:
         self.requests: list[str] = []
         self.controls: list[dict[str, float]] = []
-        self.worlds: set[str] = set()
+        self.envs: set[str] = set()
         self.made = 0
         self.sound = True
         self.channels = 3
@@ -90,7 +90,7 @@ class Session:
             raise ValueError(f"no level {settings['levelName']}")
         name = f"world {self.service.made}"
         self.service.made += 1
-        self.service.worlds.add(name)
+        self.service.envs.add(name)
         self.made[name] = settings
         return rpc.CreateWorldResponse(world_name=name)
 
@@ -162,7 +162,7 @@ class Session:
     def destroy_world(self, request: Any) -> Any:
         _require(self.joined != request.world_name, "cannot destroy an env that is joined")
         del self.made[request.world_name]
-        self.service.worlds.remove(request.world_name)
+        self.service.envs.remove(request.world_name)
         return rpc.DestroyWorldResponse()
 
 

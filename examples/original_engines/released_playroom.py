@@ -141,7 +141,7 @@ class DockerVectorEnv(ReplayedVectorEnv):
             "EpisodeLengthSeconds": self.max_steps * REPEAT / rpc.FRAMES_PER_SECOND,
             "ShowReachabilityHUD": False,
         }
-        self._worlds: list[rpc.World | None] = [None] * num_envs
+        self._envs: list[rpc.World | None] = [None] * num_envs
         self._texts = np.full(num_envs, "", "<U200")
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -156,21 +156,21 @@ class DockerVectorEnv(ReplayedVectorEnv):
 
     def _open(self, i: int, seed: int) -> Observation:
         try:
-            world = self._worlds[i]
-            if world is None:
-                world = rpc.World(self.address, self.level.name, self._settings)
-                self._worlds[i] = world
-            return self._read(i, world.begin(seed))
+            env = self._envs[i]
+            if env is None:
+                env = rpc.World(self.address, self.level.name, self._settings)
+                self._envs[i] = env
+            return self._read(i, env.begin(seed))
         except Exception as error:
             raise self._failed(i, "cannot begin an episode", error) from error
 
     def _act(self, i: int, action: int) -> Outcome:
-        world = self._worlds[i]
-        assert world is not None
+        env = self._envs[i]
+        assert env is not None
         reward = 0.0
         try:
             for _ in range(REPEAT):
-                shown = world.step(COMMANDS[action])
+                shown = env.step(COMMANDS[action])
                 reward += shown.reward
                 if shown.last:
                     break
@@ -206,9 +206,9 @@ class DockerVectorEnv(ReplayedVectorEnv):
         )
 
     def _close_world(self, i: int) -> None:
-        world, self._worlds[i] = self._worlds[i], None
-        if world is not None:
-            world.close()
+        env, self._envs[i] = self._envs[i], None
+        if env is not None:
+            env.close()
 
     def __getstate__(self) -> dict[str, Any]:
         return {**super().__getstate__(), "_worlds": [None] * self.num_envs}

@@ -15,7 +15,7 @@ import torch
 from dmlab import DmlabVectorEnv
 
 from zipf import envs
-from zipf.envs import EngineError, Mixture, SingleWorld, Split, make, make_vec
+from zipf.envs import EngineError, Mixture, SingleEnv, Split, make, make_vec
 from zipf.envs.gymnasium import replayed
 from zipf.envs.labyrinth.actions import TABLES
 from zipf.envs.labyrinth.levels import LEVELS
@@ -55,7 +55,7 @@ def test_it_keeps_the_contract() -> None:
     check_vector_env(
         partial(make_vec, name, **SMALL), partial(make, name, **SMALL), num_envs=3, steps=120
     )
-    check_vector_env(uniform, partial(SingleWorld, uniform), num_envs=3, steps=120)
+    check_vector_env(uniform, partial(SingleEnv, uniform), num_envs=3, steps=120)
 
 
 @pytest.mark.parametrize("num_actions", list(TABLES))
@@ -221,7 +221,7 @@ def test_words_that_we_do_not_have(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_there_are_no_references_and_no_expert() -> None:
     level = "dmlab/rooms_watermaze"
     for name in ("chance", "expert"):
-        assert envs.reference(name, level) is None
+        assert envs.baseline(name, level) is None
     assert envs.expert(level, make_vec(level, 1, **SMALL)) is None
 
 

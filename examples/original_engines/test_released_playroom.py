@@ -47,7 +47,7 @@ def test_every_level_begins(served: fake_playroom_server.Service) -> None:
         env = make_vec(f"released_playroom/{level}", 1, **SMALL)
         assert env.reset(seed=0)[0]["image"].shape == (1, 3, 4, 3)
         env.close()
-    assert served.worlds == set()
+    assert served.envs == set()
 
 
 def test_actions_are_held_for_four_frames(served: fake_playroom_server.Service) -> None:
@@ -149,7 +149,7 @@ def test_policies_are_scored_in_shared_worlds(served: fake_playroom_server.Servi
         **{**SMALL, "max_steps": 20},
     )
     assert scores == {"train": 1.0, "uniform": 1.0, "rare": 1.0}
-    assert served.worlds == set()
+    assert served.envs == set()
 
 
 def test_containers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -216,8 +216,8 @@ def test_what_is_missing_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_there_are_no_references_experts_or_questions() -> None:
-    for one in envs.REFERENCES:
-        assert envs.reference(one.name, LIFT) is None
+    for one in envs.BASELINES:
+        assert envs.baseline(one.name, LIFT) is None
     for name in envs.SCRIPTED:
         assert envs.scripted(name, LIFT, make_vec(LIFT, 1, **SMALL)) is None
     with pytest.raises(

@@ -20,14 +20,14 @@ from zipf.adapters import stable_baselines3, torchrl
 from zipf.envs import make_vec
 from zipf.evaluate import record
 
-WORLDS = {"num_rooms": [2, 2], "num_objects": 5, "observation": "tiles"}
+ENVS = {"num_rooms": [2, 2], "num_objects": 5, "observation": "tiles"}
 FRAMES = int(sys.argv[1]) if len(sys.argv) > 1 else 245_760
 SEEN = ["tiles", "cue"]
-ROW = {"experiment": "small_gridworld", "episodes": 500, **WORLDS}
+ROW = {"experiment": "small_gridworld", "episodes": 500, **ENVS}
 
 
 def train_stable_baselines3() -> None:
-    env = stable_baselines3.ZipfVecEnv(make_vec("gridworld/zipf_2", 64, **WORLDS))
+    env = stable_baselines3.ZipfVecEnv(make_vec("gridworld/zipf_2", 64, **ENVS))
     model = PPO("MultiInputPolicy", env, n_steps=64, batch_size=1024, ent_coef=0.01, seed=0)
     model.learn(FRAMES)
     folder = "runs/small_gridworld/sb3_ppo/seed0"
@@ -59,9 +59,9 @@ def network(spaces: gym.spaces.Dict, outputs: int) -> nn.Module:
 
 def train_torchrl() -> None:
     torch.manual_seed(0)
-    worlds = make_vec("gridworld/zipf_2", 64, autoreset_mode="Disabled", **WORLDS)
-    spaces, actions = worlds.single_observation_space, int(worlds.single_action_space.n)
-    env = torchrl.torchrl_env(worlds)
+    envs = make_vec("gridworld/zipf_2", 64, autoreset_mode="Disabled", **ENVS)
+    spaces, actions = envs.single_observation_space, int(envs.single_action_space.n)
+    env = torchrl.torchrl_env(envs)
     env.set_seed(0)
     actor = ProbabilisticActor(
         TensorDictModule(network(spaces, actions), SEEN, ["logits"]),

@@ -57,15 +57,15 @@ class Corridor(ZipfVectorEnv):
     def _situations(self):
         return {"door": self.targets.copy()}
 
-    def _get_worlds(self):
+    def _get_env_states(self):
         return {"places": self.places, "targets": self.targets}
 
-    def _set_worlds(self, state):
-        worlds = self._get_worlds()
-        for name in worlds:
+    def _set_env_states(self, state):
+        envs = self._get_env_states()
+        for name in envs:
             if not np.isin(state[name], range(len(self.one_hot))).all():
                 raise ValueError(f"the state has {name} outside of the corridor")
-        for name, values in worlds.items():
+        for name, values in envs.items():
             values[:] = state[name]
 
 

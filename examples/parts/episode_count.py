@@ -21,24 +21,24 @@ class EpisodeCount(Bonus):
         self.seen = {}  # by env
 
     def begin(self, observation, mask):
-        for world in mask.nonzero().flatten().tolist():
-            self.seen[world] = {}
+        for env in mask.nonzero().flatten().tolist():
+            self.seen[env] = {}
 
     def __call__(self, observation, mask):
         bonus = torch.zeros(len(mask))
-        for world in mask.nonzero().flatten().tolist():
-            shown, seen = 0, self.seen[world]
+        for env in mask.nonzero().flatten().tolist():
+            shown, seen = 0, self.seen[env]
             for part in observation.values():
-                shown = crc32(part[world].numpy().tobytes(), shown)
+                shown = crc32(part[env].numpy().tobytes(), shown)
             seen[shown] = seen.get(shown, 0) + 1
-            bonus[world] = self.scale / seen[shown]
+            bonus[env] = self.scale / seen[shown]
         return bonus
 
     def state_dict(self):  # a resumed run goes on bit for bit
         return {"seen": self.seen}
 
     def load_state_dict(self, state):
-        self.seen = {world: dict(seen) for world, seen in state["seen"].items()}
+        self.seen = {env: dict(seen) for env, seen in state["seen"].items()}
 
 
 BONUSES.register(EpisodeCountOptions, EpisodeCount)

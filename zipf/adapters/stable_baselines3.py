@@ -93,12 +93,12 @@ class ZipfVecEnv(VecEnv):
             running = {k: v for k, v in info.items() if k not in ("final_info", "final_obs")}
             seconds = round(time.monotonic() - self._start, 6)
             for i in np.flatnonzero(dones).tolist():
-                told = _row(final, i)
-                episode = {"r": told.pop("return"), "l": told.pop("length"), "t": seconds}
-                if "success" in told:
-                    told["is_success"] = told.pop("success")
+                report = _row(final, i)
+                episode = {"r": report.pop("return"), "l": report.pop("length"), "t": seconds}
+                if "success" in report:
+                    report["is_success"] = report.pop("success")
                 infos[i] = {
-                    **told,
+                    **report,
                     "episode": episode,
                     "terminal_observation": {k: v[i] for k, v in final_observation.items()},
                     "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),

@@ -100,8 +100,8 @@ class _EpisodeReader(BaseInfoDictReader):
         for name, spec in self._spec.items():
             if name in info:
                 # Outcomes come with a mask of the envs whose episodes have ended.
-                told = np.where(info.get(f"_{name}", True), info[name], 0)
-                value = torch.as_tensor(told, dtype=spec.dtype, device=tensordict.device)
+                entry = np.where(info.get(f"_{name}", True), info[name], 0)
+                value = torch.as_tensor(entry, dtype=spec.dtype, device=tensordict.device)
                 tensordict.set(name, value.unsqueeze(-1))
             else:
                 tensordict.set(name, spec.zero())

@@ -280,9 +280,9 @@ class Encoder(nn.Module):
         self.texts = texts
         self.names: list[tuple[str, ...]] = []
         self.encoders = nn.ModuleList()
-        told = InstructionEncoder.size * len(texts)
+        width = InstructionEncoder.size * len(texts)
         for name in images:
-            self._add([name], NETWORKS.build(options, space[name].shape or (), told))
+            self._add([name], NETWORKS.build(options, space[name].shape or (), width))
         self._images = len(images)  # theirs are the first of the encoders
         if codes:
             self._add(codes, CodeEncoder([space[name] for name in codes], options))
@@ -298,7 +298,7 @@ class Encoder(nn.Module):
             not isinstance(options, MatchingOptions) or options.remember_instruction
         )
         if not self.remembers_texts:
-            self.size -= told
+            self.size -= width
 
     def _add(self, names: list[str], encoder: Any) -> None:
         self.names.append(tuple(names))
@@ -325,8 +325,8 @@ class Encoder(nn.Module):
     def match(self, observation: dict[str, Tensor], asked: dict[str, Tensor]) -> Tensor:
         """How well the places of images show what instructions name, by `network=matching`: the
         images of `{name: [N, ...]}` and the texts of `{name: [G, ...]}` -> float32 [N, P, G]."""
-        told = torch.cat([self.reader(name)(asked[name]) for name in self.texts], -1)
-        scores = [matcher(observation[name], told) for name, matcher in self._matchers().items()]
+        text = torch.cat([self.reader(name)(asked[name]) for name in self.texts], -1)
+        scores = [matcher(observation[name], text) for name, matcher in self._matchers().items()]
         return torch.cat(scores, 1)
 
     def places(self) -> Tensor:
@@ -344,14 +344,14 @@ class Encoder(nn.Module):
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """`{name: [N, ...]}` -> `[N, size]`."""
-        told = {name: self.reader(name)(observation[name]) for name in self.texts}
+        read = {name: self.reader(name)(observation[name]) for name in self.texts}
         encoded = []
         for names, encode in zip(self.names, self.encoders, strict=True):
             if isinstance(encode, InstructionEncoder):
                 if self.remembers_texts:
-                    encoded.append(told[names[0]])
+                    encoded.append(read[names[0]])
             elif isinstance(encode, InstructedNet):
-                texts = torch.cat(list(told.values()), -1)
+                texts = torch.cat(list(read.values()), -1)
                 encoded.append(encode(observation[names[0]], texts))
             else:
                 encoded.append(encode(*(observation[name] for name in names)))

@@ -56,8 +56,8 @@ class Sequences:
         item = {"steps": self._empty(self.rows, self._fields)}
         if self.final_observations:
             item["final"] = self._empty(self.final_observations, FINAL)
-        of_world = {name: part[0].cpu() for name, part in memory.items()}
-        return TensorDict({**item, "memory": TensorDict(of_world)})
+        of_env = {name: part[0].cpu() for name, part in memory.items()}
+        return TensorDict({**item, "memory": TensorDict(of_env)})
 
     def of_unroll(self, unroll: Unroll) -> TensorDict | None:
         """The sequences [B] of an unroll; None for a run's first where there is a burn-in."""

@@ -30,7 +30,7 @@ class Finals:
         place = torch.arange(most, device=step.device).unsqueeze(-1)
         self.rows = t.unsqueeze(-1) + earlier  # of the sequences' rows among all rows, [T + 1, B]
         self.places = torch.where(self.used, step + 1, rows) + place  # of the others, [K, B]
-        self.worlds = torch.arange(step.shape[1], device=step.device)
+        self.envs = torch.arange(step.shape[1], device=step.device)
 
     def insert(self, inputs: Inputs) -> Inputs:
         """`[T + 1, B]` -> `[T + 1 + K, B]`; the last rows repeat row T where a
@@ -40,9 +40,9 @@ class Finals:
 
         def merged(rows: Tensor, finals: Tensor) -> Tensor:
             every = rows.new_empty(len(rows) + len(finals), *rows.shape[1:])
-            every[self.rows, self.worlds] = rows
+            every[self.rows, self.envs] = rows
             used = self.used.view(*self.used.shape, *[1] * (rows.ndim - 2))
-            every[self.places, self.worlds] = torch.where(used, finals, rows[-1])
+            every[self.places, self.envs] = torch.where(used, finals, rows[-1])
             return every
 
         cut = Inputs.of(self.final)
@@ -54,16 +54,16 @@ class Finals:
 
     def without(self, rows: Tensor) -> Tensor:
         """`[T + 1 + K, B, ...]` -> `[T + 1, B, ...]`, the sequences' rows."""
-        return rows if not len(self.places) else rows[self.rows, self.worlds]
+        return rows if not len(self.places) else rows[self.rows, self.envs]
 
     def by_step(self, values: Tensor) -> tuple[Tensor, Tensor]:
         """From values [T + 1 + K, B]: after which steps there was an observation, bool [T, B], and
         its value there, else 0, [T, B]."""
         steps = len(self.rows) - 1
-        known = torch.zeros(steps, len(self.worlds), dtype=torch.bool, device=values.device)
-        found = values.new_zeros(steps, len(self.worlds))
-        k, world = self.used.nonzero(as_tuple=True)
-        step = self.step[k, world]
-        known[step, world] = True
-        found[step, world] = values[self.places[k, world], world]
+        known = torch.zeros(steps, len(self.envs), dtype=torch.bool, device=values.device)
+        found = values.new_zeros(steps, len(self.envs))
+        k, env = self.used.nonzero(as_tuple=True)
+        step = self.step[k, env]
+        known[step, env] = True
+        found[step, env] = values[self.places[k, env], env]
         return known, found

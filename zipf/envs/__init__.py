@@ -5,13 +5,14 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from zipf.envs.baselines import ReferenceScore
+from zipf.envs.baselines import BaselineScore
 from zipf.envs.family import (
     SCRIPTED,
     EngineError,
     Family,
     Scripted,
     all_splits,
+    baseline,
     expert,
     families,
     family_of_split,
@@ -25,51 +26,51 @@ from zipf.envs.family import (
     make_train,
     make_vec,
     questions,
-    reference,
     register,
     scripted,
     split,
     symmetries,
 )
 from zipf.envs.splits import Normalisation, Split, SplitLevel
-from zipf.protocol import KINDS, PAPER_KINDS, REFERENCES, Reference
+from zipf.protocol import BASELINES, KINDS, PAPER_KINDS, Baseline
 
 if TYPE_CHECKING:
     from zipf.envs.episodes import measure_chance
     from zipf.envs.gymnasium.vector import GymnasiumVectorEnv
     from zipf.envs.gymnasium.zipfian import zipfian
     from zipf.envs.mixture import Mixture
-    from zipf.envs.single import SingleWorld
+    from zipf.envs.single import SingleEnv
     from zipf.envs.vector import ZipfVectorEnv
 
 # Imported when first asked for: these bring numba, and `import zipf` is to be quick.
 _LAZY = {
     "GymnasiumVectorEnv": "zipf.envs.gymnasium.vector",
     "Mixture": "zipf.envs.mixture",
-    "SingleWorld": "zipf.envs.single",
+    "SingleEnv": "zipf.envs.single",
     "ZipfVectorEnv": "zipf.envs.vector",
     "measure_chance": "zipf.envs.episodes",
     "zipfian": "zipf.envs.gymnasium.zipfian",
 }
 
 __all__ = [
+    "BASELINES",
     "KINDS",
     "PAPER_KINDS",
-    "REFERENCES",
     "SCRIPTED",
+    "Baseline",
+    "BaselineScore",
     "EngineError",
     "Family",
     "GymnasiumVectorEnv",
     "Mixture",
     "Normalisation",
-    "Reference",
-    "ReferenceScore",
     "Scripted",
-    "SingleWorld",
+    "SingleEnv",
     "Split",
     "SplitLevel",
     "ZipfVectorEnv",
     "all_splits",
+    "baseline",
     "expert",
     "families",
     "family_of_split",
@@ -84,7 +85,6 @@ __all__ = [
     "make_vec",
     "measure_chance",
     "questions",
-    "reference",
     "register",
     "scripted",
     "split",

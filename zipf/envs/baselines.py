@@ -13,8 +13,8 @@ from zipf.envs import distributions
 
 
 @dataclass(frozen=True)
-class ReferenceScore:
-    """The mean return of an episode of a reference on a level.
+class BaselineScore:
+    """The mean return of an episode of a baseline on a level.
 
     Attributes:
         score: the mean return.
@@ -32,30 +32,30 @@ class ReferenceScore:
     policy: str | None = None
 
 
-def measured(package: str, name: str) -> Callable[..., ReferenceScore | None]:
-    """A reference as `scripts/measure_references.py` wrote it to `references.json` in a package.
+def measured(package: str, name: str) -> Callable[..., BaselineScore | None]:
+    """A baseline as `scripts/measure_baselines.py` wrote it to `baselines.json` in a package.
 
     Args:
         package: has the family as `FAMILY`.
-        name: of the reference.
+        name: of the baseline.
 
     Returns:
-        A function of a level's name and constructor options, as in `Family.references`. It returns
+        A function of a level's name and constructor options, as in `Family.baselines`. It returns
         None for levels and options that were not measured. It makes no difference how they are
-        written: `zipf_2.0` is `zipf_2`, and (3, 3) is [3, 3]. The file has for each reference and
+        written: `zipf_2.0` is `zipf_2`, and (3, 3) is [3, 3]. The file has for each baseline and
         level a list of figures, with the options that are not the family's defaults:
 
         {"chance": {"lift/lift_shape_zipf3": [
             {"score": 0.03, "error": 0.005, "episodes": 1000, "options": {"max_steps": 100}, ...}]}}
     """
 
-    def reference(level: str, **options: Any) -> ReferenceScore | None:
+    def baseline(level: str, **options: Any) -> BaselineScore | None:
         family = import_module(package).FAMILY
         defaults = family.options_class().model_dump(exclude=set(family.appearance))
         asked = _as_json({**defaults, **options})
         for figure in _figures(package).get(name, {}).get(distributions.usual_name(level), []):
             if asked == _as_json({**defaults, **figure["options"]}):
-                return ReferenceScore(
+                return BaselineScore(
                     figure["score"],
                     figure["episodes"],
                     error=figure["error"],
@@ -63,13 +63,13 @@ def measured(package: str, name: str) -> Callable[..., ReferenceScore | None]:
                 )
         return None
 
-    return reference
+    return baseline
 
 
 def higher_floor(
-    package: str, exact: Callable[..., ReferenceScore | None]
-) -> Callable[..., ReferenceScore | None]:
-    """The blind reference of a family: the higher one of what was reasoned, `exact`, and of what
+    package: str, exact: Callable[..., BaselineScore | None]
+) -> Callable[..., BaselineScore | None]:
+    """The blind baseline of a family: the higher one of what was reasoned, `exact`, and of what
     `scripts/search_floors.py` found, as `measured` reads it.
 
     What was found counts only where it is three standard errors above the other, as it is the best
@@ -77,13 +77,13 @@ def higher_floor(
     """
     found = measured(package, "blind")
 
-    def reference(level: str, **options: Any) -> ReferenceScore | None:
+    def baseline(level: str, **options: Any) -> BaselineScore | None:
         known, cheat = exact(level, **options), found(level, **options)
         if known is None or cheat is None:
             return known or cheat
         return cheat if cheat.score > known.score + 3 * (cheat.error or 0.0) else known
 
-    return reference
+    return baseline
 
 
 def _as_json(value: Any) -> Any:
@@ -97,5 +97,5 @@ def _as_json(value: Any) -> Any:
 
 @cache
 def _figures(package: str) -> dict[str, dict[str, list[dict[str, Any]]]]:
-    path = resources.files(package) / "references.json"
+    path = resources.files(package) / "baselines.json"
     return json.loads(path.read_text("utf-8")) if path.is_file() else {}  # nothing measured yet

@@ -9,8 +9,8 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import whole
-from zipf.envs.baselines import ReferenceScore
-from zipf.envs.family import Player, make_vec
+from zipf.envs.baselines import BaselineScore
+from zipf.envs.family import BoundPolicy, make_vec
 from zipf.envs.splits import Level, SplitLevel
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
@@ -22,7 +22,7 @@ def measure_chance(
     seed: int = 0,
     num_envs: int = 250,
     **options: Any,
-) -> ReferenceScore:
+) -> BaselineScore:
     """Plays uniformly random actions on a level; the arguments are those of `measure`.
 
     Raises:
@@ -30,21 +30,21 @@ def measure_chance(
     """
     generator = np.random.default_rng([seed, 1])  # envs are seeded seed, seed + 1, ...
 
-    def random_player(env: ZipfVectorEnv) -> Player:
+    def random_policy(env: ZipfVectorEnv) -> BoundPolicy:
         return lambda: generator.integers(int(env.single_action_space.n), size=env.num_envs)
 
-    return measure(random_player, level, episodes=episodes, seed=seed, num_envs=num_envs, **options)
+    return measure(random_policy, level, episodes=episodes, seed=seed, num_envs=num_envs, **options)
 
 
 def measure(
-    player: Callable[[Any], Player],
+    policy: Callable[[Any], BoundPolicy],
     level: Level | SplitLevel | Sequence[Level | SplitLevel],
     *,
     episodes: int = 1000,
     seed: int = 0,
     num_envs: int = 250,
     **options: Any,
-) -> ReferenceScore:
+) -> BaselineScore:
     """Plays a level with the actions of a scripted policy.
 
     The same arguments give the same figure on every machine.
@@ -63,11 +63,11 @@ def measure(
     episodes = whole("episodes", episodes, 1)
     num_envs = whole("num_envs", num_envs, 1)
     env = make_vec(level, min(num_envs, episodes), **options)
-    act = player(env)
+    act = policy(env)
     returns = play_episodes(env, lambda *_: act(), episodes, seed=seed)["return"]
     env.close()
     error = float(returns.std(ddof=1)) / math.sqrt(episodes) if episodes > 1 else None
-    return ReferenceScore(float(returns.mean()), episodes, error=error)
+    return BaselineScore(float(returns.mean()), episodes, error=error)
 
 
 def play_episodes(

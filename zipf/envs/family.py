@@ -25,17 +25,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import unknown
-from zipf.envs.baselines import ReferenceScore
+from zipf.envs.baselines import BaselineScore
 from zipf.envs.splits import Level, Split, SplitLevel, level_name
 from zipf.options import Options
-from zipf.protocol import REFERENCE_NAMES
+from zipf.protocol import BASELINE_NAMES
 
 if TYPE_CHECKING:
     from zipf.envs.goals import Goal
     from zipf.envs.keyboard import Keys
     from zipf.envs.vector import ZipfVectorEnv
 
-Player = Callable[[], NDArray[np.int64]]
+BoundPolicy = Callable[[], NDArray[np.int64]]
 """A scripted policy of a batch of envs: called, it gives actions [N]."""
 
 Scripted = Literal["expert", "generalist"]
@@ -89,14 +89,14 @@ class Family:
         make: makes one env: `make(level=..., render_mode=..., **options)`; None: a batch of one.
         id: the Gymnasium id; None: the family is not registered with Gymnasium.
         check: raises ValueError for a name that is not a level; None: those in `levels` are.
-        references: scores of players that do not learn, by the name that the player has in
-            `zipf.protocol.REFERENCES`: "chance" is of uniformly random actions, "blind" the best
+        baselines: scores of policies that do not learn, by the name that the player has in
+            `zipf.protocol.BASELINES`: "chance" is of uniformly random actions, "blind" the best
             that is known of policies that neither read what an episode asks for nor look,
             "generalist" and "expert" of scripted policies. Each is a function:
-            `function(level, **options)` gives a `ReferenceScore`, or None where it is not known.
-            References that are known of no level are left out.
+            `function(level, **options)` gives a `BaselineScore`, or None where it is not known.
+            Baselines that are known of no level are left out.
         appearance: names of options that change what is shown and nothing else; the functions in
-            `references` are not told of them.
+            `baselines` are not told of them.
         keys: what a keyboard's keys do, for `zipf.play`; None: nobody can play by hand.
         expert: `expert(env)` is a scripted policy of a batch that reads the state of its envs;
             None: there is none.
@@ -126,16 +126,16 @@ class Family:
     make: Callable[..., gym.Env] | str | None = None
     id: str | None = None
     check: Callable[[str], object] | str | None = None
-    references: Mapping[str, Callable[..., ReferenceScore | None] | str] = field(
+    baselines: Mapping[str, Callable[..., BaselineScore | None] | str] = field(
         default_factory=dict, hash=False
     )
     appearance: frozenset[str] = frozenset()
     keys: Keys | str | None = None
-    expert: Callable[[Any], Player] | str | None = None
-    blind_policies: Mapping[str, Callable[[Any], Player] | str] = field(
+    expert: Callable[[Any], BoundPolicy] | str | None = None
+    blind_policies: Mapping[str, Callable[[Any], BoundPolicy] | str] = field(
         default_factory=dict, hash=False
     )
-    generalist: Callable[[Any], Player] | str | None = None
+    generalist: Callable[[Any], BoundPolicy] | str | None = None
     questions: Callable[[Split], Split] | str | None = None
     symmetries: Callable[[Any, Any], Symmetries] | str | None = None
     goal: Callable[[Any], Goal] | str | None = None
@@ -180,11 +180,11 @@ class Family:
         self.check_options(kwargs, *(["copy"] if self.make is None else []), "render_mode")
         if self.make is not None:
             return _loaded(self.make)(level=level, **kwargs)
-        from zipf.envs.single import SingleWorld
+        from zipf.envs.single import SingleEnv
 
-        return SingleWorld(_loaded(self.make_vec), level=level, **kwargs)
+        return SingleEnv(_loaded(self.make_vec), level=level, **kwargs)
 
-    def blind_players(self) -> dict[str, Callable[[Any], Player]]:
+    def loaded_blind_policies(self) -> dict[str, Callable[[Any], BoundPolicy]]:
         """The family's own policies that do not read, by name."""
         return {name: _loaded(policy) for name, policy in self.blind_policies.items()}
 
@@ -208,7 +208,7 @@ def register(family: Family) -> Family:
 
     Raises:
         ValueError: a family or a split of that name is there already or twice, a name cannot be
-            part of a level's name, a field is of another kind, it has an unknown reference, or
+            part of a level's name, a field is of another kind, it has an unknown baseline, or
             Gymnasium does not take the id.
             Nothing is registered then.
     """
@@ -219,8 +219,8 @@ def register(family: Family) -> Family:
     for split in family.splits:
         if splits.count(split.name) > 1:
             raise ValueError(f"there is a split {split.name!r} already")
-    for name in family.references:
-        _check_reference(name)
+    for name in family.baselines:
+        _check_baseline(name)
     if family.id in gym.registry:
         raise ValueError(f"Gymnasium has an environment {family.id!r} already")
     try:
@@ -240,7 +240,7 @@ def _check_fields(family: Family) -> None:
             raise ValueError(
                 f"{field_name} of a family must be a tuple of {kind.__name__}, got {value!r}"
             )
-    for field_name, value in {**vars(family), **family.references}.items():
+    for field_name, value in {**vars(family), **family.baselines}.items():
         texts = ("name", "summary", "id")
         if field_name not in texts and isinstance(value, str) and not all(value.partition(":")):
             raise ValueError(
@@ -398,40 +398,40 @@ def _mixture(
     return Mixture(makers, num_envs, draw="resets", probabilities=probabilities, **kwargs)
 
 
-def reference(name: str, level: Level | SplitLevel, /, **kwargs: Any) -> ReferenceScore | None:
-    """The mean return of a player that does not learn on a level, exact or measured.
+def baseline(name: str, level: Level | SplitLevel, /, **kwargs: Any) -> BaselineScore | None:
+    """The mean return of a policy that does not learn on a level, exact or measured.
 
     Args:
-        name: "chance", "blind", "generalist" or "expert", see `zipf.protocol.REFERENCES`.
+        name: "chance", "blind", "generalist" or "expert", see `zipf.protocol.BASELINES`.
         level: a full level name, or what a `Split` may hold in its place. A function that makes a
-            level may know references itself: `level.reference(name, **options)`.
+            level may know baselines itself: `level.baseline(name, **options)`.
         kwargs: constructor options as for `make` and `make_vec`.
 
     Returns:
         The mean return, or None if it is not known for the level with these options.
 
     Raises:
-        ValueError: for an unknown reference, level or option.
+        ValueError: for an unknown baseline, level or option.
     """
-    _check_reference(name)
+    _check_baseline(name)
     if isinstance(level, SplitLevel):
-        return reference(name, level.level, **{**kwargs, **level.options})
+        return baseline(name, level.level, **{**kwargs, **level.options})
     for ignored in ("render_mode", "copy", "autoreset_mode"):
         kwargs.pop(ignored, None)
     if not isinstance(level, str):
-        known = getattr(level, "reference", None)
+        known = getattr(level, "baseline", None)
         return None if known is None else known(name, **kwargs)
     found, own = find_level(level)
     found.check_options(kwargs)
-    if name not in found.references:
+    if name not in found.baselines:
         return None
     options = {key: value for key, value in kwargs.items() if key not in found.appearance}
-    return _loaded(found.references[name])(own, **options)
+    return _loaded(found.baselines[name])(own, **options)
 
 
-def _check_reference(name: str) -> None:
-    if name not in REFERENCE_NAMES:
-        raise unknown("reference", name, REFERENCE_NAMES)
+def _check_baseline(name: str) -> None:
+    if name not in BASELINE_NAMES:
+        raise unknown("baseline", name, BASELINE_NAMES)
 
 
 def keys(level: str) -> Keys | None:
@@ -444,7 +444,7 @@ def keys(level: str) -> Keys | None:
     return _loaded(found.keys)
 
 
-def expert(level: str, env: ZipfVectorEnv) -> Player | None:
+def expert(level: str, env: ZipfVectorEnv) -> BoundPolicy | None:
     """A scripted policy that reads the state of envs which `make_vec` made of a level.
 
     The arguments and the rest are those of `scripted`.
@@ -452,7 +452,7 @@ def expert(level: str, env: ZipfVectorEnv) -> Player | None:
     return scripted("expert", level, env)
 
 
-def generalist(level: str, env: ZipfVectorEnv) -> Player | None:
+def generalist(level: str, env: ZipfVectorEnv) -> BoundPolicy | None:
     """A scripted policy that knows of envs what has been in view in the episode, see `Family`.
 
     The arguments and the rest are those of `scripted`.
@@ -460,7 +460,7 @@ def generalist(level: str, env: ZipfVectorEnv) -> Player | None:
     return scripted("generalist", level, env)
 
 
-def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> Player | None:
+def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> BoundPolicy | None:
     """A scripted policy of envs that `make_vec` made of a level; None in a family without one.
 
     Args:

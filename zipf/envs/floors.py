@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.family import Player, find_level, make_vec
+from zipf.envs.family import BoundPolicy, find_level, make_vec
 from zipf.envs.splits import Level
 from zipf.envs.vector import ZipfVectorEnv
 
@@ -75,13 +75,13 @@ class Arena:
 
     level: Level
     rows: int = 512
-    own: Mapping[str, Callable[[Any], Player]] | None = None
+    own: Mapping[str, Callable[[Any], BoundPolicy]] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.own is None:
             found = find_level(self.level)[0] if isinstance(self.level, str) else None
-            self.own = found.blind_players() if found is not None else {}
+            self.own = found.loaded_blind_policies() if found is not None else {}
         self.env = _unseen(make_vec(self.level, self.rows, **self.options))
         self.count = int(self.env.single_action_space.n)
 
@@ -96,18 +96,18 @@ class Arena:
         pairs = [(k, j) for k in drawn for j in range(len(seeds))]
         for first in range(0, len(pairs), self.rows):
             part = pairs[first : first + self.rows]
-            player = _open_loop([policies[k] for k, _ in part], self.count, seeds[part[0][1]])
-            played = self._play(player, [seeds[j] for _, j in part])
+            act = _open_loop([policies[k] for k, _ in part], self.count, seeds[part[0][1]])
+            played = self._play(act, [seeds[j] for _, j in part])
             for (k, j), value in zip(part, played, strict=True):
                 found[k, j] = value
         for k in set(range(len(policies))) - set(drawn):
             for first in range(0, len(seeds), self.rows):
                 of_own = list(seeds[first : first + self.rows])
-                player = (self.own or {})[policies[k]](self.env)
-                found[k, first : first + len(of_own)] = self._play(player, of_own)
+                act = (self.own or {})[policies[k]](self.env)
+                found[k, first : first + len(of_own)] = self._play(act, of_own)
         return found
 
-    def _play(self, player: Player, seeds: Sequence[int]) -> NDArray[np.float64]:
+    def _play(self, act: BoundPolicy, seeds: Sequence[int]) -> NDArray[np.float64]:
         """The returns of the first episodes of envs with these seeds."""
         env = self.env
         spare = [SEARCHED - 1] * (env.num_envs - len(seeds))
@@ -117,7 +117,7 @@ class Arena:
         returns = np.zeros(env.num_envs)
         actions = np.zeros(env.num_envs, np.int64)
         while running.any():
-            chosen = player()
+            chosen = act()
             actions[: len(chosen)] = chosen
             _, rewards, terminated, truncated, _ = env.step(actions, out=out)
             returns += np.where(running, rewards, 0.0)
@@ -280,7 +280,7 @@ class _Search:
         return best[:KEPT]
 
 
-def _open_loop(texts: Sequence[str], count: int, seed: int) -> Player:
+def _open_loop(texts: Sequence[str], count: int, seed: int) -> BoundPolicy:
     """Plays a policy in each env, from the first step of an episode on."""
     rng = np.random.default_rng([seed, 2])
     n = len(texts)

@@ -56,7 +56,7 @@ class Mixture(ZipfVectorEnv):
 
     Attributes:
         level_names: the levels by rank; with "worlds", in the order of their envs.
-        levels_of_worlds: int64 [N], the place in `level_names` of each env's level.
+        levels_of_envs: int64 [N], the place in `level_names` of each env's level.
         batches: the levels' batches, in the order of `level_names`. Each has N rows and keeps the
             envs that are on its level; those with the same engine share their arrays.
 
@@ -100,7 +100,7 @@ class Mixture(ZipfVectorEnv):
             if (exponent is None) == (probabilities is None):
                 raise ValueError("draw='resets' needs either exponent or probabilities")
             self.level_names = tuple(np.array(list(levels), object)[ordered(count, order)])
-            self.levels_of_worlds = np.zeros(num_envs, np.int64)
+            self.levels_of_envs = np.zeros(num_envs, np.int64)
         else:
             if exponent is not None or probabilities is not None or order != "forward":
                 raise ValueError("exponent, probabilities and order need draw='resets'")
@@ -110,7 +110,7 @@ class Mixture(ZipfVectorEnv):
                     f"{', '.join(levels)}; got {num_envs}"
                 )
             self.level_names = tuple(levels)
-            self.levels_of_worlds = np.sort(np.arange(num_envs) % count)
+            self.levels_of_envs = np.sort(np.arange(num_envs) % count)
         self.batches = [
             levels[name](
                 num_envs,
@@ -280,8 +280,8 @@ class Mixture(ZipfVectorEnv):
     def _locate(self, seeded: NDArray[np.bool_]) -> None:
         """Sets the masks by level and by engine, for levels that were not drawn by `_begin`."""
         places = np.arange(len(self.batches))[:, None]
-        self._begun[:] = (self.levels_of_worlds == places) & seeded
-        self._on_engine[:] = self._engine_of[self.levels_of_worlds] == places
+        self._begun[:] = (self.levels_of_envs == places) & seeded
+        self._on_engine[:] = self._engine_of[self.levels_of_envs] == places
         self._engines_now = np.flatnonzero(self._on_engine.any(1)).tolist()
 
     def _parts(self, mask: NDArray[np.bool_]) -> Iterator[tuple[ZipfVectorEnv, NDArray[np.bool_]]]:
@@ -303,11 +303,11 @@ class Mixture(ZipfVectorEnv):
         begin, in_use = _begin_levels(
             mask,
             draw,
-            forced[0] if draw else self.levels_of_worlds,
+            forced[0] if draw else self.levels_of_envs,
             cumulative,
             self._streams,
             self._engine_of,
-            self.levels_of_worlds,
+            self.levels_of_envs,
             self._begun,
             self._on_engine,
             self._beginning,
@@ -341,13 +341,13 @@ class Mixture(ZipfVectorEnv):
         joined = self._joined(lambda batch: batch._situations(), own)
         if self.draw == "worlds":
             return joined
-        return {self.rank: self.levels_of_worlds.copy(), **joined}
+        return {self.rank: self.levels_of_envs.copy(), **joined}
 
     def _describe(self) -> dict[str, NDArray[Any]]:
         joined = self._joined(lambda batch: batch._describe(), self._described)
         if self.draw == "worlds":
             return joined
-        return {f"{self.rank}_name": self._names[self.levels_of_worlds], **joined}
+        return {f"{self.rank}_name": self._names[self.levels_of_envs], **joined}
 
     def _joined(
         self, entries: Callable[[ZipfVectorEnv], dict[str, NDArray[Any]]], names: list[str]
@@ -377,15 +377,15 @@ class Mixture(ZipfVectorEnv):
             np.copyto(has, own_has, where=part)
         return goals, has
 
-    def _get_worlds(self) -> dict[str, NDArray[Any]]:
-        state = {"levels": self.levels_of_worlds} if self.draw == "resets" else {}
+    def _get_env_states(self) -> dict[str, NDArray[Any]]:
+        state = {"levels": self.levels_of_envs} if self.draw == "resets" else {}
         for k in sorted(set(self._engine_of.tolist())):
-            worlds = self.batches[k]._get_worlds()
-            state |= {f"{self.level_names[k]}:{key}": value for key, value in worlds.items()}
+            envs = self.batches[k]._get_env_states()
+            state |= {f"{self.level_names[k]}:{key}": value for key, value in envs.items()}
         return state
 
-    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
-        levels = state.get("levels", self.levels_of_worlds)
+    def _set_env_states(self, state: Mapping[str, NDArray[Any]]) -> None:
+        levels = state.get("levels", self.levels_of_envs)
         if (levels < 0).any() or (levels >= len(self.batches)).any():
             raise ValueError("the state is of other levels, or damaged: levels out of range")
         before = self.get_state()
@@ -397,15 +397,15 @@ class Mixture(ZipfVectorEnv):
 
     def _set_batches(self, state: Mapping[str, NDArray[Any]]) -> None:
         if self.draw == "resets":
-            self.levels_of_worlds[:] = state["levels"]
+            self.levels_of_envs[:] = state["levels"]
         self._locate(state["seeded"])
         for k, batch in enumerate(self.batches):
             # To a level's batch, envs that are on other levels have not begun yet.
-            here = self.levels_of_worlds == k
+            here = self.levels_of_envs == k
             common = {key: state[key] * here for key in ("seeded", "running", "lengths", "returns")}
             name = self.level_names[self._engine_of[k]]
-            own = {key: state[f"{name}:{key}"] for key in batch._get_worlds()}
-            batch._set_worlds({"streams": state["streams"], **common, **own})
+            own = {key: state[f"{name}:{key}"] for key in batch._get_env_states()}
+            batch._set_env_states({"streams": state["streams"], **common, **own})
 
 
 @compiled()

@@ -13,7 +13,7 @@ from zipf.envs.mixture import Mixture
 from zipf.envs.splits import Split
 
 if TYPE_CHECKING:
-    from zipf.envs.family import Player
+    from zipf.envs.family import BoundPolicy
     from zipf.envs.vector import ZipfVectorEnv
 
 
@@ -47,7 +47,7 @@ class Teacher:
         env: the envs.
 
     Raises:
-        ValueError: a train level has no such player.
+        ValueError: a train level has no such policy.
     """
 
     def __init__(self, name: Scripted, split: Split, env: ZipfVectorEnv):
@@ -56,34 +56,34 @@ class Teacher:
         if isinstance(env, Mixture):  # one player for all envs on an engine
             firsts = np.unique(env.engines).tolist()
             batches = {k: (env.level_names[k], env.batches[k]) for k in firsts}
-        self._players: dict[int, Player] = {}
+        self._policies: dict[int, BoundPolicy] = {}
         for k, (level, batch) in batches.items():
-            player = scripted(name, level, batch)
-            if player is None:
+            policy = scripted(name, level, batch)
+            if policy is None:
                 raise ValueError(f"the levels of {split.name} have no {name}")
-            self._players[k] = player
+            self._policies[k] = policy
 
     def __call__(self) -> NDArray[np.int64]:
         if not isinstance(self._env, Mixture):
-            return self._players[0]()
+            return self._policies[0]()
         actions = np.zeros(self._env.num_envs, np.int64)
-        engines = self._env.engines[self._env.levels_of_worlds]
+        engines = self._env.engines[self._env.levels_of_envs]
         for k in np.unique(engines).tolist():
-            np.copyto(actions, self._players[k](), where=engines == k)
+            np.copyto(actions, self._policies[k](), where=engines == k)
         return actions
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """What its players remember, by name."""
         state: dict[str, NDArray[Any]] = {}
-        for k, player in self._players.items():
-            if isinstance(player, Remembering):
-                state |= {f"{k}:{name}": value for name, value in player.get_state().items()}
+        for k, policy in self._policies.items():
+            if isinstance(policy, Remembering):
+                state |= {f"{k}:{name}": value for name, value in policy.get_state().items()}
         return state
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continues from `get_state()`, in the same envs."""
-        for k, player in self._players.items():
-            if isinstance(player, Remembering):
+        for k, policy in self._policies.items():
+            if isinstance(policy, Remembering):
                 start = f"{k}:"
                 own = {n.removeprefix(start): v for n, v in state.items() if n.startswith(start)}
-                player.set_state(own)
+                policy.set_state(own)

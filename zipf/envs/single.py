@@ -12,10 +12,10 @@ from zipf.envs.arguments import reset_options, single_action, whole
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 
-class SingleWorld(gym.Env[dict[str, Any], Any]):
+class SingleEnv(gym.Env[dict[str, Any], Any]):
     """A batch of one env, without its batch axis.
 
-        env = SingleWorld(GridworldVectorEnv, level="rare")
+        env = SingleEnv(GridworldVectorEnv, level="rare")
 
     After `reset(seed=s + i)` it equals env `i` of a batch after `reset(seed=s)`. As the single
     env of `check_vector_env` it reveals envs that affect each other, wrong masks, states and

@@ -257,12 +257,12 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         raise NotImplementedError
 
     @abstractmethod
-    def _get_worlds(self) -> dict[str, NDArray[Any]]:
+    def _get_env_states(self) -> dict[str, NDArray[Any]]:
         """The family's own state, as a flat dict of numeric arrays that may alias it."""
 
     @abstractmethod
-    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Restores the family's own state from a complete one, which has `_get_worlds`' keys too.
+    def _set_env_states(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Restores the family's own state from a complete one, with the keys of `_get_env_states`.
 
         A family that cannot restore the running episode of an env begins one and sets the
         env's entry of `self._restarted`.
@@ -273,7 +273,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         """
 
     _resizable: frozenset[str] = frozenset()
-    """Keys of `_get_worlds` whose arrays may be of another length in another state."""
+    """Keys of `_get_env_states` whose arrays may be of another length in another state."""
 
     def _engine(self) -> Hashable:
         """A value that is equal for batches which differ only in how their episodes begin.
@@ -364,8 +364,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
             waiting = ~(self._seeded if next_step else self._running)
             if waiting.any():
-                worlds = np.flatnonzero(waiting).tolist()
-                raise ResetNeeded(f"step() needs a running episode: reset envs {worlds} first")
+                envs = np.flatnonzero(waiting).tolist()
+                raise ResetNeeded(f"step() needs a running episode: reset envs {envs} first")
             mask = self._running.copy()
         actions = self._read_actions(actions, mask)
         observation = self._writable(out, "out")
@@ -453,7 +453,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             "running": self._running,
             "lengths": self._lengths,
             "returns": self._returns,
-            **self._get_worlds(),
+            **self._get_env_states(),
         }
         return {key: value.copy() for key, value in state.items()}
 
@@ -491,7 +491,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         if (state["lengths"] < 0).any() or not np.isfinite(state["returns"]).all():
             raise ValueError("the state is damaged: lengths or returns of episodes out of range")
         self._restarted[:] = False
-        self._set_worlds(state)
+        self._set_env_states(state)
         self._streams[:] = state["streams"]
         self._seeded[:] = state["seeded"]
         self._running[:] = state["running"]

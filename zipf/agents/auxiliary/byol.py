@@ -120,11 +120,11 @@ class BYOL(Auxiliary):
         """
         generator = self.generator()
         if self.options.fraction < 1:
-            worlds = sample(core.shape[1], self.options.fraction, generator).to(core.device)
-            core = core[:, worlds]
+            envs = sample(core.shape[1], self.options.fraction, generator).to(core.device)
+            core = core[:, envs]
             inputs = Inputs(
-                {name: part[:, worlds] for name, part in inputs.observation.items()},
-                *(part[:, worlds] for part in inputs[1:]),
+                {name: part[:, envs] for name, part in inputs.observation.items()},
+                *(part[:, envs] for part in inputs[1:]),
             )
         targets = F.normalize(self.targets(inputs, generator), dim=-1)
         total = torch.zeros((), device=core.device)

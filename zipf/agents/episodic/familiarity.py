@@ -73,7 +73,7 @@ class MemRecorder(DictionaryRecorder):
 
     def __init__(
         self,
-        worlds: int,
+        envs: int,
         core_size: int,
         actions: int,
         options: MemOptions,
@@ -86,7 +86,7 @@ class MemRecorder(DictionaryRecorder):
                 f"have only {', '.join(sorted(space))}; episodic=dictionary reads whatever the "
                 "network does"
             )
-        super().__init__(worlds, core_size, actions, options, seed, no_observations(space, worlds))
+        super().__init__(envs, core_size, actions, options, seed, no_observations(space, envs))
         size = options.familiarity_capacity
         value_size = core_size + 2 * actions * options.outcome
         self.register_buffer("cores", torch.zeros(size, core_size))
@@ -221,7 +221,7 @@ def augment(image: Tensor, noise: float, cutout: float, generator: torch.Generat
 def build_recorder(
     options: EpisodicOptions,
     space: gym.spaces.Dict,
-    worlds: int,
+    envs: int,
     core_size: int,
     actions: int,
     seed: int,
@@ -238,7 +238,7 @@ def build_recorder(
     Raises:
         ValueError: the observations lack what it needs.
     """
-    return RECORDERS.build(options, space, worlds, core_size, actions, seed)
+    return RECORDERS.build(options, space, envs, core_size, actions, seed)
 
 
 RECORDERS: Registry[Recorder] = Registry("episodic")
@@ -247,13 +247,13 @@ RECORDERS: Registry[Recorder] = Registry("episodic")
 RECORDERS.register(NoEpisodicOptions, lambda options, *others: Recorder())
 RECORDERS.register(
     DictionaryOptions,
-    lambda options, space, worlds, core_size, actions, seed: DictionaryRecorder(
-        worlds, core_size, actions, options, seed
+    lambda options, space, envs, core_size, actions, seed: DictionaryRecorder(
+        envs, core_size, actions, options, seed
     ),
 )
 RECORDERS.register(
     MemOptions,
-    lambda options, space, worlds, core_size, actions, seed: MemRecorder(
-        worlds, core_size, actions, options, seed, space
+    lambda options, space, envs, core_size, actions, seed: MemRecorder(
+        envs, core_size, actions, options, seed, space
     ),
 )

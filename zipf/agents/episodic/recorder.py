@@ -87,7 +87,7 @@ class DictionaryRecorder(Recorder):
 
     def __init__(
         self,
-        worlds: int,
+        envs: int,
         core_size: int,
         actions: int,
         options: DictionarySizes,
@@ -100,11 +100,11 @@ class DictionaryRecorder(Recorder):
         self.seed = seed
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
         # Of the episode that each env is in: its frames so far, and the row drawn among them.
-        self.register_buffer("age", torch.zeros(worlds, dtype=torch.int64))
-        self.register_buffer("core", torch.zeros(worlds, core_size))
-        self.register_buffer("action", torch.zeros(worlds, dtype=torch.int64))
-        self.register_buffer("return_", torch.zeros(worlds))  # from that row on
-        self.register_buffer("factor", torch.ones(worlds))  # the discount of the next reward
+        self.register_buffer("age", torch.zeros(envs, dtype=torch.int64))
+        self.register_buffer("core", torch.zeros(envs, core_size))
+        self.register_buffer("action", torch.zeros(envs, dtype=torch.int64))
+        self.register_buffer("return_", torch.zeros(envs))  # from that row on
+        self.register_buffer("factor", torch.ones(envs))  # the discount of the next reward
         self.observations = sorted(observations or {})
         self._register("observation", observations or {})
 
@@ -119,11 +119,11 @@ class DictionaryRecorder(Recorder):
         """Writes the rows of the episodes that have ended, in the order in which they did."""
         assert dictionary is not None
         device = self.core.device
-        length, worlds = len(core) - 1, core.shape[1]
-        draws = torch.rand(length, worlds, generator=self.generator()).to(device)
+        length, envs = len(core) - 1, core.shape[1]
+        draws = torch.rand(length, envs, generator=self.generator()).to(device)
         ends = (steps["terminated"] | steps["truncated"])[:-1]
         age, return_, factor = self.age, self.return_, self.factor
-        source = torch.full((worlds,), -1, device=device)  # the row's frame; -1: before the unroll
+        source = torch.full((envs,), -1, device=device)  # the row's frame; -1: before the unroll
         sources, returns = [], []
         for t in range(length):
             age = age.masked_fill(steps["is_first"][t], 0) + 1
@@ -134,11 +134,11 @@ class DictionaryRecorder(Recorder):
             factor = factor * self.options.discount
             sources.append(source)
             returns.append(return_)
-        t, world = ends.nonzero(as_tuple=True)
-        source_t, return_t = torch.stack(sources)[t, world], torch.stack(returns)[t, world]
-        rows = self._rows(source_t, world, return_t, steps, core, action)
+        t, env = ends.nonzero(as_tuple=True)
+        source_t, return_t = torch.stack(sources)[t, env], torch.stack(returns)[t, env]
+        rows = self._rows(source_t, env, return_t, steps, core, action)
         self.write(dictionary, rows)
-        everywhere = torch.arange(worlds, device=device)
+        everywhere = torch.arange(envs, device=device)
         self.core.copy_(pick(self.core, core.float(), source, everywhere))
         self.action.copy_(pick(self.action, action, source, everywhere))
         for name, pending in self._registered("observation").items():
@@ -185,26 +185,26 @@ class DictionaryRecorder(Recorder):
     def _rows(
         self,
         source: Tensor,
-        world: Tensor,
+        env: Tensor,
         return_: Tensor,
         steps: TensorDict,
         core: Tensor,
         action: Tensor,
     ) -> Rows:
-        cores = pick(self.core, core, source, world).float()
+        cores = pick(self.core, core, source, env).float()
         values = cores
         if self.options.outcome:
-            taken = F.one_hot(pick(self.action, action, source, world), self.actions).float()
+            taken = F.one_hot(pick(self.action, action, source, env), self.actions).float()
             squashed = return_.sign() * return_.abs().log1p()
             values = torch.cat([cores, taken, taken * squashed.unsqueeze(-1)], -1)
         observations = {
-            name: pick(pending, steps["observation", name], source, world)
+            name: pick(pending, steps["observation", name], source, env)
             for name, pending in self._registered("observation").items()
         }
         return Rows(cores, values, observations)
 
 
-def pick(before: Tensor, unroll: Tensor, source: Tensor, world: Tensor) -> Tensor:
+def pick(before: Tensor, unroll: Tensor, source: Tensor, env: Tensor) -> Tensor:
     """`unroll[source, world]`, or `before[world]` where `source` is -1.
 
     Args:
@@ -213,4 +213,4 @@ def pick(before: Tensor, unroll: Tensor, source: Tensor, world: Tensor) -> Tenso
         source, env: int64 [N].
     """
     inside = (source >= 0).view(-1, *[1] * (before.ndim - 1))
-    return torch.where(inside, unroll[source.clamp(min=0), world], before[world])
+    return torch.where(inside, unroll[source.clamp(min=0), env], before[env])

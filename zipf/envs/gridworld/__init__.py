@@ -58,7 +58,7 @@ FAMILY = Family(
     ),
     make="zipf.envs.gridworld.gridworld_env:GridworldEnv",
     make_vec="zipf.envs.gridworld.vector:GridworldVectorEnv",
-    references={
+    baselines={
         "chance": "zipf.envs.gridworld.chance:chance",
         "blind": "zipf.envs.gridworld.chance:floor",
         "generalist": measured("zipf.envs.gridworld", "generalist"),

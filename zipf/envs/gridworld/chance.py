@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import checked
-from zipf.envs.baselines import ReferenceScore, higher_floor
+from zipf.envs.baselines import BaselineScore, higher_floor
 from zipf.envs.gridworld import GridworldOptions, kernels, sprites
 from zipf.envs.gridworld.level import distribution as of_level
 from zipf.envs.gridworld.level import maps_of
@@ -33,7 +33,7 @@ class RandomPolicy:
     length: NDArray[np.float64]
 
 
-def chance(level: str, **options: Any) -> ReferenceScore:
+def chance(level: str, **options: Any) -> BaselineScore:
     """The score of uniformly random actions on a level, exact, also by map and by target.
 
     On the released maps 0.0324 (`zipf_2`), 0.0477 (`uniform`) and 0.0859 (`rare`).
@@ -47,11 +47,11 @@ def chance(level: str, **options: Any) -> ReferenceScore:
 
 
 @lru_cache(maxsize=16)
-def _chance(level: str, maps: Maps, max_steps: int) -> ReferenceScore:
+def _chance(level: str, maps: Maps, max_steps: int) -> BaselineScore:
     return mean_success(level, random_policy(maps, max_steps).success)
 
 
-def mean_success(level: str, success: NDArray) -> ReferenceScore:
+def mean_success(level: str, success: NDArray) -> BaselineScore:
     """The score of a player on a level.
 
     Args:
@@ -62,10 +62,10 @@ def mean_success(level: str, success: NDArray) -> ReferenceScore:
     num_maps, num_objects = success.shape
     by_map, by_target = success @ distribution(num_objects), distribution(num_maps) @ success
     by_rank = {"map": tuple(by_map.tolist()), "target": tuple(by_target.tolist())}
-    return ReferenceScore(float(distribution(num_maps) @ by_map), by_rank=by_rank)
+    return BaselineScore(float(distribution(num_maps) @ by_map), by_rank=by_rank)
 
 
-def blind(level: str, **options: Any) -> ReferenceScore:
+def blind(level: str, **options: Any) -> BaselineScore:
     """The score of a policy that reaches any object but cannot see the cue, and goes to that which
     is the target most often in training: exact."""
     chosen = checked(GridworldOptions, options)
@@ -73,11 +73,11 @@ def blind(level: str, **options: Any) -> ReferenceScore:
     score = float(distribution(chosen.num_objects)[0])
     by_target = (1.0, *(0.0,) * (chosen.num_objects - 1))
     by_rank = {"map": (score,) * chosen.num_maps, "target": by_target}
-    return ReferenceScore(score, by_rank=by_rank, policy="expert of the most frequent target")
+    return BaselineScore(score, by_rank=by_rank, policy="expert of the most frequent target")
 
 
 floor = higher_floor("zipf.envs.gridworld", blind)
-"""The blind reference: the higher one of `blind` and of the policies that were searched for. Those
+"""The blind baseline: the higher one of `blind` and of the policies that were searched for. Those
 may know the maps by heart."""
 
 
@@ -110,9 +110,9 @@ def destinations(maps: Maps) -> NDArray[np.int64]:
     num_maps, height, width = maps.boards.shape
     shape = (num_maps, height, width, len(MOVES))
     map, row, column, action = (index.ravel() for index in np.indices(shape))
-    worlds = np.stack([map, np.zeros_like(map), row, column], axis=1)
+    envs = np.stack([map, np.zeros_like(map), row, column], axis=1)
     inside = maps.boards[map, row, column] != sprites.WALL
-    moved = worlds[inside]
+    moved = envs[inside]
     n = len(moved)
     kernels.move(
         np.ones(n, dtype=np.bool_),
@@ -126,6 +126,6 @@ def destinations(maps: Maps) -> NDArray[np.int64]:
         np.empty(n, dtype=np.bool_),
         np.empty(n, dtype=np.bool_),
     )
-    worlds[inside] = moved
-    flat = worlds[:, kernels.ROW] * width + worlds[:, kernels.COLUMN]
+    envs[inside] = moved
+    flat = envs[:, kernels.ROW] * width + envs[:, kernels.COLUMN]
     return flat.reshape(num_maps, height * width, len(MOVES))

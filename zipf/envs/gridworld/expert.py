@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import checked
-from zipf.envs.baselines import ReferenceScore
+from zipf.envs.baselines import BaselineScore
 from zipf.envs.gridworld import GridworldOptions, kernels
 from zipf.envs.gridworld.chance import destinations, mean_success
 from zipf.envs.gridworld.level import maps_of
@@ -26,24 +26,24 @@ class Expert:
 
     def __init__(self, env: GridworldVectorEnv) -> None:
         require_gridworld(env, "expert")
-        self._worlds = env._worlds  # the state itself, which the environment writes in place
+        self._envs = env._envs  # the state itself, which the environment writes in place
         self._maps = env.level.maps
 
     def __call__(self) -> NDArray[np.int64]:
-        map, target = self._worlds[:, kernels.MAP], self._worlds[:, kernels.TARGET]
-        cell = self._worlds[:, kernels.ROW] * self._maps.boards.shape[2]
-        return shortest_ways(self._maps)[map, target, cell + self._worlds[:, kernels.COLUMN]]
+        map, target = self._envs[:, kernels.MAP], self._envs[:, kernels.TARGET]
+        cell = self._envs[:, kernels.ROW] * self._maps.boards.shape[2]
+        return shortest_ways(self._maps)[map, target, cell + self._envs[:, kernels.COLUMN]]
 
 
-def require_gridworld(env: object, player: str) -> None:
+def require_gridworld(env: object, policy: str) -> None:
     """Raises ValueError if a scripted policy, named in the message, cannot play these envs."""
     if not isinstance(env, GridworldVectorEnv):
         raise ValueError(
-            f"the {player} plays a batch of one gridworld level, got {type(env).__name__}"
+            f"the {policy} plays a batch of one gridworld level, got {type(env).__name__}"
         )
 
 
-def score(level: str, **options: Any) -> ReferenceScore:
+def score(level: str, **options: Any) -> BaselineScore:
     """The expert's score on a level, exact, also by map and by target.
 
     Args:

@@ -69,21 +69,21 @@ class Generalist(Remembering):
         """The next action of every env, int64 [N]."""
         env, maps = self._env, self._env.level.maps
         _look(
-            self._memory, env._worlds, env._streams, env._lengths, maps.codes,
+            self._memory, env._envs, env._streams, env._lengths, maps.codes,
             self._episodes, self._streams, self._lengths, self._known, self._visits,
         )  # fmt: skip
         actions = np.empty(env.num_envs, dtype=np.int64)
-        worlds = env._worlds
-        goals = maps.cells[worlds[:, MAP], worlds[:, TARGET]] + PAD
-        cues = maps.codes[worlds[:, MAP], goals[:, 0], goals[:, 1]]
-        places = worlds[:, ROW : COLUMN + 1] + PAD
+        envs = env._envs
+        goals = maps.cells[envs[:, MAP], envs[:, TARGET]] + PAD
+        cues = maps.codes[envs[:, MAP], goals[:, 0], goals[:, 1]]
+        places = envs[:, ROW : COLUMN + 1] + PAD
         ties = _hashes(env._streams, env._lengths, self._seed)
         _choose(places, cues, self._known, self._visits, ties, actions)
         return actions
 
 
 @compiled()
-def _look(memory, worlds, streams, lengths, codes, episodes, last, asked, known, visits):
+def _look(memory, envs, streams, lengths, codes, episodes, last, asked, known, visits):
     """Follows the envs: forgets the episodes before, and adds what is in view now.
 
     Args:
@@ -95,12 +95,12 @@ def _look(memory, worlds, streams, lengths, codes, episodes, last, asked, known,
         known: cell codes that have been seen, uint8 [N, rows + 6, columns + 6], written.
         visits: at how many steps the agent was in a cell, int32 of that shape, written.
     """
-    for i in range(len(worlds)):
-        map, row, column = worlds[i, MAP], worlds[i, ROW], worlds[i, COLUMN]
+    for i in range(len(envs)):
+        map, row, column = envs[i, MAP], envs[i, ROW], envs[i, COLUMN]
         same = lengths[i] > 0 and lengths[i] >= asked[i]
         for k in range(2):
-            same &= episodes[i, k] == worlds[i, k]
-            episodes[i, k] = worlds[i, k]
+            same &= episodes[i, k] == envs[i, k]
+            episodes[i, k] = envs[i, k]
         for k in range(4):
             same &= last[i, k] == streams[i, k]
             last[i, k] = streams[i, k]

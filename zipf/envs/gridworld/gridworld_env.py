@@ -134,7 +134,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
         self._running = False
         self._length = 0
         self._ranks: dict[str, int] = {}
-        self._world = np.full((1, 4), -1)  # as a row of a batch's; -1 before the first episode
+        self._env = np.full((1, 4), -1)  # as a row of a batch's; -1 before the first episode
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -166,7 +166,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
         drawn = {"map": self._draw(self.level.map_cdf), "target": self._draw(self.level.target_cdf)}
         self._ranks = {name: int(forced.get(name, drawn[name])) for name in drawn}
         map, target = self._ranks.values()
-        self._world[0] = map, target, *self.level.maps.cells[map, -1]
+        self._env[0] = map, target, *self.level.maps.cells[map, -1]
         self._length = 0
         self._running = True
         self._show()
@@ -204,7 +204,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
         Raises:
             ResetNeeded: before the first episode.
         """
-        if self._world[0, 0] < 0:
+        if self._env[0, 0] < 0:
             raise ResetNeeded("render() needs an episode: call reset() first")
         return self._frame() if self.render_mode == "rgb_array" else None
 
@@ -221,12 +221,12 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
             self._window.show(self._frame())
 
     def _frame(self) -> NDArray[np.uint8]:
-        return frame(self.level.maps, *self._world[0].tolist())
+        return frame(self.level.maps, *self._env[0].tolist())
 
     def _move(self, action: int) -> tuple[bool, bool]:
         """Moves the agent; whether it touches the target, and whether any object."""
         maps = self.level.maps
-        return kernels.move_one(self._world[0], action, maps.codes, maps.cells)
+        return kernels.move_one(self._env[0], action, maps.codes, maps.cells)
 
     def _draw(self, cdf: NDArray[np.float64]) -> int:
         """What `Generator.choice(len(p), p=p)` draws, without its checks."""
@@ -235,5 +235,5 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
     def _observe(self) -> Observation:
         shapes = OBSERVATIONS[self.level.observation]
         batch = {key: np.empty((1, *shape), dtype=np.uint8) for key, shape in shapes.items()}
-        self.level.observe(batch, _ONE, self._world)
+        self.level.observe(batch, _ONE, self._env)
         return {key: value[0] for key, value in batch.items()}

@@ -52,13 +52,13 @@ _copy_half = _copier(_BLOCK // 2)
 
 
 @compiled()
-def begin(mask, forced, map_cdf, target_cdf, cells, streams, worlds):
+def begin(mask, forced, map_cdf, target_cdf, cells, streams, envs):
     """Starts an episode in every env of `mask` (bool [N]).
 
     Map and target are always drawn, in this order, and then replaced by `forced` (int64 [2, N])
     where that is not negative: forcing a situation does not shift an env's random stream.
     """
-    for i in range(len(worlds)):
+    for i in range(len(envs)):
         if not mask[i]:
             continue
         map = choice(streams[i], map_cdf)
@@ -67,14 +67,14 @@ def begin(mask, forced, map_cdf, target_cdf, cells, streams, worlds):
             map = forced[0, i]
         if forced[1, i] >= 0:
             target = forced[1, i]
-        worlds[i, MAP] = map
-        worlds[i, TARGET] = target
-        worlds[i, ROW] = cells[map, -1, 0]
-        worlds[i, COLUMN] = cells[map, -1, 1]
+        envs[i, MAP] = map
+        envs[i, TARGET] = target
+        envs[i, ROW] = cells[map, -1, 0]
+        envs[i, COLUMN] = cells[map, -1, 1]
 
 
 @compiled(references=False)
-def move_one(world, action, codes, cells):
+def move_one(env, action, codes, cells):
     """Steps one environment.
 
     Args:
@@ -85,7 +85,7 @@ def move_one(world, action, codes, cells):
     Returns:
         Whether the agent touches the target, and whether it touches any object.
     """
-    map, row, column = world[MAP], world[ROW] + PAD, world[COLUMN] + PAD
+    map, row, column = env[MAP], env[ROW] + PAD, env[COLUMN] + PAD
     down, right = _MOVES[action, 0], _MOVES[action, 1]
     blocked = codes[map, row + down, column + right] == WALL
     if down != 0 and right != 0:
@@ -95,15 +95,15 @@ def move_one(world, action, codes, cells):
     if not blocked:
         row += down
         column += right
-        world[ROW] = row - PAD
-        world[COLUMN] = column - PAD
-    goal = cells[map, world[TARGET]]
+        env[ROW] = row - PAD
+        env[COLUMN] = column - PAD
+    goal = cells[map, env[TARGET]]
     touched = codes[map, row, column] >= FIRST_LOOK
     return goal[0] == row - PAD and goal[1] == column - PAD, touched
 
 
 @compiled()
-def move(mask, actions, codes, cells, max_steps, lengths, worlds, reward, terminated, truncated):
+def move(mask, actions, codes, cells, max_steps, lengths, envs, reward, terminated, truncated):
     """Steps the envs of `mask`.
 
     Args:
@@ -114,16 +114,16 @@ def move(mask, actions, codes, cells, max_steps, lengths, worlds, reward, termin
         envs: the state, written.
         reward, terminated, truncated: float64, bool, bool [N], written.
     """
-    for i in range(len(worlds)):
+    for i in range(len(envs)):
         if not mask[i]:
             continue
-        reward[i], touched = move_one(worlds[i], actions[i], codes, cells)
+        reward[i], touched = move_one(envs[i], actions[i], codes, cells)
         terminated[i] = touched
         truncated[i] = not touched and lengths[i] >= max_steps
 
 
 @compiled()
-def draw_tiles(mask, worlds, codes, cells, tiles, cue):
+def draw_tiles(mask, envs, codes, cells, tiles, cue):
     """Writes the observations of the envs of `mask` as cell codes.
 
     Args:
@@ -133,20 +133,20 @@ def draw_tiles(mask, worlds, codes, cells, tiles, cue):
         tiles: the agent's view, uint8 [N, 7, 7], written.
         cue: the code of the target, uint8 [N, 1], written.
     """
-    for i in range(len(worlds)):
+    for i in range(len(envs)):
         if not mask[i]:
             continue
-        map, row, column = worlds[i, MAP], worlds[i, ROW], worlds[i, COLUMN]
+        map, row, column = envs[i, MAP], envs[i, ROW], envs[i, COLUMN]
         tiles[i] = codes[map, row : row + VIEW, column : column + VIEW]
         if tiles[i, PAD, PAD] == FLOOR:
             tiles[i, PAD, PAD] = AGENT
         tiles[i, 0, 0] = FLOOR
-        goal = cells[map, worlds[i, TARGET]]
+        goal = cells[map, envs[i, TARGET]]
         cue[i, 0] = codes[map, goal[0] + PAD, goal[1] + PAD]
 
 
 @compiled()
-def draw_images(mask, worlds, codes, cells, stripes, image):
+def draw_images(mask, envs, codes, cells, stripes, image):
     """Draws the observations of the envs of `mask` to `image`, uint8 [N, 63, 63, 3].
 
     A pixel row of a cell has 27 bytes. It is written as one block of 32, of which the next cell
@@ -155,16 +155,16 @@ def draw_images(mask, worlds, codes, cells, stripes, image):
     """
     sprites = np.empty((VIEW, VIEW), dtype=np.intp)
     source = stripes.ctypes.data
-    for i in range(len(worlds)):
+    for i in range(len(envs)):
         if not mask[i]:
             continue
-        map, row, column = worlds[i, MAP], worlds[i, ROW], worlds[i, COLUMN]
+        map, row, column = envs[i, MAP], envs[i, ROW], envs[i, COLUMN]
         for r in range(VIEW):
             for c in range(VIEW):
                 sprites[r, c] = source + _SPRITE * np.intp(codes[map, row + r, column + c])
         if codes[map, row + PAD, column + PAD] == FLOOR:
             sprites[PAD, PAD] = source + _SPRITE * AGENT
-        goal = cells[map, worlds[i, TARGET]]
+        goal = cells[map, envs[i, TARGET]]
         cue = np.intp(codes[map, goal[0] + PAD, goal[1] + PAD])
         sprites[0, 0] = source + _SPRITE * (NUM_CODES + cue)
 

@@ -116,11 +116,11 @@ class Level:
         self,
         out: dict[str, NDArray[np.uint8]],
         mask: NDArray[np.bool_],
-        worlds: NDArray[np.int64],
+        envs: NDArray[np.int64],
     ) -> None:
         """Writes what is seen in the envs of `mask` to their rows of `out`."""
         codes, cells = self.maps.codes, self.maps.cells
         if self.observation == "image":
-            kernels.draw_images(mask, worlds, codes, cells, kernels.STRIPES, out["image"])
+            kernels.draw_images(mask, envs, codes, cells, kernels.STRIPES, out["image"])
         else:
-            kernels.draw_tiles(mask, worlds, codes, cells, out["tiles"], out["cue"])
+            kernels.draw_tiles(mask, envs, codes, cells, out["tiles"], out["cue"])

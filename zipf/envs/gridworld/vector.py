@@ -45,13 +45,13 @@ class GridworldVectorEnv(ZipfVectorEnv):
             copy=copy,
             render_mode=render_mode,
         )
-        self._worlds = np.zeros((num_envs, 4), dtype=np.int64)
+        self._envs = np.zeros((num_envs, 4), dtype=np.int64)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One frame of each env, uint8 [height, width, 3], with `render_mode="rgb_array"`."""
         if self.render_mode is None:
             return None
-        return tuple(frame(self.level.maps, *world) for world in self._worlds.tolist())
+        return tuple(frame(self.level.maps, *env) for env in self._envs.tolist())
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         kernels.begin(
@@ -61,7 +61,7 @@ class GridworldVectorEnv(ZipfVectorEnv):
             self.level.target_cdf,
             self.level.maps.cells,
             self._streams,
-            self._worlds,
+            self._envs,
         )
 
     def _advance(
@@ -77,7 +77,7 @@ class GridworldVectorEnv(ZipfVectorEnv):
             self.level.maps.cells,
             self.level.max_steps,
             self._lengths,
-            self._worlds,
+            self._envs,
             reward,
             terminated,
             truncated,
@@ -85,17 +85,17 @@ class GridworldVectorEnv(ZipfVectorEnv):
         return reward, terminated, truncated, reward > 0
 
     def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
-        self.level.observe(out, mask, self._worlds)
+        self.level.observe(out, mask, self._envs)
 
     def _situations(self) -> dict[str, NDArray[np.int64]]:
         return {
-            "map": self._worlds[:, kernels.MAP].copy(),
-            "target": self._worlds[:, kernels.TARGET].copy(),
+            "map": self._envs[:, kernels.MAP].copy(),
+            "target": self._envs[:, kernels.TARGET].copy(),
         }
 
     def _achieved(self, ended: NDArray[np.bool_]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """The cue of the object that was touched."""
-        map, _, row, column = self._worlds.T
+        map, _, row, column = self._envs.T
         codes = self.level.maps.boards[map, row, column]
         has = ended & (codes >= sprites.FIRST_LOOK)
         goals = cues(codes, self.level.observation)
@@ -106,19 +106,19 @@ class GridworldVectorEnv(ZipfVectorEnv):
         return self.level.maps, self.level.max_steps, self.level.observation
 
     def _use_engine(self, other: Self) -> None:
-        self._worlds = other._worlds
+        self._envs = other._envs
 
-    def _get_worlds(self) -> dict[str, NDArray[Any]]:
-        return {"worlds": self._worlds}
+    def _get_env_states(self) -> dict[str, NDArray[Any]]:
+        return {"worlds": self._envs}
 
-    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+    def _set_env_states(self, state: Mapping[str, NDArray[Any]]) -> None:
         # The kernels index with these numbers and check no bounds. From a wall, which no agent can
         # reach, a step may lead off the board.
-        maps, worlds = self.level.maps, state["worlds"]
+        maps, envs = self.level.maps, state["worlds"]
         limits = (maps.num_maps, maps.num_objects, *maps.boards.shape[1:])
-        if (worlds < 0).any() or (worlds >= limits).any():
+        if (envs < 0).any() or (envs >= limits).any():
             raise ValueError("the state is of other maps, or damaged: envs outside the board")
-        map, _, row, column = worlds[state["seeded"]].T
+        map, _, row, column = envs[state["seeded"]].T
         if (maps.boards[map, row, column] == sprites.WALL).any():
             raise ValueError("the state is of other maps, or damaged: an agent in a wall")
-        self._worlds[:] = worlds
+        self._envs[:] = envs

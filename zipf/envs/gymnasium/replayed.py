@@ -77,9 +77,9 @@ class ReplayedVectorEnv(ZipfVectorEnv):
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         for i in np.flatnonzero(mask).tolist():
-            self._begin_world(i, int(pcg64.next_double(self._streams[i]) * SEEDS))
+            self._begin_env(i, int(pcg64.next_double(self._streams[i]) * SEEDS))
 
-    def _begin_world(self, i: int, seed: int) -> None:
+    def _begin_env(self, i: int, seed: int) -> None:
         first = self._open(i, seed)
         self._seeds[i] = seed
         self._actions[i] = []
@@ -92,13 +92,13 @@ class ReplayedVectorEnv(ZipfVectorEnv):
         reward = np.zeros(self.num_envs)
         terminated, truncated, success = np.zeros((3, self.num_envs), np.bool_)
         for i in np.flatnonzero(mask).tolist():
-            outcome = self._step_world(i, int(actions[i]))
+            outcome = self._step_env(i, int(actions[i]))
             _, reward[i], terminated[i], truncated[i], _ = outcome
             if self.reports_success and (outcome.terminated or outcome.truncated):
                 success[i] = self._succeeded(float(self._returns[i]) + outcome.reward, outcome)
         return reward, terminated, truncated, success
 
-    def _step_world(self, i: int, action: int) -> Outcome:
+    def _step_env(self, i: int, action: int) -> Outcome:
         self._actions[i].append(action)
         outcome = self._act(i, action)
         self._keep(i, outcome)
@@ -122,7 +122,7 @@ class ReplayedVectorEnv(ZipfVectorEnv):
     def _situations(self) -> dict[str, NDArray[np.int64]]:
         return {}
 
-    def _get_worlds(self) -> dict[str, NDArray[Any]]:
+    def _get_env_states(self) -> dict[str, NDArray[Any]]:
         begun = self._seeded
         actions = [self._actions[i] for i in np.flatnonzero(begun).tolist()]
         counts = np.zeros(self.num_envs, np.int64)
@@ -135,7 +135,7 @@ class ReplayedVectorEnv(ZipfVectorEnv):
             "actions": np.fromiter(chain.from_iterable(actions), dtype, int(counts.sum())),
         }
 
-    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+    def _set_env_states(self, state: Mapping[str, NDArray[Any]]) -> None:
         seeds, counts, actions = state["seeds"], state["counts"], state["actions"]
         begun = state["seeded"]
         if (
@@ -149,27 +149,27 @@ class ReplayedVectorEnv(ZipfVectorEnv):
                 "the state is of another environment, or damaged: seeds, actions or lengths out "
                 "of range"
             )
-        worlds = np.flatnonzero(begun).tolist()
+        envs = np.flatnonzero(begun).tolist()
         episodes = np.split(actions, np.cumsum(counts)[:-1])
         same = [
             self._replay(i, int(seeds[i]), episodes[i].tolist())
             and self._digests[i] == state["digests"][i]
-            for i in worlds
+            for i in envs
         ]
         if not all(same):
             self._warn()
-            for i in worlds:
-                self._begin_world(i, int(seeds[i]))
+            for i in envs:
+                self._begin_env(i, int(seeds[i]))
                 self._restarted[i] = True
 
     def _replay(self, i: int, seed: int, actions: list[int]) -> bool:
         """Plays an env's episode again; whether it was as long as these actions."""
-        self._begin_world(i, seed)
+        self._begin_env(i, seed)
         ended = False
         for action in actions:
             if ended:
                 return False
-            outcome = self._step_world(i, action)
+            outcome = self._step_env(i, action)
             ended = outcome.terminated or outcome.truncated
         return True
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from zipf.envs import distributions
 from zipf.envs.arguments import mapping
-from zipf.envs.baselines import ReferenceScore
+from zipf.envs.baselines import BaselineScore
 from zipf.envs.family import Family, check_name
 from zipf.envs.gymnasium.vector import GymnasiumVectorEnv
 from zipf.envs.mixture import Mixture, ordered
@@ -17,7 +17,7 @@ from zipf.envs.splits import Split
 from zipf.envs.vector import ZipfVectorEnv, rank_name
 from zipf.options import Options
 
-_WORLDS = ("wrap", "codes", "success", "text_length", "vocabulary")
+_ENV_OPTIONS = ("wrap", "codes", "success", "text_length", "vocabulary")
 
 
 def zipfian(
@@ -27,9 +27,9 @@ def zipfian(
     over: Mapping[str, Iterable[Any]] | None = None,
     order: str | int = "forward",
     name: str | None = None,
-    chance: Mapping[str, ReferenceScore] | None = None,
+    chance: Mapping[str, BaselineScore] | None = None,
     options: Mapping[str, Any] | None = None,
-    **worlds: Any,
+    **envs: Any,
 ) -> Family:
     """A family of existing environments of which one is drawn at every reset.
 
@@ -70,8 +70,8 @@ def zipfian(
     rank = "level"
     options = mapping("options", options)
     chance = mapping("chance", chance)
-    if unknown := sorted(worlds.keys() - set(_WORLDS)):
-        raise ValueError(f"unknown arguments {unknown}: expected some of {', '.join(_WORLDS)}")
+    if unknown := sorted(envs.keys() - set(_ENV_OPTIONS)):
+        raise ValueError(f"unknown arguments {unknown}: expected some of {', '.join(_ENV_OPTIONS)}")
     if isinstance(ids, str):
         if not isinstance(over, Mapping) or len(over) != 1:
             raise ValueError(
@@ -91,7 +91,7 @@ def zipfian(
             raise ValueError(f"over={over} needs a single id, got {len(ids)}")
         given = [(_without_module(id), id, {}) for id in ids]
     makers = {
-        level: partial(GymnasiumVectorEnv, id=id, options={**options, **own}, **worlds)
+        level: partial(GymnasiumVectorEnv, id=id, options={**options, **own}, **envs)
         for level, id, own in given
     }
     if len(makers) < len(given):
@@ -117,8 +117,8 @@ def zipfian(
         levels.check(level)
         if (usual := distributions.usual_name(level)) != level:
             raise ValueError(f"chance has the level {level!r}: expected its usual name {usual!r}")
-        if not isinstance(score, ReferenceScore):
-            raise ValueError(f"chance of {level!r} must be a ReferenceScore, got {score!r}")
+        if not isinstance(score, BaselineScore):
+            raise ValueError(f"chance of {level!r} must be a BaselineScore, got {score!r}")
     return Family(
         name=name,
         options=_Options,
@@ -135,7 +135,7 @@ def zipfian(
                 validation=f"{name}/validation",
             ),
         ),
-        references={"chance": partial(_known, chance)},
+        baselines={"chance": partial(_known, chance)},
     )
 
 
@@ -180,9 +180,7 @@ class _Levels:
         )
 
 
-def _known(
-    scores: Mapping[str, ReferenceScore], level: str, **options: Any
-) -> ReferenceScore | None:
+def _known(scores: Mapping[str, BaselineScore], level: str, **options: Any) -> BaselineScore | None:
     return None if options else scores.get(distributions.usual_name(level))
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from zipf.envs import distributions
 from zipf.envs.arguments import unknown
-from zipf.envs.baselines import ReferenceScore, measured
+from zipf.envs.baselines import BaselineScore, measured
 from zipf.envs.labyrinth.levels import LEVELS, by_name
 from zipf.envs.splits import Normalisation, Split, SplitLevel
 from zipf.protocol import PAPER_KINDS
@@ -99,12 +99,12 @@ def make_vec(
     )
 
 
-def mean_of_tasks(name: str) -> Callable[..., ReferenceScore | None]:
-    """A reference, as `zipf.envs.baselines.measured` has it of the tasks; of a level that draws
+def mean_of_tasks(name: str) -> Callable[..., BaselineScore | None]:
+    """A baseline, as `zipf.envs.baselines.measured` has it of the tasks; of a level that draws
     them their mean, with the score of each by the rank."""
     measured_of = measured("zipf.envs.labyrinth", name)
 
-    def reference(level: str, **options: Any) -> ReferenceScore | None:
+    def baseline(level: str, **options: Any) -> BaselineScore | None:
         drawn = law(level)
         if drawn is None:
             return measured_of(by_name(level).name, **options)
@@ -116,14 +116,14 @@ def mean_of_tasks(name: str) -> Callable[..., ReferenceScore | None]:
         scores = tuple(one.score for one in known)
         episodes = sum(one.episodes or 0 for one in known)
         errors = probabilities * [one.error or 0.0 for one in known]
-        return ReferenceScore(
+        return BaselineScore(
             float(np.dot(probabilities, scores)),
             episodes,
             {"level": scores},
             float(np.linalg.norm(errors)),
         )
 
-    return reference
+    return baseline
 
 
 def _tasks(order: str) -> list[str]:
@@ -135,7 +135,7 @@ EPISODES = 100
 """Default number of episodes of each task in an evaluation; the paper has 1000.
 
 Over all tasks they take 6 million steps at most. The standard error that this number leaves, by the
-returns of random actions and of the scripted experts in `references.json`, is 0.002 to 0.006 for
+returns of random actions and of the scripted experts in `baselines.json`, is 0.002 to 0.006 for
 the uniform score, 0.002 to 0.016 for the rare one and 0.005 to 0.008 for the Zipf-weighted one, in
 units of human scores; for a single task's score it is 0.008 to 0.023 on average, and at most 0.08.
 """

@@ -21,7 +21,7 @@ _MOVING, _TOUCHING = 0, 1
 
 
 @compiled(error_model="numpy")
-def run(mask, commands, left, part, worlds, over, timed_out, event, index):
+def run(mask, commands, left, part, envs, over, timed_out, event, index):
     """Runs the envs of `mask` until their frames are used up or something happens.
 
     Args:
@@ -45,60 +45,60 @@ def run(mask, commands, left, part, worlds, over, timed_out, event, index):
             if part[i] == _MOVING:
                 if left[i] == 0:
                     break
-                if worlds.finishing[i]:
-                    worlds.finishing[i] = False
+                if envs.finishing[i]:
+                    envs.finishing[i] = False
                     event[i] = MAP
                     break
                 left[i] -= 1
-                worlds.clock[i] += 1
+                envs.clock[i] += 1
                 turn, rise, strafe, forward, fire = commands[i]
-                if worlds.combat.fighters[i] > 0:
-                    fight(worlds, i, turn, rise, strafe, forward, fire > 0.0)
+                if envs.combat.fighters[i] > 0:
+                    fight(envs, i, turn, rise, strafe, forward, fire > 0.0)
                 else:
-                    move(worlds, i, turn, rise, strafe, forward)
+                    move(envs, i, turn, rise, strafe, forward)
                 part[i] = _TOUCHING
-            if worlds.combat.fighters[i] > 0:
-                index[i] = next_point(worlds.combat, i)
+            if envs.combat.fighters[i] > 0:
+                index[i] = next_point(envs.combat, i)
                 if index[i] != 0:
                     event[i] = POINT
                     break
-            index[i] = _touched(worlds, i)
+            index[i] = _touched(envs, i)
             if index[i] >= 0:
-                worlds.present[i, index[i]] = False
+                envs.present[i, index[i]] = False
                 event[i] = ITEM
                 break
-            index[i] = _entered(worlds, i)
+            index[i] = _entered(envs, i)
             if index[i] >= 0:
                 event[i] = ZONE
                 break
-            index[i] = _expired(worlds, i)
+            index[i] = _expired(envs, i)
             if index[i] >= 0:
-                worlds.timers[i, index[i]] = -1
+                envs.timers[i, index[i]] = -1
                 event[i] = TIMER
                 break
-            if worlds.screen[i, 3] > 0.0:
-                event[i], index[i] = _looked(worlds, i)
+            if envs.screen[i, 3] > 0.0:
+                event[i], index[i] = _looked(envs, i)
                 if event[i] != NOTHING:
                     break
             part[i] = _MOVING
-            if worlds.ending[i] > 0:
-                worlds.ending[i] -= 1
-                over[i] = worlds.ending[i] == 0
-            timed_out[i] = not over[i] and worlds.clock[i] >= worlds.limit[i]
+            if envs.ending[i] > 0:
+                envs.ending[i] -= 1
+                over[i] = envs.ending[i] == 0
+            timed_out[i] = not over[i] and envs.clock[i] >= envs.limit[i]
         happened |= event[i] != NOTHING
     return happened
 
 
 @compiled(error_model="numpy")
-def _touched(worlds, i):
+def _touched(envs, i):
     """The first item that the player touches, or -1. Items whose time has come return first."""
-    body = worlds.bodies[i]
-    for k in range(worlds.present.shape[1]):
-        if worlds.returning[i, k] >= 0 and worlds.clock[i] >= worlds.returning[i, k]:
-            worlds.returning[i, k] = -1
-            worlds.present[i, k] = True
-        if worlds.present[i, k] and worlds.touchable[i, k]:
-            place = worlds.places[i, k]
+    body = envs.bodies[i]
+    for k in range(envs.present.shape[1]):
+        if envs.returning[i, k] >= 0 and envs.clock[i] >= envs.returning[i, k]:
+            envs.returning[i, k] = -1
+            envs.present[i, k] = True
+        if envs.present[i, k] and envs.touchable[i, k]:
+            place = envs.places[i, k]
             if (
                 abs(body[X] - place[0]) <= TOUCH_X
                 and abs(body[Y] - place[1]) <= TOUCH_Y
@@ -109,42 +109,42 @@ def _touched(worlds, i):
 
 
 @compiled(error_model="numpy")
-def _entered(worlds, i):
+def _entered(envs, i):
     """The first zone that the player has entered since the last call, or -1."""
-    body = worlds.bodies[i]
-    for k in range(worlds.zones.shape[1]):
-        zone = worlds.zones[i, k]
+    body = envs.bodies[i]
+    for k in range(envs.zones.shape[1]):
+        zone = envs.zones[i, k]
         inside = (
             zone[0] - WIDE <= body[X] <= zone[3] + WIDE
             and zone[1] - WIDE <= body[Y] <= zone[4] + WIDE
             and zone[2] - ABOVE <= body[Z] <= zone[5] + BELOW
             and zone[0] < zone[3]
         )
-        before = worlds.inside[i, k]
-        worlds.inside[i, k] = inside
+        before = envs.inside[i, k]
+        envs.inside[i, k] = inside
         if inside and not before:
             return k
     return -1
 
 
 @compiled(error_model="numpy")
-def _expired(worlds, i):
+def _expired(envs, i):
     """The first timer that has gone off, or -1."""
-    for k in range(worlds.timers.shape[1]):
-        if worlds.timers[i, k] >= 0 and worlds.clock[i] >= worlds.timers[i, k]:
+    for k in range(envs.timers.shape[1]):
+        if envs.timers[i, k] >= 0 and envs.clock[i] >= envs.timers[i, k]:
             return k
     return -1
 
 
 @compiled(error_model="numpy")
-def _looked(worlds, i):
+def _looked(envs, i):
     """What the gaze has done since the last call, and to which widget: it leaves one first."""
-    x, y = gaze(worlds, i)
-    now, before = widget_at(worlds, i, x, y), worlds.watched[i]
+    x, y = gaze(envs, i)
+    now, before = widget_at(envs, i, x, y), envs.watched[i]
     if now == before:
         return NOTHING, -1
     if before >= 0:
-        worlds.watched[i] = -1
+        envs.watched[i] = -1
         return LOOKED_AWAY, before
-    worlds.watched[i] = now
+    envs.watched[i] = now
     return LOOKED, now

@@ -50,7 +50,7 @@ class Expert(Remembering):
             if episode is None:
                 continue
             freeing = self._free(i, episode)
-            if self.env.worlds.finishing[i]:
+            if self.env.envs.finishing[i]:
                 actions[i] = WAIT
             else:
                 actions[i] = episode.act(EVERYTHING) if freeing is None else freeing
@@ -71,7 +71,7 @@ class Expert(Remembering):
             else:
                 self._freeing[i] = max(self._freeing[i] - 1, 0)
             trail[:-1] = trail[1:]
-            trail[-1] = env.worlds.bodies[i, [X, Y]]
+            trail[-1] = env.envs.bodies[i, [X, Y]]
         self._seeds[i], self._lengths[i] = env.seeds[i], length
         left = self._freeing[i]
         if left == 0:

@@ -12,11 +12,11 @@ _GRAZING = 0.01
 
 
 @compiled(error_model="numpy")
-def gaze(worlds, i):
+def gaze(envs, i):
     """x and y of the point of the screen's plane that the player of env `i` looks at, as shares
     of the screen's side from its top left corner; NOWHERE if the player looks away from it."""
-    body = worlds.bodies[i]
-    x, y, z, side = worlds.screen[i]
+    body = envs.bodies[i]
+    x, y, z, side = envs.screen[i]
     north = math.sin(body[YAW])
     ahead = y - body[Y]
     if north < _GRAZING or ahead <= 0.0:
@@ -28,10 +28,10 @@ def gaze(worlds, i):
 
 
 @compiled(error_model="numpy")
-def widget_at(worlds, i, x, y):
+def widget_at(envs, i, x, y):
     """The first widget at a point of the screen, or -1."""
-    for k in range(worlds.widgets.shape[1]):
-        left, top, right, bottom = worlds.widgets[i, k]
+    for k in range(envs.widgets.shape[1]):
+        left, top, right, bottom = envs.widgets[i, k]
         if left <= x < right and top <= y < bottom:
             return k
     return -1

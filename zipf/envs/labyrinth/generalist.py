@@ -73,13 +73,13 @@ class Generalist(Remembering):
             self._follow(i)
             self._look(i)
             known = Knowledge(self.memory, episode.world, i)
-            actions[i] = WAIT if env.worlds.finishing[i] else episode.act(known)
+            actions[i] = WAIT if env.envs.finishing[i] else episode.act(known)
         return actions
 
     def _follow(self, i: int) -> None:
         """Forgets what may be otherwise now, and notices how the player has moved."""
         env = self.env
-        x, y, yaw = env.worlds.bodies[i, [X, Y, YAW]]
+        x, y, yaw = env.envs.bodies[i, [X, Y, YAW]]
         length, number = int(env._lengths[i]), int(env.maps[i])
         same = env.seeds[i] == self._seeds[i] and length >= self._lengths[i]
         if not same:
@@ -107,11 +107,11 @@ class Generalist(Remembering):
 
     def _look(self, i: int) -> None:
         """Adds what is in view now."""
-        worlds, memory = self.env.worlds, self.memory
-        body, now = worlds.bodies[i], int(worlds.clock[i])
-        seen_at, opaque = self._seen_at[i], worlds.opaque[i]
+        envs, memory = self.env.envs, self.memory
+        body, now = envs.bodies[i], int(envs.clock[i])
+        seen_at, opaque = self._seen_at[i], envs.opaque[i]
         view = body, memory.wide, memory.high, now, seen_at
-        rows, columns = worlds.cells[i]
+        rows, columns = envs.cells[i]
         if rows:
             own_row, own_column = int(body[Y] // CELL), int(body[X] // CELL)
             if 0 <= own_row < rows and 0 <= own_column < columns:
@@ -119,10 +119,10 @@ class Generalist(Remembering):
             if opaque.any():
                 in_view.see_cells(opaque[:rows, :columns], *view)
             else:
-                in_view.see_floors(worlds.floor[i], rows, columns, *view)
-        elif worlds.quad[i]:
-            in_view.see_ground(worlds.heights[i], worlds.quad[i], *view)
+                in_view.see_floors(envs.floor[i], rows, columns, *view)
+        elif envs.quad[i]:
+            in_view.see_ground(envs.heights[i], envs.quad[i], *view)
         in_view.see_items(
-            worlds, i, opaque, worlds.see_through[i], memory.wide, memory.high, self._known[i]
+            envs, i, opaque, envs.see_through[i], memory.wide, memory.high, self._known[i]
         )
         self._ever[i] |= self._known[i]

@@ -104,7 +104,7 @@ def see_ground(heights, size, body, wide, high, now, seen_at):
 
 
 @compiled(error_model="numpy")
-def see_items(worlds, i, opaque, see_through, wide, high, known):
+def see_items(envs, i, opaque, see_through, wide, high, known):
     """Marks the items of an env that are in view, and forgets those that are not there.
 
     Args:
@@ -115,16 +115,16 @@ def see_items(worlds, i, opaque, see_through, wide, high, known):
         wide, high: see `is_ahead`.
         known: bool [items], written.
     """
-    body = worlds.bodies[i]
+    body = envs.bodies[i]
     x, y, eye = body[X], body[Y], body[Z] + EYE
-    rows, columns = worlds.cells[i]
+    rows, columns = envs.cells[i]
     for item in range(known.shape[0]):
-        if not worlds.present[i, item]:
+        if not envs.present[i, item]:
             known[item] = False
             continue
         if known[item]:
             continue
-        to_x, to_y, to_z = worlds.places[i, item]
+        to_x, to_y, to_z = envs.places[i, item]
         if not is_ahead(body, to_x, to_y, to_z, wide, high):
             continue
         if rows > 0:
@@ -132,13 +132,11 @@ def see_items(worlds, i, opaque, see_through, wide, high, known):
             if to_wall(walls, x, y, to_x - x, to_y - y, 1.0) < 1.0:
                 continue
         hidden = False
-        for box in range(worlds.box_count[i]):
-            if not see_through[box] and _crosses(worlds.boxes[i, box], x, y, eye, to_x, to_y, to_z):
+        for box in range(envs.box_count[i]):
+            if not see_through[box] and _crosses(envs.boxes[i, box], x, y, eye, to_x, to_y, to_z):
                 hidden = True
-        if worlds.quad[i] > 0.0 and not hidden:
-            hidden = _is_behind_a_hill(
-                worlds.heights[i], worlds.quad[i], x, y, eye, to_x, to_y, to_z
-            )
+        if envs.quad[i] > 0.0 and not hidden:
+            hidden = _is_behind_a_hill(envs.heights[i], envs.quad[i], x, y, eye, to_x, to_y, to_z)
         known[item] = not hidden
 
 

@@ -56,7 +56,7 @@ class Knowledge:
 
     def __init__(self, memory: Memory, world: World, number: int) -> None:
         self._memory = memory
-        self._world = world
+        self._env = world
         self._i = number
 
     def knows(self, item: int) -> bool:
@@ -74,7 +74,7 @@ class Knowledge:
 
     def faces(self, x: float, y: float) -> bool:
         """Whether a point is ahead, not beside the view or behind it."""
-        own_x, own_y, yaw, _ = self._world.player
+        own_x, own_y, yaw, _ = self._env.player
         off = (math.atan2(y - own_y, x - own_x) - yaw + math.pi) % (2 * math.pi) - math.pi
         return math.tan(min(abs(off), 1.5)) <= self._memory.wide
 
@@ -94,10 +94,10 @@ class Knowledge:
         seen_at = self._memory.seen_at[self._i, :rows, :columns]
         believed = solid & (seen_at > NEVER)
         ways = Ways(believed, [], size=size, margin=margin)
-        x, y, *_ = self._world.player
+        x, y, *_ = self._env.player
         cell = nearest_unseen(believed, seen_at, *ways.cell_of(x, y))
         ways.add(cell)
-        return ways.walk_to(self._world, cell)
+        return ways.walk_to(self._env, cell)
 
     def search(
         self,
@@ -119,10 +119,10 @@ class Knowledge:
             memory.walks[i] = bool(spots) and memory.turns[i] % len(pitches) == 0
         if memory.walks[i]:
             spot = spots[(memory.turns[i] // len(pitches) - 1) % len(spots)]
-            x, y, *_ = self._world.player
+            x, y, *_ = self._env.player
             if math.dist(spot, (x, y)) > _THERE and memory.still[i] < 8:
                 memory.turned[i] = 0.0
-                return walk_to(self._world, *spot) if walk is None else walk(spot)
+                return walk_to(self._env, *spot) if walk is None else walk(spot)
             memory.walks[i] = False
         upright = self._towards(pitches[memory.turns[i] % len(pitches)])
         return NAMES["look right"] if upright is None else upright
@@ -130,10 +130,10 @@ class Knowledge:
     def tour(self, points: Sequence[Point]) -> int:
         """The action that walks to one point after another, in straight lines."""
         memory, i = self._memory, self._i
-        x, y, *_ = self._world.player
+        x, y, *_ = self._env.player
         if math.dist(points[memory.turns[i] % len(points)], (x, y)) < _THERE:
             memory.turns[i] += 1
-        return walk_to(self._world, *points[memory.turns[i] % len(points)])
+        return walk_to(self._env, *points[memory.turns[i] % len(points)])
 
     def free(self) -> int | None:
         """The action that leaves a place where the player is stuck; None where it is not."""
@@ -144,7 +144,7 @@ class Knowledge:
 
     def _towards(self, pitch: float) -> int | None:
         """The action that brings the view to this pitch; None if it is there."""
-        above = pitch - self._world.player[3]
+        above = pitch - self._env.player[3]
         if abs(above) <= 0.51 * _LEVEL:
             return None
         return NAMES["look up" if above > 0 else "look down"]

@@ -4,10 +4,10 @@ from typing import Any
 
 from zipf.envs.labyrinth.benchmark import make_vec
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
-from zipf.envs.single import SingleWorld
+from zipf.envs.single import SingleEnv
 
 
-class LabyrinthEnv(SingleWorld):
+class LabyrinthEnv(SingleEnv):
     """Zipf's Labyrinth: tasks of DeepMind Lab's DMLab-30, seen in the first person.
 
     ## Description
@@ -49,7 +49,7 @@ class LabyrinthEnv(SingleWorld):
     ## Rewards
 
     As in the original, unclipped; see the levels. `zipf.envs.labyrinth.levels.LEVELS` has the
-    published mean returns of random actions and of people, `zipf.envs.reference` gives those that
+    published mean returns of random actions and of people, `zipf.envs.baseline` gives those that
     were measured here of random actions and of the scripted experts.
 
     ## Starting state

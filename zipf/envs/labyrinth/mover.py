@@ -33,7 +33,7 @@ _SKIN = 1e-6
 
 
 @compiled(error_model="numpy")
-def move(worlds, i, turn, rise, strafe, forward):
+def move(envs, i, turn, rise, strafe, forward):
     """Moves the player of env `i` by one frame.
 
     Args:
@@ -42,15 +42,15 @@ def move(worlds, i, turn, rise, strafe, forward):
         turn, rise: of the view, to the left and upwards, radians.
         strafe, forward: 1, 0 or -1: to the right, forward.
     """
-    body = worlds.bodies[i]
+    body = envs.bodies[i]
     soles = body[Z] - BELOW
-    ground = _ground(worlds, i, body[X], body[Y], soles)
+    ground = _ground(envs, i, body[X], body[Y], soles)
     standing = soles <= ground + _SKIN
     acceleration = ACCELERATION if standing else IN_AIR
-    friction = standing and worlds.pushed[i] == 0
+    friction = standing and envs.pushed[i] == 0
     turn_and_run(body, turn, rise, strafe, forward, acceleration, friction)
-    if worlds.pushed[i] > 0:
-        worlds.pushed[i] -= 1
+    if envs.pushed[i] > 0:
+        envs.pushed[i] -= 1
     if not standing:
         body[VZ] -= GRAVITY * FRAME
     before_x, before_y = body[X], body[Y]
@@ -58,23 +58,23 @@ def move(worlds, i, turn, rise, strafe, forward):
         step = body[VX + axis] * FRAME
         if step != 0.0:
             wanted = body[X + axis] + step
-            reached = _reach(worlds, i, axis, wanted)
+            reached = _reach(envs, i, axis, wanted)
             if reached != wanted:
                 body[VX + axis] = 0.0
             body[X + axis] = reached
-    if worlds.quad[i] > 0.0:
-        _stay_off_pillars(worlds, i)
-        _stay_off_slopes(worlds, i, before_x, before_y)
-    _stay_in_room(worlds, i)
-    if worlds.held[i]:
-        body[X], body[Y] = worlds.hold[i, 0], worlds.hold[i, 1]
-        body[Z] = min(body[Z] + RISE, worlds.hold[i, 2] + BELOW)
+    if envs.quad[i] > 0.0:
+        _stay_off_pillars(envs, i)
+        _stay_off_slopes(envs, i, before_x, before_y)
+    _stay_in_room(envs, i)
+    if envs.held[i]:
+        body[X], body[Y] = envs.hold[i, 0], envs.hold[i, 1]
+        body[Z] = min(body[Z] + RISE, envs.hold[i, 2] + BELOW)
         body[VX] = body[VY] = body[VZ] = 0.0
         return
-    ground = _ground(worlds, i, body[X], body[Y], soles)
+    ground = _ground(envs, i, body[X], body[Y], soles)
     soles = soles + body[VZ] * FRAME
     # On a terrain, a player who stands follows the ground downhill.
-    follows = standing and worlds.quad[i] > 0.0 and soles - ground < STEP_UP
+    follows = standing and envs.quad[i] > 0.0 and soles - ground < STEP_UP
     if soles <= ground or follows:
         soles = ground
         body[VZ] = 0.0
@@ -112,11 +112,11 @@ def turn_and_run(body, turn, rise, strafe, forward, acceleration, friction):
 
 
 @compiled(error_model="numpy")
-def _stay_in_room(worlds, i):
+def _stay_in_room(envs, i):
     """Moves the player out of the walls of a convex room, along which it slides."""
-    body = worlds.bodies[i]
-    for k in range(worlds.plane_count[i]):
-        x, y, distance = worlds.planes[i, k]
+    body = envs.bodies[i]
+    for k in range(envs.plane_count[i]):
+        x, y, distance = envs.planes[i, k]
         beyond = x * body[X] + y * body[Y] + WIDE * (abs(x) + abs(y)) - distance
         if beyond > 0.0:
             body[X] -= beyond * x
@@ -128,13 +128,13 @@ def _stay_in_room(worlds, i):
 
 
 @compiled(error_model="numpy")
-def _stay_off_pillars(worlds, i):
+def _stay_off_pillars(envs, i):
     """Moves the player out of pillars, round which it slides."""
-    body = worlds.bodies[i]
-    for k in range(worlds.pillar_count[i]):
-        x, y = body[X] - worlds.pillars[i, k, 0], body[Y] - worlds.pillars[i, k, 1]
+    body = envs.bodies[i]
+    for k in range(envs.pillar_count[i]):
+        x, y = body[X] - envs.pillars[i, k, 0], body[Y] - envs.pillars[i, k, 1]
         apart = math.hypot(x, y)
-        least = worlds.pillars[i, k, 2] + WIDE
+        least = envs.pillars[i, k, 2] + WIDE
         if 0.0 < apart < least:
             x, y = x / apart, y / apart
             body[X] += (least - apart) * x
@@ -146,18 +146,18 @@ def _stay_off_pillars(worlds, i):
 
 
 @compiled(error_model="numpy")
-def _stay_off_slopes(worlds, i, before_x, before_y):
+def _stay_off_slopes(envs, i, before_x, before_y):
     """Keeps the player from climbing what is too steep, along which it slides."""
-    body = worlds.bodies[i]
-    size = worlds.quad[i]
-    now = height_at(worlds.heights[i], size, before_x, before_y)
+    body = envs.bodies[i]
+    size = envs.quad[i]
+    now = height_at(envs.heights[i], size, before_x, before_y)
     step_x, step_y = body[X] - before_x, body[Y] - before_y
-    there = height_at(worlds.heights[i], size, body[X], body[Y])
+    there = height_at(envs.heights[i], size, body[X], body[Y])
     if there - now <= STEEPEST * math.hypot(step_x, step_y):
         return
     # Uphill, from the heights around.
-    east = height_at(worlds.heights[i], size, body[X] + 1.0, body[Y]) - there
-    north = height_at(worlds.heights[i], size, body[X], body[Y] + 1.0) - there
+    east = height_at(envs.heights[i], size, body[X] + 1.0, body[Y]) - there
+    north = height_at(envs.heights[i], size, body[X], body[Y] + 1.0) - there
     slope = math.hypot(east, north)
     if slope <= STEEPEST:
         return
@@ -172,27 +172,27 @@ def _stay_off_slopes(worlds, i, before_x, before_y):
 
 
 @compiled(error_model="numpy")
-def _ground(worlds, i, x, y, soles):
+def _ground(envs, i, x, y, soles):
     """The height of the highest floor below the player's box that its soles can stand on."""
-    if worlds.quad[i] > 0.0:
-        return height_at(worlds.heights[i], worlds.quad[i], x, y)
-    rows, columns = worlds.cells[i]
+    if envs.quad[i] > 0.0:
+        return height_at(envs.heights[i], envs.quad[i], x, y)
+    rows, columns = envs.cells[i]
     if rows == 0:
         return 0.0
     found = -1e9
     for row in range(_cell(y - WIDE), _cell(y + WIDE) + 1):
         for column in range(_cell(x - WIDE), _cell(x + WIDE) + 1):
-            if 0 <= row < rows and 0 <= column < columns and not worlds.solid[i, row, column]:
-                height = worlds.floor[i, row, column]
+            if 0 <= row < rows and 0 <= column < columns and not envs.solid[i, row, column]:
+                height = envs.floor[i, row, column]
                 if height <= soles + STEP_UP:
                     found = max(found, height)
     return found
 
 
 @compiled(error_model="numpy")
-def _reach(worlds, i, axis, wanted):
+def _reach(envs, i, axis, wanted):
     """How far the player's box gets along an axis towards `wanted`, without entering anything."""
-    body = worlds.bodies[i]
+    body = envs.bodies[i]
     now = body[X + axis]
     ahead = 1.0 if wanted > now else -1.0
     across = body[Y - axis]
@@ -200,19 +200,19 @@ def _reach(worlds, i, axis, wanted):
     crown = body[Z] + ABOVE
     edge = wanted + ahead * WIDE
     reached = wanted
-    rows, columns = worlds.cells[i]
+    rows, columns = envs.cells[i]
     if rows > 0:
         line = _cell(edge)
         for other in range(_cell(across - WIDE + _SKIN), _cell(across + WIDE - _SKIN) + 1):
             row, column = (other, line) if axis == 0 else (line, other)
-            free = 0 <= row < rows and 0 <= column < columns and not worlds.solid[i, row, column]
-            if not free or worlds.floor[i, row, column] > soles + STEP_UP:
+            free = 0 <= row < rows and 0 <= column < columns and not envs.solid[i, row, column]
+            if not free or envs.floor[i, row, column] > soles + STEP_UP:
                 face = CELL * line if ahead > 0 else CELL * (line + 1)
                 limit = face - ahead * (WIDE + _SKIN)
                 if (limit - now) * ahead >= 0.0:
                     reached = min(reached, limit) if ahead > 0 else max(reached, limit)
-    for k in range(worlds.box_count[i]):
-        box = worlds.boxes[i, k]
+    for k in range(envs.box_count[i]):
+        box = envs.boxes[i, k]
         if box[2] >= crown or box[5] <= soles + STEP_UP:
             continue
         if box[1 - axis] >= across + WIDE or box[4 - axis] <= across - WIDE:

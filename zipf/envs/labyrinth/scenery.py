@@ -13,7 +13,7 @@ from zipf.compiled import compiled
 from zipf.envs.labyrinth import materials
 from zipf.envs.labyrinth.lasertag import view
 from zipf.envs.labyrinth.mover import EYE
-from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Worlds, X, Y, Z
+from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Envs, X, Y, Z
 from zipf.envs.render3d import MeshAtlas, Renderer, Scenes, load_meshes, pack_textures
 
 METRES = 0.01
@@ -72,9 +72,9 @@ class Scenery:
         spins: bool [N, ITEMS], whether an item bobs and turns.
     """
 
-    def __init__(self, worlds: Worlds, width: int, height: int) -> None:
-        n = len(worlds.clock)
-        self.worlds = worlds
+    def __init__(self, envs: Envs, width: int, height: int) -> None:
+        n = len(envs.clock)
+        self.envs = envs
         self.scenes = Scenes(
             n, walls=WALLS, flats=FLATS, instances=ITEMS + view.ACTORS, tile_cells=GRID * GRID,
             grid=(GRID, GRID), overlays=OVERLAYS, terrain=(QUADS, QUADS),
@@ -116,18 +116,18 @@ class Scenery:
 
     def _update(self, mask: NDArray[np.bool_]) -> None:
         """Copies the poses of players and items to the scenes of the envs of `mask`."""
-        scenes, worlds = self.scenes, self.worlds
+        scenes, envs = self.scenes, self.envs
         actors, supplies = _combat_meshes()
-        fights = worlds.combat.fighters.any()
+        fights = envs.combat.fighters.any()
         if fights:
-            view.show_supplies(mask, worlds.combat, supplies, self.shape, scenes.colours)
+            view.show_supplies(mask, envs.combat, supplies, self.shape, scenes.colours)
         _pose(
-            mask, worlds.bodies, worlds.clock, worlds.places, worlds.present, self.shape,
+            mask, envs.bodies, envs.clock, envs.places, envs.present, self.shape,
             self.spins, scenes.camera, scenes.mesh, scenes.position, scenes.rotation,
         )  # fmt: skip
         if fights:
             view.pose(
-                mask, ITEMS, worlds.clock, worlds.combat, actors,
+                mask, ITEMS, envs.clock, envs.combat, actors,
                 view.Pictures(
                     scenes.camera, scenes.mesh, scenes.position, scenes.rotation, scenes.scale,
                     scenes.colours, scenes.overlays, scenes.overlay_colours, scenes.overlay_count,

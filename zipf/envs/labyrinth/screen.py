@@ -11,7 +11,7 @@ from zipf.envs.labyrinth.gaze import gaze
 from zipf.envs.labyrinth.materials import WHITE, Colour
 from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.scenery import SCREEN_PIXELS, Scenery
-from zipf.envs.labyrinth.state import WIDGETS, Worlds, X, Y, Z
+from zipf.envs.labyrinth.state import WIDGETS, Envs, X, Y, Z
 
 Place = tuple[float, float, float, float]
 """Left, top, right and bottom, as shares of the screen's side from its top left corner."""
@@ -27,8 +27,8 @@ class Screen:
         number: the env's.
     """
 
-    def __init__(self, worlds: Worlds, scenery: Scenery, number: int) -> None:
-        self._worlds = worlds
+    def __init__(self, envs: Envs, scenery: Scenery, number: int) -> None:
+        self._envs = envs
         self._number = number
         self._image = scenery.scenes.screen[number]
         self._widgets = 0
@@ -38,8 +38,8 @@ class Screen:
         """Removes everything."""
         self._image[:] = 255
         self._widgets = 0
-        self._worlds.widgets[self._number] = 0.0
-        self._worlds.watched[self._number] = -1
+        self._envs.widgets[self._number] = 0.0
+        self._envs.watched[self._number] = -1
 
     def add_widget(self, place: Place) -> int:
         """Adds a part that tells when it is looked at; the number of those since `clear`."""
@@ -47,7 +47,7 @@ class Screen:
         if widget >= WIDGETS:
             raise ValueError(f"a screen has room for {WIDGETS} widgets")
         self._widgets += 1
-        self._worlds.widgets[self._number, widget] = place
+        self._envs.widgets[self._number, widget] = place
         return widget
 
     def fill(self, place: Place, colour: Colour = WHITE) -> None:
@@ -65,13 +65,13 @@ class Screen:
     @property
     def gaze(self) -> tuple[float, float]:
         """x and y of where the player looks; see `gaze.gaze`."""
-        x, y = gaze(self._worlds, self._number)
+        x, y = gaze(self._envs, self._number)
         return float(x), float(y)
 
     def direction(self, x: float, y: float) -> tuple[float, float]:
         """Yaw and pitch at which the player looks at a point of the screen, radians."""
-        body = self._worlds.bodies[self._number]
-        east, north, height, side = self._worlds.screen[self._number]
+        body = self._envs.bodies[self._number]
+        east, north, height, side = self._envs.screen[self._number]
         right, ahead = east + (x - 0.5) * side - body[X], north - body[Y]
         up = height + (0.5 - y) * side - (body[Z] + EYE)
         return math.atan2(ahead, right), math.atan2(up, math.hypot(ahead, right))
@@ -79,4 +79,4 @@ class Screen:
     @property
     def watched(self) -> int:
         """The widget that the player looks at; -1: none."""
-        return int(self._worlds.watched[self._number])
+        return int(self._envs.watched[self._number])

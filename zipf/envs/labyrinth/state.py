@@ -31,7 +31,7 @@ WIDGETS = 4
 """Capacities of each env."""
 
 
-class Worlds(NamedTuple):
+class Envs(NamedTuple):
     """The state of N envs."""
 
     clock: NDArray[np.int64]
@@ -105,10 +105,10 @@ class Worlds(NamedTuple):
     """Laser tag."""
 
 
-def make_worlds(num_worlds: int) -> Worlds:
+def make_envs(num_envs: int) -> Envs:
     """The state of envs in which no episode has begun."""
-    n = num_worlds
-    return Worlds(
+    n = num_envs
+    return Envs(
         clock=np.zeros(n, np.int64),
         limit=np.ones(n, np.int64),
         ending=np.full(n, -1, np.int64),
@@ -145,7 +145,7 @@ def make_worlds(num_worlds: int) -> Worlds:
     )
 
 
-def clear(worlds: Worlds, world: int) -> None:
+def clear(envs: Envs, i: int) -> None:
     """Empties an env for a new episode."""
     for name, value in (
         ("clock", 0), ("limit", 1), ("ending", -1), ("finishing", False), ("bodies", 0.0),
@@ -156,5 +156,5 @@ def clear(worlds: Worlds, world: int) -> None:
         ("inside", False), ("timers", -1), ("screen", 0.0), ("widgets", 0.0), ("watched", -1),
         ("instruction", 0),
     ):  # fmt: skip
-        getattr(worlds, name)[world] = value
-    worlds.combat.fighters[world] = 0
+        getattr(envs, name)[i] = value
+    envs.combat.fighters[i] = 0

@@ -13,7 +13,7 @@ from zipf.envs.labyrinth import materials
 from zipf.envs.labyrinth.gaze import gaze
 from zipf.envs.labyrinth.lasertag.arena import TAGGED_AT
 from zipf.envs.labyrinth.scenery import METRES, Scenery, atlas
-from zipf.envs.labyrinth.state import CELL, ITEMS, QUADS, YAW, Worlds, X, Y
+from zipf.envs.labyrinth.state import CELL, ITEMS, QUADS, YAW, Envs, X, Y
 from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH
 
 SIZE = 288
@@ -27,7 +27,7 @@ _LEAST = 0.015  # radius of an item, as a share of the map
 Colour = tuple[int, int, int]
 
 
-def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
+def draw_map(envs: Envs, scenery: Scenery, world: int) -> NDArray[np.uint8]:
     """The map of an env, uint8 [SIZE, SIZE, 3], the north above.
 
     Platforms and hills are lighter the higher they are. Thin white outlines are zones in which
@@ -35,23 +35,23 @@ def draw_map(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
     player's arrow is white, those of opponents have their colour. In the place of a map, envs
     with a screen have the screen, with a ring where the player looks.
     """
-    if worlds.screen[world, 3] > 0:
-        return _draw_screen(worlds, scenery, world)
-    page = _Page(_bounds(worlds, scenery, world))
-    if worlds.quad[world] > 0:
-        _draw_terrain(page, worlds, scenery, world)
-    _draw_floors(page, worlds, scenery, world)
+    if envs.screen[world, 3] > 0:
+        return _draw_screen(envs, scenery, world)
+    page = _Page(_bounds(envs, scenery, world))
+    if envs.quad[world] > 0:
+        _draw_terrain(page, envs, scenery, world)
+    _draw_floors(page, envs, scenery, world)
     _draw_walls(page, scenery, world)
-    for zone in worlds.zones[world]:
+    for zone in envs.zones[world]:
         if zone[0] < zone[3]:
             page.rectangle(zone[[0, 1]], zone[[3, 4]], None, outline=(255, 255, 255))
-    _draw_items(page, worlds, scenery, world)
-    for k in range(1, int(worlds.combat.fighters[world])):
-        if worlds.combat.status[world, k, TAGGED_AT] < 0:
-            x, y, yaw = worlds.combat.bodies[world, k, [X, Y, YAW]].tolist()
+    _draw_items(page, envs, scenery, world)
+    for k in range(1, int(envs.combat.fighters[world])):
+        if envs.combat.status[world, k, TAGGED_AT] < 0:
+            x, y, yaw = envs.combat.bodies[world, k, [X, Y, YAW]].tolist()
             colour = _colour(scenery.scenes.colours[world, ITEMS, 0])
             page.arrow(x, y, yaw, colour)
-    body = worlds.bodies[world]
+    body = envs.bodies[world]
     page.arrow(float(body[X]), float(body[Y]), float(body[YAW]))
     return page.finished()
 
@@ -130,17 +130,17 @@ class _Page:
         return np.asarray(self.image.resize((SIZE, SIZE), Image.Resampling.BOX))
 
 
-def _bounds(worlds: Worlds, scenery: Scenery, world: int) -> tuple[float, float, float, float]:
+def _bounds(envs: Envs, scenery: Scenery, world: int) -> tuple[float, float, float, float]:
     """West, south, east and north end of what there is."""
-    if worlds.quad[world] > 0:
-        side = float(worlds.quad[world]) * QUADS
+    if envs.quad[world] > 0:
+        side = float(envs.quad[world]) * QUADS
         return 0.0, 0.0, side, side
     flats = _floors(scenery, world)
     low = (scenery.scenes.flats[world, flats, :2] / METRES).min(0)
     high = (scenery.scenes.flats[world, flats, 2:4] / METRES).max(0)
-    if worlds.cells[world, 0] > 0:  # without cells at the edge that nobody can get to
-        rows, columns = worlds.cells[world]
-        free = np.argwhere(~worlds.solid[world, :rows, :columns])
+    if envs.cells[world, 0] > 0:  # without cells at the edge that nobody can get to
+        rows, columns = envs.cells[world]
+        free = np.argwhere(~envs.solid[world, :rows, :columns])
         low, high = (free.min(0) * CELL)[::-1], ((free.max(0) + 1) * CELL)[::-1]
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
@@ -154,9 +154,9 @@ def _floors(scenery: Scenery, world: int) -> NDArray[np.int64]:
     return order
 
 
-def _draw_terrain(page: _Page, worlds: Worlds, scenery: Scenery, world: int) -> None:
-    heights = worlds.heights[world]
-    size = float(worlds.quad[world])
+def _draw_terrain(page: _Page, envs: Envs, scenery: Scenery, world: int) -> None:
+    heights = envs.heights[world]
+    size = float(envs.quad[world])
     x, y = page.grid()
     column, row = x / size, y / size
     inside = (column >= 0) & (column < QUADS) & (row >= 0) & (row < QUADS)
@@ -175,12 +175,12 @@ def _draw_terrain(page: _Page, worlds: Worlds, scenery: Scenery, world: int) -> 
     page.paint(light[..., None] * colour, inside)
 
 
-def _draw_floors(page: _Page, worlds: Worlds, scenery: Scenery, world: int) -> None:
+def _draw_floors(page: _Page, envs: Envs, scenery: Scenery, world: int) -> None:
     scenes = scenery.scenes
     floors = _floors(scenery, world)
     z = scenes.flats[world, floors, 4]
     if scenes.grid[world, 2] > 0:
-        rows, columns = worlds.cells[world]
+        rows, columns = envs.cells[world]
         page.rectangle((0, 0), (columns * CELL, rows * CELL), _SOLID)
     for k, height in zip(floors.tolist(), z.tolist(), strict=True):
         light = 0.4 + 0.6 * (height - z.min()) / (z.max() - z.min()) if np.ptp(z) > 0 else 1.0
@@ -196,10 +196,10 @@ def _draw_floors(page: _Page, worlds: Worlds, scenery: Scenery, world: int) -> N
             corner = x0 + column * CELL, y0 + row * CELL
             colour = light * _mixed(int(textures[row, column]), tint)
             page.rectangle(corner, (corner[0] + CELL, corner[1] + CELL), _colour(colour))
-    count = int(worlds.plane_count[world])
+    count = int(envs.plane_count[world])
     if count > 4:  # a round room's floor is cut off at its walls
         x, y = page.grid()
-        planes = worlds.planes[world, :count]
+        planes = envs.planes[world, :count]
         along_x, along_y, offset = planes.T[:, :, None, None]
         beyond = np.any(along_x * x + along_y * y > offset, axis=0)
         page.paint(np.broadcast_to(np.array(_NOTHING, float), (*x.shape, 3)), beyond)
@@ -217,14 +217,14 @@ def _draw_walls(page: _Page, scenery: Scenery, world: int) -> None:
             page.line(ends, colour, 5 if flags & SEE_THROUGH else 3)
 
 
-def _draw_items(page: _Page, worlds: Worlds, scenery: Scenery, world: int) -> None:
+def _draw_items(page: _Page, envs: Envs, scenery: Scenery, world: int) -> None:
     scenes = scenery.scenes
-    there = np.flatnonzero(worlds.present[world] & (scenery.shape[world] >= 0))
+    there = np.flatnonzero(envs.present[world] & (scenery.shape[world] >= 0))
     extents = atlas().extent[scenery.shape[world, there], :2].max(1) / METRES
     radii = extents * scenes.scale[world, there] / 2
     for k in np.argsort(-radii, kind="stable").tolist():
         item = int(there[k])
-        x, y, _ = worlds.places[world, item].tolist()
+        x, y, _ = envs.places[world, item].tolist()
         main, accent = (_colour(colour) for colour in scenes.colours[world, item])
         page.disc(x, y, float(radii[k]), main, accent)
 
@@ -240,7 +240,7 @@ def _colour(values: NDArray[np.floating] | NDArray[np.uint8]) -> Colour:
     return red, green, blue
 
 
-def _draw_screen(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uint8]:
+def _draw_screen(envs: Envs, scenery: Scenery, world: int) -> NDArray[np.uint8]:
     """The screen and what surrounds it; of a gaze that is outside the nearest point is marked."""
     horizon, overhead = scenery.scenes.sky[world].astype(np.float64)
     high = np.linspace(1, 0, SIZE * _FINE)[:, None, None]
@@ -253,7 +253,7 @@ def _draw_screen(worlds: Worlds, scenery: Scenery, world: int) -> NDArray[np.uin
     pen.rectangle((edge - rim, edge - rim, edge + side + rim, edge + side + rim), _SOLID)
     shown = Image.fromarray(scenery.scenes.screen[world, :, :, :3]).resize((side, side))
     image.paste(shown, (edge, edge))
-    x, y = (edge + side * min(max(at, -0.11), 1.11) for at in gaze(worlds, world))
+    x, y = (edge + side * min(max(at, -0.11), 1.11) for at in gaze(envs, world))
     for far, colour, width in ((16, (0, 0, 0), 8), (14, (255, 255, 255), 4)):
         pen.ellipse((x - far, y - far, x + far, y + far), None, colour, width)
     return np.asarray(image.resize((SIZE, SIZE), Image.Resampling.BOX))

@@ -16,7 +16,7 @@ from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.levels import LEVELS, Level, by_name
 from zipf.envs.labyrinth.options import LabyrinthOptions
 from zipf.envs.labyrinth.scenery import Scenery
-from zipf.envs.labyrinth.state import FRAMES_PER_SECOND, clear, make_worlds
+from zipf.envs.labyrinth.state import FRAMES_PER_SECOND, clear, make_envs
 from zipf.envs.labyrinth.topdown import draw_map, empty_map
 from zipf.envs.labyrinth.words import VOCABULARY
 from zipf.envs.labyrinth.world import World
@@ -71,10 +71,10 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self.seeds = np.zeros(n, np.float64)
         self._actions = np.zeros((n, longest), np.uint8)
         # The state that follows from them.
-        self.worlds = make_worlds(n)
+        self.envs = make_envs(n)
         self.episodes: list[Episode | None] = [None] * n
         self.maps = np.zeros(n, np.int64)  # 1 for the layout, and one more for each map
-        self._scenery = Scenery(self.worlds, width, height)
+        self._scenery = Scenery(self.envs, width, height)
         self._commands = commands(chosen.num_actions)
         self._rewards = np.zeros(n)
         self._left, self._part = np.zeros((2, n), np.int64)
@@ -88,7 +88,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
             return None
         views = self._scenery.large_views()
         maps = [
-            empty_map() if episode is None else draw_map(self.worlds, self._scenery, i)
+            empty_map() if episode is None else draw_map(self.envs, self._scenery, i)
             for i, episode in enumerate(self.episodes)
         ]
         return tuple(np.hstack(pair) for pair in zip(views, maps, strict=True))
@@ -111,25 +111,25 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
     def _start(self, mask: NDArray[np.bool_]) -> None:
         """Begins the episodes of the envs of `mask` from their seeds."""
         for i in np.flatnonzero(mask).tolist():
-            clear(self.worlds, i)
+            clear(self.envs, i)
             self._scenery.clear(i)
             self._part[i] = 0
             self.maps[i] = 0
-            self.worlds.limit[i] = self._frames(self.level)
-            world = World(self.worlds, self._scenery, i, self._rewards)
+            self.envs.limit[i] = self._frames(self.level)
+            world = World(self.envs, self._scenery, i, self._rewards)
             self.episodes[i] = self._rules(world, self._generator(i))
             self._begin_map(i)
 
-    def _generator(self, world: int) -> np.random.Generator:
+    def _generator(self, i: int) -> np.random.Generator:
         """For the layout of an episode, then for each of its maps."""
-        self.maps[world] += 1
-        seed = int(self.seeds[world] * 2**53)
-        return np.random.default_rng([seed, int(self.maps[world])])
+        self.maps[i] += 1
+        seed = int(self.seeds[i] * 2**53)
+        return np.random.default_rng([seed, int(self.maps[i])])
 
-    def _begin_map(self, world: int) -> None:
-        episode = self.episodes[world]
+    def _begin_map(self, i: int) -> None:
+        episode = self.episodes[i]
         assert episode is not None
-        episode.begin_map(self._generator(world))
+        episode.begin_map(self._generator(i))
 
     def _advance(
         self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
@@ -146,19 +146,19 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self._rewards[:] = 0.0
         self._left[:] = self.action_repeat
         while engine.run(
-            mask, taken, self._left, self._part, self.worlds, over, timed_out, self._event,
+            mask, taken, self._left, self._part, self.envs, over, timed_out, self._event,
             self._index,
         ):  # fmt: skip
             for i in np.flatnonzero(self._event).tolist():
                 self._tell(i, int(self._event[i]), int(self._index[i]))
         return self._rewards.copy(), over, timed_out, over
 
-    def _tell(self, world: int, event: int, index: int) -> None:
+    def _tell(self, i: int, event: int, index: int) -> None:
         """Tells an env's episode what has happened."""
-        episode = self.episodes[world]
+        episode = self.episodes[i]
         assert episode is not None
         if event == engine.MAP:
-            self._begin_map(world)
+            self._begin_map(i)
         elif event == engine.ITEM:
             episode.picked_up(index)
         elif event == engine.ZONE:
@@ -174,7 +174,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
 
     def _observe(self, out: Observation, mask: NDArray[np.bool_]) -> None:
         self._scenery.draw(out["image"], mask)
-        np.copyto(out["instruction"], self.worlds.instruction, where=mask[:, None])
+        np.copyto(out["instruction"], self.envs.instruction, where=mask[:, None])
 
     def _situations(self) -> dict[str, NDArray[np.int64]]:
         return {}
@@ -192,10 +192,10 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self.__dict__.update(other.__dict__)
         self.level, self._rules = level, rules
 
-    def _get_worlds(self) -> dict[str, NDArray[Any]]:
+    def _get_env_states(self) -> dict[str, NDArray[Any]]:
         return {"seeds": self.seeds, "actions": self._actions}
 
-    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+    def _set_env_states(self, state: Mapping[str, NDArray[Any]]) -> None:
         most = self._steps(self.level)
         if (
             not ((state["seeds"] >= 0) & (state["seeds"] < 1)).all()

@@ -25,7 +25,7 @@ from zipf.envs.labyrinth.state import (
     VY,
     VZ,
     YAW,
-    Worlds,
+    Envs,
     X,
     Y,
     Z,
@@ -71,9 +71,9 @@ class World:
     """
 
     def __init__(
-        self, worlds: Worlds, scenery: Scenery, number: int, rewards: NDArray[np.float64]
+        self, envs: Envs, scenery: Scenery, number: int, rewards: NDArray[np.float64]
     ) -> None:
-        self._worlds = worlds
+        self._envs = envs
         self._scenery = scenery
         self._number = number
         self._rewards = rewards
@@ -85,10 +85,10 @@ class World:
 
     def clear(self) -> None:
         """Removes all that was built, for a map of another layout. The clock runs on."""
-        i, worlds = self._number, self._worlds
-        clock, limit = worlds.clock[i], worlds.limit[i]
-        clear(worlds, i)
-        worlds.clock[i], worlds.limit[i] = clock, limit
+        i, envs = self._number, self._envs
+        clock, limit = envs.clock[i], envs.limit[i]
+        clear(envs, i)
+        envs.clock[i], envs.limit[i] = clock, limit
         self._scenery.clear(i)
         self._items = self._zones = 0
         self._doors = {}
@@ -108,21 +108,21 @@ class World:
                 around it; used where a cell is not solid. A name is the floor of all cells, and
                 without textures walls are invisible.
         """
-        i, worlds, scenery = self._number, self._worlds, self._scenery
+        i, envs, scenery = self._number, self._envs, self._scenery
         rows, columns = solid.shape
-        worlds.cells[i] = rows, columns
-        worlds.solid[i] = True
-        worlds.solid[i, :rows, :columns] = solid
+        envs.cells[i] = rows, columns
+        envs.solid[i] = True
+        envs.solid[i, :rows, :columns] = solid
         scenes = scenery.scenes
         if walls is not None:
-            worlds.opaque[i, :rows, :columns] = solid
+            envs.opaque[i, :rows, :columns] = solid
             ends, cells, numbers = faces(solid)
             textures = walls[cells[:, 0], cells[:, 1]]
             # Numbers of faces count the columns of the scene's grid.
             cell, side = np.divmod(numbers, 4)
             numbers = (cell // columns * GRID + cell % columns) * 4 + side
             scenery.add_walls(i, ends, (0.0, CELL), textures, numbers)
-            scenes.solid[i] = worlds.solid[i]
+            scenes.solid[i] = envs.solid[i]
             scenes.grid[i] = 0, 0, CELL * METRES
         if isinstance(floors, str):
             floors = np.full(solid.shape, materials.index(floors))
@@ -144,11 +144,11 @@ class World:
             textures: of the tops, by height in multiples of `unit`.
             unit: of height, units.
         """
-        i, worlds, scenery = self._number, self._worlds, self._scenery
+        i, envs, scenery = self._number, self._envs, self._scenery
         rows, columns = there.shape
-        worlds.cells[i] = rows, columns
-        worlds.solid[i, :rows, :columns] = ~there
-        worlds.floor[i, :rows, :columns] = heights
+        envs.cells[i] = rows, columns
+        envs.solid[i, :rows, :columns] = ~there
+        envs.floor[i, :rows, :columns] = heights
         scenes = scenery.scenes
         scenes.tiles[i] = -1
         for row, column in np.argwhere(there).tolist():
@@ -186,10 +186,10 @@ class World:
             repeat: units per repeat of the texture.
         """
         i = self._number
-        box = int(self._worlds.box_count[i])
-        self._worlds.box_count[i] += 1
-        self._worlds.boxes[i, box] = *low, *high
-        self._worlds.see_through[i, box] = texture is None
+        box = int(self._envs.box_count[i])
+        self._envs.box_count[i] += 1
+        self._envs.boxes[i, box] = *low, *high
+        self._envs.see_through[i, box] = texture is None
         if texture is not None:
             x, y = (low[0], high[0]), (low[1], high[1])
             ends = np.array([(x[x0], y[y0], x[x1], y[y1]) for _, _, (x0, y0, x1, y1) in SIDES])
@@ -243,8 +243,8 @@ class World:
         """
         i = self._number
         angles = 2 * math.pi * np.arange(sides) / sides
-        self._worlds.plane_count[i] = sides
-        self._worlds.planes[i, :sides] = np.stack(
+        self._envs.plane_count[i] = sides
+        self._envs.planes[i, :sides] = np.stack(
             [np.cos(angles), np.sin(angles), np.full(sides, apothem)], 1
         )
         corners = angles - math.pi / sides
@@ -283,9 +283,9 @@ class World:
             height: of its middle.
             side: of the screen.
         """
-        self._worlds.screen[self._number] = 0.0, distance, height, side
+        self._envs.screen[self._number] = 0.0, distance, height, side
         self.add_picture(distance, math.pi / 2, height, side, SCREEN)
-        return Screen(self._worlds, self._scenery, self._number)
+        return Screen(self._envs, self._scenery, self._number)
 
     def add_floor(
         self,
@@ -320,12 +320,12 @@ class World:
             texture, tint: of the ground.
             sky: colours at the horizon and overhead.
         """
-        i, worlds, scenes = self._number, self._worlds, self._scenery.scenes
-        worlds.quad[i] = terrain.size
-        worlds.heights[i] = terrain.heights
+        i, envs, scenes = self._number, self._envs, self._scenery.scenes
+        envs.quad[i] = terrain.size
+        envs.heights[i] = terrain.heights
         side = terrain.size * QUADS
-        worlds.plane_count[i] = 4
-        worlds.planes[i, :4] = (1, 0, side), (0, 1, side), (-1, 0, 0), (0, -1, 0)
+        envs.plane_count[i] = 4
+        envs.planes[i, :4] = (1, 0, side), (0, 1, side), (-1, 0, 0), (0, -1, 0)
         scenes.set_terrain(
             i, (0.0, 0.0), terrain.size * METRES, terrain.heights * METRES,
             materials.index(texture), repeat=2.0, tint=tint,
@@ -335,15 +335,15 @@ class World:
     def add_pillar(self, x: float, y: float, radius: float) -> None:
         """Adds a solid upright pillar of a terrain, which is not drawn."""
         i = self._number
-        self._worlds.pillars[i, self._worlds.pillar_count[i]] = x, y, radius
-        self._worlds.pillar_count[i] += 1
+        self._envs.pillars[i, self._envs.pillar_count[i]] = x, y, radius
+        self._envs.pillar_count[i] += 1
 
     def add_zone(self, low: Point, high: Point) -> int:
         """Adds a box that tells when the player enters, and returns its number."""
         i = self._number
         zone = self._zones
         self._zones += 1
-        self._worlds.zones[i, zone] = *low, *high
+        self._envs.zones[i, zone] = *low, *high
         return zone
 
     def add_cell_zone(self, cell: Cell) -> int:
@@ -400,7 +400,7 @@ class World:
         i, scenery = self._number, self._scenery
         scenery.shape[i, item] = atlas().index(mesh)
         scenery.spins[i, item] = spins
-        self._worlds.touchable[i, item] = not seen_only
+        self._envs.touchable[i, item] = not seen_only
         scenery.scenes.rotation[i, item] = np.eye(3)
         scenery.scenes.scale[i, item] = scale
         scenery.scenes.colours[i, item] = colours
@@ -425,9 +425,9 @@ class World:
             texture, tint: of the door.
         """
         i, scenery = self._number, self._scenery
-        door = int(self._worlds.box_count[i])
-        self._worlds.box_count[i] += 1
-        self._worlds.see_through[i, door] = True
+        door = int(self._envs.box_count[i])
+        self._envs.box_count[i] += 1
+        self._envs.see_through[i, door] = True
         x, y = middle(cell)
         half = np.array([0.0, CELL / 2]) if eastwards else np.array([CELL / 2, 0.0])
         wall = scenery.add_walls(
@@ -445,10 +445,10 @@ class World:
         """Opens or closes a door. An open one has slid into the wall but for a lip."""
         i = self._number
         wall, at, half, cell, hides = self._doors[door]
-        self._worlds.opaque[i, cell[0], cell[1]] = hides and not is_open
+        self._envs.opaque[i, cell[0], cell[1]] = hides and not is_open
         first = at + half * (1 - 2 * LIP / CELL) if is_open else at - half
         self._scenery.scenes.walls[i, wall, :4] = np.array([*first, *(at + half)]) * METRES
-        box = self._worlds.boxes[i, door]
+        box = self._envs.boxes[i, door]
         thick = np.array([DOOR / 2, DOOR / 2])
         if is_open:
             box[:] = 0.0
@@ -458,58 +458,58 @@ class World:
 
     def put(self, item: int, x: float, y: float, floor: float = 0.0, yaw: float = 0.0) -> None:
         """Places an item on a floor of this height, turned by `yaw`."""
-        self._worlds.places[self._number, item] = x, y, floor + BELOW
+        self._envs.places[self._number, item] = x, y, floor + BELOW
         if yaw:
             cos, sin = math.cos(yaw), math.sin(yaw)
             self._scenery.scenes.rotation[self._number, item, :2, :2] = (cos, -sin), (sin, cos)
-        self._worlds.present[self._number, item] = True
+        self._envs.present[self._number, item] = True
 
     def put_in_cell(self, item: int, cell: Cell) -> None:
         """Places an item at the middle of a cell of the text map."""
         x, y = middle(cell)
-        self.put(item, x, y, float(self._worlds.floor[self._number, cell[0], cell[1]]))
+        self.put(item, x, y, float(self._envs.floor[self._number, cell[0], cell[1]]))
 
     def let_return(self, item: int, seconds: float) -> None:
         """Lets an item that was taken be there again after some seconds."""
         frames = round(seconds * FRAMES_PER_SECOND)
-        self._worlds.returning[self._number, item] = self._worlds.clock[self._number] + frames
+        self._envs.returning[self._number, item] = self._envs.clock[self._number] + frames
 
     def take(self, item: int) -> None:
         """Removes an item."""
-        self._worlds.present[self._number, item] = False
+        self._envs.present[self._number, item] = False
 
     def is_there(self, item: int) -> bool:
         """Whether an item is there to be touched."""
-        return bool(self._worlds.present[self._number, item])
+        return bool(self._envs.present[self._number, item])
 
     def place_player(self, x: float, y: float, yaw: float, floor: float = 0.0) -> None:
         """Puts the player at rest on a floor of this height, looking straight ahead."""
-        body = self._worlds.bodies[self._number]
+        body = self._envs.bodies[self._number]
         body[:] = 0.0
-        self._worlds.held[self._number] = False
+        self._envs.held[self._number] = False
         body[X], body[Y], body[Z], body[YAW] = x, y, floor + BELOW, yaw % (2 * math.pi)
 
     def place_player_in_cell(self, cell: Cell, yaw: float) -> None:
         """Puts the player at rest in the middle of a cell of the text map."""
-        floor = float(self._worlds.floor[self._number, cell[0], cell[1]])
+        floor = float(self._envs.floor[self._number, cell[0], cell[1]])
         self.place_player(*middle(cell), yaw, floor)
 
     def teleport(self, x: float, y: float, yaw: float) -> None:
         """Moves the player, who leaves with a push along the new heading."""
         self.place_player(x, y, yaw)
-        body = self._worlds.bodies[self._number]
+        body = self._envs.bodies[self._number]
         body[VX], body[VY] = PUSH * math.cos(yaw), PUSH * math.sin(yaw)
-        self._worlds.pushed[self._number] = PUSHED_FRAMES
+        self._envs.pushed[self._number] = PUSHED_FRAMES
 
     def hold_player(self, x: float, y: float, height: float) -> None:
         """Holds the player at a place, on a platform that rises to a height."""
-        self._worlds.held[self._number] = True
-        self._worlds.hold[self._number] = x, y, height
+        self._envs.held[self._number] = True
+        self._envs.hold[self._number] = x, y, height
 
     def set_timer(self, timer: int, seconds: float) -> None:
         """Lets one of the `TIMERS` timers go off after some seconds of the episode's clock."""
         frames = round(seconds * FRAMES_PER_SECOND)
-        self._worlds.timers[self._number, timer] = self._worlds.clock[self._number] + frames
+        self._envs.timers[self._number, timer] = self._envs.clock[self._number] + frames
 
     def tint_floor(self, floor: int, tint: materials.Colour) -> None:
         """Changes the colour of a floor."""
@@ -544,24 +544,24 @@ class World:
 
     def say(self, text: str) -> None:
         """Gives an instruction, in words of `words.VOCABULARY`, in the place of the last one."""
-        self._worlds.instruction[self._number] = VOCABULARY.encode(text)
+        self._envs.instruction[self._number] = VOCABULARY.encode(text)
         self.instruction = text
 
     def finish_map(self) -> None:
         """Lets the next frame begin with a new map."""
-        self._worlds.finishing[self._number] = True
+        self._envs.finishing[self._number] = True
 
     def end_episode(self) -> None:
         """Ends the episode 0.2 s from now."""
-        if self._worlds.ending[self._number] < 0:
-            self._worlds.ending[self._number] = END_DELAY + 1  # this frame is counted, too
+        if self._envs.ending[self._number] < 0:
+            self._envs.ending[self._number] = END_DELAY + 1  # this frame is counted, too
 
     # What oracles read.
 
     @property
     def player(self) -> tuple[float, float, float, float]:
         """x, y, yaw and pitch of the player."""
-        body = self._worlds.bodies[self._number]
+        body = self._envs.bodies[self._number]
         return float(body[X]), float(body[Y]), float(body[YAW]), float(body[PITCH])
 
     @property
@@ -573,7 +573,7 @@ class World:
     @property
     def velocity(self) -> tuple[float, float, float]:
         """Of the player forwards, to the left and upwards, units per second."""
-        body = self._worlds.bodies[self._number]
+        body = self._envs.bodies[self._number]
         cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
         forward = body[VX] * cos + body[VY] * sin
         return float(forward), float(body[VY] * cos - body[VX] * sin), float(body[VZ])
@@ -581,7 +581,7 @@ class World:
     @property
     def frames_left(self) -> int:
         """Frames until the time limit."""
-        return int(self._worlds.limit[self._number] - self._worlds.clock[self._number])
+        return int(self._envs.limit[self._number] - self._envs.clock[self._number])
 
 
 def middle(cell: Cell) -> tuple[float, float]:

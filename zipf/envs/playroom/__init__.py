@@ -81,9 +81,9 @@ FAMILY = Family(
     ),
     make="zipf.envs.playroom.playroom_env:PlayroomEnv",
     make_vec="zipf.envs.playroom.vector:PlayroomVectorEnv",
-    references={
+    baselines={
         "chance": measured("zipf.envs.playroom", "chance"),
-        "blind": "zipf.envs.playroom.references:floor",
+        "blind": "zipf.envs.playroom.baselines:floor",
         "generalist": measured("zipf.envs.playroom", "generalist"),
         "expert": measured("zipf.envs.playroom", "expert"),
     },

@@ -5,47 +5,47 @@ from zipf.envs.playroom.falling import STILL_STEPS
 from zipf.envs.playroom.geometry import rectangle_gap
 from zipf.envs.playroom.judgement import APPROACH_DISTANCE, nearest_within
 from zipf.envs.playroom.levels import LIFT, NEAR, ON
-from zipf.envs.playroom.state import FLOOR, ON_BED, Worlds, X, Y
+from zipf.envs.playroom.state import FLOOR, ON_BED, Envs, X, Y
 
 Achievement = tuple[int, int]
 """Which of the env's objects, and the task that was done with it."""
 
 
-def achieved(worlds: Worlds, i: int) -> Achievement | None:
+def achieved(envs: Envs, i: int) -> Achievement | None:
     """What was done in env `i`, of the kind that its task asks for; None: nothing.
 
     By the rules of `judgement.py`, with any object and any place in the place of the right ones.
     Where that was done with several objects, it is with the target if that is one of them.
     """
-    if worlds.finding:
-        return _approached(worlds, i)
-    if worlds.task[i] != LIFT:
-        return _put(worlds, i)
-    held = int(worlds.hands[i])
-    return (held, LIFT) if held >= 0 and worlds.lifted[i, held] else None
+    if envs.finding:
+        return _approached(envs, i)
+    if envs.task[i] != LIFT:
+        return _put(envs, i)
+    held = int(envs.hands[i])
+    return (held, LIFT) if held >= 0 and envs.lifted[i, held] else None
 
 
-def _approached(worlds: Worlds, i: int) -> Achievement | None:
-    nearest = nearest_within(APPROACH_DISTANCE, worlds.agents[i], worlds.objects[i])
-    return None if nearest < 0 else (int(nearest), int(worlds.task[i]))
+def _approached(envs: Envs, i: int) -> Achievement | None:
+    nearest = nearest_within(APPROACH_DISTANCE, envs.agents[i], envs.objects[i])
+    return None if nearest < 0 else (int(nearest), int(envs.task[i]))
 
 
-def _put(worlds: Worlds, i: int) -> Achievement | None:
+def _put(envs: Envs, i: int) -> Achievement | None:
     """What was asked for if that was done, else an object on a support, else an object near a
     support, which counts only if it ends the episode: it may have been near before."""
-    task = int(worlds.task[i])
+    task = int(envs.task[i])
     near = task < ON
     on_top: list[Achievement] = []
     beside: list[Achievement] = []
-    for j, place in enumerate(worlds.objects[i]):
-        if not worlds.lifted[i, j] or worlds.still[i, j] < STILL_STEPS:
+    for j, place in enumerate(envs.objects[i]):
+        if not envs.lifted[i, j] or envs.still[i, j] < STILL_STEPS:
             continue
         for k in range(2):
             right = j == 0 and NEAR + k == task
-            if worlds.status[i, j] == ON_BED + k:
+            if envs.status[i, j] == ON_BED + k:
                 on_top.append((j, (NEAR if near else ON) + k))
-            elif near and worlds.status[i, j] == FLOOR and (right or worlds.near_failure):
-                gap = rectangle_gap(worlds.furniture[i, k], FURNITURE_SIZE[k], place[X], place[Y])
+            elif near and envs.status[i, j] == FLOOR and (right or envs.near_failure):
+                gap = rectangle_gap(envs.furniture[i, k], FURNITURE_SIZE[k], place[X], place[Y])
                 if gap <= NEAR_DISTANCE:
                     beside.append((j, NEAR + k))
     done = on_top + beside

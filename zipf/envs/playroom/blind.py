@@ -31,7 +31,7 @@ class BlindExpert:
         require_playable(env, "blind expert")
         self.env = env
         self.generator = np.random.default_rng(seed)
-        n, count = env.worlds.ranks.shape
+        n, count = env.envs.ranks.shape
         tasks = env.level.tasks or (0,)
         # Every guess: a toy and a task. `guesses` has their order in each env.
         self.all = np.array([(toy, task) for toy in range(count) for task in tasks])
@@ -39,9 +39,9 @@ class BlindExpert:
         self.number = np.zeros(n, np.int64)  # of the guess, in that order
         self.held = np.zeros(n, np.bool_)  # whether its toy has been in the hand
         self.order = np.tile(np.arange(count), (n, 1))  # of the objects, the believed target first
-        self.tasks = env.worlds.task.copy()
+        self.tasks = env.envs.task.copy()
         believed: Any = SimpleNamespace(
-            num_envs=n, worlds=self._worlds(), rooms=[None] * n, lengths=env.lengths,
+            num_envs=n, envs=self._envs(), rooms=[None] * n, lengths=env.lengths,
             single_action_space=env.single_action_space,
         )  # fmt: skip
         self.believed = believed
@@ -53,15 +53,15 @@ class BlindExpert:
         for i in np.flatnonzero(env.lengths == 0).tolist():
             self.guesses[i] = self.generator.permutation(len(self.all))
             self._guess(i, 0)
-        self.held |= env.worlds.hands == self.order[:, 0]
+        self.held |= env.envs.hands == self.order[:, 0]
         for i in np.flatnonzero(self._has_failed()).tolist():
             self._guess(i, (int(self.number[i]) + 1) % len(self.all))
-        self.believed.worlds = self.expert.worlds = self._worlds()
+        self.believed.envs = self.expert.envs = self._envs()
         self.believed.lengths = env.lengths
-        for world, room in enumerate(env.rooms):
+        for i, room in enumerate(env.rooms):
             assert room is not None
-            objects = [room.objects[j] for j in self.order[world]]
-            self.believed.rooms[world] = SimpleNamespace(agent=room.agent, objects=objects)
+            objects = [room.objects[j] for j in self.order[i]]
+            self.believed.rooms[i] = SimpleNamespace(agent=room.agent, objects=objects)
         return self.expert()
 
     def _guess(self, i: int, number: int) -> None:
@@ -73,18 +73,18 @@ class BlindExpert:
 
     def _has_failed(self) -> NDArray[np.bool_]:
         """Where the believed target has been carried and lies still, and nothing has ended, [N]."""
-        worlds, rows = self.env.worlds, np.arange(len(self.order))
+        envs, rows = self.env.envs, np.arange(len(self.order))
         target = self.order[:, 0]
-        rests = worlds.lifted[rows, target] & (worlds.still[rows, target] >= STILL_STEPS)
-        return self.held & (worlds.hands < 0) & rests
+        rests = envs.lifted[rows, target] & (envs.still[rows, target] >= STILL_STEPS)
+        return self.held & (envs.hands < 0) & rests
 
-    def _worlds(self) -> Any:
+    def _envs(self) -> Any:
         """The envs with their objects in the believed order."""
-        worlds = self.env.worlds
+        envs = self.env.envs
         rows = np.arange(len(self.order))[:, None]
-        swapped = {name: getattr(worlds, name)[rows, self.order] for name in _OF_OBJECTS}
-        hands = worlds.hands.copy()
+        swapped = {name: getattr(envs, name)[rows, self.order] for name in _OF_OBJECTS}
+        hands = envs.hands.copy()
         held = hands >= 0
         # An exchange of two is its own inverse.
         hands[held] = self.order[held, hands[held]]
-        return worlds._replace(**swapped, hands=hands, task=self.tasks)
+        return envs._replace(**swapped, hands=hands, task=self.tasks)

@@ -23,7 +23,7 @@ from zipf.envs.playroom.falling import STILL_STEPS
 from zipf.envs.playroom.geometry import footprint, rectangle_gap
 from zipf.envs.playroom.judgement import APPROACH_DISTANCE
 from zipf.envs.playroom.levels import LIFT, NEAR, ON
-from zipf.envs.playroom.state import AX, AY, HOLD, PITCH, YAW, X, Y, Z, one_world
+from zipf.envs.playroom.state import AX, AY, HOLD, PITCH, YAW, X, Y, Z, one_env
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 _CELL = 0.1
@@ -71,16 +71,16 @@ class _Spot(NamedTuple):
     height: float
 
 
-def require_playable(env: PlayroomVectorEnv, player: str) -> None:
+def require_playable(env: PlayroomVectorEnv, policy: str) -> None:
     """Raises ValueError if a scripted policy, named in the message, cannot play these envs."""
-    if not hasattr(env, "worlds"):
+    if not hasattr(env, "envs"):
         raise ValueError(
-            f"the {player} reads the state of a batch of one playroom level, "
+            f"the {policy} reads the state of a batch of one playroom level, "
             f"got {type(env).__name__}"
         )
     count, known = env.single_action_space.n, len(actions.ACTIONS)
     if count != known:
-        raise ValueError(f"the {player} needs the playroom's {known} actions, got {count}")
+        raise ValueError(f"the {policy} needs the playroom's {known} actions, got {count}")
 
 
 class Expert:
@@ -99,7 +99,7 @@ class Expert:
     def __init__(self, env: PlayroomVectorEnv) -> None:
         require_playable(env, "expert")
         self.env = env
-        self.worlds = env.worlds
+        self.envs = env.envs
         # By search and env: the state that the search depends on, and its result.
         self._found: dict[tuple[str, int], tuple[bytes, NDArray[Any]]] = {}
 
@@ -108,41 +108,41 @@ class Expert:
         return np.array([self.act(i) for i in range(self.env.num_envs)])
 
     def act(self, i: int) -> int:
-        worlds = self.worlds
-        if worlds.finding:
-            near = around(worlds.objects[i, 0], APPROACH_DISTANCE - 0.1)
+        envs = self.envs
+        if envs.finding:
+            near = around(envs.objects[i, 0], APPROACH_DISTANCE - 0.1)
             return self.go(i, near)
-        if worlds.hands[i] == 0:
-            return self._raise(i) if worlds.task[i] == LIFT else self._bring(i)
-        comes_to_rest = worlds.lifted[i, 0] and worlds.still[i, 0] < STILL_STEPS
-        if worlds.hands[i] > 0 or comes_to_rest:
+        if envs.hands[i] == 0:
+            return self._raise(i) if envs.task[i] == LIFT else self._bring(i)
+        comes_to_rest = envs.lifted[i, 0] and envs.still[i, 0] < STILL_STEPS
+        if envs.hands[i] > 0 or comes_to_rest:
             return actions.NOOP
         return self._fetch(i)
 
     def _fetch(self, i: int) -> int:
         """Walks to a place from which the target can be gripped, points at it and grips."""
-        worlds = self.worlds
-        agent = worlds.agents[i].copy()
-        if _points_at(agent, worlds, i) == 0:
+        envs = self.envs
+        agent = envs.agents[i].copy()
+        if _points_at(agent, envs, i) == 0:
             return actions.GRAB
-        if _can_aim(agent, one_world(worlds, i)):
+        if _can_aim(agent, one_env(envs, i)):
             return self._face(i, agent[YAW], agent[PITCH], closed=False)
-        cells = self._search("viewpoints", i, self._poses(i), lambda: _viewpoints(agent, worlds, i))
+        cells = self._search("viewpoints", i, self._poses(i), lambda: _viewpoints(agent, envs, i))
         return self.go(i, cells)
 
     def _raise(self, i: int) -> int:
         """Lifts the held object by looking up, and at the highest view by pushing it away."""
-        agent = self.worlds.agents[i]
+        agent = self.envs.agents[i]
         if agent[PITCH] < hand.HIGHEST - 0.01:
             return actions.GRAB + actions.LOOK_UP
         return actions.PUSH
 
     def _bring(self, i: int) -> int:
         """Carries the held target to its support, and lets go there."""
-        if not self.worlds.lifted[i, 0]:
+        if not self.envs.lifted[i, 0]:
             return self._raise(i)
         spot = self._spot(i)
-        agent = self.worlds.agents[i]
+        agent = self.envs.agents[i]
         distance = math.hypot(spot.x - agent[AX], spot.y - agent[AY])
         gap = rectangle_gap(spot.pose, spot.size, agent[AX], agent[AY])
         if distance > _ARM or distance < spot.closest or gap < _STAND_OFF:
@@ -151,11 +151,11 @@ class Expert:
 
     def _spot(self, i: int) -> _Spot:
         """Where to let go of the target: inside the support, or on the floor beside it."""
-        worlds = self.worlds
-        near = worlds.task[i] < ON
-        support = int(worlds.task[i]) - (NEAR if near else ON)
-        pose, size = worlds.furniture[i, support], FURNITURE_SIZE[support]
-        agent, extent = worlds.agents[i], worlds.extents[worlds.ranks[i, 0]]
+        envs = self.envs
+        near = envs.task[i] < ON
+        support = int(envs.task[i]) - (NEAR if near else ON)
+        pose, size = envs.furniture[i, support], FURNITURE_SIZE[support]
+        agent, extent = envs.agents[i], envs.extents[envs.ranks[i, 0]]
         radius = footprint(extent)
         closest = AGENT_RADIUS + radius + 0.05
         inset = -(radius + _FROM_EDGE) if near else _INSIDE
@@ -171,7 +171,7 @@ class Expert:
         if self._is_low(i, spot.radius):
             return actions.GRAB + actions.LOOK_UP
         # It faces the support on its way: a held object would keep it away from walls.
-        agent = self.worlds.agents[i]
+        agent = self.envs.agents[i]
         aside = _aside(agent, math.atan2(spot.pose[1] - agent[AY], spot.pose[0] - agent[AX]))
         if abs(aside) > _TURN and self.env.lengths[i] % 2:
             return actions.GRAB + (actions.TURN_RIGHT if aside < 0 else actions.TURN_LEFT)
@@ -180,7 +180,7 @@ class Expert:
 
     def _hold_over(self, i: int, spot: _Spot, distance: float) -> int:
         """Holds the target over the spot, `distance` metres away, and lets go there."""
-        agent, item = self.worlds.agents[i], self.worlds.objects[i, 0]
+        agent, item = self.envs.agents[i], self.envs.objects[i, 0]
         over = math.hypot(item[X] - spot.x, item[Y] - spot.y) < _OVER
         if over and item[Z] < spot.top + _LOW_ENOUGH:
             room = self.env.rooms[i]
@@ -188,7 +188,7 @@ class Expert:
             swinging = room.objects[0].velocity.length > 0.3
             return actions.GRAB if swinging else actions.NOOP
         height = max(spot.top + _ABOVE, 0.2) + spot.height / 2 - EYE
-        hold = min(max(math.hypot(distance, height), hand.NEAREST_HOLD), self.worlds.reach)
+        hold = min(max(math.hypot(distance, height), hand.NEAREST_HOLD), self.envs.reach)
         if abs(hold - agent[HOLD]) > _HOLD_ERROR:
             return actions.PUSH if hold > agent[HOLD] else actions.PULL
         yaw = math.atan2(spot.y - agent[AY], spot.x - agent[AX])
@@ -196,14 +196,14 @@ class Expert:
 
     def _is_low(self, i: int, radius: float) -> bool:
         """Whether the bed's side is in the way of the held object, and it can be raised."""
-        worlds = self.worlds
-        item, bed, size = worlds.objects[i, 0], worlds.furniture[i, 0], FURNITURE_SIZE[0]
+        envs = self.envs
+        item, bed, size = envs.objects[i, 0], envs.furniture[i, 0], FURNITURE_SIZE[0]
         beside = rectangle_gap(bed, size, item[X], item[Y]) < radius + 0.1
-        return bool(item[Z] < size[2] and beside and worlds.agents[i, PITCH] < 0)
+        return bool(item[Z] < size[2] and beside and envs.agents[i, PITCH] < 0)
 
     def _face(self, i: int, yaw: float, pitch: float, *, closed: bool) -> int:
         """Turns the view towards two angles, the one with the larger error first."""
-        agent = self.worlds.agents[i]
+        agent = self.envs.agents[i]
         aside = _aside(agent, yaw)
         above = pitch - agent[PITCH]
         grip = actions.GRAB if closed else 0
@@ -223,7 +223,7 @@ class Expert:
 
     def go(self, i: int, goals: NDArray[np.bool_]) -> int:
         """Walks the shortest way to one of the cells of `goals`, bool [rows, columns]."""
-        agent = self.worlds.agents[i]
+        agent = self.envs.agents[i]
         heading = self._way(i, goals, pushing=False)
         if math.isnan(heading):
             heading = self._way(i, goals, pushing=True)
@@ -250,9 +250,9 @@ class Expert:
             "way, pushing" if pushing else "way",
             i,
             self._poses(i) + goals.tobytes(),
-            lambda: _distances(goals, _blocked(self.worlds, i, pushing)),
+            lambda: _distances(goals, _blocked(self.envs, i, pushing)),
         )
-        return _heading(distances, self.worlds.agents[i])
+        return _heading(distances, self.envs.agents[i])
 
     def _search(
         self, what: str, i: int, depends_on: bytes, search: Callable[[], NDArray[Any]]
@@ -265,7 +265,7 @@ class Expert:
 
     def _poses(self, i: int) -> bytes:
         """What there is beside the agent, and where."""
-        w = self.worlds
+        w = self.envs
         arrays = (w.ranks, w.hands, w.objects, w.orientation, w.furniture)
         return b"".join(array[i].tobytes() for array in arrays)
 
@@ -296,20 +296,20 @@ def _aim(agent, item, extent):
 
 
 @compiled()
-def _can_aim(agent, world):
+def _can_aim(agent, env):
     """Whether the target can be gripped from here; turns the view of `agent` to it.
 
     The view need not be turned more precisely than it can be.
     """
-    _aim(agent, world.objects[0], world.extents[world.ranks[0]])
+    _aim(agent, env.objects[0], env.extents[env.ranks[0]])
     yaw, pitch = agent[YAW], agent[PITCH]
-    if pitch < hand.LOWEST + _AIM_PITCH or hand.pick(agent, world) != 0:
+    if pitch < hand.LOWEST + _AIM_PITCH or hand.pick(agent, env) != 0:
         return False
     sure = True
     for side in (-_AIM_YAW, _AIM_YAW):
         for rise in (-_AIM_PITCH, _AIM_PITCH):
             agent[YAW], agent[PITCH] = yaw + side, pitch + rise
-            sure = sure and hand.pick(agent, world) == 0
+            sure = sure and hand.pick(agent, env) == 0
     agent[YAW], agent[PITCH] = yaw, pitch
     return sure
 
@@ -321,16 +321,16 @@ def _centre(row, column):
 
 
 @compiled()
-def _points_at(agent, worlds, i):
+def _points_at(agent, envs, i):
     """The object of env `i` that an agent in this pose could grip, or -1."""
-    return hand.pick(agent, one_world(worlds, i))
+    return hand.pick(agent, one_env(envs, i))
 
 
 @compiled()
-def _viewpoints(agent, worlds, i):
+def _viewpoints(agent, envs, i):
     """The cells from which the target can be gripped: bool [rows, columns]."""
-    world = one_world(worlds, i)
-    target = world.objects[0]
+    env = one_env(envs, i)
+    target = env.objects[0]
     goals = np.zeros((_CELLS, _CELLS), np.bool_)
     there = agent.copy()
     for row in range(_CELLS):
@@ -339,7 +339,7 @@ def _viewpoints(agent, worlds, i):
             distance = math.hypot(there[AX] - target[X], there[AY] - target[Y])
             if distance < 0.55 or distance > 1.5:
                 continue
-            goals[row, column] = _can_aim(there, world)
+            goals[row, column] = _can_aim(there, env)
     return goals
 
 
@@ -367,7 +367,7 @@ def around(item, distance):
 
 
 @compiled()
-def _is_blocked(x, y, world, pushing):
+def _is_blocked(x, y, env, pushing):
     """Whether the agent would touch something at (x, y), or approach the wrong object.
 
     With `pushing` it may touch objects that it can push aside.
@@ -375,34 +375,34 @@ def _is_blocked(x, y, world, pushing):
     margin = AGENT_RADIUS + 0.03
     if max(abs(x), abs(y)) > ROOM / 2 - margin:
         return True
-    objects, ranks = world.objects, world.ranks
+    objects, ranks = env.objects, env.ranks
     for j in range(ranks.size):
-        if pushing and not world.finding:
+        if pushing and not env.finding:
             break
-        if j == world.hand or (world.finding and j == 0) or objects[j, Z] > 0.1:
+        if j == env.hand or (env.finding and j == 0) or objects[j, Z] > 0.1:
             continue
-        clear = 0.85 * footprint(world.extents[ranks[j]]) + margin
-        if world.finding:
+        clear = 0.85 * footprint(env.extents[ranks[j]]) + margin
+        if env.finding:
             clear = APPROACH_DISTANCE + 0.25
         if math.hypot(x - objects[j, X], y - objects[j, Y]) < clear:
             return True
-    if world.furnished:
-        return rectangle_gap(world.furniture[0], FURNITURE_SIZE[0], x, y) < margin
+    if env.furnished:
+        return rectangle_gap(env.furniture[0], FURNITURE_SIZE[0], x, y) < margin
     return False
 
 
 @compiled()
-def _blocked(worlds, i, pushing):
+def _blocked(envs, i, pushing):
     """The cells that the agent of env `i` keeps out of: bool [rows, columns].
 
     With `pushing` the way may lead through objects.
     """
-    world = one_world(worlds, i)
+    env = one_env(envs, i)
     blocked = np.zeros((_CELLS, _CELLS), np.bool_)
     for row in range(_CELLS):
         for column in range(_CELLS):
             x, y = _centre(row, column)
-            blocked[row, column] = _is_blocked(x, y, world, pushing)
+            blocked[row, column] = _is_blocked(x, y, env, pushing)
     return blocked
 
 

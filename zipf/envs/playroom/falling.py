@@ -18,7 +18,7 @@ STILL_MOTION = 0.01
 
 
 @compiled(references=False)
-def fall(worlds, i, before):
+def fall(envs, i, before):
     """Updates heights, orientations and the status of the objects of env `i`.
 
     Args:
@@ -26,18 +26,18 @@ def fall(worlds, i, before):
         i: the env.
         before: the objects' x, y before the physics of this step, float64 [C, 2].
     """
-    status, still = worlds.status[i], worlds.still[i]
+    status, still = envs.status[i], envs.still[i]
     for j in range(status.size):
-        item = worlds.objects[i, j]
+        item = envs.objects[i, j]
         if status[j] == HELD:
             still[j] = 0
-            worlds.lifted[i, j] |= item[Z] - worlds.agents[i, BASE] >= LIFT_HEIGHT
+            envs.lifted[i, j] |= item[Z] - envs.agents[i, BASE] >= LIFT_HEIGHT
             continue
         motion = math.hypot(item[X] - before[j, 0], item[Y] - before[j, 1])
-        status[j] = _fall(item, before[j], worlds.furnished, worlds.furniture[i])
+        status[j] = _fall(item, before[j], envs.furnished, envs.furniture[i])
         rests = status[j] != AIR and motion < STILL_MOTION
         still[j] = min(still[j] + 1, STILL_STEPS) if rests else 0
-        _stand_up(worlds.orientation[i, j], item[ANGLE])
+        _stand_up(envs.orientation[i, j], item[ANGLE])
 
 
 @compiled(references=False)

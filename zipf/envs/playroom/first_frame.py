@@ -9,10 +9,10 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from zipf.envs.baselines import ReferenceScore
+from zipf.envs.baselines import BaselineScore
 from zipf.envs.playroom import levels
 from zipf.envs.playroom.achieved import Achievement
-from zipf.envs.playroom.references import blind
+from zipf.envs.playroom.baselines import blind
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.splits import Split
 from zipf.envs.vector import Observation
@@ -68,13 +68,13 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
     def _furnish(self, i: int) -> None:
         """Does nothing: no question needs the physics, which would take two thirds of the time."""
 
-    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+    def _set_env_states(self, state: Mapping[str, NDArray[Any]]) -> None:
         # An answer ends the episode: one that is running has none, and none has two.
         if (state["lengths"] > ~state["running"]).any():
             raise ValueError(
                 "the state is not one of questions, or damaged: an episode is its first frame"
             )
-        super()._set_worlds(state)
+        super()._set_env_states(state)
 
     def _replay(self, begun: NDArray[np.bool_], lengths: NDArray[np.int64]) -> None:
         # An answer moves nothing, and without physics nothing could be moved.
@@ -84,12 +84,12 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
         self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
         self._pointed_at = np.where(actions == self._side, 0, 1)
-        right = (self._pointed_at == 0) | (self.worlds.ranks[:, 0] == self.worlds.ranks[:, 1])
+        right = (self._pointed_at == 0) | (self.envs.ranks[:, 0] == self.envs.ranks[:, 1])
         ended = np.ones(self.num_envs, np.bool_)
         return right.astype(np.float64), ended, ~ended, right
 
     def _achievement(self, i: int) -> Achievement:
-        return int(self._pointed_at[i]), int(self.worlds.task[i])
+        return int(self._pointed_at[i]), int(self.envs.task[i])
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ class FirstFrames:
     def __call__(self, num_envs: int, **options: Any) -> FirstFrameVectorEnv:
         return FirstFrameVectorEnv(num_envs, self.level.partition("/")[2], **options)
 
-    def reference(self, name: str, **options: Any) -> ReferenceScore | None:
-        """What a player that does not learn scores with its answers, see `zipf.envs.reference`.
+    def baseline(self, name: str, **options: Any) -> BaselineScore | None:
+        """What a policy that does not learn scores with its answers, see `zipf.envs.baseline`.
 
         Random answers name a random one of the two objects, and so does a policy that cannot read:
         both score as a blind policy that walks to an object. No scripted policy answers questions.

@@ -14,7 +14,7 @@ from zipf.envs.playroom.geometry import rectangle_gap
 from zipf.envs.playroom.in_view import look
 from zipf.envs.playroom.layout import FIRST_PITCH
 from zipf.envs.playroom.levels import LIFT, NEAR, ON
-from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Worlds, X
+from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Envs, X
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.playroom.view import FIELD_OF_VIEW
 from zipf.envs.policies import Remembering
@@ -73,17 +73,17 @@ class Generalist(Remembering):
     def __init__(self, env: PlayroomVectorEnv) -> None:
         require_playable(env, "generalist")
         self.env = env
-        worlds, n = env.worlds, env.num_envs
-        count = worlds.ranks.shape[1]
+        envs, n = env.envs, env.num_envs
+        count = envs.ranks.shape[1]
         height, width = env.single_observation_space["image"].shape[:2]  # type: ignore[index]
         self._wide = math.tan(math.radians(FIELD_OF_VIEW) / 2)
         self._high = self._wide * height / width
         # What is remembered. The poses of what has not been seen are nowhere.
         self._items = np.zeros((n, count), np.bool_)
         self._supports = np.zeros((n, 2), np.bool_)
-        self._objects = np.zeros_like(worlds.objects)
-        self._orientation = np.zeros_like(worlds.orientation)
-        self._furniture = np.zeros_like(worlds.furniture)
+        self._objects = np.zeros_like(envs.objects)
+        self._orientation = np.zeros_like(envs.orientation)
+        self._furniture = np.zeros_like(envs.furniture)
         # The search: how often the room has been searched, how far this time, where next.
         self._sweeps = np.zeros(n, np.int64)
         self._turned = np.zeros(n)
@@ -95,7 +95,7 @@ class Generalist(Remembering):
         self._lengths = np.full(n, -1, np.int64)
         self._yaw = np.zeros(n)
         believed: Any = SimpleNamespace(
-            num_envs=n, worlds=worlds, rooms=env.rooms, lengths=env.lengths,
+            num_envs=n, envs=envs, rooms=env.rooms, lengths=env.lengths,
             single_action_space=env.single_action_space,
         )  # fmt: skip
         self._believed = believed
@@ -105,16 +105,16 @@ class Generalist(Remembering):
         """The next action of every env, int64 [N]."""
         env = self.env
         moved = self._follow()
-        worlds = self._look()
-        self._expert.worlds = worlds
+        envs = self._look()
+        self._expert.envs = envs
         self._believed.rooms, self._believed.lengths = env.rooms, env.lengths
-        return np.array([self._act(worlds, i, bool(moved[i])) for i in range(env.num_envs)])
+        return np.array([self._act(envs, i, bool(moved[i])) for i in range(env.num_envs)])
 
     def _follow(self) -> NDArray[np.bool_]:
         """Forgets the episodes before; returns which envs have moved since the last call, [N]."""
-        worlds, lengths = self.env.worlds, self.env.lengths
+        envs, lengths = self.env.envs, self.env.lengths
         same = (lengths > 0) & (lengths >= self._lengths)
-        same &= (worlds.scenery == self._scenery).all(1) & (worlds.ranks == self._ranks).all(1)
+        same &= (envs.scenery == self._scenery).all(1) & (envs.ranks == self._ranks).all(1)
         moved = same & (lengths != self._lengths)
         new = ~same
         self._items[new] = self._supports[new] = False
@@ -123,68 +123,68 @@ class Generalist(Remembering):
         self._sweeps[new] = self._walked[new] = 0
         self._turned[new] = 0.0
         self._spots[new] = -1
-        self._scenery[:], self._ranks[:], self._lengths[:] = worlds.scenery, worlds.ranks, lengths
+        self._scenery[:], self._ranks[:], self._lengths[:] = envs.scenery, envs.ranks, lengths
         return moved
 
-    def _look(self) -> Worlds:
+    def _look(self) -> Envs:
         """Adds what is in view now; returns the envs as they are remembered."""
-        worlds = self.env.worlds
+        envs = self.env.envs
         items, supports = np.zeros_like(self._items), np.zeros_like(self._supports)
-        look(worlds, self._wide, self._high, items, supports)
-        held = np.flatnonzero(worlds.hands >= 0)
-        items[held, worlds.hands[held]] = True
+        look(envs, self._wide, self._high, items, supports)
+        held = np.flatnonzero(envs.hands >= 0)
+        items[held, envs.hands[held]] = True
         self._items |= items
         self._supports |= supports
-        self._objects[items] = worlds.objects[items]
-        self._orientation[items] = worlds.orientation[items]
-        self._furniture[supports] = worlds.furniture[supports]
-        worlds = worlds._replace(
+        self._objects[items] = envs.objects[items]
+        self._orientation[items] = envs.orientation[items]
+        self._furniture[supports] = envs.furniture[supports]
+        envs = envs._replace(
             objects=self._objects, orientation=self._orientation, furniture=self._furniture
         )
         # What would be in view now if it still were where it was.
         expected = np.zeros_like(items)
-        look(worlds, self._wide, self._high, expected, supports)
+        look(envs, self._wide, self._high, expected, supports)
         gone = expected & ~items
         self._items[gone] = False
         self._objects[gone] = _NOWHERE
-        if not worlds.finding:
-            return worlds
+        if not envs.finding:
+            return envs
         # Of two toys of the kind that is named it goes to the nearer.
-        apart = np.linalg.norm(self._objects[:, :, :2] - worlds.agents[:, None, :2], axis=2)
-        swap = (worlds.ranks[:, 0] == worlds.ranks[:, 1]) & (apart[:, 1] < apart[:, 0])
+        apart = np.linalg.norm(self._objects[:, :, :2] - envs.agents[:, None, :2], axis=2)
+        swap = (envs.ranks[:, 0] == envs.ranks[:, 1]) & (apart[:, 1] < apart[:, 0])
         objects = self._objects.copy()
         objects[swap] = objects[swap, ::-1]
-        return worlds._replace(objects=objects)
+        return envs._replace(objects=objects)
 
-    def _act(self, worlds: Worlds, i: int, moved: bool) -> int:
-        task, holds = int(worlds.task[i]), bool(worlds.hands[i] == 0)
-        if worlds.hands[i] > 0:
+    def _act(self, envs: Envs, i: int, moved: bool) -> int:
+        task, holds = int(envs.task[i]), bool(envs.hands[i] == 0)
+        if envs.hands[i] > 0:
             known = True  # it lets go of the wrong toy
-        elif holds and task != LIFT and worlds.lifted[i, 0]:
+        elif holds and task != LIFT and envs.lifted[i, 0]:
             known = bool(self._supports[i, task - (NEAR if task < ON else ON)])
         else:
-            known = worlds.objects[i, 0, X] != _NOWHERE
-        yaw = float(worlds.agents[i, YAW])
+            known = envs.objects[i, 0, X] != _NOWHERE
+        yaw = float(envs.agents[i, YAW])
         if known and not self._bumps(i):
             self._sweeps[i], self._turned[i], self._spots[i] = 0, 0.0, -1
             action = self._expert.act(i)
         else:
-            action = self._search(worlds, i, moved, holds) + (actions.GRAB if holds else 0)
+            action = self._search(envs, i, moved, holds) + (actions.GRAB if holds else 0)
         self._yaw[i] = yaw
         return action
 
     def _bumps(self, i: int) -> bool:
         """Whether the agent touches a bed that it has not seen, and so has to look for it."""
-        worlds = self.env.worlds
-        if not worlds.furnished or self._supports[i, 0]:
+        envs = self.env.envs
+        if not envs.furnished or self._supports[i, 0]:
             return False
-        agent = worlds.agents[i]
-        gap = rectangle_gap(worlds.furniture[i, 0], FURNITURE_SIZE[0], agent[AX], agent[AY])
+        agent = envs.agents[i]
+        gap = rectangle_gap(envs.furniture[i, 0], FURNITURE_SIZE[0], agent[AX], agent[AY])
         return bool(gap < AGENT_RADIUS + _TOUCH)
 
-    def _search(self, worlds: Worlds, i: int, moved: bool, holds: bool) -> int:
+    def _search(self, envs: Envs, i: int, moved: bool, holds: bool) -> int:
         """Turns to the right, and after a full turn looks elsewhere."""
-        agent = worlds.agents[i]
+        agent = envs.agents[i]
         if self._spots[i] >= 0:
             spot = _SPOTS[self._spots[i]]
             self._walked[i] += moved
@@ -205,5 +205,5 @@ class Generalist(Remembering):
             if self._sweeps[i] % 2 == 0:
                 away = np.linalg.norm(_SPOTS - agent[[AX, AY]], axis=1)
                 self._spots[i], self._walked[i] = away.argmax(), 0
-            return self._search(worlds, i, False, holds)
+            return self._search(envs, i, False, holds)
         return actions.TURN_RIGHT

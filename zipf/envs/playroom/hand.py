@@ -50,7 +50,7 @@ from zipf.envs.playroom.state import (
     X,
     Y,
     Z,
-    one_world,
+    one_env,
 )
 
 # Ours.
@@ -74,7 +74,7 @@ _COAST = FRAME * sum(math.exp(-DAMPING * FRAME * k) for k in range(FRAMES))
 
 
 @compiled()
-def control(mask, actions, worlds, commands):
+def control(mask, actions, envs, commands):
     """Applies the actions of the envs of `mask`, and tells the physics what to do.
 
     Args:
@@ -88,35 +88,35 @@ def control(mask, actions, worlds, commands):
         if not mask[i]:
             continue
         act = CONTROL_TABLE[actions[i]]
-        agent, objects, orientation = worlds.agents[i], worlds.objects[i], worlds.orientation[i]
-        status, spot = worlds.status[i], worlds.spots[i]
+        agent, objects, orientation = envs.agents[i], envs.objects[i], envs.orientation[i]
+        status, spot = envs.status[i], envs.spots[i]
         pose[:] = agent
         agent[YAW] -= act[2] * TURN_RATE * STEP
         agent[YAW] -= 2 * math.pi * math.floor((agent[YAW] + math.pi) / (2 * math.pi))
         agent[PITCH] = min(max(agent[PITCH] + act[3] * LOOK_RATE * STEP, LOWEST), HIGHEST)
         commands.turned[i] = -1
-        held = worlds.hands[i]
+        held = envs.hands[i]
         if held < 0:
             if act[8] > 0:
-                held = pick(agent, one_world(worlds, i))
-                if held >= 0 and find_room(agent, one_world(worlds, i), held, spot):
-                    worlds.hands[i] = held
+                held = pick(agent, one_env(envs, i))
+                if held >= 0 and find_room(agent, one_env(envs, i), held, spot):
+                    envs.hands[i] = held
                     status[held] = HELD
                     agent[BASE] = objects[held, Z]
         elif act[8] == 0:
-            worlds.hands[i] = -1
+            envs.hands[i] = -1
             status[held] = AIR
-            _release(objects[held], orientation[held], worlds.extents[worlds.ranks[i, held]])
+            _release(objects[held], orientation[held], envs.extents[envs.ranks[i, held]])
             commands.turned[i] = held
         else:
             turned[:] = orientation[held]
             agent[HOLD] += act[7] * PUSH_RATE * STEP
-            agent[HOLD] = min(max(agent[HOLD], NEAREST_HOLD), worlds.reach)
+            agent[HOLD] = min(max(agent[HOLD], NEAREST_HOLD), envs.reach)
             _spin(orientation[held], agent, act)
-            if not find_room(agent, one_world(worlds, i), held, spot):
+            if not find_room(agent, one_env(envs, i), held, spot):
                 agent[:] = pose
                 orientation[held] = turned
-        held = worlds.hands[i]
+        held = envs.hands[i]
         if held >= 0:
             _reach_out(agent, objects[held], spot, commands.drives[i])
             objects[held, Z] = spot[2]
@@ -145,24 +145,24 @@ def _layer(status, height):
 
 
 @compiled()
-def pick(agent, world):
+def pick(agent, env):
     """The object that an agent could grip, or -1.
 
     Args:
         agent: a row of `Worlds.agents` or a pose that is tried out, float64 [6]; HOLD is written.
         env: `World`, read.
     """
-    ranks, furniture = world.ranks, world.furniture
-    objects, orientation = world.objects, world.orientation
+    ranks, furniture = env.ranks, env.furniture
+    objects, orientation = env.objects, env.orientation
     direction = np.empty(3)
     direction[0] = math.cos(agent[PITCH]) * math.cos(agent[YAW])
     direction[1] = math.cos(agent[PITCH]) * math.sin(agent[YAW])
     direction[2] = math.sin(agent[PITCH])
-    picked, nearest = -1, world.reach
+    picked, nearest = -1, env.reach
     centre = np.empty(3)
     half = np.empty(3)
     frame = np.empty((3, 3))
-    if world.furnished:
+    if env.furnished:
         for k in range(2):
             half[0], half[1] = FURNITURE_SIZE[k, 0], FURNITURE_SIZE[k, 1]
             half[2] = FURNITURE_SIZE[k, 2] / 2
@@ -170,7 +170,7 @@ def pick(agent, world):
             set_upright(frame, furniture[k, 2])
             nearest = min(nearest, distance_along(direction, agent, centre, frame, half))
     for j in range(ranks.size):
-        extent = world.extents[ranks[j]]
+        extent = env.extents[ranks[j]]
         for c in range(3):
             half[c] = extent[c] / 2 + AIM_MARGIN
         centre[0], centre[1] = objects[j, X], objects[j, Y]
@@ -183,7 +183,7 @@ def pick(agent, world):
                 + (centre[1] - agent[AY]) * direction[1]
                 + (centre[2] - EYE) * direction[2]
             )
-            agent[HOLD] = min(max(along, NEAREST_HOLD), world.reach)
+            agent[HOLD] = min(max(along, NEAREST_HOLD), env.reach)
     return picked
 
 
@@ -260,7 +260,7 @@ def _reach_out(agent, item, spot, drive):
 
 
 @compiled()
-def keep_in_hand(worlds, i, start):
+def keep_in_hand(envs, i, start):
     """After the physics, puts the held object of env `i` back in front of the agent.
 
     Other objects may have stopped it on its way, but do not push it aside.
@@ -270,16 +270,16 @@ def keep_in_hand(worlds, i, start):
         i: the env.
         start: the agent's x, y before the physics, float64 [2], where there was room.
     """
-    held = worlds.hands[i]
-    agent, item, spot = worlds.agents[i], worlds.objects[i, held], worlds.spots[i]
-    if not find_room(agent, one_world(worlds, i), held, spot):
+    held = envs.hands[i]
+    agent, item, spot = envs.agents[i], envs.objects[i, held], envs.spots[i]
+    if not find_room(agent, one_env(envs, i), held, spot):
         agent[AX], agent[AY] = start[0], start[1]
     cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
     distance = (item[X] - agent[AX]) * cos + (item[Y] - agent[AY]) * sin
     distance = min(max(distance, spot[0]), spot[1])
     item[X], item[Y] = agent[AX] + distance * cos, agent[AY] + distance * sin
-    item[Z] = max(spot[2], floor_of_hand(worlds.furnished, worlds.furniture[i], item))
+    item[Z] = max(spot[2], floor_of_hand(envs.furnished, envs.furniture[i], item))
     if item[Z] > spot[2]:  # it slid onto a support
-        extent = worlds.extents[worlds.ranks[i, held]]
-        high = half_width(worlds.orientation[i, held], extent, 0.0, 0.0, 1.0)
+        extent = envs.extents[envs.ranks[i, held]]
+        high = half_width(envs.orientation[i, held], extent, 0.0, 0.0, 1.0)
         keep_in_view(agent, item[Z] + high, distance)

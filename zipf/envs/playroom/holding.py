@@ -31,7 +31,7 @@ _EXACT = 1e-6
 
 
 @compiled()
-def find_room(agent, world, held, spot):
+def find_room(agent, env, held, spot):
     """Finds where an object can be held, and pushes the agent back where there is too little room.
 
     Args:
@@ -45,20 +45,20 @@ def find_room(agent, world, held, spot):
     Returns:
         Whether there is room. If not, the agent's place is as it was.
     """
-    item = world.objects[held]
-    floor = floor_of_hand(world.furnished, world.furniture, item)
-    if _find_room(agent, world, held, floor, spot):
+    item = env.objects[held]
+    floor = floor_of_hand(env.furnished, env.furniture, item)
+    if _find_room(agent, env, held, floor, spot):
         return True
     # Where there is no room beside the bed, an object as high as the bed stays as high.
     top = FURNITURE_SIZE[0, 2]
-    high = world.furnished and item[Z] >= top - CLIMB
-    return high and _find_room(agent, world, held, top, spot)
+    high = env.furnished and item[Z] >= top - CLIMB
+    return high and _find_room(agent, env, held, top, spot)
 
 
 @compiled()
-def _find_room(agent, world, held, floor, spot):
+def _find_room(agent, env, held, floor, spot):
     """As `find_room`, with the object no lower than `floor`."""
-    frame, extent = world.orientation[held], world.extents[world.ranks[held]]
+    frame, extent = env.orientation[held], env.extents[env.ranks[held]]
     cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
     high = half_width(frame, extent, 0.0, 0.0, 1.0)
     body = AGENT_RADIUS + CLEARANCE + half_width(frame, extent, cos, sin, 0.0)
@@ -70,7 +70,7 @@ def _find_room(agent, world, held, floor, spot):
         far = max((height - EYE) / slope, body)
     steepest = min(abs(agent[PITCH]) + SLACK, _STEEPEST)
     near = max(body, abs(height - EYE) / math.tan(steepest))
-    low = world.furnished and height - high < FURNITURE_SIZE[0, 2] - CLIMB
+    low = env.furnished and height - high < FURNITURE_SIZE[0, 2] - CLIMB
     x, y = agent[AX], agent[AY]
     reach = np.empty(2)
     for _ in range(_ROUNDS):
@@ -78,9 +78,9 @@ def _find_room(agent, world, held, floor, spot):
         # Summed up: pushes that undo each other leave the agent in place, but make no room.
         pushed = _clear_walls(agent, frame, extent, cos, sin, reach)
         if low:
-            pushed += _clear_bed(agent, world, held, cos, sin, reach)
+            pushed += _clear_bed(agent, env, held, cos, sin, reach)
         if agent[AX] != x or agent[AY] != y:
-            pushed += _keep_body_out(agent, world)
+            pushed += _keep_body_out(agent, env)
         if pushed < _EXACT:
             spot[0], spot[1], spot[2] = reach[0], reach[1], height - high
             keep_in_view(agent, height, far)
@@ -119,11 +119,11 @@ def _clear_walls(agent, frame, extent, cos, sin, reach):
 
 
 @compiled()
-def _clear_bed(agent, world, held, cos, sin, reach):
+def _clear_bed(agent, env, held, cos, sin, reach):
     """Keeps the distances on the side of the bed where the object is, or pushes the agent back;
     returns how far."""
-    bed, item, frame = world.furniture[0], world.objects[held], world.orientation[held]
-    extent = world.extents[world.ranks[held]]
+    bed, item, frame = env.furniture[0], env.objects[held], env.orientation[held]
+    extent = env.extents[env.ranks[held]]
     c, s = math.cos(bed[2]), math.sin(bed[2])
     # The bed with a margin of half the object's size, in the bed's own directions.
     half_x = FURNITURE_SIZE[0, 0] + half_width(frame, extent, c, s, 0.0)
@@ -166,16 +166,16 @@ def _crossing(start, along, half):
 
 
 @compiled()
-def _keep_body_out(agent, world):
+def _keep_body_out(agent, env):
     """Moves the agent out of the walls and the bed; returns how far."""
     limit, pushed = ROOM / 2 - AGENT_RADIUS, 0.0
     for axis in range(2):
         inside = min(max(agent[AX + axis], -limit), limit)
         pushed += abs(inside - agent[AX + axis])
         agent[AX + axis] = inside
-    if not world.furnished:
+    if not env.furnished:
         return pushed
-    bed = world.furniture[0]
+    bed = env.furniture[0]
     gap = rectangle_gap(bed, FURNITURE_SIZE[0], agent[AX], agent[AY])
     if gap >= AGENT_RADIUS:
         return pushed

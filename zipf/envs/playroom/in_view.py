@@ -8,7 +8,7 @@ from zipf.compiled import compiled
 from zipf.envs.playroom.constants import EYE, FURNITURE_SIZE
 from zipf.envs.playroom.geometry import half_width, set_upright
 from zipf.envs.playroom.hand import distance_along
-from zipf.envs.playroom.state import AX, AY, PITCH, YAW, X, Y, Z, one_world
+from zipf.envs.playroom.state import AX, AY, PITCH, YAW, X, Y, Z, one_env
 
 # Ours. A thing is in view where this share of the points of a grid within it are.
 _SHARE = 0.25
@@ -17,7 +17,7 @@ _INNER = 0.7
 
 
 @compiled()
-def look(worlds, wide, high, items, supports):
+def look(envs, wide, high, items, supports):
     """Says what is in view of the agents.
 
     A bounding box hides what is behind it.
@@ -29,26 +29,26 @@ def look(worlds, wide, high, items, supports):
         supports: bool [N, 2], bed and tray, written; False without furniture.
     """
     for i in range(len(items)):
-        world, agent = one_world(worlds, i), worlds.agents[i]
+        env, agent = one_env(envs, i), envs.agents[i]
         count = items.shape[1]
         centres, halves = np.empty((count + 2, 3)), np.empty((count + 2, 3))
         frames = np.empty((count + 2, 3, 3))
-        boxes = count + 2 if world.furnished else count
+        boxes = count + 2 if env.furnished else count
         for j in range(count):
-            extent, frame = world.extents[world.ranks[j]], world.orientation[j]
+            extent, frame = env.extents[env.ranks[j]], env.orientation[j]
             frames[j] = frame
             for c in range(3):
                 halves[j, c] = extent[c] / 2
-            centres[j, 0], centres[j, 1] = world.objects[j, X], world.objects[j, Y]
-            centres[j, 2] = world.objects[j, Z] + half_width(frame, extent, 0.0, 0.0, 1.0)
+            centres[j, 0], centres[j, 1] = env.objects[j, X], env.objects[j, Y]
+            centres[j, 2] = env.objects[j, Z] + half_width(frame, extent, 0.0, 0.0, 1.0)
         for k in range(boxes - count):
-            set_upright(frames[count + k], world.furniture[k, 2])
+            set_upright(frames[count + k], env.furniture[k, 2])
             for c in range(3):
                 halves[count + k, c] = FURNITURE_SIZE[k, c]
             halves[count + k, 2] /= 2
             centres[count + k, 0], centres[count + k, 1] = (
-                world.furniture[k, 0],
-                world.furniture[k, 1],
+                env.furniture[k, 0],
+                env.furniture[k, 1],
             )
             centres[count + k, 2] = halves[count + k, 2]
         for j in range(count):

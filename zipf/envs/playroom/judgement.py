@@ -15,7 +15,7 @@ APPROACH_DISTANCE = 0.7
 
 
 @compiled(references=False)
-def settle(mask, start, before, worlds, reward, terminated, success):
+def settle(mask, start, before, envs, reward, terminated, success):
     """After the physics, objects are held or fall, and episodes are judged.
 
     Args:
@@ -28,28 +28,28 @@ def settle(mask, start, before, worlds, reward, terminated, success):
     for i in range(mask.size):
         if not mask[i]:
             continue
-        if worlds.hands[i] >= 0:
-            keep_in_hand(worlds, i, start[i])
-        fall(worlds, i, before[i])
-        outcome = _judge(worlds, i)
+        if envs.hands[i] >= 0:
+            keep_in_hand(envs, i, start[i])
+        fall(envs, i, before[i])
+        outcome = _judge(envs, i)
         terminated[i] = outcome >= 0
         success[i] = outcome == 1
         reward[i] = 1.0 if outcome == 1 else 0.0
 
 
 @compiled(references=False)
-def _judge(worlds, i):
+def _judge(envs, i):
     """1 if the task was done, 0 if it was done with the wrong object or place, -1 if neither.
 
     An object counts as the target if it is of the target's rank.
     """
-    ranks = worlds.ranks[i]
-    if worlds.finding:
-        return _judge_approach(ranks, worlds.agents[i], worlds.objects[i])
-    if worlds.task[i] != LIFT:
-        return _judge_put(worlds, i)
-    held = worlds.hands[i]
-    if held >= 0 and worlds.lifted[i, held]:
+    ranks = envs.ranks[i]
+    if envs.finding:
+        return _judge_approach(ranks, envs.agents[i], envs.objects[i])
+    if envs.task[i] != LIFT:
+        return _judge_put(envs, i)
+    held = envs.hands[i]
+    if held >= 0 and envs.lifted[i, held]:
         return 1 if ranks[held] == ranks[0] else 0
     return -1
 
@@ -79,25 +79,25 @@ def nearest_within(distance, agent, objects):
 
 
 @compiled(references=False)
-def _judge_put(worlds, i):
+def _judge_put(envs, i):
     """1 if the target was put on or near the right support, 0 for any other, -1 if nothing was put.
 
     An object has been put when it rests after having been lifted. Where the task is to put the
     target near a support, putting it on the support is right, too; another object near a support,
     or the target near the wrong one, is nothing yet, or a failure with `near_failure`.
     """
-    task, ranks, status = worlds.task[i], worlds.ranks[i], worlds.status[i]
-    objects, furniture = worlds.objects[i], worlds.furniture[i]
+    task, ranks, status = envs.task[i], envs.ranks[i], envs.status[i]
+    objects, furniture = envs.objects[i], envs.furniture[i]
     near = task < ON
     support = task - (NEAR if near else ON)
     for j in range(ranks.size):
-        if not worlds.lifted[i, j] or worlds.still[i, j] < STILL_STEPS:
+        if not envs.lifted[i, j] or envs.still[i, j] < STILL_STEPS:
             continue
         for k in range(2):
             right = k == support and ranks[j] == ranks[0]
             if status[j] == ON_BED + k:
                 return 1 if right else 0
-            if near and status[j] == FLOOR and (right or worlds.near_failure):
+            if near and status[j] == FLOOR and (right or envs.near_failure):
                 gap = rectangle_gap(furniture[k], FURNITURE_SIZE[k], objects[j, X], objects[j, Y])
                 if gap <= NEAR_DISTANCE:
                     return 1 if right else 0

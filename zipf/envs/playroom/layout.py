@@ -41,7 +41,7 @@ _MAX_TRIES = 10_000
 
 
 @compiled()
-def draw_situations(mask, forced, probabilities, tasks, streams, worlds):
+def draw_situations(mask, forced, probabilities, tasks, streams, envs):
     """Draws ranks, task and the seed of everything else for the episodes of `mask`.
 
     Every episode takes the same number of draws from its env's stream, forced or not. Objects
@@ -55,14 +55,14 @@ def draw_situations(mask, forced, probabilities, tasks, streams, worlds):
         streams: the envs' random streams, uint64 [N, 4], advanced.
         envs: `ranks`, `task` and `scenery` are written.
     """
-    replacement = worlds.finding
-    count = worlds.ranks.shape[1]
+    replacement = envs.finding
+    count = envs.ranks.shape[1]
     left = np.empty_like(probabilities)
     drawn = np.empty(count, np.int64)
     for i in range(mask.size):
         if not mask[i]:
             continue
-        stream, ranks, scenery = streams[i], worlds.ranks[i], worlds.scenery[i]
+        stream, ranks, scenery = streams[i], envs.ranks[i], envs.scenery[i]
         left[:] = probabilities
         for k in range(count):
             total = left.sum()
@@ -86,9 +86,9 @@ def draw_situations(mask, forced, probabilities, tasks, streams, worlds):
         if not replacement:
             _keep_apart(ranks, drawn, forced[:, i])
         choice = _below(stream, max(tasks.size, 1))
-        worlds.task[i] = tasks[choice] if tasks.size else LIFT
+        envs.task[i] = tasks[choice] if tasks.size else LIFT
         if forced.shape[0] > count and forced[count, i] >= 0:
-            worlds.task[i] = forced[count, i]
+            envs.task[i] = forced[count, i]
         for k in range(2):
             scenery[k] = np.uint64(pcg64.next_double(stream) * 9007199254740992.0)
             scenery[2 + k] = np.uint64(2 * k + 1)
@@ -118,7 +118,7 @@ def _keep_apart(ranks, drawn, forced):
 
 
 @compiled()
-def lay_out(mask, worlds):
+def lay_out(mask, envs):
     """Places agent, objects and furniture of the episodes of `mask`, and paints them.
 
     Nothing overlaps, the agent can reach everything, and no place is near both bed and tray. Draws
@@ -131,14 +131,14 @@ def lay_out(mask, worlds):
     for i in range(mask.size):
         if not mask[i]:
             continue
-        stream, agent, objects = worlds.scenery[i], worlds.agents[i], worlds.objects[i]
-        furniture = worlds.furniture[i]
-        _paint(stream, worlds.colours[i])
+        stream, agent, objects = envs.scenery[i], envs.agents[i], envs.objects[i]
+        furniture = envs.furniture[i]
+        _paint(stream, envs.colours[i])
         tries = 0
         placed = False
         while not placed and tries < _MAX_TRIES:
             tries += 1
-            if worlds.furnished:
+            if envs.furnished:
                 _place_furniture(stream, furniture)
                 bed, tray = furniture[0], furniture[1]
                 gap = rectangles_gap(bed, FURNITURE_SIZE[0], tray, FURNITURE_SIZE[1])
@@ -146,11 +146,11 @@ def lay_out(mask, worlds):
                     continue
             agent[HOLD] = agent[BASE] = 0.0
             agent[PITCH] = FIRST_PITCH
-            if worlds.finding:
+            if envs.finding:
                 _face_two(stream, agent, objects)
                 placed = True
             else:
-                placed = _scatter(stream, worlds, i)
+                placed = _scatter(stream, envs, i)
                 _face_the_objects(stream, agent, objects)
         fits &= placed
         for j in range(objects.shape[0]):
@@ -205,14 +205,14 @@ def _is_free(x, y, radius, furnished, furniture):
 
 
 @compiled()
-def _scatter(stream, worlds, i):
+def _scatter(stream, envs, i):
     """Places agent and objects anywhere; False where no place was found for one of them.
 
     The objects are placed in a random order: the later ones are pushed outwards by those before,
     and the target, which is the first of them, would be found in the middle of the room.
     """
-    ranks, extents = worlds.ranks[i], worlds.extents
-    agent, objects = worlds.agents[i], worlds.objects[i]
+    ranks, extents = envs.ranks[i], envs.extents
+    agent, objects = envs.agents[i], envs.objects[i]
     order = np.arange(ranks.size)
     for last in range(ranks.size - 1, 0, -1):
         other = _below(stream, last + 1)
@@ -224,7 +224,7 @@ def _scatter(stream, worlds, i):
         for _ in range(50):
             x = _between(stream, -ROOM / 2, ROOM / 2)
             y = _between(stream, -ROOM / 2, ROOM / 2)
-            if not _is_free(x, y, radius + 0.05, worlds.furnished, worlds.furniture[i]):
+            if not _is_free(x, y, radius + 0.05, envs.furnished, envs.furniture[i]):
                 continue
             found = j < 0 or math.hypot(x - agent[AX], y - agent[AY]) > radius + AGENT_RADIUS + 0.2
             for k in order[: max(turn, 0)]:
@@ -266,13 +266,13 @@ def _face_two(stream, agent, objects):
 
 
 @compiled()
-def begin(mask, worlds):
+def begin(mask, envs):
     """Sets the state that follows from the poses which `lay_out` has drawn."""
     for i in range(mask.size):
         if mask[i]:
-            worlds.hands[i] = -1
-            for j in range(worlds.status.shape[1]):
-                worlds.status[i, j] = FLOOR
-                worlds.still[i, j] = 0
-                worlds.lifted[i, j] = False
-                set_upright(worlds.orientation[i, j], worlds.objects[i, j, ANGLE])
+            envs.hands[i] = -1
+            for j in range(envs.status.shape[1]):
+                envs.status[i, j] = FLOOR
+                envs.still[i, j] = 0
+                envs.lifted[i, j] = False
+                set_upright(envs.orientation[i, j], envs.objects[i, j, ANGLE])

@@ -3,10 +3,10 @@
 from typing import Any
 
 from zipf.envs.playroom.vector import PlayroomVectorEnv
-from zipf.envs.single import SingleWorld
+from zipf.envs.single import SingleEnv
 
 
-class PlayroomEnv(SingleWorld):
+class PlayroomEnv(SingleEnv):
     """Zipf's Playroom: do what you are told with toys of which most are rarely met.
 
     ## Description

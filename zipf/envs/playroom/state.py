@@ -19,7 +19,7 @@ GROUND_LAYER, RAISED_LAYER, LOW_LAYER, CARRIED_LAYER, HELD_LAYER, BED_LAYER, TRA
 """Values of `layers`: what an object collides with, see `room.py`."""
 
 
-class Worlds(NamedTuple):
+class Envs(NamedTuple):
     """The state of N envs of one level, with C objects each, of which the target is the first.
 
     Compiled functions check no bounds: ranks, tasks and held objects must be in range.
@@ -64,7 +64,7 @@ class Worlds(NamedTuple):
     """Main and accent colours of the objects, then of bed and tray, [N, C + 2, 2, 3]."""
 
 
-class World(NamedTuple):
+class Env(NamedTuple):
     """One of the `Worlds`: where things are."""
 
     finding: bool
@@ -79,14 +79,14 @@ class World(NamedTuple):
 
 
 @compiled()
-def one_world(worlds, i):
+def one_env(envs, i):
     """`World` number `i`, to be passed to functions that are called often.
 
     Its arrays are views. Passing all of `Worlds` takes longer than such a function.
     """
-    return World(
-        worlds.finding, worlds.furnished, worlds.reach, worlds.extents, worlds.ranks[i],
-        worlds.hands[i], worlds.objects[i], worlds.orientation[i], worlds.furniture[i],
+    return Env(
+        envs.finding, envs.furnished, envs.reach, envs.extents, envs.ranks[i],
+        envs.hands[i], envs.objects[i], envs.orientation[i], envs.furniture[i],
     )  # fmt: skip
 
 
@@ -103,8 +103,8 @@ class Commands(NamedTuple):
     """[N]: an object that was just released, to be placed at its new angle, or -1."""
 
 
-def make_worlds(
-    num_worlds: int,
+def make_envs(
+    num_envs: int,
     num_objects: int,
     *,
     finding: bool,
@@ -112,10 +112,10 @@ def make_worlds(
     near_failure: bool,
     reach: float,
     extents: NDArray[np.float64],
-) -> Worlds:
+) -> Envs:
     """The state of envs in which no episode has begun."""
-    n, count = num_worlds, num_objects
-    return Worlds(
+    n, count = num_envs, num_objects
+    return Envs(
         finding=finding,
         furnished=furnished,
         near_failure=near_failure,
@@ -137,11 +137,11 @@ def make_worlds(
     )
 
 
-def make_commands(num_worlds: int, num_objects: int) -> Commands:
+def make_commands(num_envs: int, num_objects: int) -> Commands:
     """Commands to be written by `hand.control`."""
     return Commands(
-        layers=np.zeros((num_worlds, num_objects), np.int64),
-        forces=np.zeros((num_worlds, 2)),
-        drives=np.zeros((num_worlds, 2)),
-        turned=np.full(num_worlds, -1, np.int64),
+        layers=np.zeros((num_envs, num_objects), np.int64),
+        forces=np.zeros((num_envs, 2)),
+        drives=np.zeros((num_envs, 2)),
+        turned=np.full(num_envs, -1, np.int64),
     )

@@ -13,7 +13,7 @@ from zipf.envs.playroom import PlayroomOptions, chipmunk, hand, judgement, layou
 from zipf.envs.playroom.achieved import Achievement, achieved
 from zipf.envs.playroom.actions import ACTIONS
 from zipf.envs.playroom.room import Room
-from zipf.envs.playroom.state import GROUND_LAYER, YAW, make_commands, make_worlds
+from zipf.envs.playroom.state import GROUND_LAYER, YAW, make_commands, make_envs
 from zipf.envs.playroom.view import View, extents_of
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
@@ -68,7 +68,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._forced = np.full((len(self.situation), n), -1, np.int64)
         self._actions = np.zeros((n, self.max_steps), np.uint8)
         # The state that follows from them.
-        self.worlds = make_worlds(
+        self.envs = make_envs(
             n,
             count,
             finding=self.level.finding,
@@ -85,7 +85,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._texts = np.full(n, "", "<U40")
         self._side = np.zeros(n, np.int64)
         self._view = View(
-            self.object_names, self.worlds, width, height, varied=chosen.looks == "varied"
+            self.object_names, self.envs, width, height, varied=chosen.looks == "varied"
         )
         self._commands = make_commands(n, count)
 
@@ -107,35 +107,35 @@ class PlayroomVectorEnv(ZipfVectorEnv):
 
     def _start(self, mask: NDArray[np.bool_], streams: NDArray[np.uint64]) -> None:
         """Begins the episodes of the envs of `mask`, drawing from `streams`, uint64 [N, 4]."""
-        level, worlds = self.level, self.worlds
+        level, envs = self.level, self.envs
         tasks = np.array(level.tasks, np.int64)
-        layout.draw_situations(mask, self._forced, level.probabilities, tasks, streams, worlds)
-        if not layout.lay_out(mask, worlds):
+        layout.draw_situations(mask, self._forced, level.probabilities, tasks, streams, envs)
+        if not layout.lay_out(mask, envs):
             raise RuntimeError("no room for every object: this should not happen")
-        layout.begin(mask, worlds)
+        layout.begin(mask, envs)
         for i in np.flatnonzero(mask).tolist():
             self._furnish(i)
-            target = self.object_names[worlds.ranks[i, 0]]
-            text = levels.instruction(level, target, int(worlds.task[i]))
+            target = self.object_names[envs.ranks[i, 0]]
+            text = levels.instruction(level, target, int(envs.task[i]))
             self._texts[i] = text
             self._instructions[i] = levels.VOCABULARY.encode(text)
         if level.finding:
-            yaw = worlds.agents[:, YAW]
-            dx, dy = (worlds.objects[:, 0, :2] - worlds.agents[:, :2]).T
+            yaw = envs.agents[:, YAW]
+            dx, dy = (envs.objects[:, 0, :2] - envs.agents[:, :2]).T
             self._side[mask] = (np.cos(yaw) * dy < np.sin(yaw) * dx)[mask]
         self._view.begin(mask)
 
     def _furnish(self, i: int) -> None:
         """Begins an episode in the physics of env `i`, from the poses in `worlds`."""
-        worlds = self.worlds
+        envs = self.envs
         room = self.rooms[i]
         if room is None:
-            room = self.rooms[i] = Room(worlds.ranks.shape[1], self.level.furnished)
-        sizes = worlds.extents[worlds.ranks[i], :2]
+            room = self.rooms[i] = Room(envs.ranks.shape[1], self.level.furnished)
+        sizes = envs.extents[envs.ranks[i], :2]
         room.begin(
-            worlds.agents[i, :2].tolist(),
-            np.concatenate([worlds.objects[i, :, :3], sizes], axis=1).tolist(),
-            worlds.furniture[i].tolist() if self.level.furnished else [],
+            envs.agents[i, :2].tolist(),
+            np.concatenate([envs.objects[i, :, :3], sizes], axis=1).tolist(),
+            envs.furniture[i].tolist() if self.level.furnished else [],
         )
         self._spaces[i], self._bodies[i] = room.addresses()
         self._layers[i] = GROUND_LAYER
@@ -153,36 +153,36 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self, mask: NDArray[np.bool_], actions: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
         """Steps the envs of `mask`; returns reward, terminated and success [N]."""
-        before = self.worlds.objects[:, :, :2].copy()
+        before = self.envs.objects[:, :, :2].copy()
         reward = np.zeros(self.num_envs)
         terminated = np.zeros(self.num_envs, np.bool_)
         success = np.zeros(self.num_envs, np.bool_)
-        hand.control(mask, actions, self.worlds, self._commands)
-        start = self.worlds.agents[:, :2].copy()
+        hand.control(mask, actions, self.envs, self._commands)
+        start = self.envs.agents[:, :2].copy()
         self._simulate(mask)
-        judgement.settle(mask, start, before, self.worlds, reward, terminated, success)
+        judgement.settle(mask, start, before, self.envs, reward, terminated, success)
         return reward, terminated, success
 
     def _simulate(self, mask: NDArray[np.bool_]) -> None:
         """Runs the physics of a step: moves the agents and objects of the envs of `mask`."""
-        worlds, commands = self.worlds, self._commands
+        envs, commands = self.envs, self._commands
         for i, j in np.argwhere(mask[:, None] & (commands.layers != self._layers)).tolist():
             self._room(i).set_layer(j, int(commands.layers[i, j]))
         np.copyto(self._layers, commands.layers, where=mask[:, None])
         for i in np.flatnonzero(mask & (commands.turned >= 0)).tolist():
             item = int(commands.turned[i])
-            self._room(i).place(item, *worlds.objects[i, item, :3].tolist())
+            self._room(i).place(item, *envs.objects[i, item, :3].tolist())
         # The compiled code works on whatever is at these addresses.
         assert self._spaces.all(where=mask), "there is no physics of an env that is to be stepped"
         chipmunk.move_held(
             mask,
             chipmunk.functions(),
             self._bodies,
-            worlds.hands,
+            envs.hands,
             commands.turned,
             commands.drives,
-            worlds.agents,
-            worlds.objects,
+            envs.agents,
+            envs.objects,
         )
         chipmunk.simulate(
             mask,
@@ -190,8 +190,8 @@ class PlayroomVectorEnv(ZipfVectorEnv):
             self._spaces,
             self._bodies,
             commands.forces,
-            worlds.agents,
-            worlds.objects,
+            envs.agents,
+            envs.objects,
         )
 
     def _room(self, i: int) -> Room:
@@ -206,14 +206,14 @@ class PlayroomVectorEnv(ZipfVectorEnv):
 
     def _situations(self) -> dict[str, NDArray[np.int64]]:
         # Without furniture the task is not a part of the situation.
-        columns = [*self.worlds.ranks.T.copy(), self.worlds.task.copy()]
+        columns = [*self.envs.ranks.T.copy(), self.envs.task.copy()]
         return dict(zip(self.situation, columns, strict=False))
 
     def _describe(self) -> dict[str, NDArray[Any]]:
-        told: dict[str, NDArray[Any]] = {"instruction": self._texts.copy()}
+        info: dict[str, NDArray[Any]] = {"instruction": self._texts.copy()}
         if self.level.finding:
-            told["side"] = self._side.copy()
-        return told
+            info["side"] = self._side.copy()
+        return info
 
     def _achieved(self, ended: NDArray[np.bool_]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """The instruction to lift, put or approach what was lifted, put or approached."""
@@ -222,21 +222,21 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         for i in np.flatnonzero(ended).tolist():
             found = self._achievement(i)
             if found is not None:
-                target = self.object_names[self.worlds.ranks[i, found[0]]]
+                target = self.object_names[self.envs.ranks[i, found[0]]]
                 text = levels.instruction(self.level, target, found[1])
                 goals[i] = levels.VOCABULARY.encode(text)
                 has[i] = True
         return goals, has
 
     def _achievement(self, i: int) -> Achievement | None:
-        return achieved(self.worlds, i)
+        return achieved(self.envs, i)
 
     def _engine(self) -> Hashable:
         level = self.level
         return (
             (level.furnished, level.finding, tuple(self.situation.items())),
             (self.object_names, self.looks, self.max_steps),
-            (self.worlds.reach, self.worlds.near_failure),
+            (self.envs.reach, self.envs.near_failure),
             self.single_observation_space["image"].shape,
         )
 
@@ -245,10 +245,10 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self.__dict__.update(other.__dict__)
         self.level = level
 
-    def _get_worlds(self) -> dict[str, NDArray[Any]]:
+    def _get_env_states(self) -> dict[str, NDArray[Any]]:
         return {"began": self._began, "forced": self._forced, "actions": self._actions}
 
-    def _set_worlds(self, state: Mapping[str, NDArray[Any]]) -> None:
+    def _set_env_states(self, state: Mapping[str, NDArray[Any]]) -> None:
         # The compiled functions index with these and check no bounds.
         sizes = np.array(list(self.situation.values()))[:, None]
         if (

@@ -10,7 +10,7 @@ from zipf.compiled import compiled
 from zipf.envs.playroom import varied_looks
 from zipf.envs.playroom.constants import CEILING, EYE, FURNITURE_SIZE, LANDING, ROOM
 from zipf.envs.playroom.geometry import half_width, rectangle_gap
-from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Worlds, X, Y, Z
+from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Envs, X, Y, Z
 from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
 
 FIELD_OF_VIEW = 75.0
@@ -51,17 +51,17 @@ class View:
     """
 
     def __init__(
-        self, names: tuple[str, ...], worlds: Worlds, width: int, height: int, *, varied: bool
+        self, names: tuple[str, ...], envs: Envs, width: int, height: int, *, varied: bool
     ) -> None:
         atlas = load_meshes()
-        self.worlds = worlds
+        self.envs = envs
         self.varied = varied
         self.meshes = np.array([atlas.index(name) for name in names])
-        num_worlds, count = worlds.ranks.shape
-        self.scenes = Scenes(num_worlds, walls=4, flats=2, instances=count + 2, shadows=count + 2)
-        for world in range(num_worlds):
-            _build_room(self.scenes, world)
-        if worlds.furnished:
+        num_envs, count = envs.ranks.shape
+        self.scenes = Scenes(num_envs, walls=4, flats=2, instances=count + 2, shadows=count + 2)
+        for i in range(num_envs):
+            _build_room(self.scenes, i)
+        if envs.furnished:
             self.scenes.mesh[:, count:] = [atlas.index("bed"), atlas.index("tray")]
         self.renderer = _renderer(height, width)
         # Not shared with other views: a renderer draws without the GIL, in buffers of its own.
@@ -72,12 +72,12 @@ class View:
 
         Varied looks are drawn from `worlds.scenery`, after everything else of the episode.
         """
-        worlds, scenes = self.worlds, self.scenes
-        count = worlds.ranks.shape[1]
-        scenes.mesh[mask, :count] = self.meshes[worlds.ranks[mask]]
-        scenes.colours[mask] = worlds.colours[mask]
-        if worlds.furnished:
-            x, y, angle = worlds.furniture[mask].transpose(2, 0, 1)
+        envs, scenes = self.envs, self.scenes
+        count = envs.ranks.shape[1]
+        scenes.mesh[mask, :count] = self.meshes[envs.ranks[mask]]
+        scenes.colours[mask] = envs.colours[mask]
+        if envs.furnished:
+            x, y, angle = envs.furniture[mask].transpose(2, 0, 1)
             scenes.position[mask, count:] = np.stack([x, y, np.zeros_like(x)], -1)
             cos, sin = np.cos(angle), np.sin(angle)
             rotation = np.zeros((*angle.shape, 3, 3))
@@ -93,7 +93,7 @@ class View:
             scenes.shadows[mask, count:] = shadows
         if self.varied:
             varied_looks.vary(
-                mask, worlds.scenery, varied_looks.VARIED_WALLS, varied_looks.VARIED_FLOORS, count,
+                mask, envs.scenery, varied_looks.VARIED_WALLS, varied_looks.VARIED_FLOORS, count,
                 scenes.wall_looks, scenes.flat_looks, scenes.sun, scenes.lamp, scenes.scale,
             )  # fmt: skip
 
@@ -118,29 +118,29 @@ class View:
 
     def _update(self, mask: NDArray[np.bool_]) -> None:
         """Copies the poses of cameras and objects to the scenes of the envs of `mask`."""
-        worlds, scenes = self.worlds, self.scenes
+        envs, scenes = self.envs, self.scenes
         _pose(
-            mask, worlds.agents, worlds.objects, worlds.orientation, worlds.ranks, worlds.extents,
-            worlds.furnished, worlds.furniture, scenes.scale, scenes.camera, scenes.position,
+            mask, envs.agents, envs.objects, envs.orientation, envs.ranks, envs.extents,
+            envs.furnished, envs.furniture, scenes.scale, scenes.camera, scenes.position,
             scenes.rotation, scenes.shadows,
         )  # fmt: skip
 
 
-def _build_room(scenes: Scenes, world: int) -> None:
+def _build_room(scenes: Scenes, i: int) -> None:
     """Adds floor, ceiling and four walls with different wallpapers, which show the direction."""
     half = ROOM / 2
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
     for k, paper in enumerate(varied_looks.WALLS):
         scenes.add_wall(
-            world,
+            i,
             (*corners[k], *corners[(k + 1) % 4]),
             (0.0, CEILING),
             textures.index(paper),
             repeat=(1.0, 1.0),
         )
     square = (-half, -half, half, half)
-    scenes.add_flat(world, square, 0.0, textures.index(varied_looks.FLOOR), repeat=1.0)
-    scenes.add_flat(world, square, CEILING, textures.index("ceiling"), flags=FACES_DOWN, repeat=2.0)
+    scenes.add_flat(i, square, 0.0, textures.index(varied_looks.FLOOR), repeat=1.0)
+    scenes.add_flat(i, square, CEILING, textures.index("ceiling"), flags=FACES_DOWN, repeat=2.0)
 
 
 @compiled(references=False)

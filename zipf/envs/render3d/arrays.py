@@ -117,7 +117,7 @@ class ImageBuffers(NamedTuple):
     """float32 [H, stride]: 1/t, 0 where nothing has been drawn."""
 
 
-class WorldBuffers(NamedTuple):
+class EnvBuffers(NamedTuple):
     """Written by `draw`."""
 
     frame: Any
@@ -187,7 +187,7 @@ class Buffers(NamedTuple):
     """Scratch arrays for drawing one env; every thread has its own."""
 
     image: ImageBuffers
-    world: WorldBuffers
+    env: EnvBuffers
     span: SpanBuffers
     mesh: MeshBuffers
     grid: GridBuffers
@@ -285,8 +285,8 @@ def named_assets(fields):
 @compiled(references=False)
 def named_buffers(fields):
     """`Buffers` of plain tuples."""
-    image, world, span, mesh, grid, terrain = fields
+    image, env, span, mesh, grid, terrain = fields
     return Buffers(
-        ImageBuffers(*image), WorldBuffers(*world), SpanBuffers(*span), MeshBuffers(*mesh),
+        ImageBuffers(*image), EnvBuffers(*env), SpanBuffers(*span), MeshBuffers(*mesh),
         GridBuffers(*grid), TerrainBuffers(*terrain),
     )  # fmt: skip

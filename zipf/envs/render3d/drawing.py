@@ -61,7 +61,7 @@ def draw(mask, scene_fields, asset_fields, lens_fields, buffer_fields, out):
     texels, focal, grid, shadows = assets.texels, lens.focal, scenes.grid, scenes.shadows
     height, width = out.shape[1], out.shape[2]
     middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
-    frame, palette = buffers.world.frame, buffers.world.palette
+    frame, palette = buffers.env.frame, buffers.env.palette
     to_edge = (width / 2 / focal, height / 2 / focal)
     projection = Projection(
         frame,

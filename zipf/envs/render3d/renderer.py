@@ -81,7 +81,7 @@ class Renderer:
             ValueError: for an `out` or a `mask` of another shape, dtype or layout, and for scenes
                 with textures or meshes that do not exist.
         """
-        n = scenes.num_worlds
+        n = scenes.num_envs
         shape = (n, self.height, self.width, 3)
         if out.shape != shape or out.dtype != np.uint8 or not out.flags.c_contiguous:
             raise ValueError(

@@ -86,7 +86,7 @@ class Scenes:
     - `terrain_tint` uint8 [N, 3]
 
     Args:
-        num_worlds: N.
+        num_envs: N.
         walls, flats, instances, tile_cells, overlays, shadows: the capacity of each env.
         grid, terrain: rows and columns of cells.
         screen: height and width.
@@ -97,7 +97,7 @@ class Scenes:
 
     def __init__(
         self,
-        num_worlds: int,
+        num_envs: int,
         *,
         walls: int = 0,
         flats: int = 0,
@@ -111,8 +111,8 @@ class Scenes:
     ) -> None:
         if min(terrain) < 0 or (min(terrain) == 0) != (max(terrain) == 0):
             raise ValueError(f"terrain must be rows and columns of 1 or more, not {terrain}")
-        n = num_worlds
-        self.num_worlds = n
+        n = num_envs
+        self.num_envs = n
         self.camera = np.zeros((n, 5), np.float32)
         self.walls = np.zeros((n, walls, 6), np.float32)
         self.wall_looks = np.full((n, walls, 2), (-1, 0), np.int32)
@@ -170,7 +170,7 @@ class Scenes:
 
     def add_wall(
         self,
-        world: int,
+        i: int,
         ends: ArrayLike,
         heights: tuple[float, float],
         texture: int,
@@ -184,18 +184,18 @@ class Scenes:
 
         Raises ValueError if the env's walls are at their capacity.
         """
-        index = _take(self.wall_count, world, self.walls.shape[1], "walls")
-        self.walls[world, index, :4] = ends
-        self.walls[world, index, 4:] = heights
-        self.wall_looks[world, index] = texture, flags
-        self.wall_repeat[world, index] = repeat
-        self.wall_tint[world, index] = tint
-        self.wall_face[world, index] = face
+        index = _take(self.wall_count, i, self.walls.shape[1], "walls")
+        self.walls[i, index, :4] = ends
+        self.walls[i, index, 4:] = heights
+        self.wall_looks[i, index] = texture, flags
+        self.wall_repeat[i, index] = repeat
+        self.wall_tint[i, index] = tint
+        self.wall_face[i, index] = face
         return index
 
     def add_flat(
         self,
-        world: int,
+        i: int,
         rectangle: ArrayLike,
         height: float,
         texture: int,
@@ -211,24 +211,24 @@ class Scenes:
         `tiles` [rows, columns] makes it a patchwork, written to `tiles[world]` from `first_tile`.
         Raises ValueError if the env's flats or tiles are at their capacity.
         """
-        index = _take(self.flat_count, world, self.flats.shape[1], "flats")
-        self.flats[world, index, :4] = rectangle
-        self.flats[world, index, 4] = height
-        self.flat_looks[world, index] = texture, flags
-        self.flat_repeat[world, index] = repeat
-        self.flat_tint[world, index] = tint
-        self.flat_tiles[world, index] = 0
+        index = _take(self.flat_count, i, self.flats.shape[1], "flats")
+        self.flats[i, index, :4] = rectangle
+        self.flats[i, index, 4] = height
+        self.flat_looks[i, index] = texture, flags
+        self.flat_repeat[i, index] = repeat
+        self.flat_tint[i, index] = tint
+        self.flat_tiles[i, index] = 0
         if tiles is not None:
             end = first_tile + tiles.size
             if end > self.tiles.shape[1]:
                 raise ValueError(f"{end} tiles in an env with room for {self.tiles.shape[1]}")
-            self.tiles[world, first_tile:end] = tiles.reshape(-1)
-            self.flat_tiles[world, index] = first_tile, *tiles.shape
+            self.tiles[i, first_tile:end] = tiles.reshape(-1)
+            self.flat_tiles[i, index] = first_tile, *tiles.shape
         return index
 
     def set_terrain(
         self,
-        world: int,
+        i: int,
         corner: tuple[float, float],
         size: float,
         heights: NDArray[np.floating],
@@ -259,16 +259,16 @@ class Scenes:
             )
         if size <= 0:
             raise ValueError(f"size must be positive, not {size}")
-        self.heights[world] = heights
-        self.terrain[world] = *corner, size, repeat
-        self.terrain_looks[world] = looks
-        self.terrain_tint[world] = tint
+        self.heights[i] = heights
+        self.terrain[i] = *corner, size, repeat
+        self.terrain_looks[i] = looks
+        self.terrain_tint[i] = tint
 
 
-def _take(counts: NDArray[np.int32], world: int, capacity: int, kind: str) -> int:
+def _take(counts: NDArray[np.int32], i: int, capacity: int, kind: str) -> int:
     """The next free index of an env."""
-    index = int(counts[world])
+    index = int(counts[i])
     if index >= capacity:
-        raise ValueError(f"env {world} has room for {capacity} {kind}")
-    counts[world] += 1
+        raise ValueError(f"env {i} has room for {capacity} {kind}")
+    counts[i] += 1
     return index

@@ -2,6 +2,6 @@
 
 from zipf.envs.testing.batch import check_vector_env
 from zipf.envs.testing.goal import check_goal
-from zipf.envs.testing.policy import check_player
+from zipf.envs.testing.policy import check_policy
 
-__all__ = ["check_goal", "check_player", "check_vector_env"]
+__all__ = ["check_goal", "check_policy", "check_vector_env"]

@@ -164,7 +164,7 @@ class _Check:
         observation, info = env.reset(seed=self.seed)
         starts = [single.reset(seed=self.seed + i) for i, single in enumerate(singles)]
         require_same((observation, info), stacked(starts), f"reset(seed={self.seed})")
-        told = set(info)
+        reported = set(info)
         begins = done = np.zeros(self.n, np.bool_)  # those that the next step resets
         ended = 0
         for t, actions in enumerate(self.actions):
@@ -179,12 +179,12 @@ class _Check:
             ended += done.sum()
             ends = stacked([result[1:4] for result in results])
             require_same(given[1:4], ends, f"{where}: reward and ends")
-            current = [(r[0], {name: r[4][name] for name in told}) for r in results]
-            self._compare_ends(given[4], results, done, told, mode, where)
+            current = [(r[0], {name: r[4][name] for name in reported}) for r in results]
+            self._compare_ends(given[4], results, done, reported, mode, where)
             if mode is AutoresetMode.SAME_STEP:
                 for i in np.flatnonzero(done):
                     current[i] = singles[i].reset()
-            now = given[0], {name: given[4][name] for name in told}
+            now = given[0], {name: given[4][name] for name in reported}
             require_same(now, stacked(current), f"{where}: observation and info")
             if mode is AutoresetMode.DISABLED and done.any() and ended == done.sum():
                 with must_raise(ResetNeeded, f"{where}: stepping an env whose episode has ended"):
@@ -209,7 +209,7 @@ class _Check:
         info: dict[str, Any],
         results: list[Any],
         done: NDArray[np.bool_],
-        told: set[str],
+        reported: set[str],
         mode: AutoresetMode,
         where: str,
     ) -> None:
@@ -221,7 +221,7 @@ class _Check:
             names = list(self.outcome)
             last = [result[4] for result in results]
         keys = {*names, *(f"_{name}" for name in names)} if done.any() else set()
-        require_same(set(info), told | keys, f"{where}: keys of info")
+        require_same(set(info), reported | keys, f"{where}: keys of info")
         for name in names if done.any() else ():
             require_same(info[f"_{name}"], done, f"{where}: info['_{name}']")
             for i in np.flatnonzero(done):
@@ -240,21 +240,21 @@ class _Check:
         seeds = [self.seed + i for i in range(self.n)]
         require_same(self._rollout(env, seeds), first, "a rollout from a list of the same seeds")
         if math.prod(env.situation.values()) > 1:
-            self._worlds_differ(env, first)
+            self._envs_differ(env, first)
         env.close()
 
-    def _worlds_differ(self, env: ZipfVectorEnv, first: list[Any]) -> None:
+    def _envs_differ(self, env: ZipfVectorEnv, first: list[Any]) -> None:
         other = self._rollout(env, self.seed + self.n)
         require(not are_equal(other, first), "rollouts from different seeds are the same")
         seeds = [self.seed + i for i in range(self.n)]
         starts = [[env.reset(seed=seed)[1]] + [env.reset()[1] for _ in range(20)] for seed in seeds]
-        worlds = [[{k: v[0] for k, v in info.items()} for info in infos] for infos in starts]
+        each = [[{k: v[0] for k, v in info.items()} for info in infos] for infos in starts]
         require(
-            any(not are_equal(worlds[0], world) for world in worlds[1:]),
+            any(not are_equal(each[0], one) for one in each[1:]),
             "envs of different seeds draw the same episodes",
         )
         require(
-            any(not are_equal(worlds[0][0], start) for start in worlds[0][1:]),
+            any(not are_equal(each[0][0], start) for start in each[0][1:]),
             "reset() without a seed repeats the same episode",
         )
 
@@ -291,9 +291,9 @@ class _Check:
                 "final_obs" not in given[4],
                 f"step {t}: with out and without final_out, final_obs must be left out",
             )
-            reference = {k: v for k, v in expected[1 + t][4].items() if "final_obs" not in k}
+            baseline = {k: v for k, v in expected[1 + t][4].items() if "final_obs" not in k}
             require_same(given[:4], expected[1 + t][:4], f"step {t} with out alone")
-            require_same(visible(given)[4], reference, f"info of step {t} with out alone")
+            require_same(visible(given)[4], baseline, f"info of step {t} with out alone")
         require_same(env.observations(out=other), out, "observations(out=...)")
         require_same(env.observations(), out, "observations()")
 

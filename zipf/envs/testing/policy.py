@@ -2,10 +2,10 @@
 
     from functools import partial
     from zipf.envs import generalist, make_vec
-    from zipf.envs.testing import check_player
+    from zipf.envs.testing import check_policy
 
     level = "gridworld/zipf_2"
-    check_player(partial(generalist, level), partial(make_vec, level))
+    check_policy(partial(generalist, level), partial(make_vec, level))
 
 It raises AssertionError where they cannot.
 """
@@ -17,13 +17,13 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zipf.envs.episodes import Player
+from zipf.envs.episodes import BoundPolicy
 from zipf.envs.testing.steps import require
 from zipf.envs.vector import ZipfVectorEnv
 
 
-def check_player(
-    player: Callable[[Any], Player],
+def check_policy(
+    policy: Callable[[Any], BoundPolicy],
     make_vec: Callable[..., ZipfVectorEnv],
     *,
     num_envs: int = 4,
@@ -47,18 +47,18 @@ def check_player(
     """
     for mode in AutoresetMode:
         one, other = (
-            _rollout(player, make_vec(num_envs, autoreset_mode=mode), steps, seed) for _ in range(2)
+            _rollout(policy, make_vec(num_envs, autoreset_mode=mode), steps, seed) for _ in range(2)
         )
         require(np.array_equal(one, other), f"a second rollout has other answers ({mode.value})")
 
 
 def _rollout(
-    player: Callable[[Any], Player], env: ZipfVectorEnv, steps: int, seed: int
+    policy: Callable[[Any], BoundPolicy], env: ZipfVectorEnv, steps: int, seed: int
 ) -> NDArray[np.int64]:
     """The answers, int64 [steps, N]."""
     rng = np.random.default_rng(seed)
     count = int(env.single_action_space.n)
-    ask = player(env)
+    ask = policy(env)
     env.reset(seed=seed)
     answers = []
     for t in range(steps):

@@ -59,9 +59,9 @@ def problems(config: Config) -> Iterator[str]:
     context = Context(
         family.name, family.goal is not None, config.num_envs, collector.unroll_length, parts
     )
-    told = [line for options in parts.values() for line in options.problems(context)]
-    told += unsupported(config.agent.name, parts)
-    yield from told
+    found = [line for options in parts.values() for line in options.problems(context)]
+    found += unsupported(config.agent.name, parts)
+    yield from found
     yield from _reads_itself(config)
     try:
         find_device(config.device)
@@ -78,7 +78,7 @@ def problems(config: Config) -> Iterator[str]:
     yield from _no_matcher(config)
     yield from _not_in_a_cluster(config)
     yield from _not_by_several_learners(config)
-    yield from (line for line in _cannot_be_built(config) if line not in told)
+    yield from (line for line in _cannot_be_built(config) if line not in found)
 
 
 def _no_pretrained(config: Config) -> Iterator[str]:
@@ -174,11 +174,11 @@ def _reads_itself(config: Config) -> Iterator[str]:
         )
 
 
-def too_many_worlds(config: Config, num_envs: int, episodes: int | None, option: str) -> str | None:
+def too_many_envs(config: Config, num_envs: int, episodes: int | None, option: str) -> str | None:
     """Why an evaluation with so many envs does not fit into RAM, or None."""
     played = min(num_envs, episodes or max(config.split.episodes.values()))
     # What is seen, what was seen last, and the agent's copy.
-    return _too_large(f"{option}={num_envs}", "its worlds", played, 3 * _frame_bytes(config))
+    return _too_large(f"{option}={num_envs}", "its envs", played, 3 * _frame_bytes(config))
 
 
 def _too_large(options: str, what: str, count: int, each: int) -> str | None:
@@ -271,7 +271,7 @@ def _try_to_build(config: Config) -> Iterator[str]:
     if agent.needs.teacher and getattr(family, agent.needs.teacher) is None:
         known = [name for name in envs.SCRIPTED if getattr(family, name) is not None]
         yield (
-            f"agent.teacher={agent.needs.teacher}: {family.name} has no such player; should be "
+            f"agent.teacher={agent.needs.teacher}: {family.name} has no such policy; should be "
             f"{' or '.join(known) or 'another agent'}"
         )
 
@@ -305,7 +305,7 @@ def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
             collector.num_envs,
             frames * _frame_bytes(config),
         ),
-        too_many_worlds(config, evaluation.num_envs, evaluation.episodes, "evaluation.num_envs"),
+        too_many_envs(config, evaluation.num_envs, evaluation.episodes, "evaluation.num_envs"),
     ]
     yield from filter(None, problems)
     parts = {name: getattr(config, name).model_dump() for name in ("memory", "network", "critic")}

@@ -207,7 +207,7 @@ def describe_levels(
     chance_episodes: int = 0,
     kinds: Collection[str] | None = None,
 ) -> list[dict[str, Any]]:
-    """The levels of a run, each with its weight and the scores of those references that are known,
+    """The levels of a run, each with its weight and the scores of those baselines that are known,
     as `LevelDescription` reads them.
 
     Args:
@@ -218,20 +218,20 @@ def describe_levels(
     described = []
     for kind in split.kinds if kinds is None else kinds:
         for level in split.levels(kind):
-            references = {}
-            for one in envs.REFERENCES:
-                known = envs.reference(one.name, level, **options)
+            baselines = {}
+            for one in envs.BASELINES:
+                known = envs.baseline(one.name, level, **options)
                 if known is None and one.name == "chance" and chance_episodes:
                     known = envs.measure_chance(level, episodes=chance_episodes, **options)
                 if known is not None:
-                    references[one.name] = _described(level, known)
+                    baselines[one.name] = _described(level, known)
             described.append(
                 {
                     "level_kind": kind,
                     "level": level.name,
                     "weight": level.weight,
                     "normalised": level.normalisation is not None,
-                    "references": references,
+                    "references": baselines,
                 }
             )
     return described
@@ -246,7 +246,7 @@ def with_further_kinds(
     return described + describe_levels(split, options, kinds=new)
 
 
-def _described(level: envs.SplitLevel, known: envs.ReferenceScore) -> dict[str, Any]:
+def _described(level: envs.SplitLevel, known: envs.BaselineScore) -> dict[str, Any]:
     return {
         "score": level.normalised(known.score),
         "episodes": known.episodes,
@@ -258,13 +258,13 @@ def _described(level: envs.SplitLevel, known: envs.ReferenceScore) -> dict[str, 
     }
 
 
-def mean_of_levels(described: list[dict[str, Any]], kind: str, reference: str) -> float | None:
-    """The weighted mean of a reference over a kind's levels; None where one is not known."""
+def mean_of_levels(described: list[dict[str, Any]], kind: str, baseline: str) -> float | None:
+    """The weighted mean of a baseline over a kind's levels; None where one is not known."""
     levels = [level for level in described if level["level_kind"] == kind]
-    if not levels or any(reference not in level["references"] for level in levels):
+    if not levels or any(baseline not in level["references"] for level in levels):
         return None
     total = sum(level["weight"] for level in levels)
-    weighted = (level["weight"] * level["references"][reference]["score"] for level in levels)
+    weighted = (level["weight"] * level["references"][baseline]["score"] for level in levels)
     return sum(weighted) / total
 
 

@@ -44,7 +44,7 @@ from zipf.agents.agent import Agent
 from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.errors import TOLD, UserError
+from zipf.errors import EXPECTED, UserError
 from zipf.experiments.building.checkpoint import arrays, tensors
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.hooks.visits import Visits
@@ -60,7 +60,7 @@ MOST_DEATHS = 3  # ours: of an actor in a row, none of which has played an unrol
 PATIENCE = 60.0  # seconds without an unroll before the user is told; ours: starting takes less
 
 
-class Player:
+class Collecting:
     """What runs in an actor's process."""
 
     def begin(self, options: dict[str, Any], actor: int, incarnation: int) -> str:
@@ -302,7 +302,7 @@ class RayActors:
         actor.incarnation += 1
         actor.begun, actor.has_played = False, False
         actor.learned, actor.carried = 0, {}
-        actor.handle = ray.remote(Player).options(num_cpus=1).remote()
+        actor.handle = ray.remote(Collecting).options(num_cpus=1).remote()
         reference = actor.handle.begin.remote(self._config, actor.number, actor.incarnation)
         self._calls[reference] = _Call(actor, None)
 
@@ -361,7 +361,7 @@ class RayActors:
             except lost as error:
                 self._replace(call.actor, error)
             except exceptions.RayTaskError as error:
-                if isinstance(error.cause, TOLD):
+                if isinstance(error.cause, EXPECTED):
                     raise UserError(f"actor {call.actor.number}: {error.cause}") from None
                 raise
 
@@ -369,7 +369,7 @@ class RayActors:
         """The reference of the oldest call that has returned."""
         import ray
 
-        told = time.monotonic()
+        said = time.monotonic()
         while True:
             references = list(self._calls)
             done, _ = ray.wait(references, num_returns=len(references), timeout=0)
@@ -378,8 +378,8 @@ class RayActors:
             if done:
                 found = set(done)
                 return next(one for one in references if one in found)
-            if time.monotonic() - told > PATIENCE:
-                told = time.monotonic()
+            if time.monotonic() - said > PATIENCE:
+                said = time.monotonic()
                 begun = sum(actor.begun for actor in self.actors)
                 self._tell(
                     f"waits for unrolls; {begun} of {len(self.actors)} actors have begun, and the "
@@ -390,8 +390,8 @@ class RayActors:
         import ray
 
         # Ray's errors are of many lines, the first of them of many sentences.
-        told = str(error).strip().splitlines() or [""]
-        reason = f"{type(error).__name__}: {told[0].split('. ')[0]}"
+        lines = str(error).strip().splitlines() or [""]
+        reason = f"{type(error).__name__}: {lines[0].split('. ')[0]}"
         actor.deaths = 0 if actor.has_played else actor.deaths + 1
         if actor.deaths == MOST_DEATHS:
             raise UserError(

@@ -49,7 +49,7 @@ class Learner(OnlyLearner):
     def __init__(self) -> None:
         self.rank = dist.get_rank()
         self.is_first = self.rank == 0
-        self.player = (self.rank,)
+        self.stream = (self.rank,)
 
     def seed(self, seed: int) -> int:
         """Each its own."""

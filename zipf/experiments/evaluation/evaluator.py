@@ -173,14 +173,14 @@ def evaluate(
     played: dict[tuple[str, str, int], pd.DataFrame] = {}
     to_play = {_key(one, counts[kind]) for kind in split.kinds for one in split.levels(kind)}
     total = sum(count for *_, count in to_play)
-    with _Worlds(split, level_options) as worlds:
+    with _SharedEnv(split, level_options) as shared:
         for kind in split.kinds:
             count = counts[kind]
             for place, level in enumerate(split.levels(kind)):
                 key = _key(level, count)
                 if key not in played:
                     before = sum(map(len, played.values()))
-                    env = worlds.of(level, min(num_envs, count))
+                    env = shared.of(level, min(num_envs, count))
                     if isinstance(policy, ScriptedPolicy):
                         policy.enter(level.level, env)
                     played[key] = play(
@@ -213,7 +213,7 @@ def _key(level: envs.SplitLevel, episodes: int) -> tuple[str, str, int]:
     return level.name, repr(dict(level.options)), episodes
 
 
-class _Worlds:
+class _SharedEnv:
     """Envs of one level of a split after another. Where the split draws levels at resets, and a
     level has the same options in all kinds, the same envs serve them all."""
 
@@ -227,7 +227,7 @@ class _Worlds:
             for level in split.all_levels
         )
 
-    def __enter__(self) -> _Worlds:
+    def __enter__(self) -> _SharedEnv:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -249,8 +249,8 @@ def _recorded_levels(
         kinds = {one["level_kind"] for one in levels}
         new = {one.name for kind in split.kinds if kind not in kinds for one in split.levels(kind)}
         new -= {one["level"] for one in levels}
-        worlds = description["external"]["geometry"].items()
-        external = {"geometry": {name: one for name, one in worlds if name not in new}}
+        given = description["external"]["geometry"].items()
+        external = {"geometry": {name: one for name, one in given if name not in new}}
         here = {**description, "external": {**description["external"], **external}}
         differing = [
             f"{key} {there[key]} there, {here[key]} here" for key in same if there[key] != here[key]

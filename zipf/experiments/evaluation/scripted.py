@@ -23,16 +23,16 @@ class ScriptedPolicy:
         """Plays these envs of a level from now on.
 
         Raises:
-            ValueError: the level has no such player, or it cannot play these envs.
+            ValueError: the level has no such policy, or it cannot play these envs.
         """
-        player = envs.scripted(self.name, level, env) if isinstance(level, str) else None
-        if player is None:
+        policy = envs.scripted(self.name, level, env) if isinstance(level, str) else None
+        if policy is None:
             raise ValueError(f"policy={self.name}: {level} has none")
-        self.player = player
+        self.policy = policy
 
     def start(self, num_envs: int) -> None: ...
 
     def __call__(
         self, observation: dict[str, NDArray], reward: NDArray, is_first: NDArray
     ) -> NDArray:
-        return self.player()
+        return self.policy()

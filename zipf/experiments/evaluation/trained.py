@@ -100,7 +100,7 @@ def evaluate_run(options: EvaluateOptions, watch: Watch = unwatched) -> tuple[in
     assert options.run is not None
     trained = load_agent(Path(options.run), options.device, module_names(options.plugins))
     with enough_ram(f"a smaller num_envs={options.num_envs} needs less"):
-        problem = feasibility.too_many_worlds(
+        problem = feasibility.too_many_envs(
             trained.config, options.num_envs, options.episodes, "num_envs"
         )
         if problem:
@@ -124,7 +124,7 @@ def evaluate_scripted(
     """Scores a scripted policy on the levels of a split.
 
     Raises:
-        UserError: a level has no such player, or so many envs do not fit into RAM.
+        UserError: a level has no such policy, or so many envs do not fit into RAM.
     """
     assert options.policy is not None
     with enough_ram(f"a smaller num_envs={options.num_envs} needs less"):

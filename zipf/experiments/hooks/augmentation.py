@@ -149,18 +149,18 @@ class Augmentation:
             for name in self.images:
                 _change(observation[name], mask, order, shift, scale, centre, self.options.cutout)
 
-    def observe_episode(self, observation: dict[str, NDArray], world: int) -> Draw:
+    def observe_episode(self, observation: dict[str, NDArray], i: int) -> Draw:
         """Changes the observations `{name: [frames, ...]}` of the running episode of one env, in
         place; returns what was drawn for it."""
-        drawn = {name: values[world : world + 1] for name, values in self._drawn.items()}
+        drawn = {name: values[i : i + 1] for name, values in self._drawn.items()}
         self._change_frames(observation, drawn)
         return drawn
 
-    def actions_to_worlds(self, fields: dict[str, NDArray], world: int) -> None:
+    def actions_to_envs(self, fields: dict[str, NDArray], i: int) -> None:
         """Makes the actions in the fields `{name: [frames]}` of the running episode of one env
         those of the env, in place."""
         if self.symmetries is not None:
-            _replace_actions(fields, self.symmetries.actions[self._drawn["symmetry"][world]])
+            _replace_actions(fields, self.symmetries.actions[self._drawn["symmetry"][i]])
 
     def change_episode(self, observation: dict[str, NDArray], fields: dict[str, NDArray]) -> Draw:
         """Changes an episode, as an env has it, by a draw of its own, in place: observations
@@ -187,13 +187,13 @@ class Augmentation:
         repeated = {name: np.repeat(values, frames, axis=0) for name, values in drawn.items()}
         self._observe(observation, np.ones(frames, np.bool_), **repeated)
 
-    def to_worlds(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
+    def to_envs(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
         """The envs' actions for those of the agent, [N] -> [N]."""
         if self.symmetries is None:
             return actions
         return self.symmetries.actions[self._drawn["symmetry"], actions]
 
-    def from_worlds(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
+    def from_envs(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
         """The agent's actions for those of the envs, [N] -> [N]."""
         if self.symmetries is None:
             return actions

@@ -87,23 +87,23 @@ class FirstVisitBonus(Bonus):
     def __call__(self, observation: Parts, mask: Tensor) -> Tensor:
         """Remembers observations, those of the mask alone."""
         bonus, chosen = np.zeros(len(mask), np.float32), np.asarray(mask)
-        worlds = np.flatnonzero(chosen)
-        hashes = self.hashes(arrays(observation), chosen)[worlds]
-        for world, value in zip(worlds.tolist(), hashes.tolist(), strict=True):
-            seen = self.seen.setdefault(world, set())
+        envs = np.flatnonzero(chosen)
+        hashes = self.hashes(arrays(observation), chosen)[envs]
+        for i, value in zip(envs.tolist(), hashes.tolist(), strict=True):
+            seen = self.seen.setdefault(i, set())
             if value not in seen:
                 seen.add(value)
-                bonus[world] = self.scale
+                bonus[i] = self.scale
         return torch.from_numpy(bonus)
 
     def begin(self, observation: Parts, mask: Tensor) -> None:
         """Forgets what was seen there."""
-        for world in np.flatnonzero(mask).tolist():
-            self.seen.pop(world, None)
+        for i in np.flatnonzero(mask).tolist():
+            self.seen.pop(i, None)
 
     def state_dict(self) -> dict[str, NDArray]:
         """What was seen in the episodes so far: envs int64 [K] and hashes int64 [K]."""
-        pairs = [(world, value) for world, seen in self.seen.items() for value in sorted(seen)]
+        pairs = [(i, value) for i, seen in self.seen.items() for value in sorted(seen)]
         both = np.array(pairs, np.uint64).reshape(-1, 2).view(np.int64)
         return {"worlds": both[:, 0].copy(), "hashes": both[:, 1].copy()}
 
@@ -111,8 +111,8 @@ class FirstVisitBonus(Bonus):
         """Continues from `state_dict()`."""
         self.seen = {}
         hashes = state["hashes"].view(np.uint64)
-        for world, value in zip(state["worlds"].tolist(), hashes.tolist(), strict=True):
-            self.seen.setdefault(world, set()).add(value)
+        for i, value in zip(state["worlds"].tolist(), hashes.tolist(), strict=True):
+            self.seen.setdefault(i, set()).add(value)
 
 
 class Hashes:

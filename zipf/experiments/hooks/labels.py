@@ -37,7 +37,7 @@ class Labels(Hook):
     def act(self, fields: Parts, generator: torch.Generator) -> None:
         label = self.teacher()
         if self.augmentation is not None:
-            label = self.augmentation.from_worlds(label)
+            label = self.augmentation.from_envs(label)
         fields["label"][:] = torch.from_numpy(label)
         by_teacher = torch.rand(len(label), generator=generator) < self.share
         fields["action"][by_teacher] = fields["label"][by_teacher]

@@ -75,7 +75,7 @@ class Hindsight(Hook):
         # Another stream than that of the agent's actions, which stay as they are.
         own = np.random.SeedSequence([seed, 1]).generate_state(1)
         self._generator = torch.Generator().manual_seed(int(own[0]))
-        self._worlds = np.arange(env.num_envs)
+        self._envs = np.arange(env.num_envs)
         self._lengths = np.zeros(env.num_envs, np.int64)  # of the running episodes, so far
         # [rows, N]: frame k of an episode is in row k % rows.
         self._rows = options.length or _FIRST_ROWS
@@ -117,7 +117,7 @@ class Hindsight(Hook):
         rows = self._lengths % self._rows
         for kept, given in ((self._observation, observation), (self._fields, fields)):
             for name, part in kept.items():
-                part[rows, self._worlds] = given[name]
+                part[rows, self._envs] = given[name]
         self._lengths += 1
         if not ended.any():
             return
@@ -137,7 +137,7 @@ class Hindsight(Hook):
             for i in np.flatnonzero(achieved).tolist():
                 self._memory.add(goals[i], self._relabelled(i, goals[i]))
 
-    def _choose(self, world: int, goal: NDArray[Any]) -> None:
+    def _choose(self, i: int, goal: NDArray[Any]) -> None:
         """Relabels the episode of an env that has just ended, or, where there are more than are
         asked for, draws whether to: each is as likely to be kept."""
         self._candidates += 1
@@ -145,7 +145,7 @@ class Hindsight(Hook):
         if place == self.options.episodes:
             place = int(torch.randint(self._candidates, (), generator=self._generator))
         if place < self.options.episodes:
-            self._chosen[place : place + 1] = [self._relabelled(world, goal)]
+            self._chosen[place : place + 1] = [self._relabelled(i, goal)]
 
     def take(self) -> TensorDict | None:
         """The relabelled episodes to learn from, [L, E] as in `Unroll.episodes`; None if there are
@@ -203,10 +203,10 @@ class Hindsight(Hook):
         if self._memory is not None:
             self._memory.load_state_dict(state["kept"])
 
-    def _relabelled(self, world: int, goal: NDArray[Any]) -> Episode:
+    def _relabelled(self, i: int, goal: NDArray[Any]) -> Episode:
         """The episode of an env that has just ended, as if it had been asked for this goal; as the
         agent saw it, or, for the memory, as the env showed it."""
-        observation, fields = self._episode(world)
+        observation, fields = self._episode(i)
         everywhere = np.ones(len(fields["reward"]), np.bool_)
         self.goal.write(observation, np.repeat(goal[None], len(everywhere), axis=0), everywhere)
         fields["reward"][-1] = self.reward
@@ -216,29 +216,29 @@ class Hindsight(Hook):
         if self._memory is None:
             drawn = None
             if self.augmentation is not None:
-                drawn = self.augmentation.observe_episode(observation, world)
+                drawn = self.augmentation.observe_episode(observation, i)
             self._point(fields, drawn)
         elif self.augmentation is not None:
-            self.augmentation.actions_to_worlds(fields, world)
+            self.augmentation.actions_to_envs(fields, i)
         return observation, fields
 
-    def _labelled(self, world: int, succeeded: bool) -> Episode:
+    def _labelled(self, i: int, succeeded: bool) -> Episode:
         """The episode of an env that has just ended, for the memory, with what the teacher would
         have done for the actions taken."""
-        observation, fields = self._episode(world)
+        observation, fields = self._episode(i)
         if self.options.matching_cost:
             fields["achieved"] = np.full(len(fields["reward"]), succeeded)
         fields["action"] = fields.pop("label")
         if self.augmentation is not None:
-            self.augmentation.actions_to_worlds(fields, world)
+            self.augmentation.actions_to_envs(fields, i)
         return observation, fields
 
-    def _episode(self, world: int) -> Episode:
+    def _episode(self, i: int) -> Episode:
         """The kept frames of the running episode of an env, as it was."""
-        length = int(self._lengths[world])
+        length = int(self._lengths[i])
         rows = np.arange(max(length - self._rows, 0), length) % self._rows
-        observation = {name: part[rows, world] for name, part in self._observation.items()}
-        fields = {name: part[rows, world] for name, part in self._fields.items()}
+        observation = {name: part[rows, i] for name, part in self._observation.items()}
+        fields = {name: part[rows, i] for name, part in self._fields.items()}
         return observation, fields
 
     def _changed(self, episode: Episode) -> Episode:
@@ -267,7 +267,7 @@ class Hindsight(Hook):
         self._rows = rows
 
     def _zeros(self, like: dict[str, tuple[tuple[int, ...], Any]]) -> Parts:
-        shape = self._rows, len(self._worlds)
+        shape = self._rows, len(self._envs)
         return {name: np.zeros((*shape, *tail), dtype) for name, (tail, dtype) in like.items()}
 
 

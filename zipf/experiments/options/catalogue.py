@@ -89,8 +89,8 @@ def help_text(overrides: Sequence[str] = ()) -> str:
         UserError: the overrides cannot be composed.
     """
     options = OmegaConf.to_yaml(OmegaConf.create(composing.composed(*overrides).values))
-    told = f"Options, with the values of the choices made:\n\n{options.rstrip()}"
-    return f"{HELP}\n\n{_all_choices()}\n\n{told}"
+    explained = f"Options, with the values of the choices made:\n\n{options.rstrip()}"
+    return f"{HELP}\n\n{_all_choices()}\n\n{explained}"
 
 
 def _all_choices() -> str:

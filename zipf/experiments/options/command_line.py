@@ -89,7 +89,7 @@ def _is_of_a_part(override: Override) -> bool:
 
 
 def _mistyped(known: list[str]) -> Iterator[str]:
-    """Mistakes in the options of no group. Of all others, which need PyTorch, nothing is told while
+    """Mistakes in the options of no group. Of all others, which need PyTorch, nothing is said while
     names are wrong."""
     values = dict(composed(*known).values)
     name = values.pop("name")
@@ -267,8 +267,8 @@ def _advice(parser: OverridesParser, text: str) -> str:
     shown = text if len(text) <= 200 else f"{text[:200]}..."
     if not equals:
         found = [f"{group}={text}" for group in groups() if text in choices(group)]
-        told = f"; did you mean {' or '.join(found)}?" if found else ""
-        return f"{shown}: not of the form option=value{told}"
+        hint = f"; did you mean {' or '.join(found)}?" if found else ""
+        return f"{shown}: not of the form option=value{hint}"
     quoted = f'{name}="{value}"'
     try:
         if parser.parse_override(quoted).value() == value:
@@ -299,8 +299,8 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
                 experiment = value if key == "experiment" else experiment
             else:
                 own = "; for a name of your own, use name=<name>" if key == "condition" else ""
-                told = nearest(value, choices(key))
-                problems.append(f"{key}={value}: no such {key}; {told}{own}")
+                hint = nearest(value, choices(key))
+                problems.append(f"{key}={value}: no such {key}; {hint}{own}")
         else:
             options.append(override)
     if not any(override.key_or_group == "experiment" for override in overrides):
@@ -324,14 +324,14 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
             group = key.partition(".")[0]
             part = values.get(group)
             if owners := _owners(key):
-                told = f"{group}={'|'.join(owners)} has it"
+                hint = f"{group}={'|'.join(owners)} has it"
             elif isinstance(part, dict) and list(part) == ["name"]:  # a choice such as none
                 chosen = part["name"]
                 others = "|".join(one for one in choices(group) if one != chosen)
-                told = f"{group}={chosen} has none; choose {group}={others}"
+                hint = f"{group}={chosen} has none; choose {group}={others}"
             else:
-                told = nearest(key, [*accepted, *of_row, "sweep"])
-            problems.append(f"{key}: no such option; {told}")
+                hint = nearest(key, [*accepted, *of_row, "sweep"])
+            problems.append(f"{key}: no such option; {hint}")
     return known, problems
 
 

@@ -127,7 +127,7 @@ def _resolved(search_path: str, *overrides: str) -> Composed:
             config["seed"] = int(seeds[-1].partition("=")[2])
         values = OmegaConf.to_container(config, resolve=True)
     except (HydraException, OmegaConfBaseException, YAMLError, ValueError, TypeError) as error:
-        raise UserError(told(error)) from None  # the last three: of files of the user's
+        raise UserError(message_of(error)) from None  # the last three: of files of the user's
     assert isinstance(values, dict)
     for group in ("experiment", "condition"):
         if isinstance(values[group], dict):
@@ -200,7 +200,7 @@ def _file_of(group: str, name: str) -> Path:
     return written.place.file
 
 
-def told(error: Exception) -> str:
+def message_of(error: Exception) -> str:
     """What Hydra has to say, on one line."""
     message = " ".join(str(error).split()).partition(" Config search path:")[0]
     if re.search(f"Could not find '({'|'.join(['environment', *config_files.parts()])})/", message):

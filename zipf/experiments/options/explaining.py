@@ -111,8 +111,8 @@ def report(origins: list[Origin], part: str = "", width: int | None = None) -> s
     if not inside:
         names = [one.option for one in origins]
         parts = [name.partition(".")[0] for name in names]
-        told = command_line.nearest(part, list(dict.fromkeys([*parts, *names])))
-        raise UserError(f"--explain {part:.200}: no such option; {told}")
+        hint = command_line.nearest(part, list(dict.fromkeys([*parts, *names])))
+        raise UserError(f"--explain {part:.200}: no such option; {hint}")
     rows = [(one.option, _text(one.value), one.where, one.comment) for one in inside]
     widths = [max(len(row[i]) for row in rows) for i in range(2)]
     place = min(max(len(row[2]) for row in rows), 48)

@@ -26,7 +26,7 @@ from zipf.experiments.options import composing
 from zipf.experiments.options.schema import PositiveInt, Seed, module_names
 from zipf.experiments.playing.recording import Recording, check_recording, usual_fps
 from zipf.experiments.playing.screens import open_screen
-from zipf.experiments.playing.sessions import Session, Shows, World, has_image
+from zipf.experiments.playing.sessions import PlayedLevel, Session, Shows, has_image
 from zipf.options import Options
 
 
@@ -60,16 +60,16 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
     if options.record:  # making the envs may take a minute
         check_recording(Path(options.record), options.fps or 0)
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
-    worlds = _worlds(options, policy, seed)
-    say(f"{', '.join(world.level for world in worlds)}, seed {seed}")
-    for world in worlds:
+    levels = _played_levels(options, policy, seed)
+    say(f"{', '.join(one.level for one in levels)}, seed {seed}")
+    for one in levels:
         # The first reset may compile for a minute: do so before a screen is open.
-        world.env.reset(seed=seed)
-        world.env.render()
-    fps = options.fps or usual_fps(worlds[0].env)
+        one.env.reset(seed=seed)
+        one.env.render()
+    fps = options.fps or usual_fps(levels[0].env)
     with ExitStack() as stack:
-        for world in worlds:
-            stack.callback(world.env.close)
+        for one in levels:
+            stack.callback(one.env.close)
         lines: list[str] = []
         screen = recording = None
         if policy == "keyboard" or not options.record:
@@ -84,9 +84,9 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
             stack.enter_context(recording)
         if screen:
             stack.enter_context(screen)
-        shows = Shows(worlds[0].env, screen, recording, options.view, options.scale)
+        shows = Shows(levels[0].env, screen, recording, options.view, options.scale)
         episodes = options.episodes or (1 if screen is None else None)
-        Session(worlds, shows, fps, seed, say_episode).play(episodes)
+        Session(levels, shows, fps, seed, say_episode).play(episodes)
 
 
 def _who_plays(options: PlayOptions) -> str:
@@ -118,7 +118,7 @@ def _who_plays(options: PlayOptions) -> str:
     return policy
 
 
-def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
+def _played_levels(options: PlayOptions, policy: str, seed: int) -> list[PlayedLevel]:
     """An env of each level; they are played in turn."""
     names = module_names(options.plugins)
     composing.load_plugins(names)
@@ -130,31 +130,29 @@ def _worlds(options: PlayOptions, policy: str, seed: int) -> list[World]:
             raise UserError(f"run={options.run}: a classifier answers questions and does not act")
         actions = derive_seed(seed, "actions")
         agent = AgentPolicy(trained.agent, seed=actions, device=trained.config.torch_device)
-    worlds = []
+    levels = []
     for level in _levels(options, trained):
         env = _make(level, level_options)
         if trained and policy == "agent":
             _check_spaces(level, env, trained)
         if options.view == "agent" and not has_image(env):
-            raise UserError(
-                "view=agent: observations of these worlds have no image; use view=world"
-            )
+            raise UserError("view=agent: these observations have no image; use view=world")
         keys = envs.keys(level)
         if policy == "keyboard" and keys is None:
             raise UserError(f"policy=keyboard: there are no keys for {level}")
-        player: Policy | None = None
+        chosen: Policy | None = None
         if policy == "agent":
-            player = agent
+            chosen = agent
         elif policy == "random":
-            player = _Random(env, derive_seed(seed, "actions"))
+            chosen = _Random(env, derive_seed(seed, "actions"))
         elif policy in envs.SCRIPTED:
-            player = ScriptedPolicy(policy)
+            chosen = ScriptedPolicy(policy)
             try:
-                player.enter(level, env)
+                chosen.enter(level, env)
             except ValueError as error:
                 raise UserError(f"{error}; policy=random plays all levels") from None
-        worlds.append(World(level, env, keys or Keys(()), player))
-    return worlds
+        levels.append(PlayedLevel(level, env, keys or Keys(()), chosen))
+    return levels
 
 
 def _levels(options: PlayOptions, trained: Trained | None) -> list[str]:

@@ -23,7 +23,7 @@ _LOW = 288  # pixels; pictures of a smaller height are enlarged
 
 
 @dataclass(frozen=True)
-class World:
+class PlayedLevel:
     """One env of a level, and who plays it."""
 
     level: str
@@ -102,13 +102,13 @@ class Session:
 
     def __init__(
         self,
-        worlds: list[World],
+        levels: list[PlayedLevel],
         shows: Shows,
         fps: float,
         seed: int,
         say: Callable[[str], None],
     ) -> None:
-        self.worlds = worlds
+        self.levels = levels
         self.shows = shows
         self.fps = fps
         self.seed = seed
@@ -117,17 +117,17 @@ class Session:
 
     def play(self, episodes: int | None) -> None:
         """Plays this number of episodes; None: until the person leaves."""
-        several = len(self.worlds) > 1
-        for world in self.worlds:
-            if world.policy:
-                world.policy.start(1)
+        several = len(self.levels) > 1
+        for one in self.levels:
+            if one.policy:
+                one.policy.start(1)
         number = 0
         try:
             while episodes is None or number < episodes:
                 turn, number = number, number + 1
-                world = self.worlds[turn % len(self.worlds)]
-                seed = self.seed if turn < len(self.worlds) else None
-                _Episode(self, world, number, several).play(seed)
+                one = self.levels[turn % len(self.levels)]
+                seed = self.seed if turn < len(self.levels) else None
+                _Episode(self, one, number, several).play(seed)
         except _Leave:
             pass
 
@@ -135,12 +135,12 @@ class Session:
 class _Episode:
     """One episode, from reset to end."""
 
-    def __init__(self, session: Session, world: World, number: int, names_level: bool) -> None:
+    def __init__(self, session: Session, one: PlayedLevel, number: int, names_level: bool) -> None:
         self.session = session
-        self.world = world
-        self.env = world.env
+        self.one = one
+        self.env = one.env
         self.shows = session.shows
-        self.name = f"episode {number}" + (f", {world.level}" if names_level else "")
+        self.name = f"episode {number}" + (f", {one.level}" if names_level else "")
         self.steps = 0
         self.total = 0.0
         self.outcome = ""
@@ -157,14 +157,14 @@ class _Episode:
         self.shows.step(self.env, self.observation, self._text())
         try:
             while not self.outcome:
-                action = self._keyboard() if self.world.policy is None else self._player()
+                action = self._keyboard() if self.one.policy is None else self._scripted()
                 if action is None:
                     return
                 self._step(action)
         finally:
             about = ", ".join(filter(None, [*self._words(), self._situation()]))
-            told = self.outcome or f"left after {_steps(self.steps)}"
-            self.session.say(": ".join(filter(None, [self.name, about, told])))
+            outcome = self.outcome or f"left after {_steps(self.steps)}"
+            self.session.say(": ".join(filter(None, [self.name, about, outcome])))
         self._rest()
 
     def _step(self, action: int) -> None:
@@ -191,16 +191,16 @@ class _Episode:
             if key == NEXT:
                 return None
             before = self.session.toggled
-            action, self.session.toggled = self.world.keys.press(str(key), before)
+            action, self.session.toggled = self.one.keys.press(str(key), before)
             if action is not None:
                 return action
             if self.session.toggled != before:
                 self.shows.again(self.env, self.observation, self._text())
 
-    def _player(self) -> int | None:
+    def _scripted(self) -> int | None:
         """The policy's action, at its time; None for the next episode."""
-        assert self.world.policy
-        action = int(self.world.policy(self.observation, self.reward, self.is_first)[0])
+        assert self.one.policy
+        action = int(self.one.policy(self.observation, self.reward, self.is_first)[0])
         if self.shows.screen:
             self.due = max(self.due + 1 / self.session.fps, time.monotonic())
             if self._watch():
@@ -211,7 +211,7 @@ class _Episode:
         """Pauses on the last frame."""
         if self.shows.recording:
             self.shows.recording.hold(_PAUSE)
-        if self.world.policy is None:
+        if self.one.policy is None:
             while self._key(None) != NEXT:
                 pass
         elif self.shows.screen:
@@ -242,14 +242,14 @@ class _Episode:
 
     def _goal(self) -> list[str]:
         """What a person is to do, in families that say it."""
-        goal = self.world.keys.goal
-        return [goal] if goal and self.world.policy is None else []
+        goal = self.one.keys.goal
+        return [goal] if goal and self.one.policy is None else []
 
     def _text(self) -> Text:
-        keys = self.world.keys
+        keys = self.one.keys
         progress = f"{self.name}   step {self.steps}   return {self.total:g}"
         help = []
-        if self.world.policy is None:
+        if self.one.policy is None:
             for i, toggle in enumerate(keys.toggles):
                 state = "on" if self.session.toggled >> i & 1 else "off"
                 progress += f"   {toggle.label} {state}"
@@ -258,7 +258,7 @@ class _Episode:
             help += [f"{_shown((toggle.key,))}: {toggle.label}" for toggle in keys.toggles]
         help += [f"{NEXT}: next episode", f"{LEAVE}: leave"]
         ranks = self._situation()
-        situation = self.world.level + (f"   ranks: {ranks}" if ranks else "")
+        situation = self.one.level + (f"   ranks: {ranks}" if ranks else "")
         return Text((*self._words(), *self._goal(), situation, progress, self.outcome), tuple(help))
 
 

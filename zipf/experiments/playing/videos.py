@@ -149,7 +149,7 @@ def find_situation(trained: Trained, extreme: Extreme) -> Situation:
     """
     found = []
     for level in trained.config.split.uniform:
-        with closing(_worlds(trained, level, AT_A_TIME)) as env:
+        with closing(_envs(trained, level, AT_A_TIME)) as env:
             ranks: dict[str, int] = {}
             for name in env.situation:
                 drawn = [
@@ -177,7 +177,7 @@ def play(trained: Trained, situation: Situation, name: str) -> tuple[list[Episod
     policy = AgentPolicy(
         trained.agent, seed=derive_seed(0, "videos", name), device=trained.config.torch_device
     )
-    with closing(_worlds(trained, situation.level, AT_A_TIME)) as env:
+    with closing(_envs(trained, situation.level, AT_A_TIME)) as env:
         while tried < EPISODES and len(first) < len(OUTCOMES):
             for episode in _batch(env, policy, situation, seed=tried):
                 first.setdefault(episode.outcome, episode)
@@ -201,16 +201,16 @@ def _batch(
         taken.append(np.asarray(actions, np.int64))
         observation, rewards, terminated, truncated, info = env.step(actions)
         reward, is_first = rewards.astype(np.float32), terminated | truncated
-        for world in np.flatnonzero(is_first).tolist():
-            if world not in ended:
+        for i in np.flatnonzero(is_first).tolist():
+            if i not in ended:
                 outcome = info["final_info"]
-                ended[world] = Episode(
-                    seed=seed + world,
-                    success=bool(outcome["success"][world]),
-                    episode_return=float(outcome["return"][world]),
-                    actions=np.array([each[world] for each in taken]),
+                ended[i] = Episode(
+                    seed=seed + i,
+                    success=bool(outcome["success"][i]),
+                    episode_return=float(outcome["return"][i]),
+                    actions=np.array([each[i] for each in taken]),
                 )
-    yield from (ended[world] for world in range(env.num_envs))
+    yield from (ended[i] for i in range(env.num_envs))
 
 
 def _record(trained: Trained, situation: Situation, episode: Episode, path: Path) -> Video:
@@ -218,7 +218,7 @@ def _record(trained: Trained, situation: Situation, episode: Episode, path: Path
     length = len(episode.actions)
     every = ceil((length + 1) / MOST_FRAMES)
     drawn = {"autoreset_mode": AutoresetMode.DISABLED, "render_mode": "rgb_array"}
-    with closing(_worlds(trained, situation.level, 1, **drawn)) as env:
+    with closing(_envs(trained, situation.level, 1, **drawn)) as env:
         env.reset(seed=episode.seed, options=situation.ranks)
         info: dict[str, Any] = {}
         with Recording(path, usual_fps(env)) as recording:
@@ -256,7 +256,7 @@ def _playable(folder: Path, trained: Trained) -> None:
             f"videos: {folder.as_posix()} is of a classifier, which answers questions and does "
             "not act"
         )
-    with closing(_worlds(trained, trained.config.split.uniform[0], 1)) as env:
+    with closing(_envs(trained, trained.config.split.uniform[0], 1)) as env:
         if not env.reports_success:
             raise UserError(
                 f"videos: the envs of {folder.as_posix()} report no success; give runs of "
@@ -274,7 +274,7 @@ def _playable(folder: Path, trained: Trained) -> None:
             )
 
 
-def _worlds(trained: Trained, level: envs.SplitLevel, count: int, **kwargs: Any) -> ZipfVectorEnv:
+def _envs(trained: Trained, level: envs.SplitLevel, count: int, **kwargs: Any) -> ZipfVectorEnv:
     options = {**trained.config.level_options, **kwargs}
     return envs.make_scored(trained.config.split, level, count, **options)
 

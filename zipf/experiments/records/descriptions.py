@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from zipf.errors import UserError
 from zipf.experiments.records.csv_files import read_bytes
 from zipf.experiments.records.wording import EXTERNAL_MARK
-from zipf.protocol import KINDS, PAPER_KINDS, REFERENCE_NAMES
+from zipf.protocol import BASELINE_NAMES, KINDS, PAPER_KINDS
 
 LINE_PATTERN = r"^[^\r\n]*$"
 COLOUR_PATTERN = r"^#[0-9a-fA-F]{6}$"
@@ -25,8 +25,8 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 def _known(name: str) -> str:
-    if name not in REFERENCE_NAMES:
-        raise ValueError(f"should be one of {', '.join(REFERENCE_NAMES)}, is {name!r}")
+    if name not in BASELINE_NAMES:
+        raise ValueError(f"should be one of {', '.join(BASELINE_NAMES)}, is {name!r}")
     return name
 
 
@@ -53,8 +53,8 @@ class RowDescription(_Described):
     line: Literal["solid", "dashed"]
 
 
-class ReferenceDescription(_Described):
-    """The score of a player that does not learn on a level.
+class BaselineDescription(_Described):
+    """The score of a policy that does not learn on a level.
 
     `episodes` is over how many it was measured, None where it is exact. `by_rank` is the same at
     each value of a rank of the situation, for those ranks for which it is known. `policy` is the
@@ -72,14 +72,17 @@ class LevelDescription(_Described):
 
     `weight` is its share in the score of its kind, relative to those of the kind's other levels.
     `normalised` says whether its score is a fraction of a human's above random actions.
-    `references` are those of `zipf.protocol.REFERENCES` that are known, by name.
+    `baselines` (`references` in the file) are those of `zipf.protocol.BASELINES` that are known, by
+    name.
     """
 
     level_kind: Annotated[str, AfterValidator(_kind)]
     level: Line
     weight: Positive
     normalised: bool
-    references: Mapping[Annotated[str, AfterValidator(_known)], ReferenceDescription]
+    baselines: Mapping[Annotated[str, AfterValidator(_known)], BaselineDescription] = Field(
+        alias="references"
+    )
 
 
 class ExternalDescription(_Described):

@@ -38,7 +38,7 @@ from zipf.experiments.records.result_table import TABLES
 SUFFIX = ".gz"
 RUNS, OPTIONS, LEVELS = f"runs.csv{SUFFIX}", f"options.csv{SUFFIX}", f"levels.csv{SUFFIX}"
 LEVEL_COLUMNS = ("level_kind", "level", "weight", "normalised")
-REFERENCE_COLUMNS = ("reference", "rank", "value", "score", "episodes", "policy")
+BASELINE_COLUMNS = ("reference", "rank", "value", "score", "episodes", "policy")
 
 
 @dataclass
@@ -102,7 +102,7 @@ def write(folder: Path, record: Record) -> None:
     _write_nested(folder / OPTIONS, options)
     _write(
         folder / LEVELS,
-        ["levels", *LEVEL_COLUMNS, *REFERENCE_COLUMNS],
+        ["levels", *LEVEL_COLUMNS, *BASELINE_COLUMNS],
         (
             [[name, *row] for one in of_levels for row in _rows_of_level(one)]
             for name, of_levels in sorted(levels.items())
@@ -164,12 +164,12 @@ def _rows_of_level(one: Mapping[str, Any]) -> list[list[str]]:
         rows.append([*level, name, "", "", _text(known["score"]), episodes, policy])
         for rank, scores in known["by_rank"].items():
             rows += [[*level, name, rank, str(i), _text(s), "", ""] for i, s in enumerate(scores)]
-    return rows or [[*level, *[""] * len(REFERENCE_COLUMNS)]]
+    return rows or [[*level, *[""] * len(BASELINE_COLUMNS)]]
 
 
 def _read_levels(path: Path) -> dict[str, list[dict[str, Any]]]:
     found: dict[str, dict[tuple[str, str], dict[str, Any]]] = {}
-    for row in _texts(path, ("levels", *LEVEL_COLUMNS, *REFERENCE_COLUMNS)).to_dict("records"):
+    for row in _texts(path, ("levels", *LEVEL_COLUMNS, *BASELINE_COLUMNS)).to_dict("records"):
         of_run = found.setdefault(row["levels"], {})
         level = {name: _value(row[name]) for name in LEVEL_COLUMNS}
         one = of_run.setdefault((row["level_kind"], row["level"]), {**level, "references": {}})
@@ -183,8 +183,8 @@ def _read_levels(path: Path) -> dict[str, list[dict[str, Any]]]:
                 **({"policy": row["policy"]} if row["policy"] else {}),
             }
         else:
-            of_reference = one["references"].setdefault(row["reference"], {"by_rank": {}})
-            of_reference["by_rank"].setdefault(row["rank"], []).append(_value(row["score"]))
+            of_baseline = one["references"].setdefault(row["reference"], {"by_rank": {}})
+            of_baseline["by_rank"].setdefault(row["rank"], []).append(_value(row["score"]))
     return {name: list(levels.values()) for name, levels in found.items()}
 
 

@@ -168,7 +168,7 @@ def group_runs(runs: Sequence[Run], window: Asked | None) -> list[RunGroup]:
             of_agent.add(run.description.experiment)
     for run in runs:
         if run.description.external:
-            alike = [group for group in tabled if _worlds(group[0]) == _worlds(run)]
+            alike = [group for group in tabled if _envs(group[0]) == _envs(run)]
             experiment = run.description.experiment
             places = [group for group in alike if group[0].description.experiment == experiment]
             if not places and len(experiments[run.description.row_key]) == 1:
@@ -209,7 +209,7 @@ def paper_of(runs: Sequence[Run]) -> PaperTable | None:
         raise UserError(f"{runs[0].label}/run.json: paper: {error}") from error
 
 
-def _worlds(run: Run) -> dict[str, Any]:
+def _envs(run: Run) -> dict[str, Any]:
     """What a run is scored on, and how."""
     description = run.description
     levels = []
@@ -232,9 +232,9 @@ def _identity(run: Run, window: Asked | None) -> dict[str, Any]:
     """What the runs of a group have in common, beside the experiment."""
     description = run.description
     if description.external or description.window is None:
-        return _worlds(run)
+        return _envs(run)
     used = used_window(description.window, window)
-    return {"paper": description.paper, "window": str(used), **_worlds(run)}
+    return {"paper": description.paper, "window": str(used), **_envs(run)}
 
 
 def _key(run: Run, window: Asked | None) -> str:
@@ -252,12 +252,12 @@ def _json(value: Any) -> str:
 
 
 def _title(experiment: str, identity: dict[str, Any], siblings: list[dict[str, Any]]) -> str:
-    told = sorted({name for sibling in siblings for name in sibling})
-    by_all = [name for name in told if all(name in sibling for sibling in siblings)]
+    given = sorted({name for sibling in siblings for name in sibling})
+    by_all = [name for name in given if all(name in sibling for sibling in siblings)]
     names = _differing(by_all, siblings)
     # Options that only some runs tell are named only where the others do not tell groups apart.
     if not _tell_apart(names, siblings):
-        names = _differing(told, siblings)
+        names = _differing(given, siblings)
     # The names of all levels are long; a split's name tells as much where each has its own levels.
     others = [name for name in names if name != "levels"]
     if _tell_apart(others, siblings):

@@ -28,13 +28,13 @@ from zipf.experiments.reporting.scores import other_statistic
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import OwnWindows, ScaledWindow, UpdateWindow, window_text
-from zipf.protocol import REFERENCES, Reference
+from zipf.protocol import BASELINES, Baseline
 
 PLAIN_MEAN = "plain mean"
 
 
 def caption(table: ScoreTable) -> str:
-    """Window, statistics, effort, references, the paper."""
+    """Window, statistics, effort, baselines, the paper."""
     sentences = _statistics(table)
     if (table.scores["seeds"] < PROTOCOL_SEEDS).any():
         sentences.append(f"n/{PROTOCOL_SEEDS}: fewer seeds than the protocol's {PROTOCOL_SEEDS}.")
@@ -55,10 +55,10 @@ def caption(table: ScoreTable) -> str:
             f"{EXTERNAL_MARK}: recorded from outside this package and scored at its last "
             f"evaluation."
         )
-    for one in REFERENCES:
-        if table.reference(one.name):
+    for one in BASELINES:
+        if table.baseline(one.name):
             measured = ""
-            if episodes := table.reference_episodes(one.name):
+            if episodes := table.baseline_episodes(one.name):
                 measured = f", measured over {range_text(episodes)} episodes of each level"
             sentences.append(f"{one.title}: {one.meaning}{measured}.")
     if table.paper:
@@ -161,8 +161,8 @@ class Grid:
         name: unique among the grids of a report.
         leading: the headings of the leading columns, the first of which is text, the rest numbers.
         columns: the headings of the columns of scores.
-        lines: without the references.
-        references: apart from the others; without those that are not known or not at the bottom.
+        lines: without the baselines.
+        baselines: apart from the others; without those that are not known or not at the bottom.
     """
 
     title: str
@@ -170,7 +170,7 @@ class Grid:
     leading: list[str]
     columns: list[str]
     lines: list[Line]
-    references: list[Line]
+    baselines: list[Line]
 
     @cached_property
     def has_paper(self) -> tuple[bool, ...]:
@@ -215,13 +215,13 @@ def lower_grids(table: ScoreTable) -> Iterator[Grid]:
             parts = _by_row(table.rows, table.group_scores, columns, _budgets(table))
             yield Grid(title, name, _leading(table), list(columns.values()), *parts)
         else:
-            references = _known_references(table.group_scores, [group.column for group in groups])
-            leading = len(references) + (2 if levels.is_weighted else 1)
+            baselines = _known_baselines(table.group_scores, [group.column for group in groups])
+            leading = len(baselines) + (2 if levels.is_weighted else 1)
             most = min(MOST_COLUMNS, MOST_WITH_LEADING - leading)
             for first in range(0, len(table.rows), most):
                 part = "" if first == 0 else f"-{first // most + 1}"
                 rows = table.rows[first : first + most]
-                yield _by_level(rows, table, groups, levels, references, title, name + part)
+                yield _by_level(rows, table, groups, levels, baselines, title, name + part)
 
 
 def side_by_side_grids(beside: SideBySide) -> list[Grid]:
@@ -278,7 +278,7 @@ def _by_row(
     budgets: Mapping[str, Mapping[str, str]],
 ) -> tuple[list[Line], list[Line]]:
     """A line for each row that has scores in these columns, which are headings by the frame's
-    `column`; and the last lines, of the references that are known."""
+    `column`; and the last lines, of the baselines that are known."""
     frame = frame[frame["column"].isin(columns)]
     lines = []
     for row in rows:
@@ -288,13 +288,13 @@ def _by_row(
         leading = [row.title, seeds_text(int(scores["seeds"].min()))]
         leading += [cells.get(row.key, NONE) for cells in budgets.values()]
         lines.append(_line(leading, scores))
-    references = []
-    for one in _known_references(frame, list(columns)):
+    baselines = []
+    for one in _known_baselines(frame, list(columns)):
         known = frame.groupby("column")[one.name].first().reindex(list(columns))
         leading = [one.title, *[""] * (1 + len(budgets))]
         texts = [score_text(value) for value in known]
-        references.append(Line(leading, texts, [""] * len(columns)))
-    return lines, references
+        baselines.append(Line(leading, texts, [""] * len(columns)))
+    return lines, baselines
 
 
 def _by_level(
@@ -302,7 +302,7 @@ def _by_level(
     table: ScoreTable,
     groups: Sequence[LevelGroup],
     levels: LevelGroup,
-    references: Sequence[Reference],
+    baselines: Sequence[Baseline],
     title: str,
     name: str,
 ) -> Grid:
@@ -310,7 +310,7 @@ def _by_level(
     leading = ["Level"]
     if levels.is_weighted:
         leading.append("Weight")
-    leading += [one.title for one in references]
+    leading += [one.title for one in baselines]
     known = table.group_scores.groupby("column").first()
     total = sum(levels.weights.values())
     lines = []
@@ -318,7 +318,7 @@ def _by_level(
         cells = {
             "Level": shown,
             "Weight": f"{sum(group.weights.values()) / total:.3f}",
-            **{one.title: score_text(known[one.name][group.column]) for one in references},
+            **{one.title: score_text(known[one.name][group.column]) for one in baselines},
         }
         scores = table.group_scores[table.group_scores["column"] == group.column]
         scores = scores.set_index("row").reindex([row.key for row in rows])
@@ -340,7 +340,7 @@ def _line(leading: list[str], scores: pd.DataFrame) -> Line:
     )
 
 
-def _known_references(scores: pd.DataFrame, columns: Sequence[str]) -> list[Reference]:
-    """The references that are known in one of these columns, which are values of `column`."""
+def _known_baselines(scores: pd.DataFrame, columns: Sequence[str]) -> list[Baseline]:
+    """The baselines that are known in one of these columns, which are values of `column`."""
     shown = scores[scores["column"].isin(columns)]
-    return [one for one in REFERENCES if shown[one.name].notna().any()]
+    return [one for one in BASELINES if shown[one.name].notna().any()]

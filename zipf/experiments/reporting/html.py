@@ -77,7 +77,7 @@ class Cells:
         title: above it.
         head: the headings of its columns.
         lines: its cells; the first `leading` of a line are its heading or text.
-        references: lines apart from the others.
+        baselines: lines apart from the others.
         paper: the places of the columns with the paper's numbers.
         leading: how many columns hold text, from the left.
         folded: whether the reader has to open it.
@@ -87,7 +87,7 @@ class Cells:
     title: str
     head: Sequence[str]
     lines: Sequence[Sequence[str]]
-    references: Sequence[Sequence[str]] = ()
+    baselines: Sequence[Sequence[str]] = ()
     paper: frozenset[int] = frozenset()
     leading: int = 1
     folded: bool = False
@@ -244,7 +244,7 @@ def cells_of(grid: Grid, title: str = "", folded: bool = False) -> Cells:
         title=title or grid.title[0].upper() + grid.title[1:],
         head=head,
         lines=[grid.cells(line) for line in grid.lines],
-        references=[grid.cells(line) for line in grid.references],
+        baselines=[grid.cells(line) for line in grid.baselines],
         paper=frozenset(paper),
         folded=folded,
     )

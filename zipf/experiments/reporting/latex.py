@@ -105,9 +105,9 @@ def _grid(grid: Grid, title: str, text: str) -> str:
     else:
         lines.append(rf"{headings} & {' & '.join(names)} \\")
     lines.append(r"\midrule")
-    rows = [*grid.lines, *grid.references]
+    rows = [*grid.lines, *grid.baselines]
     texts = [rf"{' & '.join(_escape(cell) for cell in grid.cells(row))} \\" for row in rows]
-    if grid.references:
+    if grid.baselines:
         texts.insert(len(grid.lines), r"\midrule")
     lines += [
         *texts,

@@ -167,7 +167,7 @@ def _grid(grid: Grid) -> str:
     for column, published in zip(grid.columns, grid.has_paper, strict=True):
         header += [_escape(column)] + (["paper"] if published else [])
         align += ["--:"] * (2 if published else 1)
-    lines = [*grid.lines, *grid.references]
+    lines = [*grid.lines, *grid.baselines]
     rows = [header, align, *([_escape(cell) for cell in grid.cells(line)] for line in lines)]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
 

@@ -23,13 +23,13 @@ from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.scores import seed_means
 from zipf.experiments.reporting.situations import (
     Measure,
+    baseline_by_rank,
+    baseline_on_uniform,
     measure_of,
     rank_counts,
     rare_ranks,
     rates,
     rates_by_visits,
-    reference_by_rank,
-    reference_on_uniform,
     shares,
     situation_names,
     spans,
@@ -43,27 +43,27 @@ from zipf.experiments.reporting.windows import (
     UpdateWindow,
     evaluations_inside,
 )
-from zipf.protocol import REFERENCES
+from zipf.protocol import BASELINES
 
 Dash = tuple[float, ...]  # lengths of dashes and gaps in line widths; () is a solid line
 Numbers = Sequence[float] | pd.Series
 
 # Okabe and Ito (2008): told apart with any colour vision. Yellow is left out (too light for lines),
 # and so is orange (too near vermilion); olive and wine are from Tol's muted colours (2021). Grey is
-# kept for references.
+# kept for baselines.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#999933", "#56B4E9", "#882255", "#000000")
 RARE_COLOUR = "#D55E00"
 LINES: Mapping[str, Dash] = {"solid": (), "dashed": (5, 1.5)}
 DASHES: tuple[Dash, ...] = (*LINES.values(), (1.5, 1), (5, 1.5, 1.5, 1.5))
 MARKERS = ("circle", "square", "diamond", "cross", "x", "triangle-up", "star", "triangle-down")
 WIDTH = 1.8  # points, of a line
-_REFERENCE_LINES: tuple[Mapping[str, Any], ...] = (
+_BASELINE_LINES: tuple[Mapping[str, Any], ...] = (
     {"colour": "#808080", "dash": (1, 1.65), "width": 1.6},
     {"colour": "#333333", "dash": (7, 2, 1.5, 2), "width": 1.1},
     {"colour": "#808080", "dash": (7, 2, 1.5, 2, 1.5, 2), "width": 1.1},
     {"colour": "#333333", "dash": (10, 3), "width": 1.1},
 )
-REFERENCE_LINES = dict(zip((one.name for one in REFERENCES), _REFERENCE_LINES, strict=True))
+BASELINE_LINES = dict(zip((one.name for one in BASELINES), _BASELINE_LINES, strict=True))
 KIND_STYLES: Mapping[str, Mapping[str, Any]] = {
     "train": {"colour": "#0072B2", "marker": "circle"},
     "uniform": {"colour": "#999933", "marker": "square"},
@@ -292,10 +292,10 @@ def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart
     for levels in table.kinds:
         kind = levels.level_kind
         lines = [_median(row, styles, found[row.key, kind], axes) for row in table.rows]
-        for one in REFERENCE_LINES:
-            if kind in (known := table.reference(one)):
+        for one in BASELINE_LINES:
+            if kind in (known := table.baseline(one)):
                 ends = {name: axis.limits or (0.0, 1.0) for name, axis in axes.items()}
-                lines.append(_reference_line(one, ends, [known[kind]] * 2))
+                lines.append(_baseline_line(one, ends, [known[kind]] * 2))
         panels.append(Panel(KIND_NAMES[kind], lines, axes, Axis("Score", limits)))
     shaded = any(axis.shades for axis in axes.values())
     return Chart(
@@ -374,7 +374,7 @@ def _time_axes(table: ScoreTable, every: pd.DataFrame) -> dict[str, Axis]:
 
 def _score_limits(table: ScoreTable, scores: pd.Series) -> tuple[float, float]:
     """0 to 1 for success-like scores; whatever is needed beyond."""
-    known = [value for one in REFERENCE_LINES for value in table.reference(one).values()]
+    known = [value for one in BASELINE_LINES for value in table.baseline(one).values()]
     low, high = min(0.0, scores.min(), *known), max(1.0, scores.max(), *known)
     return low - (0.05 * (high - low) if low < 0 else 0.0), high + 0.02 * (high - low)
 
@@ -409,7 +409,7 @@ def window_ends(table: ScoreTable, time: str) -> tuple[float, float] | None:
 
 def averages(table: ScoreTable) -> Chart | None:
     """The misleading average: a line for each row, its scores on the three kinds of levels, each
-    with its lowest and highest seed; those of players that do not learn below, in grey.
+    with its lowest and highest seed; those of policies that do not learn below, in grey.
 
     After the paper's figure of one agent, almost perfect on the training distribution and below
     60 % on the rarest objects. None without a score.
@@ -420,10 +420,10 @@ def averages(table: ScoreTable) -> Chart | None:
         return None
     names = [row.title for row in rows]
     points = [pd.Series(scores.loc[row.key]) for row in rows]
-    for one in REFERENCES:
-        if reference := table.reference(one.name):
+    for one in BASELINES:
+        if baseline := table.baseline(one.name):
             names.append(one.title)
-            points.append(pd.Series(reference).reindex(scores.columns))
+            points.append(pd.Series(baseline).reindex(scores.columns))
     titles = [textwrap.fill(name, 34) for name in names]
     # The first line of a title needs a row, each further one less than half of that.
     heights = np.array([1 + 0.45 * title.count("\n") for title in titles])
@@ -509,15 +509,15 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | None:
     """Success on the uniform levels against each rank of the situation, with 95 % intervals; the
     mean return where success is not reported.
 
-    References are drawn at each rank where they are known there, else as their mean over all ranks.
+    Baselines are drawn at each rank where they are known there, else as their mean over all ranks.
     """
     measure = measure_of(table)
     found = {name: rates(table, [name], measure=measure) for name in situation_names(table)}
     found = {name: of_rank for name, of_rank in found.items() if len(of_rank)}
     if not found:
         return None
-    means = {one: reference_on_uniform(table, measure, one) for one in REFERENCE_LINES}
-    ranked = {one: reference_by_rank(table, measure, one) for one in REFERENCE_LINES}
+    means = {one: baseline_on_uniform(table, measure, one) for one in BASELINE_LINES}
+    ranked = {one: baseline_by_rank(table, measure, one) for one in BASELINE_LINES}
     panels = []
     for name, of_rank in found.items():
         hover = "rank %{x}: %{y:.3f}, of %{customdata} episodes"
@@ -530,9 +530,9 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | None:
             addition = ", mean over ranks" if flat else ""
             if name in ranked[one]:
                 values = ranked[one][name]
-                lines.append(_reference_line(one, {"": range(len(values))}, values, addition))
+                lines.append(_baseline_line(one, {"": range(len(values))}, values, addition))
             else:
-                lines.append(_reference_line(one, {"": ends}, [mean] * 2, addition))
+                lines.append(_baseline_line(one, {"": ends}, [mean] * 2, addition))
         shaded = [(first - 0.5, last + 0.5) for first, last in spans(rare_ranks(table, name))]
         x = Axis(_rank_title(name), ends, whole=True, shades=shaded)
         panels.append(Panel(spoken(name), lines, {"": x}, _measure_axis(table, measure)))
@@ -626,16 +626,16 @@ def row_line(
 ) -> Line:
     """A line of a row of the table; `more` are attributes of the line."""
     style = styles[row.key]
-    # A key that no reference has.
+    # A key that no baseline has.
     return Line(x, y, style.colour, style.dash, f"row {row.key}", row.title, **more)
 
 
-def _reference_line(name: str, x: Mapping[str, Numbers], y: Numbers, addition: str = "") -> Line:
-    """The line of a player that does not learn."""
-    (one,) = (one for one in REFERENCES if one.name == name)
+def _baseline_line(name: str, x: Mapping[str, Numbers], y: Numbers, addition: str = "") -> Line:
+    """The line of a policy that does not learn."""
+    (one,) = (one for one in BASELINES if one.name == name)
     title = f"{one.title} ({one.hint}){addition}"
     hover = f"{one.title}: %{{y:.3f}}<extra></extra>"
-    return Line(x, y, key=name, title=title, behind=True, hover=hover, **REFERENCE_LINES[name])
+    return Line(x, y, key=name, title=title, behind=True, hover=hover, **BASELINE_LINES[name])
 
 
 def _measured(

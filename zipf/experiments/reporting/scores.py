@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from zipf.experiments.records.descriptions import LevelGroup, ReferenceDescription
+from zipf.experiments.records.descriptions import BaselineDescription, LevelGroup
 from zipf.experiments.records.paper import PaperTable
 from zipf.experiments.records.results import Run
 from zipf.experiments.reporting.comparable import Row
@@ -39,7 +39,7 @@ from zipf.experiments.reporting.statistics import (
     weighted_mean,
 )
 from zipf.experiments.reporting.windows import Window, evaluations_inside, window_of
-from zipf.protocol import REFERENCE_NAMES
+from zipf.protocol import BASELINE_NAMES
 
 CSV_COLUMNS = (
     "table",
@@ -60,7 +60,7 @@ CSV_COLUMNS = (
     "spread",
     "paper_value",
     "paper_error",
-    *(f"{mean}{name}" for name in REFERENCE_NAMES for mean in ("", "plain_", "capped_")),
+    *(f"{mean}{name}" for name in BASELINE_NAMES for mean in ("", "plain_", "capped_")),
     "window",
     "evaluations",
     "episodes",
@@ -87,7 +87,7 @@ def score_frame(
         keys of the row and of the group of levels. NaN is "none".
     """
     runs = [run for row in rows for run in row.runs]
-    references = {levels.column: _references(runs, levels) for levels in groups}
+    baselines = {levels.column: _baselines(runs, levels) for levels in groups}
     lines = []
     for row in rows:
         for levels in groups:
@@ -113,7 +113,7 @@ def score_frame(
                     "spread": row.runs[0].description.spread,
                     "paper_value": published.value if published else np.nan,
                     "paper_error": error if error is not None else np.nan,
-                    **references[levels.column],
+                    **baselines[levels.column],
                     "window": ", ".join({str(window_of(run, window)): run for run in row.runs}),
                 }
             )
@@ -197,22 +197,22 @@ def _capped(run: Run, levels: LevelGroup) -> bool:
     )
 
 
-def known_references(runs: Sequence[Run], name: str) -> dict[tuple[str, str], ReferenceDescription]:
-    """The first known values of a reference, by level kind and level."""
-    known: dict[tuple[str, str], ReferenceDescription] = {}
+def known_baselines(runs: Sequence[Run], name: str) -> dict[tuple[str, str], BaselineDescription]:
+    """The first known values of a baseline, by level kind and level."""
+    known: dict[tuple[str, str], BaselineDescription] = {}
     for level in (level for run in runs for level in run.description.levels):
-        if name in level.references:
-            known.setdefault((level.level_kind, level.level), level.references[name])
+        if name in level.baselines:
+            known.setdefault((level.level_kind, level.level), level.baselines[name])
     return known
 
 
-def _references(runs: Sequence[Run], levels: LevelGroup) -> dict[str, float]:
-    """For each reference the first known values of each level, averaged by their weights, with the
+def _baselines(runs: Sequence[Run], levels: LevelGroup) -> dict[str, float]:
+    """For each baseline the first known values of each level, averaged by their weights, with the
     same weights and capped; NaN where a level's is not known."""
     weights = list(levels.weights.values())
     found = {}
-    for name in REFERENCE_NAMES:
-        known = known_references(runs, name)
+    for name in BASELINE_NAMES:
+        known = known_baselines(runs, name)
         places = ((levels.level_kind, one) for one in levels.weights)
         values = np.array([known[one].score if one in known else np.nan for one in places])
         found[name] = weighted_mean(values, weights)
@@ -225,7 +225,7 @@ def _references(runs: Sequence[Run], levels: LevelGroup) -> dict[str, float]:
 def other_statistic(scores: pd.DataFrame, mean: str) -> pd.DataFrame:
     """Lines of `score_frame` with another mean over the levels, "plain" or "capped", in the place
     of the weighted one, and no published scores."""
-    names = ["score", "error", *REFERENCE_NAMES]
+    names = ["score", "error", *BASELINE_NAMES]
     return scores.assign(
         **{name: scores[f"{mean}_{name}"] for name in names},
         paper_value=np.nan,

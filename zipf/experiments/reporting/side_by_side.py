@@ -18,7 +18,7 @@ from zipf.experiments.records.paper import (
 from zipf.experiments.reporting.comparable import PaperRow, Row
 from zipf.experiments.reporting.scores import other_statistic
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.protocol import KINDS, REFERENCE_NAMES
+from zipf.protocol import BASELINE_NAMES, KINDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,4 +133,4 @@ def _scores(
     return pd.concat(known_and_more) if known_and_more else found
 
 
-_NUMBERS = ("score", "error", "paper_value", "paper_error", *REFERENCE_NAMES)
+_NUMBERS = ("score", "error", "paper_value", "paper_error", *BASELINE_NAMES)

@@ -90,13 +90,13 @@ def pool(pooled: pd.DataFrame, keys: list[str], measure: Measure) -> pd.DataFram
     return found.drop(columns=summed)
 
 
-def reference_on_uniform(table: ScoreTable, measure: Measure, reference: str) -> float | None:
-    """A reference on the uniform levels in the units of the measure; None where it is not known.
+def baseline_on_uniform(table: ScoreTable, measure: Measure, baseline: str) -> float | None:
+    """A baseline on the uniform levels in the units of the measure; None where it is not known.
 
-    References are known as scores, which are the measure only where a level is not normalised and,
+    Baselines are known as scores, which are the measure only where a level is not normalised and,
     for success, where returns are 0 or 1: where score and measure are the same in every evaluation.
     """
-    known = table.reference(reference)
+    known = table.baseline(baseline)
     if "uniform" not in known:
         return None
     shown = pd.concat([evaluations_inside(run, table.window) for run in table.runs])
@@ -105,18 +105,18 @@ def reference_on_uniform(table: ScoreTable, measure: Measure, reference: str) ->
     return known["uniform"] if same else None
 
 
-def reference_by_rank(
-    table: ScoreTable, measure: Measure, reference: str
+def baseline_by_rank(
+    table: ScoreTable, measure: Measure, baseline: str
 ) -> dict[str, Sequence[float]]:
     """The same at each value of a rank, by the rank's name; without ranks for which it is not
     known, and with several uniform levels for none."""
-    if reference_on_uniform(table, measure, reference) is None:
+    if baseline_on_uniform(table, measure, baseline) is None:
         return {}
     levels = {
-        level.level: level.references[reference].by_rank
-        for run in reversed(table.runs)  # of the first run, as the reference itself is
+        level.level: level.baselines[baseline].by_rank
+        for run in reversed(table.runs)  # of the first run, as the baseline itself is
         for level in run.description.levels
-        if level.level_kind == "uniform" and reference in level.references
+        if level.level_kind == "uniform" and baseline in level.baselines
     }
     known = next(iter(levels.values())) if len(levels) == 1 else {}
     counts = rank_counts(table)

@@ -16,7 +16,7 @@ from zipf.experiments.records.paper import PaperTable
 from zipf.experiments.records.results import Run, devices_of
 from zipf.experiments.records.wording import count_text, seeds_list
 from zipf.experiments.reporting.comparable import Row, group_runs, paper_of, rows_of
-from zipf.experiments.reporting.scores import CSV_COLUMNS, known_references, score_frame
+from zipf.experiments.reporting.scores import CSV_COLUMNS, known_baselines, score_frame
 from zipf.experiments.reporting.windows import (
     Asked,
     LastEvaluations,
@@ -28,7 +28,7 @@ from zipf.experiments.reporting.windows import (
     window_of,
     window_text,
 )
-from zipf.protocol import KINDS, PAPER_KINDS, REFERENCE_NAMES, says_little
+from zipf.protocol import BASELINE_NAMES, KINDS, PAPER_KINDS, says_little
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,15 +69,15 @@ class ScoreTable:
         """All runs, in the order of rows."""
         return [run for row in self.rows for run in row.runs]
 
-    def reference(self, name: str) -> dict[str, float]:
-        """Score of a player that does not learn by level kind, without those not known."""
+    def baseline(self, name: str) -> dict[str, float]:
+        """Score of a policy that does not learn by level kind, without those not known."""
         known = self.scores.dropna(subset=[name])
         return dict(zip(known["level_kind"], known[name], strict=True))
 
-    def reference_episodes(self, name: str) -> list[int]:
-        """Over how many episodes a reference was measured on each level, without those on which it
+    def baseline_episodes(self, name: str) -> list[int]:
+        """Over how many episodes a baseline was measured on each level, without those on which it
         is exact or not known."""
-        known = known_references(self.runs, name).values()
+        known = known_baselines(self.runs, name).values()
         return [one.episodes for one in known if one.episodes is not None]
 
     @property
@@ -196,7 +196,7 @@ def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
             f"Runs were on {'; '.join(devices)}: their times are not compared, so that there is no "
             "figure of scores against time."
         )
-    found += [note for name in REFERENCE_NAMES for note in _reference_notes(runs, name)]
+    found += [note for name in BASELINE_NAMES for note in _baseline_notes(runs, name)]
     found += _floor_notes(runs)
     for key in dict.fromkeys(run.description.row_key for run in runs):
         of_row = [run for run in runs if run.description.row_key == key]
@@ -245,13 +245,13 @@ def _window_notes(run: Run, window: Window) -> list[str]:
     return found
 
 
-def _reference_notes(runs: Sequence[Run], name: str) -> list[str]:
+def _baseline_notes(runs: Sequence[Run], name: str) -> list[str]:
     first: dict[tuple[str, str], tuple[float, Run]] = {}
     for run in runs:
         for level in run.description.levels:
-            if name not in level.references:
+            if name not in level.baselines:
                 continue
-            score = level.references[name].score
+            score = level.baselines[name].score
             known, other = first.setdefault((level.level_kind, level.level), (score, run))
             if not math.isclose(known, score, rel_tol=1e-9, abs_tol=1e-12):  # of other machines
                 return [
@@ -266,7 +266,7 @@ def _floor_notes(runs: Sequence[Run]) -> list[str]:
     names: list[str] = []
     for run in runs:
         for level in run.description.levels:
-            blind, expert = (level.references.get(name) for name in ("blind", "expert"))
+            blind, expert = (level.baselines.get(name) for name in ("blind", "expert"))
             scores = [one.score if one else None for one in (blind, expert)]
             if says_little(*scores) and level.level not in names:
                 names.append(level.level)

@@ -79,8 +79,8 @@ def _print_grid(grid: Grid, title: str, console: Console) -> None:
             empty = [""] * len(numbers)
             paper = (f"[dim]{text}[/dim]" for text in line.paper)
             shown.add_row("[dim]  paper[/dim]", *empty, *paper)
-    if grid.references:
+    if grid.baselines:
         shown.add_section()
-    for line in grid.references:
+    for line in grid.baselines:
         shown.add_row(*line.leading, *line.ours)
     console.print(shown)

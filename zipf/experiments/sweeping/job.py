@@ -76,7 +76,7 @@ class Board:
         os.replace(new, path)
 
     def outcome(self, job: Job) -> Outcome | None:
-        """The latest that a job has told; None before it has begun."""
+        """The latest that a job has reported; None before it has begun."""
         path = self.folder / f"{job.number}.json"
         try:
             return Outcome(**json.loads(path.read_text(encoding="utf-8")))
@@ -182,9 +182,9 @@ def _outcome(job: Job, code: int, shown: list[str], errors: list[str], seconds: 
     if code < 0:
         why = ", as happens where a machine runs out of RAM" if code == -signal.SIGKILL else ""
         return failed(f"its process was killed by {signal.Signals(-code).name}{why}")
-    told = [line.removeprefix("error: ") for line in errors if line.startswith("error: ")]
-    if code == 2 and told:
-        return failed("; ".join(told))
+    messages = [line.removeprefix("error: ") for line in errors if line.startswith("error: ")]
+    if code == 2 and messages:
+        return failed("; ".join(messages))
     log = Path(job.folder) / "train.log"
     with open(log, "a", encoding="utf-8") as file:
         file.writelines(f"{line}\n" for line in errors)

@@ -1,6 +1,6 @@
 """Sweeps: many runs, each a process of its own, one after another or by one of Hydra's launchers.
 
-What is finished is skipped, what was interrupted goes on, and what fails is told at the end, after
+What is finished is skipped, what was interrupted goes on, and what fails is said at the end, after
 all the others have run. See `job.py` for what happens in a launcher's processes.
 """
 
@@ -27,7 +27,7 @@ from hydra.utils import get_class
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from zipf.errors import TOLD, UserError
+from zipf.errors import EXPECTED, UserError
 from zipf.experiments.building import run_folder
 from zipf.experiments.options import composing
 from zipf.experiments.options.config_files import CONFIG_DIR, PRIMARY
@@ -129,7 +129,7 @@ class _Launch:
             pass
         except Exception as error:  # of any launcher: the outcomes of most jobs are known
             broken = " ".join(str(error).split()) or type(error).__name__
-            if not isinstance(error, TOLD):
+            if not isinstance(error, EXPECTED):
                 broken = f"the launcher failed: {type(error).__name__}: {broken}"
         finally:
             self._ended.set()
@@ -164,14 +164,14 @@ class _Launch:
         _say("stopping: running jobs save checkpoints; a second signal stops at once")
 
     def _follow(self) -> None:
-        """Prints a line whenever a job has told something new."""
-        told: dict[Job, Outcome] = {}
+        """Prints a line whenever a job has something new."""
+        shown: dict[Job, Outcome] = {}
         while True:
             last = self._ended.wait(POLL)
             for job in self.task.jobs:
                 outcome = self.task.board.outcome(job)
-                if outcome is not None and outcome != told.get(job):
-                    told[job] = outcome
+                if outcome is not None and outcome != shown.get(job):
+                    shown[job] = outcome
                     _say_of(job, outcome)
             if last:
                 return
@@ -202,7 +202,7 @@ def _launcher(overrides: list[str], run_root: list[str], task: Jobs) -> Launcher
         options: Any = OmegaConf.to_container(config.hydra.launcher, resolve=True)
         launcher = get_class(options.pop("_target_"))(**options)
     except (HydraException, OmegaConfBaseException, TypeError) as error:
-        raise UserError(composing.told(error)) from None
+        raise UserError(composing.message_of(error)) from None
     finally:
         GlobalHydra.instance().hydra = backup
     launcher.setup(hydra_context=context, task_function=task, config=config)

@@ -157,10 +157,10 @@ def expand(
         known = sorted({pair[group] for _, pair, _ in pairs if pair[group]})
         for value in _values(one):
             if value not in known:
-                told = (
+                hint = (
                     command_line.nearest(value, known) if known else f"its blocks name no {group}s"
                 )
-                raise UserError(f"{group}={value}: is not in sweep={','.join(names)}; {told}")
+                raise UserError(f"{group}={value}: is not in sweep={','.join(names)}; {hint}")
         pairs = [entry for entry in pairs if entry[1][group] in _values(one)]
     planned: dict[tuple[str, ...], tuple[str, str] | None] = {}
     for block, pair, optional in pairs:
@@ -183,8 +183,8 @@ def read_blocks(name: str) -> list[Block]:
     """
     written = config_files.find("sweep", name)
     if written is None:
-        told = command_line.nearest(name, composing.choices("sweep"))
-        raise UserError(f"sweep={name}: no such sweep; {told}")
+        hint = command_line.nearest(name, composing.choices("sweep"))
+        raise UserError(f"sweep={name}: no such sweep; {hint}")
     path, content = written.place.file, written.values
     if not isinstance(content, list) or not content:
         raise UserError(f"{path}: is no sweep: should be a list of blocks")
@@ -200,8 +200,8 @@ def read_blocks(name: str) -> list[Block]:
 def _conditions(sweep: str, block: Block, experiment: str) -> dict[str, bool]:
     """A block's conditions in an experiment, and whether each may be left out."""
     if experiment not in (known := composing.choices("experiment")):
-        told = command_line.nearest(experiment, known)
-        raise UserError(f"sweep={sweep}: no such experiment as {experiment}; {told}")
+        hint = command_line.nearest(experiment, known)
+        raise UserError(f"sweep={sweep}: no such experiment as {experiment}; {hint}")
     words = _as_list(block.conditions)
     if not words:
         return {"": False}
@@ -218,8 +218,8 @@ def _conditions(sweep: str, block: Block, experiment: str) -> dict[str, bool]:
         elif word in rows:
             found[word] = False
         else:
-            told = command_line.nearest(word, [*SETS, *rows])
-            raise UserError(f"sweep={sweep}: no such condition as {word}; {told}")
+            hint = command_line.nearest(word, [*SETS, *rows])
+            raise UserError(f"sweep={sweep}: no such condition as {word}; {hint}")
     order = {row: place for place, row in enumerate(rows)}
     return dict(sorted(found.items(), key=lambda item: order[item[0]]))
 

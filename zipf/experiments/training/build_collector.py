@@ -21,7 +21,7 @@ from zipf.experiments.training.collector import Collector
 
 
 def build_collector(
-    config: Config, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...] = ()
+    config: Config, env: ZipfVectorEnv, agent: Agent, stream: tuple[int, ...] = ()
 ) -> Collector:
     """What collects for an agent in these envs.
 
@@ -33,15 +33,15 @@ def build_collector(
         config.augmentation,
         env.single_observation_space,
         env.num_envs,
-        seed=derive_seed(config.seed, "augmentation", *player),
+        seed=derive_seed(config.seed, "augmentation", *stream),
         symmetries=envs.symmetries(config.split, env),
     )
     return Collector(
         env,
         agent,
         unroll_length=config.collector.unroll_length,
-        seed=derive_seed(config.seed, "training", *player),
-        hooks=list(_hooks(config, env, agent, player, augmentation)),
+        seed=derive_seed(config.seed, "training", *stream),
+        hooks=list(_hooks(config, env, agent, stream, augmentation)),
         augmentation=augmentation,
         lag=config.lag,
     )
@@ -51,7 +51,7 @@ def _hooks(
     config: Config,
     env: ZipfVectorEnv,
     agent: Agent,
-    player: tuple[int, ...],
+    stream: tuple[int, ...],
     augmentation: Augmentation | None,
 ) -> Iterator[Hook]:
     """The hooks in their order: what changes rewards comes before what keeps them."""
@@ -68,7 +68,7 @@ def _hooks(
         BONUSES.build(
             config.exploration,
             env.single_observation_space,
-            derive_seed(config.seed, "exploration", *player),
+            derive_seed(config.seed, "exploration", *stream),
         ),
         REWEIGHTINGS.build(config.reweighting, goal, env.num_envs),
         RELABELLINGS.build(
@@ -76,7 +76,7 @@ def _hooks(
             goal,
             env,
             clip=soft_asymmetric if clips else None,
-            seed=derive_seed(config.seed, "training", *player),
+            seed=derive_seed(config.seed, "training", *stream),
             augmentation=augmentation,
             teacher=needs.teacher is not None,
         ),

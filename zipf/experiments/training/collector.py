@@ -197,11 +197,11 @@ class Collector:
         if self._raw:
             self._raw.reverse()
         following = self._shown(buffers, t + 1)
-        action_of_worlds = fields["action"][t]
+        action_of_envs = fields["action"][t]
         if self.augmentation:
-            action_of_worlds = self.augmentation.to_worlds(action_of_worlds)
+            action_of_envs = self.augmentation.to_envs(action_of_envs)
         _, reward, terminated, truncated, info = self.env.step(
-            action_of_worlds, out=following, final_out=self._final
+            action_of_envs, out=following, final_out=self._final
         )
         ended = terminated | truncated
         any_ended = bool(ended.any())
@@ -271,7 +271,7 @@ class Collector:
         if isinstance(self.env, Mixture) and self.env.draw == "resets":
             levels = final_info[f"{self.env.rank}_name"]
         elif isinstance(self.env, Mixture):
-            levels = np.array(self.env.level_names)[self.env.levels_of_worlds]
+            levels = np.array(self.env.level_names)[self.env.levels_of_envs]
         for name in _OUTCOMES:
             if name == "success" and not self.env.reports_success:
                 continue

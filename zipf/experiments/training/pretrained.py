@@ -43,7 +43,7 @@ def begin(config: Config, agent: Agent, learner: OnlyLearner) -> dict[str, Any] 
     return described
 
 
-def told(described: dict[str, Any]) -> str:
+def message(described: dict[str, Any]) -> str:
     """A line about where the weights are from."""
     return (
         f"begins with the {', '.join(described['parts'])} of {described['experiment']} "

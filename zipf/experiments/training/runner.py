@@ -142,7 +142,7 @@ class Run:
         self._pretrained = None
         if self.is_new:
             self._pretrained = pretrained.begin(config, self.agent, self.learner)
-        self.rollouts = runtime.rollouts(self.env, self.agent, self.learner.player)
+        self.rollouts = runtime.rollouts(self.env, self.agent, self.learner.stream)
         self.frames_per_update = collector.num_envs * collector.unroll_length
         self.clock = Clock()
         self.update = 0
@@ -188,7 +188,7 @@ class Run:
                 "times as long as with precision=float32"
             )
         if self._pretrained:
-            self._tell(pretrained.told(self._pretrained))
+            self._tell(pretrained.message(self._pretrained))
         for note in self._notes:
             self._tell(note)
         self.rollouts.open(self._tell)

@@ -36,7 +36,7 @@ class OnlyLearner:
 
     rank = 0
     is_first = True
-    player: tuple[int, ...] = ()
+    stream: tuple[int, ...] = ()
 
     def seed(self, seed: int) -> int:
         """That of the learner's global random generator, from the run's."""
@@ -106,14 +106,14 @@ class Runtime:
         yield OnlyLearner()
 
     def rollouts(
-        self, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...] = ()
+        self, env: ZipfVectorEnv, agent: Agent, stream: tuple[int, ...] = ()
     ) -> RolloutWorker:
         """What collects for the agent.
 
         Args:
             player: see `build_collector`.
         """
-        collector = build_collector(self.config, env, agent, player)
+        collector = build_collector(self.config, env, agent, stream)
         if self.config.lag == 0:
             return SynchronousRollouts(collector)
         assert isinstance(agent, Learner)  # it has a `largest_lag`

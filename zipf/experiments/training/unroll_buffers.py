@@ -78,13 +78,13 @@ class UnrollBuffers:
         after row t, with the rewards [N] of that step, in those envs that have a place left."""
         assert self.final is not None
         used = (self.final["step"] >= 0).sum(0).numpy()
-        worlds = np.flatnonzero(cut & (used < len(self.final)))
-        places = used[worlds], worlds
+        envs = np.flatnonzero(cut & (used < len(self.final)))
+        places = used[envs], envs
         for name, part in observation.items():
-            self.final["observation", name].numpy()[places] = part[worlds]
+            self.final["observation", name].numpy()[places] = part[envs]
         self.final["step"].numpy()[places] = t
-        self.final["previous_action"].numpy()[places] = self.fields["action"][t, worlds]
-        self.final["previous_reward"].numpy()[places] = reward[worlds]
+        self.final["previous_action"].numpy()[places] = self.fields["action"][t, envs]
+        self.final["previous_reward"].numpy()[places] = reward[envs]
 
     def write(self, name: str, t: int, value: Tensor) -> None:
         """Writes what the behaviour policy adds to row t, [N, ...]; the copy from a CUDA device is

@@ -100,9 +100,9 @@ class Combat(NamedTuple):
     """[N, 4]: the random stream of the fights, see `pcg64`."""
 
 
-def make_combat(num_worlds: int, grid: int) -> Combat:
+def make_combat(num_envs: int, grid: int) -> Combat:
     """The state of envs without combat, whose text maps have `grid` rows and columns."""
-    n = num_worlds
+    n = num_envs
     return Combat(
         fighters=np.zeros(n, np.int64),
         bodies=np.zeros((n, FIGHTERS, 8)),
@@ -122,13 +122,13 @@ def make_combat(num_worlds: int, grid: int) -> Combat:
     )
 
 
-def clear_combat(combat: Combat, world: int) -> None:
+def clear_combat(combat: Combat, i: int) -> None:
     """Ends the combat of an env."""
     for name, value in (
         ("fighters", 0), ("bodies", 0.0), ("status", 0), ("minds", 0.0), ("fields", -1),
         ("spawn_count", 0), ("kinds", NOTHING), ("until", -1), ("written", 0), ("points", 0),
     ):  # fmt: skip
-        getattr(combat, name)[world] = value
-    combat.shots[world, :, SHOOTER] = -1
-    combat.traces[world, :, TRACE_FRAME] = -(10**6)
-    combat.flashes[world, :, FLASH_FRAME] = -(10**6)
+        getattr(combat, name)[i] = value
+    combat.shots[i, :, SHOOTER] = -1
+    combat.traces[i, :, TRACE_FRAME] = -(10**6)
+    combat.flashes[i, :, FLASH_FRAME] = -(10**6)

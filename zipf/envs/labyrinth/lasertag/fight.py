@@ -54,14 +54,14 @@ ROOM = 60.0
 
 
 @compiled(error_model="numpy")
-def fight(worlds, i, turn, rise, strafe, forward, fire):
+def fight(envs, i, turn, rise, strafe, forward, fire):
     """Passes a frame in an env with combat; the arguments are the player's action."""
-    combat = worlds.combat
-    now, count = worlds.clock[i], combat.fighters[i]
+    combat = envs.combat
+    now, count = envs.clock[i], combat.fighters[i]
     bodies, status, minds = combat.bodies[i], combat.status[i], combat.minds[i]
-    solid, kinds, until = worlds.solid[i], combat.kinds[i], combat.until[i]
-    places, present = worlds.places[i], worlds.present[i]
-    bodies[0] = worlds.bodies[i]
+    solid, kinds, until = envs.solid[i], combat.kinds[i], combat.until[i]
+    places, present = envs.places[i], envs.present[i]
+    bodies[0] = envs.bodies[i]
     for f in range(count):
         if status[f, TAGGED_AT] >= 0:
             rest = now - status[f, TAGGED_AT]
@@ -71,23 +71,23 @@ def fight(worlds, i, turn, rise, strafe, forward, fire):
             continue
         if f > 0:
             if (now + 2 * f) % THINKING == 0:
-                think(worlds, i, f)
+                think(envs, i, f)
             turn, rise, strafe, forward, fire = act(minds[f], bodies[f])
         walk(solid, bodies, status, count, f, turn, rise, strafe, forward)
         make_ready(status[f])
         if fire and status[f, WAIT] <= 0:
-            shoot(worlds, i, f)
+            shoot(envs, i, f)
         if status[f, TAGGED_AT] < 0:
             _decay(status[f])
             for k in range(SUPPLIES):
                 if _touches(kinds, places, present, bodies[f], k):
-                    _take_supply(worlds, i, f, k)
+                    _take_supply(envs, i, f, k)
     if _any_flies(combat.shots[i]):
-        fly(worlds, i)
+        fly(envs, i)
     for k in range(SUPPLIES):
         if 0 <= until[k] <= now:
             present[k] = False
-    worlds.bodies[i] = bodies[0]
+    envs.bodies[i] = bodies[0]
 
 
 @compiled(error_model="numpy")
@@ -171,9 +171,9 @@ def _touches(kinds, places, present, body, k):
 
 
 @compiled(error_model="numpy")
-def _take_supply(worlds, i, f, k):
+def _take_supply(envs, i, f, k):
     """A fighter takes a supply, if it is of use to him; a gadget comes to hand."""
-    combat = worlds.combat
+    combat = envs.combat
     status, kind = combat.status[i, f], combat.kinds[i, k]
     if kind == HEALTH_PACK:
         if status[HEALTH] >= MOST_HEALTH:
@@ -187,6 +187,6 @@ def _take_supply(worlds, i, f, k):
         shots = max(status[LOADED + kind] + 1, AMMUNITION[kind])
         status[LOADED + kind] = min(shots, MOST_AMMUNITION)
         take(status, kind)
-    worlds.present[i, k] = False
+    envs.present[i, k] = False
     if combat.until[i, k] < 0:
-        worlds.returning[i, k] = worlds.clock[i] + RETURN[kind]
+        envs.returning[i, k] = envs.clock[i] + RETURN[kind]

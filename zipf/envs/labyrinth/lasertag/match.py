@@ -69,9 +69,9 @@ class Match:
                 f"a match has 1 to {FIGHTERS - 1} opponents and 1 to {SPAWNS} spawn cells, got "
                 f"{opponents} and {len(spawns)}"
             )
-        self._world, self._i = world, world._number
-        self._worlds = world._worlds
-        self.combat = combat = self._worlds.combat
+        self._env, self._i = world, world._number
+        self._envs = world._envs
+        self.combat = combat = self._envs.combat
         i = self._i
         clear_combat(combat, i)
         combat.fighters[i] = 1 + opponents
@@ -96,7 +96,7 @@ class Match:
         combat.status[self._i, :, TAGGED_AT] = 0
         for fighter in range(int(combat.fighters[self._i])):
             respawn(combat, self._i, fighter)
-        self._worlds.bodies[self._i] = combat.bodies[self._i, 0]
+        self._envs.bodies[self._i] = combat.bodies[self._i, 0]
 
     # What oracles read.
 
@@ -121,7 +121,7 @@ class Match:
 
     def in_view(self, fighter: int) -> bool:
         """Whether no wall is between the player and a fighter."""
-        solid: NDArray[np.bool_] = self._worlds.solid[self._i]
+        solid: NDArray[np.bool_] = self._envs.solid[self._i]
         return bool(in_view(solid, *self.place(0), *self.place(fighter)))
 
     def health(self, fighter: int) -> int:
@@ -140,8 +140,8 @@ class Match:
     @property
     def supplies(self) -> list[Supply]:
         """What lies there."""
-        kinds, places = self.combat.kinds[self._i], self._worlds.places[self._i]
-        there = np.flatnonzero((kinds != NOTHING) & self._worlds.present[self._i, :SUPPLIES])
+        kinds, places = self.combat.kinds[self._i], self._envs.places[self._i]
+        there = np.flatnonzero((kinds != NOTHING) & self._envs.present[self._i, :SUPPLIES])
         return [
             Supply(k, int(kinds[k]), float(places[k, 0]), float(places[k, 1]))
             for k in there.tolist()

@@ -111,11 +111,11 @@ def act(mind, body):
 
 
 @compiled(error_model="numpy")
-def think(worlds, i, f):
+def think(envs, i, f):
     """An opponent looks around and decides what it does until it thinks again."""
-    combat = worlds.combat
+    combat = envs.combat
     mind, body, status = combat.minds[i, f], combat.bodies[i, f], combat.status[i, f]
-    now, solid = worlds.clock[i], worlds.solid[i]
+    now, solid = envs.clock[i], envs.solid[i]
     enemy = _look_around(combat, solid, i, now, f)
     if enemy != NOTHING:
         if enemy != mind[ENEMY] or now - mind[LAST_SEEN] > CALM:
@@ -129,12 +129,12 @@ def think(worlds, i, f):
     hurt = status[HEALTH] < LOW_HEALTH
     supply = NOTHING
     if not noticed or hurt or status[GADGET] == IMPULSE:
-        supply = _useful_supply(combat, worlds.places[i], worlds.present[i], i, f, hurt and noticed)
+        supply = _useful_supply(combat, envs.places[i], envs.present[i], i, f, hurt and noticed)
     if noticed and supply == NOTHING:
         _close_in(combat, i, now, f, combat.bodies[i, int(enemy)])
     else:
         if supply != NOTHING:
-            place = worlds.places[i, supply]
+            place = envs.places[i, supply]
             _go_to(combat, solid, i, f, place[1] // CELL, place[0] // CELL)
         elif now - mind[LAST_SEEN] < CHASE:
             _go_to(combat, solid, i, f, mind[LAST_ROW], mind[LAST_COLUMN])

@@ -73,9 +73,9 @@ _MOST_HITS = 4
 
 
 @compiled(error_model="numpy")
-def shoot(worlds, i, f):
+def shoot(envs, i, f):
     """Fires the gadget of a fighter, which is ready."""
-    combat = worlds.combat
+    combat = envs.combat
     status, body, stream = combat.status[i, f], combat.bodies[i, f], combat.stream[i]
     gadget = status[GADGET]
     cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
@@ -88,10 +88,10 @@ def shoot(worlds, i, f):
         dx, dy = dx + right * sin - up * cos * dz, dy - right * cos - up * sin * dz
         dz += up * flat
     if gadget == ORB:
-        _launch(combat.shots[i], worlds.clock[i], f, x, y, z, dx, dy, dz)
+        _launch(combat.shots[i], envs.clock[i], f, x, y, z, dx, dy, dz)
     elif gadget == DISC:
-        far = to_surroundings(worlds.solid[i], x, y, z, dx, dy, dz, REACH[DISC])
-        _trace(combat, i, worlds.clock[i], f, x + far * dx, y + far * dy, z + far * dz)
+        far = to_surroundings(envs.solid[i], x, y, z, dx, dy, dz, REACH[DISC])
+        _trace(combat, i, envs.clock[i], f, x + far * dx, y + far * dy, z + far * dz)
         hits = 0
         for other in range(combat.fighters[i]):
             if other != f and combat.status[i, other, TAGGED_AT] < 0 and hits < _MOST_HITS:
@@ -100,16 +100,16 @@ def shoot(worlds, i, f):
                     flash(
                         combat,
                         i,
-                        worlds.clock[i],
+                        envs.clock[i],
                         x + away * dx,
                         y + away * dy,
                         z + away * dz,
                         SPARK,
                     )
-                    hurt(worlds, i, other, f, DAMAGE[DISC], dx, dy, dz)
+                    hurt(envs, i, other, f, DAMAGE[DISC], dx, dy, dz)
                     hits += 1
     else:
-        far = to_surroundings(worlds.solid[i], x, y, z, dx, dy, dz, REACH[gadget])
+        far = to_surroundings(envs.solid[i], x, y, z, dx, dy, dz, REACH[gadget])
         hit, far = first_body(
             combat.fighters[i], combat.bodies[i], combat.status[i], f, x, y, z, dx, dy, dz, far
         )
@@ -117,10 +117,10 @@ def shoot(worlds, i, f):
             return
         end_x, end_y, end_z = x + far * dx, y + far * dy, z + far * dz
         if gadget != IMPULSE:
-            _trace(combat, i, worlds.clock[i], f, end_x, end_y, end_z)
+            _trace(combat, i, envs.clock[i], f, end_x, end_y, end_z)
         if hit != NOTHING:
-            flash(combat, i, worlds.clock[i], end_x, end_y, end_z, SPARK)
-            hurt(worlds, i, hit, f, DAMAGE[gadget], dx, dy, dz)
+            flash(combat, i, envs.clock[i], end_x, end_y, end_z, SPARK)
+            hurt(envs, i, hit, f, DAMAGE[gadget], dx, dy, dz)
     status[WAIT] += PERIOD[gadget]
     if gadget != IMPULSE:
         status[LOADED + gadget] -= 1
@@ -147,9 +147,9 @@ def take(status, gadget):
 
 
 @compiled(error_model="numpy")
-def hurt(worlds, i, target, attacker, damage, dx, dy, dz):
+def hurt(envs, i, target, attacker, damage, dx, dy, dz):
     """Damages a fighter, who is pushed along a direction of length 1, and may be tagged."""
-    combat = worlds.combat
+    combat = envs.combat
     status, body = combat.status[i, target], combat.bodies[i, target]
     damage = max(int(damage), 1)
     push = KNOCK_BACK * min(damage, MOST_KNOCK_BACK)
@@ -164,40 +164,40 @@ def hurt(worlds, i, target, attacker, damage, dx, dy, dz):
     status[ARMOUR] -= saved
     status[HEALTH] -= damage - saved
     combat.minds[i, target, ATTACKER] = attacker
-    combat.minds[i, target, ATTACKED_AT] = worlds.clock[i]
+    combat.minds[i, target, ATTACKED_AT] = envs.clock[i]
     if status[HEALTH] <= 0:
-        _tag(worlds, i, target, attacker)
+        _tag(envs, i, target, attacker)
 
 
 @compiled(error_model="numpy")
-def _tag(worlds, i, target, attacker):
+def _tag(envs, i, target, attacker):
     """A fighter is tagged: vanishes, drops the gadget in hand, and gives or costs a point."""
-    combat = worlds.combat
+    combat = envs.combat
     status, body = combat.status[i, target], combat.bodies[i, target]
     status[HEALTH] = 0
-    status[TAGGED_AT] = worlds.clock[i]
+    status[TAGGED_AT] = envs.clock[i]
     if target > 0:  # the player would see its own from inside
-        flash(combat, i, worlds.clock[i], body[X], body[Y], body[Z], PUFF)
+        flash(combat, i, envs.clock[i], body[X], body[Y], body[Z], PUFF)
     gadget = status[GADGET]
     if gadget > RAPID and status[LOADED + gadget] > 0:
-        _drop(worlds, i, gadget, body[X], body[Y])
+        _drop(envs, i, gadget, body[X], body[Y])
     combat.status[i, attacker, TAGS] += -1 if attacker == target else 1
     if attacker == 0:
         combat.points[i, int(target == 0)] += 1
 
 
 @compiled(error_model="numpy")
-def _drop(worlds, i, gadget, x, y):
+def _drop(envs, i, gadget, x, y):
     """Leaves a gadget on the ground, where there is a place for it."""
-    combat = worlds.combat
+    combat = envs.combat
     for k in range(SUPPLIES):
         free = combat.kinds[i, k] == NOTHING
-        if free or (combat.until[i, k] >= 0 and not worlds.present[i, k]):
+        if free or (combat.until[i, k] >= 0 and not envs.present[i, k]):
             combat.kinds[i, k] = gadget
-            combat.until[i, k] = worlds.clock[i] + DROP_LIFE
-            place = worlds.places[i, k]
+            combat.until[i, k] = envs.clock[i] + DROP_LIFE
+            place = envs.places[i, k]
             place[0], place[1], place[2] = x, y, BELOW
-            worlds.present[i, k] = True
+            envs.present[i, k] = True
             return
 
 
@@ -213,9 +213,9 @@ def _launch(shots, now, f, x, y, z, dx, dy, dz):
 
 
 @compiled(error_model="numpy")
-def fly(worlds, i):
+def fly(envs, i):
     """Moves orbs by a frame. Those that meet something burst."""
-    combat = worlds.combat
+    combat = envs.combat
     for k in range(SHOTS):
         shot = combat.shots[i, k]
         f = int(shot[SHOOTER])
@@ -223,25 +223,25 @@ def fly(worlds, i):
             continue
         x, y, z, dx, dy, dz = shot[:6]
         step = ORB_SPEED * FRAME
-        far = to_surroundings(worlds.solid[i], x, y, z, dx, dy, dz, step)
+        far = to_surroundings(envs.solid[i], x, y, z, dx, dy, dz, step)
         hit, far = first_body(
             combat.fighters[i], combat.bodies[i], combat.status[i], f, x, y, z, dx, dy, dz, far
         )
         shot[0], shot[1], shot[2] = x + far * dx, y + far * dy, z + far * dz
-        if hit != NOTHING or far < step or worlds.clock[i] - shot[BORN] > ORB_LIFE:
+        if hit != NOTHING or far < step or envs.clock[i] - shot[BORN] > ORB_LIFE:
             shot[SHOOTER] = NOTHING
             back = max(far - 1.0, 0.0)  # off the wall
             x, y, z = x + back * dx, y + back * dy, z + back * dz
-            flash(combat, i, worlds.clock[i], x, y, z, BLAST)
+            flash(combat, i, envs.clock[i], x, y, z, BLAST)
             if hit != NOTHING:
-                hurt(worlds, i, hit, f, DAMAGE[ORB], dx, dy, dz)
-            _burst(worlds, i, x, y, z, f, hit)
+                hurt(envs, i, hit, f, DAMAGE[ORB], dx, dy, dz)
+            _burst(envs, i, x, y, z, f, hit)
 
 
 @compiled(error_model="numpy")
-def _burst(worlds, i, x, y, z, shooter, spared):
+def _burst(envs, i, x, y, z, shooter, spared):
     """Damages the fighters around an orb that bursts, the less the farther they are."""
-    combat = worlds.combat
+    combat = envs.combat
     for f in range(combat.fighters[i]):
         if f == spared or combat.status[i, f, TAGGED_AT] >= 0:
             continue
@@ -250,11 +250,11 @@ def _burst(worlds, i, x, y, z, shooter, spared):
         off_y = max(abs(y - body[Y]) - WIDE, 0.0)
         off_z = max(body[Z] - BELOW - z, z - body[Z] - ABOVE, 0.0)
         damage = DAMAGE[ORB] * (1.0 - math.sqrt(off_x**2 + off_y**2 + off_z**2) / BLAST_RADIUS)
-        if damage <= 0.0 or not in_view(worlds.solid[i], x, y, body[X], body[Y]):
+        if damage <= 0.0 or not in_view(envs.solid[i], x, y, body[X], body[Y]):
             continue
         dx, dy, dz = body[X] - x, body[Y] - y, body[Z] - z + BELOW
         length = math.sqrt(dx * dx + dy * dy + dz * dz) + 1e-9
-        hurt(worlds, i, f, shooter, damage, dx / length, dy / length, dz / length)
+        hurt(envs, i, f, shooter, damage, dx / length, dy / length, dz / length)
 
 
 @compiled(error_model="numpy")

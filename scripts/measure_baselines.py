@@ -1,13 +1,13 @@
-"""Measures what players that do not learn score on the levels of a family.
+"""Measures what policies that do not learn score on the levels of a family.
 
-    python scripts/measure_references.py playroom
-    python scripts/measure_references.py playroom --references expert
-    python scripts/measure_references.py labyrinth --episodes 200
+    python scripts/measure_baselines.py playroom
+    python scripts/measure_baselines.py playroom --baselines expert
+    python scripts/measure_baselines.py labyrinth --episodes 200
 
-Writes `references.json` in the family's package, which evaluations, reports and the documentation
-read, and `results/<family>_references.md`, which `make results` copies into the record. What is
-exact is not measured. A scripted policy is measured where the family has it in `references` and
-`zipf.envs` has a function of the reference's name that makes it, as `zipf.envs.expert` does.
+Writes `baselines.json` in the family's package, which evaluations, reports and the documentation
+read, and `results/<family>_baselines.md`, which `make results` copies into the record. What is
+exact is not measured. A scripted policy is measured where the family has it in `baselines` and
+`zipf.envs` has a function of the baseline's name that makes it, as `zipf.envs.expert` does.
 
 Every draw comes from fixed seeds. Images are of a few pixels: no player looks at them.
 """
@@ -49,13 +49,13 @@ def experiments_of(family: str) -> list[tuple[envs.Split, Mapping[str, Any]]]:
     own = envs.find_family(family)
     defaults = own.options_class().model_dump(exclude=set(own.appearance))
     for experiment in command_line.choices("experiment"):
-        worlds = composing.composed(f"experiment={experiment}").values["environment"]
-        split = envs.split(worlds["split"])
+        given = composing.composed(f"experiment={experiment}").values["environment"]
+        split = envs.split(given["split"])
         if envs.family_of_split(split.name) is own:
             others = {
-                key: worlds[key]
+                key: given[key]
                 for key, value in defaults.items()
-                if key in worlds and worlds[key] != value
+                if key in given and given[key] != value
             }
             found.append((split, others))
     return found
@@ -73,11 +73,11 @@ def to_measure(family: str) -> Measured:
 
 
 def measurable(family: str) -> list[str]:
-    """The references of a family that have a player and are not known exactly."""
+    """The baselines of a family that have a player and are not known exactly."""
     found = []
-    for name in envs.find_family(family).references:
+    for name in envs.find_family(family).baselines:
         if name == "chance" or hasattr(envs, name):
-            known = envs.reference(name, f"{family}/{LEVELS[family][0]}")
+            known = envs.baseline(name, f"{family}/{LEVELS[family][0]}")
             if known is None or known.episodes is not None:
                 found.append(name)
     return found
@@ -109,10 +109,10 @@ def figure(
 def write_figure(
     family: str, name: str, level: str, figure: dict[str, Any], out: Path | None = None
 ) -> Figures:
-    """Puts a figure into `references.json` in the family's package, in the place of that with the
+    """Puts a figure into `baselines.json` in the family's package, in the place of that with the
     same options; returns all figures."""
     package = importlib.import_module(f"zipf.envs.{family}")
-    out = out or Path(str(package.__file__)).with_name("references.json")
+    out = out or Path(str(package.__file__)).with_name("baselines.json")
     found: Figures = json.loads(out.read_text("utf-8")) if out.exists() else {}
     of_level = found.setdefault(name, {}).setdefault(level, [])
     of_level[:] = [*(old for old in of_level if old["options"] != figure["options"]), figure]
@@ -124,7 +124,7 @@ def write_figure(
                 key=lambda item: order.index(item[0]) if item[0] in order else len(order),
             )
         )
-        for one in envs.REFERENCES
+        for one in envs.BASELINES
         if one.name in found
     }
     out.write_text(json.dumps(ordered, indent=2) + "\n", "utf-8")
@@ -140,7 +140,7 @@ def page(family: str, found: Figures) -> str:
         if level.normalisation is not None
     }
     # What is blind has a table of its own, of scripts/search_floors.py.
-    known = [one for one in envs.REFERENCES if one.name in found and one.name != "blind"]
+    known = [one for one in envs.BASELINES if one.name in found and one.name != "blind"]
     titles = [title for one in known for title in (one.title, "Episodes")]
     header = ["Level", *(["Random, published", "Human, published"] if published else []), *titles]
     lines = [header, [":--"] + ["--:"] * (len(header) - 1)]
@@ -173,8 +173,8 @@ def page(family: str, found: Figures) -> str:
         )
     table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
     return (
-        f"## Zipf's {family.capitalize()}: references\n\n{table}\n\n{text}\n\n"
-        f"```\npython scripts/measure_references.py {family}{episodes}\n```\n"
+        f"## Zipf's {family.capitalize()}: baselines\n\n{table}\n\n{text}\n\n"
+        f"```\npython scripts/measure_baselines.py {family}{episodes}\n```\n"
     )
 
 
@@ -182,7 +182,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("family", choices=LEVELS)
     parser.add_argument("levels", nargs="*", help="levels to measure; all if none is given")
-    parser.add_argument("--references", nargs="+", help="all that are not exact if none is given")
+    parser.add_argument("--baselines", nargs="+", help="all that are not exact if none is given")
     parser.add_argument("--episodes", type=int, default=1000, help="of each level, at least 2")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--missing", action="store_true", help="measure only what is not there")
@@ -194,7 +194,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.episodes < 2:
         parser.error(f"--episodes must be at least 2, got {given.episodes}")
     for what, chosen, known in (
-        ("references", given.references or [], names),
+        ("baselines", given.baselines or [], names),
         ("levels", given.levels, levels),
     ):
         if unknown := [one for one in chosen if one not in known]:
@@ -202,9 +202,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"unknown {what} {', '.join(unknown)}: expected some of {', '.join(known)}"
             )
     package = importlib.import_module(f"zipf.envs.{given.family}")
-    out = given.out or Path(str(package.__file__)).with_name("references.json")
+    out = given.out or Path(str(package.__file__)).with_name("baselines.json")
     found: Figures = json.loads(out.read_text("utf-8")) if out.exists() else {}
-    for name in given.references or names:
+    for name in given.baselines or names:
         for level, options in to_measure(given.family):
             if given.levels and level not in given.levels:
                 continue
@@ -214,7 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             new = figure(name, given.family, level, options, given.episodes, given.seed)
             found = write_figure(given.family, name, level, new, out)
             print(f"{name}, {level} {options}: {new['score']} +- {new['error']}", flush=True)
-    table = given.page or RESULTS / f"{given.family}_references.md"
+    table = given.page or RESULTS / f"{given.family}_baselines.md"
     table.write_text(page(given.family, found), "utf-8")
     print(f"written: {out}, {table}")
 

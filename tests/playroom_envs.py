@@ -50,22 +50,22 @@ def arrange(
     Returns:
         The observation.
     """
-    count = env.worlds.ranks.shape[1]
+    count = env.envs.ranks.shape[1]
     ranks = dict(
         zip(env.situation, [env.object_names.index(name) for name in names[:count]], strict=False)
     )
     if task is not None:
         ranks["task"] = ("lift", "near bed", "near tray", "on bed", "on tray").index(task)
     env.reset(seed=seed, options=ranks)
-    env.worlds.agents[0, :4] = agent
-    env.worlds.objects[0] = 0.0
-    env.worlds.objects[0, :, :2] = AWAY[:count]
+    env.envs.agents[0, :4] = agent
+    env.envs.objects[0] = 0.0
+    env.envs.objects[0, :, :2] = AWAY[:count]
     for j, pose in (items or {}).items():
-        env.worlds.objects[0, j, : len(pose)] = pose
-    env.worlds.furniture[0] = furniture
+        env.envs.objects[0, j, : len(pose)] = pose
+    env.envs.furniture[0] = furniture
     everywhere = np.ones(1, np.bool_)
-    begin(everywhere, env.worlds)
-    env.worlds.status[0, env.worlds.objects[0, :, Z] > 0] = AIR
+    begin(everywhere, env.envs)
+    env.envs.status[0, env.envs.objects[0, :, Z] > 0] = AIR
     env._furnish(0)
     env._view.begin(everywhere)
     return env.observations()
@@ -82,9 +82,9 @@ def act(env: PlayroomVectorEnv, *names: str | int) -> Any:
 
 def look_at(env: PlayroomVectorEnv, item: int) -> None:
     """Turns the agent's view to the middle of an object, at once."""
-    agent = env.worlds.agents[0]
-    x, y, _, z, _ = env.worlds.objects[0, item]
-    middle = z + env.worlds.extents[env.worlds.ranks[0, item], 2] / 2
+    agent = env.envs.agents[0]
+    x, y, _, z, _ = env.envs.objects[0, item]
+    middle = z + env.envs.extents[env.envs.ranks[0, item], 2] / 2
     dx, dy = x - agent[AX], y - agent[AY]
     agent[YAW] = np.arctan2(dy, dx)
     agent[PITCH] = np.arctan2(middle - EYE, np.hypot(dx, dy))
@@ -117,14 +117,12 @@ def check_held(env: PlayroomVectorEnv, i: int) -> None:
 
     By the corners of its rotated bounding box and points between them.
     """
-    worlds = env.worlds
-    item, (x, y, yaw, pitch) = worlds.hands[i], worlds.agents[i, :4]
-    frame, extent = worlds.orientation[i, item], worlds.extents[worlds.ranks[i, item]]
+    envs = env.envs
+    item, (x, y, yaw, pitch) = envs.hands[i], envs.agents[i, :4]
+    frame, extent = envs.orientation[i, item], envs.extents[envs.ranks[i, item]]
     surface = np.array(list(itertools.product((-0.5, -0.25, 0, 0.25, 0.5), repeat=3)))
     offsets = (surface * extent) @ frame.T
-    middle = np.append(
-        worlds.objects[i, item, :2], worlds.objects[i, item, Z] - offsets[:, 2].min()
-    )
+    middle = np.append(envs.objects[i, item, :2], envs.objects[i, item, Z] - offsets[:, 2].min())
     points = middle + offsets
     assert np.abs(points[:, :2]).max() <= ROOM / 2 + 1e-6
     assert points[:, 2].min() >= -1e-6

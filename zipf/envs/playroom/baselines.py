@@ -1,15 +1,15 @@
 """What a policy that cannot read the instruction scores in the playroom, exactly; the other
-references were measured and stand in `references.json`."""
+baselines were measured and stand in `baselines.json`."""
 
 from typing import Any
 
-from zipf.envs.baselines import ReferenceScore, higher_floor
+from zipf.envs.baselines import BaselineScore, higher_floor
 from zipf.envs.playroom import levels
 
 POLICY = "guessing expert"  # in `Family.blind_policies`
 
 
-def blind(level: str, **options: Any) -> ReferenceScore | None:
+def blind(level: str, **options: Any) -> BaselineScore | None:
     """The score of a policy that does what an instruction of the level says about a toy of the
     room, but not the instruction that was given: exact.
 
@@ -20,11 +20,11 @@ def blind(level: str, **options: Any) -> ReferenceScore | None:
     if not found.finding:
         score = 1 / ((found.others + 1) * len(found.tasks))
         by_rank = {"target": (score,) * len(found.probabilities)}
-        return ReferenceScore(score, by_rank=by_rank, policy=POLICY)
+        return BaselineScore(score, by_rank=by_rank, policy=POLICY)
     by_target = (1 + found.probabilities) / 2
     score = float(found.probabilities @ by_target)
-    return ReferenceScore(score, by_rank={"target": tuple(by_target.tolist())}, policy=POLICY)
+    return BaselineScore(score, by_rank={"target": tuple(by_target.tolist())}, policy=POLICY)
 
 
 floor = higher_floor("zipf.envs.playroom", blind)
-"""The blind reference: the higher one of `blind` and of the policies that were searched for."""
+"""The blind baseline: the higher one of `blind` and of the policies that were searched for."""

@@ -1,10 +1,10 @@
-"""Writes what is known of references now into the record of runs in `results/`.
+"""Writes what is known of baselines now into the record of runs in `results/`.
 
-    python scripts/renew_references.py
+    python scripts/renew_baselines.py
     make results
 
-A run's description has the scores of players that do not learn as they were known when it began.
-They belong to the levels and not to the run: after a change of `references.json` this renews them.
+A run's description has the scores of policies that do not learn as they were known when it began.
+They belong to the levels and not to the run: after a change of `baselines.json` this renews them.
 A kind of levels that a run was not scored on is not added.
 """
 
@@ -21,7 +21,7 @@ RESULTS = Path(__file__).parent.parent / "results"
 
 
 def renewed(description: dict[str, Any], *, questions: bool) -> dict[str, Any]:
-    """A run's description with the references that are known now.
+    """A run's description with the baselines that are known now.
 
     Args:
         questions: whether the agent answers questions about first frames and does not act.
@@ -30,10 +30,10 @@ def renewed(description: dict[str, Any], *, questions: bool) -> dict[str, Any]:
     known = describe_levels(
         envs.questions(split) if questions else split, description["environment"]
     )
-    references = {(one["level_kind"], one["level"]): one["references"] for one in known}
+    baselines = {(one["level_kind"], one["level"]): one["references"] for one in known}
     levels = []
     for one in description["levels"]:
-        new = references.get((one["level_kind"], one["level"]), one["references"])
+        new = baselines.get((one["level_kind"], one["level"]), one["references"])
         same = _rounded(new) == _rounded(one["references"])
         levels.append(one if same else {**one, "references": new})
     return {**description, "levels": levels}
