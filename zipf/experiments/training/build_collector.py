@@ -26,7 +26,7 @@ def build_collector(
     """What collects for an agent in these envs.
 
     Args:
-        player: numbers which of several collectors of a run it is, a learner's or an actor's: each
+        stream: numbers which of several collectors of a run it is, a learner's or an actor's: each
             draws for itself.
     """
     return Collector(
