@@ -28,6 +28,7 @@ from zipf.envs.family import (
     questions,
     register,
     scripted,
+    sliceable,
     split,
     symmetries,
 )
@@ -87,6 +88,7 @@ __all__ = [
     "questions",
     "register",
     "scripted",
+    "sliceable",
     "split",
     "symmetries",
     "zipfian",

@@ -16,7 +16,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
@@ -170,10 +170,12 @@ class Family:
             if name not in known:
                 raise unknown(f"{self.name} option", name, known)
 
-    def make_batch(self, level: str, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
+    def make_batch(
+        self, level: str, num_envs: int, *, threads: int = 1, **kwargs: Any
+    ) -> ZipfVectorEnv:
         """`num_envs` envs of a level, named without the family's name."""
         self.check_options(kwargs, "autoreset_mode", "copy", "render_mode")
-        return _loaded(self.make_vec)(num_envs, level=level, **kwargs)
+        return _batch(partial(_loaded(self.make_vec), level=level), num_envs, threads, **kwargs)
 
     def make_single(self, level: str, **kwargs: Any) -> gym.Env:
         """One env of a level, named without the family's name."""
@@ -308,7 +310,11 @@ def make(level: str, **kwargs: Any) -> gym.Env:
 
 
 def make_vec(
-    level: Level | SplitLevel | Sequence[Level | SplitLevel], num_envs: int, **kwargs: Any
+    level: Level | SplitLevel | Sequence[Level | SplitLevel],
+    num_envs: int,
+    *,
+    threads: int = 1,
+    **kwargs: Any,
 ) -> ZipfVectorEnv:
     """`num_envs` envs of a level that step together.
 
@@ -316,6 +322,7 @@ def make_vec(
         level: a full name, or what a `Split` may hold in a name's place. Several levels share the
             envs evenly, see `Mixture`.
         num_envs: number of envs N.
+        threads: how many step the envs, where these are `sliceable`, see `zipf.envs.slices`.
         kwargs: `autoreset_mode`, `copy`, `render_mode` and constructor options; a `SplitLevel`'s
             own options go before those.
 
@@ -324,17 +331,39 @@ def make_vec(
     """
     if isinstance(level, str):
         found, name = find_level(level)
-        return found.make_batch(name, num_envs, **kwargs)
+        return found.make_batch(name, num_envs, threads=threads, **kwargs)
     if isinstance(level, SplitLevel):
-        return make_vec(level.level, num_envs, **{**kwargs, **level.options})
+        return make_vec(level.level, num_envs, threads=threads, **{**kwargs, **level.options})
     if callable(level):
-        return level(num_envs, **kwargs)
+        return _batch(level, num_envs, threads, **kwargs)
     if not isinstance(level, Sequence):
         raise ValueError(
             "a level must be a name such as 'gridworld/zipf_2', a function that makes a batch, or "
             f"a list of these; got {level!r}"
         )
-    return _mixture(level, num_envs, **kwargs)
+    return _mixture(level, num_envs, threads=threads, **kwargs)
+
+
+def _batch(
+    make: Callable[..., ZipfVectorEnv], num_envs: int, threads: int, **kwargs: Any
+) -> ZipfVectorEnv:
+    if threads == 1:
+        return make(num_envs, **kwargs)
+    from zipf.envs.slices import Slices
+
+    return Slices(make, num_envs, threads, **kwargs)
+
+
+def sliceable(split: Split) -> bool:
+    """Whether several threads can step the envs that `make_train` makes of a split."""
+
+    def one(level: Level | SplitLevel) -> bool:
+        if isinstance(level, SplitLevel):
+            return one(level.level)
+        make = _loaded(find_level(level)[0].make_vec) if isinstance(level, str) else level
+        return bool(getattr(make, "sliceable", False))
+
+    return all(map(one, split.train))
 
 
 def make_train(split: Split, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
@@ -475,7 +504,12 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> BoundPolicy | No
     found, _ = find_level(level)
     _check_batch(f"the {name} plays", env)
     make = getattr(found, name)
-    return None if make is None else _loaded(make)(env)
+    if make is None:
+        return None
+    from zipf.envs.slices import SlicedPolicy, Slices
+
+    policy = _loaded(make)
+    return SlicedPolicy(env, policy) if isinstance(env, Slices) else policy(env)
 
 
 def goal(level: str, env: ZipfVectorEnv) -> Goal | None:

@@ -15,6 +15,7 @@ NOT_LEARNED = frozenset(
         "run_root",
         "device",
         "compile",
+        "threads",
         "resume",
         "evaluation",
         "schedule",
