@@ -11,8 +11,7 @@ from zipf.envs.gridworld.sprites import FLOOR, WALL
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.envs.policies import Remembering
 
-UNSEEN = 255
-"""What is known of a cell that has not been in view; no cell code."""
+UNSEEN = 255  # what is known of a cell that has not been in view; no cell code
 
 _MOVES = np.array(MOVES)
 _FAR = 1 << 30

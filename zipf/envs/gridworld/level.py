@@ -12,8 +12,7 @@ from zipf.envs.gridworld import GridworldOptions, kernels
 from zipf.envs.gridworld.maps import MOVES, VIEW, Maps, build_maps, fresh_from
 from zipf.envs.gridworld.sprites import CELL, NUM_CODES
 
-FRESH = "fresh"
-"""The level of the fresh maps, all situations of which are equally likely."""
+FRESH = "fresh"  # the level of the fresh maps, all situations of which are equally likely
 
 OBSERVATIONS: dict[str, dict[str, tuple[int, ...]]] = {
     "image": {"image": (VIEW * CELL, VIEW * CELL, 3)},

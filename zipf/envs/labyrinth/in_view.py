@@ -8,8 +8,7 @@ from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.state import CELL, PITCH, YAW, X, Y, Z
 from zipf.envs.labyrinth.terrain import height_at
 
-NEVER = -1
-"""Stands for the frame at which a cell was seen last, where it never was."""
+NEVER = -1  # stands for the frame at which a cell was seen last, where it never was
 RAYS = 96
 """Directions, across the view, in which cells are looked for: as many as the paper's images have
 columns."""

@@ -11,23 +11,19 @@ from zipf.compiled import compiled
 from zipf.envs.labyrinth.state import CELL, PITCH, VX, VY, VZ, YAW, X, Y, Z
 from zipf.envs.labyrinth.terrain import height_at
 
-FRAME = 0.016
-"""Seconds of physics."""
+FRAME = 0.016  # seconds of physics
 RUN = 320.0
 ACCELERATION, IN_AIR = 10.0, 1.0
 FRICTION, STOP_SPEED = 6.0, 100.0
 GRAVITY = 800.0
 WIDE = 15.0
 """Half the width of the player's box."""
-BELOW, ABOVE = 24.0, 32.0
-"""Distances from the player's point down to the soles and up to the crown."""
-EYE = 26.0
-"""Height of the eye above the player's point."""
+BELOW, ABOVE = 24.0, 32.0  # distances from the player's point down to the soles and up to the crown
+EYE = 26.0  # height of the eye above the player's point
 STEP_UP = 18.0
 STEEPEST = math.sqrt(1.0 / 0.7**2 - 1.0)
 """Slope that can be climbed: where the unit normal is 0.7 high."""
-RISE = 12.0
-"""Speed of a rising platform that holds the player, units per frame."""
+RISE = 12.0  # speed of a rising platform that holds the player, units per frame
 _MOST_PITCH = math.radians(89.0)
 _SKIN = 1e-6
 

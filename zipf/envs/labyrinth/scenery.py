@@ -16,12 +16,9 @@ from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Envs, X, Y, Z
 from zipf.envs.render3d import MeshAtlas, Renderer, Scenes, load_meshes, pack_textures
 
-METRES = 0.01
-"""Metres of the renderer in one unit."""
-FIELD_OF_VIEW = 90.0
-"""Horizontal, degrees (DeepMind Lab)."""
-LARGE = 288, 384
-"""Height and width of the views for people to watch."""
+METRES = 0.01  # metres of the renderer in one unit
+FIELD_OF_VIEW = 90.0  # horizontal, degrees (DeepMind Lab)
+LARGE = 288, 384  # height and width of the views for people to watch
 WALLS, FLATS, OVERLAYS = 768, 288, view.BARS
 """Capacities of each env. The most are those of a skymaze of 10 x 10 nodes that all connect: 280
 platforms, 760 sides."""

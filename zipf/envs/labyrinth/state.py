@@ -23,8 +23,7 @@ X, Y, Z, VX, VY, VZ, YAW, PITCH = range(8)
 TOUCH_X, TOUCH_Y, TOUCH_Z = 40.0, 36.0, 36.0
 """An item is touched within these distances of the player's point. The original's reach along x is
 from -50 to 44; approximated by a symmetric one."""
-GRID = 21
-"""Most rows and columns of a text map."""
+GRID = 21  # most rows and columns of a text map
 ITEMS, BOXES, PLANES, PILLARS, ZONES, TIMERS = 184, 64, 16, 100, 10, 4
 QUADS = 63
 WIDGETS = 4
@@ -34,75 +33,51 @@ WIDGETS = 4
 class Envs(NamedTuple):
     """The state of N envs."""
 
-    clock: NDArray[np.int64]
-    """[N]: frames since the episode began."""
-    limit: NDArray[np.int64]
-    """[N]: frames of an episode."""
-    ending: NDArray[np.int64]
-    """[N]: frames until the level ends the episode; -1: it does not."""
-    finishing: NDArray[np.bool_]
-    """[N]: whether the next frame begins with a new map."""
-    bodies: NDArray[np.float64]
-    """[N, 8], columns X .. PITCH."""
-    pushed: NDArray[np.int64]
-    """[N]: frames without friction that are left, after a teleport."""
-    cells: NDArray[np.int64]
-    """[N, 2]: rows and columns of the text map; 0, 0: there is none."""
-    solid: NDArray[np.bool_]
-    """[N, GRID, GRID], rows to the north."""
+    clock: NDArray[np.int64]  # [N]: frames since the episode began
+    limit: NDArray[np.int64]  # [N]: frames of an episode
+    ending: NDArray[np.int64]  # [N]: frames until the level ends the episode; -1: it does not
+    finishing: NDArray[np.bool_]  # [N]: whether the next frame begins with a new map
+    bodies: NDArray[np.float64]  # [N, 8], columns X .. PITCH
+    pushed: NDArray[np.int64]  # [N]: frames without friction that are left, after a teleport
+    cells: NDArray[np.int64]  # [N, 2]: rows and columns of the text map; 0, 0: there is none
+    solid: NDArray[np.bool_]  # [N, GRID, GRID], rows to the north
     opaque: NDArray[np.bool_]
     """[N, GRID, GRID]: cells that hide what is behind them: walls that are drawn, closed doors."""
-    floor: NDArray[np.float64]
-    """[N, GRID, GRID]: heights of the cells' floors."""
-    boxes: NDArray[np.float64]
-    """[N, BOXES, 6]: solid boxes, their lowest and highest corners."""
+    floor: NDArray[np.float64]  # [N, GRID, GRID]: heights of the cells' floors
+    boxes: NDArray[np.float64]  # [N, BOXES, 6]: solid boxes, their lowest and highest corners
     see_through: NDArray[np.bool_]
     """[N, BOXES]: boxes that hide nothing, or of which `opaque` tells."""
-    box_count: NDArray[np.int64]
-    """[N]"""
+    box_count: NDArray[np.int64]  # [N]
     planes: NDArray[np.float64]
     """[N, PLANES, 3]: walls of a convex room, x and y of the outward normal and its distance from
     the origin."""
-    plane_count: NDArray[np.int64]
-    """[N]"""
-    pillars: NDArray[np.float64]
-    """[N, PILLARS, 3]: x, y and radius of solid upright pillars."""
-    pillar_count: NDArray[np.int64]
-    """[N]"""
-    quad: NDArray[np.float64]
-    """[N]: side of a terrain's quads; 0: there is no terrain."""
-    heights: NDArray[np.float64]
-    """[N, QUADS + 1, QUADS + 1]: of a terrain, rows to the north."""
-    held: NDArray[np.bool_]
-    """[N]: whether the player stands on a platform that holds it."""
-    hold: NDArray[np.float64]
-    """[N, 3]: where it holds the player."""
-    places: NDArray[np.float64]
-    """[N, ITEMS, 3]: where items are."""
-    present: NDArray[np.bool_]
-    """[N, ITEMS]: whether an item is there."""
+    plane_count: NDArray[np.int64]  # [N]
+    pillars: NDArray[np.float64]  # [N, PILLARS, 3]: x, y and radius of solid upright pillars
+    pillar_count: NDArray[np.int64]  # [N]
+    quad: NDArray[np.float64]  # [N]: side of a terrain's quads; 0: there is no terrain
+    heights: NDArray[np.float64]  # [N, QUADS + 1, QUADS + 1]: of a terrain, rows to the north
+    held: NDArray[np.bool_]  # [N]: whether the player stands on a platform that holds it
+    hold: NDArray[np.float64]  # [N, 3]: where it holds the player
+    places: NDArray[np.float64]  # [N, ITEMS, 3]: where items are
+    present: NDArray[np.bool_]  # [N, ITEMS]: whether an item is there
     touchable: NDArray[np.bool_]
     """[N, ITEMS]: whether an item that is there can be touched, or only seen."""
     returning: NDArray[np.int64]
     """[N, ITEMS]: the frame at which an item is there again; -1: it does not return."""
     zones: NDArray[np.float64]
     """[N, ZONES, 6]: boxes that tell when the player enters; empty ones are nowhere."""
-    inside: NDArray[np.bool_]
-    """[N, ZONES]: whether the player is inside."""
-    timers: NDArray[np.int64]
-    """[N, TIMERS]: the frame at which a timer goes off; -1: it is off."""
+    inside: NDArray[np.bool_]  # [N, ZONES]: whether the player is inside
+    timers: NDArray[np.int64]  # [N, TIMERS]: the frame at which a timer goes off; -1: it is off
     screen: NDArray[np.float64]
     """[N, 4]: x, y and z of the middle of a square screen that faces south, and its side; a side of
     0: there is none."""
     widgets: NDArray[np.float64]
     """[N, WIDGETS, 4]: left, top, right and bottom of parts of the screen that tell when they are
     looked at, as shares of its side from the top left corner; empty ones are nowhere."""
-    watched: NDArray[np.int64]
-    """[N]: the widget that the player looks at; -1: none."""
+    watched: NDArray[np.int64]  # [N]: the widget that the player looks at; -1: none
     instruction: NDArray[np.int64]
     """[N, 16]: the codes of the instruction's words, see `words.VOCABULARY`; 0: there is none."""
-    combat: Combat
-    """Laser tag."""
+    combat: Combat  # laser tag
 
 
 def make_envs(num_envs: int) -> Envs:

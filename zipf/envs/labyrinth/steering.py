@@ -20,8 +20,7 @@ NAMES = {action.name: number for number, action in enumerate(EXTENDED)}
 SMALL = 10 * 4 * DEGREES_PER_PIXEL
 LARGE = 60 * 4 * DEGREES_PER_PIXEL
 """Degrees that a step of four frames turns."""
-MARGIN = WIDE + 3.0
-"""How far from walls the player's point stays, units."""
+MARGIN = WIDE + 3.0  # how far from walls the player's point stays, units
 
 _FORWARD = NAMES["forward"]
 BACKWARD = NAMES["backward"]

@@ -68,8 +68,7 @@ class Drawing:
     rng: np.random.Generator
 
 
-Rule = Callable[[Drawing], str]
-"""Picks the value of an attribute."""
+Rule = Callable[[Drawing], str]  # picks the value of an attribute
 Group = Mapping[str, Rule]
 """The rules of a group's objects, by attribute. Other regions are ANY_REGION, others random."""
 

@@ -16,10 +16,8 @@ from zipf.compiled import compiled
 from zipf.envs.labyrinth.grids import distances
 from zipf.envs.labyrinth.state import QUADS
 
-WALKABLE = 0.7
-"""Least height of a unit normal that can be walked on."""
-BORDER = 48.0
-"""Distance of things from the edge, units."""
+WALKABLE = 0.7  # least height of a unit normal that can be walked on
+BORDER = 48.0  # distance of things from the edge, units
 _STARTS = 10
 
 

@@ -16,8 +16,7 @@ from zipf.envs.labyrinth.scenery import METRES, Scenery, atlas
 from zipf.envs.labyrinth.state import CELL, ITEMS, QUADS, YAW, Envs, X, Y
 from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH
 
-SIZE = 288
-"""Height and width of a map, pixels."""
+SIZE = 288  # height and width of a map, pixels
 _FINE = 2  # a map is drawn this much larger and then reduced, against jagged lines
 _NOTHING = (36, 40, 50)
 _SOLID = (62, 68, 82)

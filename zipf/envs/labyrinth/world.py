@@ -37,17 +37,12 @@ from zipf.envs.render3d import FACES_DOWN, SCREEN, SEE_THROUGH, TWO_SIDED
 
 Point = tuple[float, float, float]
 
-END_DELAY = 12
-"""Frames from the event that closes an episode to its end (0.2 s)."""
-PUSH, PUSHED_FRAMES = 400.0, 10
-"""Speed after a teleport, and frames without friction."""
-DEEP = 40.0
-"""Height of a platform's sides, units."""
-DOOR, LIP = 2.0, 8.0
-"""Thickness of a door, and what is seen of an open one, units."""
+END_DELAY = 12  # frames from the event that closes an episode to its end (0.2 s)
+PUSH, PUSHED_FRAMES = 400.0, 10  # speed after a teleport, and frames without friction
+DEEP = 40.0  # height of a platform's sides, units
+DOOR, LIP = 2.0, 8.0  # thickness of a door, and what is seen of an open one, units
 
-BARS = "bars"
-"""The texture of doors that are seen through."""
+BARS = "bars"  # the texture of doors that are seen through
 
 
 class Door(NamedTuple):

@@ -11,10 +11,8 @@ from zipf.envs.playroom.state import AIR, ANGLE, BASE, FLOOR, HELD, ON_BED, VZ, 
 GRAVITY = 9.8
 LIFT_HEIGHT = 0.15
 """An object is lifted from this far above where it was gripped, metres."""
-STILL_STEPS = 2
-"""An object is at rest after so many actions without motion, 0.27 s."""
-STILL_MOTION = 0.01
-"""An object that moves less than this counts as motionless, metres per action."""
+STILL_STEPS = 2  # an object is at rest after so many actions without motion, 0.27 s
+STILL_MOTION = 0.01  # an object that moves less than this counts as motionless, metres per action
 
 
 @compiled(references=False)

@@ -20,8 +20,7 @@ from zipf.envs.playroom.view import FIELD_OF_VIEW
 from zipf.envs.policies import Remembering
 
 # Ours.
-_NOWHERE = 1000.0
-"""Coordinates of what has not been seen, metres: it is in nobody's way."""
+_NOWHERE = 1000.0  # coordinates of what has not been seen, metres: it is in nobody's way
 _PITCHES = (
     (FIRST_PITCH, math.radians(-55)),
     (math.radians(-10), math.radians(-40)),
@@ -30,12 +29,9 @@ _PITCHES = (
 in it: at lower views the toy would be so low that the bed and other toys were in its way."""
 _SPOTS = np.array([(x, y) for x in (-1.0, 1.0) for y in (-1.0, 1.0)])
 """Places from which the room is searched again, metres."""
-_THERE = 0.4
-"""Distance at which a spot is reached, metres."""
-_TOUCH = 0.02
-"""How near the agent comes to the bed when it bumps into it, metres."""
-_WALK = 60
-"""Steps after which it is given up."""
+_THERE = 0.4  # distance at which a spot is reached, metres
+_TOUCH = 0.02  # how near the agent comes to the bed when it bumps into it, metres
+_WALK = 60  # steps after which it is given up
 
 
 class Generalist(Remembering):

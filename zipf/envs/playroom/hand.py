@@ -54,8 +54,7 @@ from zipf.envs.playroom.state import (
 )
 
 # Ours.
-ACCELERATION = 12.5
-"""The agent's acceleration, m/s^2: with the damping it moves at 2.7 m/s at most."""
+ACCELERATION = 12.5  # the agent's acceleration, m/s^2: with the damping it moves at 2.7 m/s at most
 TURN_RATE = math.radians(120)
 LOOK_RATE = math.radians(90)
 LOWEST, HIGHEST = math.radians(-75), math.radians(60)

@@ -15,8 +15,7 @@ from zipf.envs.playroom.geometry import half_width, rectangle_gap
 from zipf.envs.playroom.state import AX, AY, HOLD, PITCH, YAW, X, Y, Z
 
 # Ours.
-CLEARANCE = 0.05
-"""Between the body and a held object, metres."""
+CLEARANCE = 0.05  # between the body and a held object, metres
 SLACK = math.radians(20)
 """How far below the middle of the view a wall may push the middle of a held object. The view
 reaches 30 degrees up and down."""

@@ -28,8 +28,7 @@ PALETTE = np.array(
 )
 """The colours of objects: Carvalho et al. 2021."""
 
-FIRST_PITCH = math.radians(-25)
-"""Objects on the floor are in view. Ours."""
+FIRST_PITCH = math.radians(-25)  # Objects on the floor are in view. Ours.
 FIRST_YAW = math.radians(30)
 """How far to either side of the objects' middle the agent may look at first. Ours."""
 PASSAGE = 0.55

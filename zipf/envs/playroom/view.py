@@ -21,12 +21,9 @@ FIELD_OF_VIEW = 75.0
 _DARKNESS = 0.55
 _INNER = 0.6
 """Share of an object's footprint."""
-_SOFTNESS = 0.07
-"""How far a shadow reaches beyond an object on the floor, metres."""
-_SPREAD = 0.25
-"""How much farther for every metre of height."""
-_FAINT = 0.5
-"""Height at which half of the darkness is left, metres."""
+_SOFTNESS = 0.07  # how far a shadow reaches beyond an object on the floor, metres
+_SPREAD = 0.25  # how much farther for every metre of height
+_FAINT = 0.5  # height at which half of the darkness is left, metres
 _FURNITURE_SOFTNESS = (0.2, 0.09)
 """Widths of the soft edges of bed's and tray's shadows on each side of the edge, metres."""
 

@@ -11,14 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from zipf.envs.render3d.optics import UNIT_SUN
 
-TWO_SIDED = 1
-"""A wall or flat that is visible from both sides."""
-SEE_THROUGH = 2
-"""A wall or flat whose texels with an alpha below 128 are holes."""
-FACES_DOWN = 4
-"""A flat that is visible from below: a ceiling."""
-SCREEN = -2
-"""The texture of a wall that shows its env's `Scenes.screen`."""
+TWO_SIDED = 1  # a wall or flat that is visible from both sides
+SEE_THROUGH = 2  # a wall or flat whose texels with an alpha below 128 are holes
+FACES_DOWN = 4  # a flat that is visible from below: a ceiling
+SCREEN = -2  # the texture of a wall that shows its env's `Scenes.screen`
 
 
 class Scenes:

@@ -51,8 +51,7 @@ class Text:
 class Screen(Protocol):
     """A screen is open inside its context, and restores everything afterwards."""
 
-    in_characters: bool
-    """Whether pictures are drawn in characters, with few pixels."""
+    in_characters: bool  # whether pictures are drawn in characters, with few pixels
 
     def __enter__(self) -> Screen: ...
 

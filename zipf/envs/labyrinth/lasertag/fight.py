@@ -45,12 +45,9 @@ from zipf.envs.labyrinth.state import (
     Z,
 )
 
-THINKING = 6
-"""Frames from thought to thought of an opponent: 0.1 s."""
-OPPONENTS_REST = REST + THINKING
-"""Frames until opponents respawn."""
-ROOM = 60.0
-"""Who respawns keeps this distance from others, along x or y."""
+THINKING = 6  # frames from thought to thought of an opponent: 0.1 s
+OPPONENTS_REST = REST + THINKING  # frames until opponents respawn
+ROOM = 60.0  # who respawns keeps this distance from others, along x or y
 
 
 @compiled(error_model="numpy")

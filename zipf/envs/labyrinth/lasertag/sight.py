@@ -7,8 +7,7 @@ from zipf.envs.labyrinth.lasertag.arena import NOTHING, TAGGED_AT
 from zipf.envs.labyrinth.mover import ABOVE, BELOW, WIDE
 from zipf.envs.labyrinth.state import CELL, X, Y, Z
 
-CEILING = 400.0
-"""Height of the sky, which stops shots; walls reach up to it."""
+CEILING = 400.0  # height of the sky, which stops shots; walls reach up to it
 
 
 @compiled(error_model="numpy")

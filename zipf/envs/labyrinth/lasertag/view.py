@@ -43,8 +43,7 @@ SEGMENTS, DASHES, DASH = 36, 12, 50.0
 """Segments of which shots are drawn: how many, at most for one shot, their least distance."""
 ACTORS = 2 * (FIGHTERS - 1) + SHOTS + FLASHES + SEGMENTS
 """Instances of meshes that an env needs beside its items."""
-BARS = 6
-"""Overlays: two bars with their grounds, and a cross in the middle of the view."""
+BARS = 6  # overlays: two bars with their grounds, and a cross in the middle of the view
 SUPPLY_MESHES = ("", "", "orb_gadget", "beam_gadget", "disc_gadget", "health_pack", "armour_pack")
 """The mesh of each kind of supply."""
 ACTOR_MESHES = ("robot", "robot_head", "orb", "puff", "bolt")

@@ -84,8 +84,7 @@ LEVELS: dict[str, Level] = {
 }
 """All levels by name, in the order of the paper: the most frequent first."""
 
-_LONGER = "_v2"
-"""What the paper adds to the names of the skymazes."""
+_LONGER = "_v2"  # what the paper adds to the names of the skymazes
 
 
 def by_name(name: str) -> Level:

@@ -21,8 +21,7 @@ from zipf.envs.labyrinth.words import COLOURS, SHAPES
 
 MEDIUM = {"car": 0.8, "cassette": 0.95, "chair": 0.84, "cow": 0.81}
 """Scales of shapes that are not of their own size when they are medium."""
-CONTEXT = {"colours": COLOURS, "shapes": SHAPES}
-"""Words of all levels but the described one."""
+CONTEXT = {"colours": COLOURS, "shapes": SHAPES}  # words of all levels but the described one
 
 
 @dataclass(frozen=True)

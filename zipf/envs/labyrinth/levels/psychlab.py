@@ -22,8 +22,7 @@ _FRAME, _DEEP, _PEDESTAL = 7.0, 4.0, 26.0
 _DARK: Colour = (48, 50, 58)
 START = math.radians(22.5)
 """The player looks at most this far to the left or right of the screen's middle at first."""
-CENTRE: Place = (0.475, 0.475, 0.525, 0.525)
-"""The part of the fixation mark that begins a trial."""
+CENTRE: Place = (0.475, 0.475, 0.525, 0.525)  # the part of the fixation mark that begins a trial
 _MARK, _ARM = 0.1, 0.03
 LEFT: Place = (0.0, 0.45, 0.1, 0.55)
 RIGHT: Place = (0.9, 0.45, 1.0, 0.55)

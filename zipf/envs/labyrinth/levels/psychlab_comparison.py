@@ -10,10 +10,8 @@ from zipf.envs.labyrinth.screen import Place
 from zipf.envs.labyrinth.state import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.world import World
 
-STEP = 8
-"""Units a side of a cell of the array in the middle of the screen, which has 64."""
-POSITIONS = range(4, 60, STEP)
-"""Positions of cells, in units from the array's left or top."""
+STEP = 8  # units a side of a cell of the array in the middle of the screen, which has 64
+POSITIONS = range(4, 60, STEP)  # positions of cells, in units from the array's left or top
 START, UNIT = 16, 1.5
 """The array's left and top, and a unit, in pixels of the screen; it covers 0.75 of it."""
 _BUTTON_AREA = (12, 20, 36, 44)
@@ -21,10 +19,8 @@ CELLS = tuple(
     (x, y) for y in POSITIONS for x in POSITIONS if not (x in _BUTTON_AREA and y in _BUTTON_AREA)
 )
 """Where figures may be: not where the button that ends the study phase may be."""
-BUTTON, RIM = 0.09375, 0.015625
-"""Side of that button, and thickness of its frame."""
-BUTTON_STARTS = (0.3125, 0.5625)
-"""Its possible left and top."""
+BUTTON, RIM = 0.09375, 0.015625  # side of that button, and thickness of its frame
+BUTTON_STARTS = (0.3125, 0.5625)  # its possible left and top
 TURQUOISE: Colour = (59, 165, 170)
 DELAYS = (8, 16, 32, 64, 128, 256)
 """Frames."""
@@ -36,8 +32,7 @@ SQUARE, ORIENTATIONS = 0, 4
 """Form of a square; forms 1 .. 4 are the letter E, open to the left, right, top and bottom."""
 DOMAINS = ("letters", "letter colours", "letter orientations", "squares", "all")
 """What the figures of a trial are; see `SequentialComparison`."""
-Figure = tuple[int, int]
-"""Form and colour."""
+Figure = tuple[int, int]  # form and colour
 
 _FIGURE = 10  # pixels of the screen, of the 12 of a cell
 

@@ -32,8 +32,7 @@ COLOURS: tuple[Colour, ...] = (
 """The first is the target's."""
 LADDER = (1, 1, 1, 2, 2, 4, 8, 16, 24, 32)
 """How many glyphs there are at each level of the staircase; from its last level on the last."""
-MODES = ("shape", "colour", "conjunction")
-"""Properties in which distractors differ from the target."""
+MODES = ("shape", "colour", "conjunction")  # properties in which distractors differ from the target
 BUTTONS: tuple[Place, ...] = ((0.35, 0.9, 0.45, 1.0), (0.55, 0.9, 0.65, 1.0))
 ABSENT, PRESENT = 0, 1
 

@@ -15,8 +15,7 @@ from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.steering import BACKWARD, WAIT, walk_to
 from zipf.envs.labyrinth.world import World, middle
 
-UNIT = 20.0
-"""One step of height; more than a player can step up."""
+UNIT = 20.0  # one step of height; more than a player can step up
 _SLOW = 120.0  # units per second
 _PITCHES = (0.0, math.radians(-50))  # of the view, when looking for a way
 _START, _TOP, _LOWEST, _ABOVE = 26, 21, 8, 14
