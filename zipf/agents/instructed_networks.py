@@ -103,12 +103,9 @@ class Matcher(nn.Module):
     convolutions find, is the place's own, whatever is asked for. Images and texts that meet in
     cosines: Radford et al. 2021; a map of them as the policy's input: Jiang and Lu 2024 (COPL,
     arXiv 2408.01942). `zipf.agents.hindsight` has a loss for it.
-
-    Attributes:
-        centres: of the places, float32 [P, 2]: down and to the right, in sides of the image.
     """
 
-    centres: Tensor
+    centres: Tensor  # of the places, float32 [P, 2]: down and to the right, in sides of the image
 
     def __init__(self, shape: tuple[int, ...], options: MatchingOptions, instruction: int):
         super().__init__()

@@ -46,19 +46,12 @@ SEARCHED = 1_000_000
 
 @dataclass(frozen=True)
 class Floor:
-    """A policy that neither reads nor looks, and its score.
+    """A policy that neither reads nor looks, and its score."""
 
-    Attributes:
-        policy: its text.
-        score: mean return.
-        error: standard error of the score.
-        episodes: how many it was measured over.
-    """
-
-    policy: str
-    score: float
-    error: float
-    episodes: int
+    policy: str  # its text
+    score: float  # mean return
+    error: float  # standard error of the score
+    episodes: int  # how many it was measured over
 
 
 @dataclass

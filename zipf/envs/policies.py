@@ -18,12 +18,9 @@ if TYPE_CHECKING:
 
 
 class Remembering:
-    """The base of scripted policies that remember something of their episodes.
+    """The base of scripted policies that remember something of their episodes."""
 
-    Attributes:
-        remembered: names of the attributes, arrays [N, ...], that its next actions depend on.
-    """
-
+    # names of the attributes, arrays [N, ...], that its next actions depend on
     remembered: ClassVar[tuple[str, ...]]
 
     def get_state(self) -> dict[str, NDArray[Any]]:

@@ -33,19 +33,13 @@ _QUERIES = 1024  # looked up at a time: their distances fit the processor's cach
 
 
 class Dictionary(nn.Module):
-    """The rows, and what reads them. All of it is in `state_dict()`.
+    """The rows, and what reads them. All of it is in `state_dict()`."""
 
-    Attributes:
-        keys: float32 [capacity, key_size], of unit length.
-        values: float32 [capacity, value size].
-        priorities: float64 [capacity], of two rows the lower one makes place first; -inf: no row.
-        filled: int64 [], how many rows there are; they come first.
-    """
-
-    keys: Tensor
-    values: Tensor
+    keys: Tensor  # float32 [capacity, key_size], of unit length
+    values: Tensor  # float32 [capacity, value size]
+    # float64 [capacity], of two rows the lower one makes place first; -inf: no row
     priorities: Tensor
-    filled: Tensor
+    filled: Tensor  # int64 [], how many rows there are; they come first
 
     def __init__(self, core_size: int, actions: int, options: DictionarySizes):
         super().__init__()

@@ -19,18 +19,14 @@ SURVIVAL = 1e-20  # ours: less of an episode is left than a sum of probabilities
 
 @dataclass(frozen=True)
 class RandomPolicy:
-    """What uniformly random actions lead to, for each map.
+    """What uniformly random actions lead to, for each map."""
 
-    Attributes:
-        success: float64 [maps, objects], the probability that an episode ends at that object,
-            which is the probability of success where it is the target.
-        timeout: float64 [maps], the probability that the step limit ends the episode.
-        length: float64 [maps], the mean number of steps of an episode.
-    """
-
+    # float64 [maps, objects], the probability that an episode ends at that object, which is the
+    # probability of success where it is the target
     success: NDArray[np.float64]
+    # float64 [maps], the probability that the step limit ends the episode
     timeout: NDArray[np.float64]
-    length: NDArray[np.float64]
+    length: NDArray[np.float64]  # float64 [maps], the mean number of steps of an episode
 
 
 def chance(level: str, **options: Any) -> BaselineScore:

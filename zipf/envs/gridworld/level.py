@@ -51,22 +51,15 @@ def maps_of(name: str, options: GridworldOptions) -> Maps:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """A level with its constructor options, checked and resolved.
+    """A level with its constructor options, checked and resolved."""
 
-    Attributes:
-        name: the level's name without its family.
-        maps: the maps.
-        map_cdf, target_cdf: cumulated probabilities of the ranks, float64 [maps], [objects].
-        max_steps: after how many steps an episode is truncated.
-        observation: "image" or "tiles".
-    """
-
-    name: str
+    name: str  # the level's name without its family
     maps: Maps
+    # map_cdf, target_cdf: cumulated probabilities of the ranks, float64 [maps], [objects]
     map_cdf: NDArray[np.float64]
     target_cdf: NDArray[np.float64]
-    max_steps: int
-    observation: str
+    max_steps: int  # after how many steps an episode is truncated
+    observation: str  # "image" or "tiles"
 
     @classmethod
     def make(cls, name: str, options: GridworldOptions) -> "Level":

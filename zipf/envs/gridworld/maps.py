@@ -35,21 +35,18 @@ Cell = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class Maps:
-    """The maps of a level. Arrays are read-only and shared between environments.
+    """The maps of a level. Arrays are read-only and shared between environments."""
 
-    Attributes:
-        num_maps, num_rooms, room_size, num_objects, first: the arguments of `build_maps`.
-        codes: uint8 [maps, rows + 6, columns + 6], cell codes (`sprites.py`) without the agent,
-            with three cells of floor around the board so that every view is a slice.
-        cells: int64 [maps, objects + 1, 2], (row, column) on the board of each object in order
-            of frequency rank, and last the agent's start.
-    """
-
+    # num_maps, num_rooms, room_size, num_objects, first: the arguments of `build_maps`
     num_maps: int
     num_rooms: tuple[int, int]
     room_size: tuple[int, int]
     num_objects: int
+    # uint8 [maps, rows + 6, columns + 6], cell codes (`sprites.py`) without the agent, with three
+    # cells of floor around the board so that every view is a slice
     codes: NDArray[np.uint8]
+    # int64 [maps, objects + 1, 2], (row, column) on the board of each object in order of frequency
+    # rank, and last the agent's start
     cells: NDArray[np.int64]
     first: int = 0
 

@@ -18,30 +18,23 @@ _THERE = 60.0  # units from a spot at which it is reached
 
 @dataclass(frozen=True)
 class Memory:
-    """What the generalist remembers of N envs.
+    """What the generalist remembers of N envs."""
 
-    Attributes:
-        wide, high: tangents of half the field of view across and upwards.
-        seen_at: int64 [N, QUADS, QUADS], the frame at which a cell was seen last, or NEVER.
-        known: bool [N, ITEMS], items seen since they last appeared, or the map began.
-        ever: bool [N, ITEMS], items seen in the episode.
-        turned: float64 [N], how far it has turned to the right, looking around, radians.
-        turns: int64 [N], how often it has looked around, or points of a tour that were reached.
-        walks: bool [N], whether it walks to a spot to look around from.
-        still: int64 [N], steps in which it has hardly moved.
-        freeing: int64 [N], steps left of leaving a place where it was stuck.
-    """
-
+    # wide, high: tangents of half the field of view across and upwards
     wide: float
     high: float
+    # int64 [N, QUADS, QUADS], the frame at which a cell was seen last, or NEVER
     seen_at: NDArray[np.int64]
+    # bool [N, ITEMS], items seen since they last appeared, or the map began
     known: NDArray[np.bool_]
-    ever: NDArray[np.bool_]
+    ever: NDArray[np.bool_]  # bool [N, ITEMS], items seen in the episode
+    # float64 [N], how far it has turned to the right, looking around, radians
     turned: NDArray[np.float64]
+    # int64 [N], how often it has looked around, or points of a tour that were reached
     turns: NDArray[np.int64]
-    walks: NDArray[np.bool_]
-    still: NDArray[np.int64]
-    freeing: NDArray[np.int64]
+    walks: NDArray[np.bool_]  # bool [N], whether it walks to a spot to look around from
+    still: NDArray[np.int64]  # int64 [N], steps in which it has hardly moved
+    freeing: NDArray[np.int64]  # int64 [N], steps left of leaving a place where it was stuck
 
 
 class Knowledge:

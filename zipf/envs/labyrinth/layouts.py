@@ -14,18 +14,12 @@ from zipf.envs.labyrinth.world import World
 
 @dataclass(frozen=True)
 class Layout:
-    """A text map.
+    """A text map."""
 
-    Attributes:
-        solid: bool [rows, columns], rows to the north, with a solid border.
-        starts: cells that the player may start in.
-        slots: cells of objects, from the north-west on as one reads.
-        region: [rows, columns], the letter of each cell's region; empty in corridors.
-    """
-
-    solid: NDArray[np.bool_]
-    starts: tuple[Cell, ...]
-    slots: tuple[Cell, ...]
+    solid: NDArray[np.bool_]  # bool [rows, columns], rows to the north, with a solid border
+    starts: tuple[Cell, ...]  # cells that the player may start in
+    slots: tuple[Cell, ...]  # cells of objects, from the north-west on as one reads
+    # [rows, columns], the letter of each cell's region; empty in corridors
     region: NDArray[np.str_]
 
     @property
@@ -65,12 +59,9 @@ def read(cells: str, regions: str = "") -> Layout:
 
 @dataclass(frozen=True)
 class Theme:
-    """What a layout looks like.
+    """What a layout looks like."""
 
-    Attributes:
-        floors, walls: names of textures by region; corridors have their own.
-    """
-
+    # floors, walls: names of textures by region; corridors have their own
     floors: dict[str, str]
     walls: dict[str, str]
 

@@ -53,17 +53,11 @@ class Context:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What a rule may look at.
+    """What a rule may look at."""
 
-    Attributes:
-        attribute: the one whose value is asked for.
-        values: what it is drawn from.
-        groups: the objects drawn so far, by group; the last one is the object's own.
-        rng: draws.
-    """
-
-    attribute: str
-    values: Sequence[str]
+    attribute: str  # the one whose value is asked for
+    values: Sequence[str]  # what it is drawn from
+    # the objects drawn so far, by group; the last one is the object's own
     groups: list[list[Object]]
     rng: np.random.Generator
 
@@ -212,14 +206,9 @@ def place_in_regions(
 
 @dataclass
 class Judge:
-    """What taking an object is worth: a goal `right`, any other `wrong`. Either ends the task.
+    """What taking an object is worth: a goal `right`, any other `wrong`. Either ends the task."""
 
-    Attributes:
-        goals: numbers of the objects that are right and still there.
-        right, wrong: rewards.
-    """
-
-    goals: set[int]
+    goals: set[int]  # numbers of the objects that are right and still there
     right: int
     wrong: int
 

@@ -35,20 +35,15 @@ class Prop:
 
 @dataclass(frozen=True)
 class Terrain:
-    """A terrain, in units.
+    """A terrain, in units."""
 
-    Attributes:
-        size: of a quad.
-        heights: float64 [QUADS + 1, QUADS + 1], at the corners of quads, rows to the north.
-        walkable: bool [QUADS, QUADS], quads that are flat enough and not under a solid prop.
-        props: plants and rocks.
-        mushrooms, starts: x and y, all of which can be reached from each other.
-    """
-
-    size: float
+    size: float  # of a quad
+    # float64 [QUADS + 1, QUADS + 1], at the corners of quads, rows to the north
     heights: NDArray[np.float64]
+    # bool [QUADS, QUADS], quads that are flat enough and not under a solid prop
     walkable: NDArray[np.bool_]
-    props: tuple[Prop, ...]
+    props: tuple[Prop, ...]  # plants and rocks
+    # mushrooms, starts: x and y, all of which can be reached from each other
     mushrooms: tuple[tuple[float, float], ...]
     starts: tuple[tuple[float, float], ...]
 

@@ -50,23 +50,18 @@ _HOLD_ERROR = 0.07  # of the hand's distance: half of what a push changes, and a
 
 
 class _Spot(NamedTuple):
-    """Where a toy is let go.
+    """Where a toy is let go."""
 
-    Attributes:
-        x, y, top: the place, metres; `top` is that of what it comes to lie on.
-        pose, size: of the support.
-        inset: of the place from the support's edge; negative outside.
-        closest: of the agent to it.
-        radius, height: of the toy.
-    """
-
+    # x, y, top: the place, metres; `top` is that of what it comes to lie on
     x: float
     y: float
     top: float
+    # pose, size: of the support
     pose: NDArray[np.float64]
     size: NDArray[np.float64]
-    inset: float
-    closest: float
+    inset: float  # of the place from the support's edge; negative outside
+    closest: float  # of the agent to it
+    # radius, height: of the toy
     radius: float
     height: float
 

@@ -29,15 +29,11 @@ from zipf.errors import UserError
 
 @dataclass(frozen=True)
 class Text:
-    """The text below the picture.
+    """The text below the picture."""
 
-    Attributes:
-        lines: the most important first; always the same number, so that the layout is stable.
-        keys: what the keys do, a few words each.
-    """
-
+    # the most important first; always the same number, so that the layout is stable
     lines: tuple[str, ...]
-    keys: tuple[str, ...]
+    keys: tuple[str, ...]  # what the keys do, a few words each
 
     def wrapped(self, columns: int) -> tuple[list[str], list[str]]:
         """Lines and keys, wrapped to at most this number of columns."""

@@ -181,17 +181,11 @@ class RunDescription(_Described):
 
 @dataclass(frozen=True)
 class LevelGroup:
-    """Levels of a kind that are scored together.
+    """Levels of a kind that are scored together."""
 
-    Attributes:
-        level_kind: of `zipf.envs.KINDS`.
-        name: of the group; empty for all levels of the kind.
-        weights: of each level by its name.
-    """
-
-    level_kind: str
-    name: str
-    weights: Mapping[str, float]
+    level_kind: str  # of `zipf.envs.KINDS`
+    name: str  # of the group; empty for all levels of the kind
+    weights: Mapping[str, float]  # of each level by its name
 
     @property
     def column(self) -> str:

@@ -37,35 +37,27 @@ BOOKKEEPING = (NOT_LEARNED - {"evaluation"}) | {"seed"}
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run, as its files tell it.
+    """One run, as its files tell it."""
 
-    Attributes:
-        folder: as the user gave it, plus the path below.
-        evaluations: one row per (update, level_kind, level), in order of updates: `update`,
-            `frames`, `seconds`, `level_kind`, `level`, `episodes`, `score`, `success` (NaN where
-            the level reports none), `return`.
-        situations: one row per (update, level_kind, situation): `update`, `level_kind`, the
-            situation's ranks, `episodes`, `successes` (NaN where the level reports none),
-            `return_sum`; and where the run has recorded them `visits` and `visits_<rank>`, see
-            docs/results.md.
-        situation_names: the situation's columns, e.g. ("map", "target"); ranks, 0 most frequent.
-        updates, frames, seconds: how far the run has come.
-        options: what `config.yaml` holds; empty for an external run.
-        settings: the flattened options without bookkeeping.
-        notes: what the reader of the files had to leave out.
-    """
-
-    folder: Path
+    folder: Path  # as the user gave it, plus the path below
     description: RunDescription
+    # one row per (update, level_kind, level), in order of updates: `update`, `frames`, `seconds`,
+    # `level_kind`, `level`, `episodes`, `score`, `success` (NaN where the level reports none),
+    # `return`
     evaluations: pd.DataFrame
+    # one row per (update, level_kind, situation): `update`, `level_kind`, the situation's ranks,
+    # `episodes`, `successes` (NaN where the level reports none), `return_sum`; and where the run
+    # has recorded them `visits` and `visits_<rank>`, see docs/results.md
     situations: pd.DataFrame
+    # the situation's columns, e.g. ("map", "target"); ranks, 0 most frequent.
     situation_names: tuple[str, ...]
+    # updates, frames, seconds: how far the run has come
     updates: int
     frames: int
     seconds: float
-    options: Mapping[str, Any]
-    settings: Mapping[str, Any]
-    notes: tuple[str, ...]
+    options: Mapping[str, Any]  # what `config.yaml` holds; empty for an external run
+    settings: Mapping[str, Any]  # the flattened options without bookkeeping
+    notes: tuple[str, ...]  # what the reader of the files had to leave out
     _means: dict[Any, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)
 
     @property

@@ -71,47 +71,33 @@ class Notes:
 
 @dataclass(frozen=True)
 class Cells:
-    """A table.
-
-    Attributes:
-        title: above it.
-        head: the headings of its columns.
-        lines: its cells; the first `leading` of a line are its heading or text.
-        baselines: lines apart from the others.
-        paper: the places of the columns with the paper's numbers.
-        leading: how many columns hold text, from the left.
-        folded: whether the reader has to open it.
-    """
+    """A table."""
 
     kind: ClassVar[str] = "cells"
-    title: str
-    head: Sequence[str]
+    title: str  # above it
+    head: Sequence[str]  # the headings of its columns
+    # its cells; the first `leading` of a line are its heading or text
     lines: Sequence[Sequence[str]]
-    baselines: Sequence[Sequence[str]] = ()
-    paper: frozenset[int] = frozenset()
-    leading: int = 1
-    folded: bool = False
+    baselines: Sequence[Sequence[str]] = ()  # lines apart from the others
+    paper: frozenset[int] = frozenset()  # the places of the columns with the paper's numbers
+    leading: int = 1  # how many columns hold text, from the left
+    folded: bool = False  # whether the reader has to open it
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Panels with one legend.
-
-    Attributes:
-        name: unique in a page.
-        groups: a title, a caption and panels each; of a panel its name, unique in a page, what it
-            shows, for those who do not see it, and what is drawn.
-        legend: key, title, colour and dashes of its lines; a reader can hide them one by one.
-        axes: the choices of the horizontal axis by their key; empty where there is none.
-        axis: the one chosen first.
-    """
+    """Panels with one legend."""
 
     kind: ClassVar[str] = "figures"
-    name: str
+    name: str  # unique in a page
+    # a title, a caption and panels each; of a panel its name, unique in a page, what it shows, for
+    # those who do not see it, and what is drawn
     groups: Sequence[tuple[str, str, Sequence[tuple[str, str, Mapping[str, Any]]]]]
+    # key, title, colour and dashes of its lines; a reader can hide them one by one
     legend: Sequence[tuple[str, str, str, str]]
+    # the choices of the horizontal axis by their key; empty where there is none
     axes: Mapping[str, str]
-    axis: str
+    axis: str  # the one chosen first
 
 
 @dataclass(frozen=True)

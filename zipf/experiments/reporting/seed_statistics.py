@@ -58,17 +58,12 @@ IQM, IMPROVEMENT = "interquartile mean", "probability of improvement"
 
 @dataclass(frozen=True)
 class SeedStatistics:
-    """Further statistics of a table.
-
-    Attributes:
-        table: of which table.
-        grids: as they are shown; none where no row has two seeds and no run has counted visits.
-        text: how to read them; empty where there are none.
-    """
+    """Further statistics of a table."""
 
     table: ScoreTable
+    # as they are shown; none where no row has two seeds and no run has counted visits
     grids: tuple[Grid, ...]
-    text: str
+    text: str  # how to read them; empty where there are none
 
 
 def seed_scores(row: Row, levels: LevelGroup, table: ScoreTable) -> NDArray[np.float64]:

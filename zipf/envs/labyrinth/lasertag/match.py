@@ -29,16 +29,10 @@ from zipf.envs.labyrinth.world import World
 
 @dataclass(frozen=True)
 class Supply:
-    """A gadget or supply that lies there.
+    """A gadget or supply that lies there."""
 
-    Attributes:
-        item: its number.
-        kind: ORB, BEAM, DISC, HEALTH_PACK or ARMOUR_PACK.
-        x, y: where.
-    """
-
-    item: int
-    kind: int
+    item: int  # its number
+    kind: int  # ORB, BEAM, DISC, HEALTH_PACK or ARMOUR_PACK
     x: float
     y: float
 

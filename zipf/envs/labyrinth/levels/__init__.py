@@ -15,20 +15,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Level:
-    """A level: its rules, its length and the published scores.
+    """A level: its rules, its length and the published scores."""
 
-    Attributes:
-        name: in DeepMind Lab.
-        rules: "module:class", an `Episode`.
-        seconds: of an episode.
-        random, human: mean returns of random actions and of people in the original engine, as
-            three public code bases have them (scalable_agent, seed_rl, sample-factory). Those of
-            levels that end in `_train` were taken on their `_test` variants.
-    """
-
-    name: str
-    rules: str
-    seconds: int
+    name: str  # in DeepMind Lab
+    rules: str  # "module:class", an `Episode`
+    seconds: int  # of an episode
+    # random, human: mean returns of random actions and of people in the original engine, as three
+    # public code bases have them (scalable_agent, seed_rl, sample-factory). Those of levels that
+    # end in `_train` were taken on their `_test` variants.
     random: float
     human: float
 
