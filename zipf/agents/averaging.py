@@ -31,10 +31,7 @@ def leave() -> None:
 def average(tensor: Tensor) -> Tensor:
     """The mean of a tensor over learners, of its shape, dtype and device; all of them call this in
     the same order, and the result is the same in all, bit for bit.
-
-    Raises:
-        ConnectionError: another learner has ended.
-    """
+    Raises ConnectionError: another learner has ended."""
     if _group is None:
         return tensor
     mean = tensor.clone(memory_format=torch.contiguous_format)

@@ -49,10 +49,7 @@ class GTrXLOptions(Options):
 
 class GTrXLMemory(nn.Module):
     """The memory: layers of gated attention over the frames of the episode.
-
-    Raises:
-        ValueError: the heads do not divide the size.
-    """
+    Raises ValueError: the heads do not divide the size."""
 
     def __init__(self, inputs: int, options: GTrXLOptions):
         super().__init__()

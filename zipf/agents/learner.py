@@ -152,10 +152,7 @@ class Learner(Agent):
 
     def learn(self, batch: Any) -> tuple[dict[str, float], dict[str, Tensor]]:
         """One optimiser step on the loss of a batch; returns metrics, and what the loss kept.
-
-        Raises:
-            FloatingPointError: learning has diverged; no weights were changed.
-        """
+        Raises FloatingPointError: learning has diverged; no weights were changed."""
         loss, metrics, kept = self.loss(batch)
         norm = self._descend(loss)
         self.updates += 1
@@ -250,10 +247,7 @@ class Learner(Agent):
 
     def load_weights(self, weights: Mapping[str, Tensor]) -> None:
         """From now on the agent acts as the one that `weights` are from.
-
-        Raises:
-            RuntimeError: they do not fit its network.
-        """
+        Raises RuntimeError: they do not fit its network."""
         self.actor.load_state_dict(weights)
 
     def separate_acting(self) -> None:
@@ -273,10 +267,7 @@ class Learner(Agent):
 
     def compile(self) -> None:
         """Compiles the image encoders of all attributes that are a `Torso` (`torch.compile`).
-
-        Raises:
-            ValueError: there are none.
-        """
+        Raises ValueError: there are none."""
         self._is_compiled = True
         if sum(network.encoder.compile_images() for network in self._torsos()) == 0:
             raise ValueError(

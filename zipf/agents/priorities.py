@@ -142,11 +142,7 @@ class PrioritySampler(Sampler):
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Continues from `state_dict()`.
-
-        Raises:
-            OSError: it is of a sampler of another capacity.
-        """
+        """Continues from `state_dict()`. Raises OSError: it is of a sampler of another capacity."""
         leaves = state_dict["leaves"].numpy()
         if len(leaves) != self.capacity:  # versions before had one for each slot
             raise OSError(

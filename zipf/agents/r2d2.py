@@ -196,10 +196,7 @@ class R2D2(Learner):
 
     With `fresh_priority=error` a sequence enters replay with the priority of its errors, as if it
     had just been learned from; with `largest` it has the largest priority so far, which saves that
-    pass and draws every sequence soon.
-
-    Raises:
-        ValueError: options that do not go together.
+    pass and draws every sequence soon. Raises ValueError: options that do not go together.
     """
 
     Options = R2D2Options
@@ -265,11 +262,8 @@ class R2D2(Learner):
         return action, memory, {}
 
     def begin_learning(self, folder: Path | None = None, every: int = 0) -> list[str]:
-        """Makes the replay; the lines to show give its size.
-
-        Raises:
-            ValueError: it does not fit into RAM or onto the disk, or there is no folder for it.
-        """
+        """Makes the replay; the lines to show give its size. Raises ValueError: it does not fit
+        into RAM or onto the disk, or there is no folder for it."""
         from zipf.agents.free_space import in_words
         from zipf.agents.replay import Replay
 
@@ -433,10 +427,7 @@ class R2D2(Learner):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`; without the replay where `begin_learning` was not called.
-
-        Raises:
-            OSError: the files of the replay are missing, or are not those of this state.
-        """
+        Raises OSError: the files of the replay are missing, or are not those of this state."""
         super().load_state_dict(state | {"updates": state["steps"]})
         if self.replay is None:
             return

@@ -81,9 +81,7 @@ class Replay:
         """Adds items [N], N <= capacity, with the largest priority so far; they replace the oldest.
 
         Returns their slots, int64 [N].
-
-        Raises:
-            OSError: the files, which the first call makes, do not fit onto the disk.
+        Raises OSError: the files, which the first call makes, do not fit onto the disk.
         """
         if self._buffer is None:
             self._open(self.capacity + self.spare, new=True)
@@ -128,10 +126,7 @@ class Replay:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`.
-
-        Raises:
-            OSError: the files on disk are missing or damaged, or are not those of this state.
-        """
+        Raises OSError: the files on disk are missing or damaged, or are not those of this state."""
         self._buffer = None
         if not state:
             return

@@ -65,10 +65,7 @@ class Classifier(Torso):
 @register
 class Supervised(Learner):
     """The classifier, as an agent: answers batches of questions and learns from unrolls of them.
-
-    Raises:
-        ValueError: there are not two answers.
-    """
+    Raises ValueError: there are not two answers."""
 
     Options = SupervisedOptions
     supports = frozenset({"hindsight", "reweighting"})

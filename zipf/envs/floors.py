@@ -80,10 +80,7 @@ class Arena:
 
     def returns(self, policies: Sequence[str], seeds: Sequence[int]) -> NDArray[np.float64]:
         """The return of the episode of each seed, [policies, seeds].
-
-        Raises:
-            ValueError: a text is no policy of these envs.
-        """
+        Raises ValueError: a text is no policy of these envs."""
         found = np.zeros((len(policies), len(seeds)))
         drawn = [k for k, text in enumerate(policies) if text not in (self.own or {})]
         pairs = [(k, j) for k in drawn for j in range(len(seeds))]
@@ -125,10 +122,7 @@ def play(
     policies: Sequence[str], arena: Arena, *, episodes: int = 2000, first: int = 0
 ) -> list[Floor]:
     """Measures policies on the episodes of the seeds from `first` on.
-
-    Raises:
-        ValueError: a text is no policy of these envs, or fewer than two episodes.
-    """
+    Raises ValueError: a text is no policy of these envs, or fewer than two episodes."""
     if episodes < 2:
         raise ValueError(f"episodes must be at least 2, got {episodes}")
     returns = arena.returns(policies, range(first, first + episodes))

@@ -41,10 +41,7 @@ class Vocabulary:
 
     def encode(self, text: str) -> NDArray[np.int64]:
         """Codes of the words of a text, int64 [length], 0 behind the last one.
-
-        Raises:
-            ValueError: for an unknown word, or more words than `length`.
-        """
+        Raises ValueError for an unknown word, or more words than `length`."""
         words = text.split()
         if unknown := [word for word in words if word not in self._codes]:
             raise ValueError(f"unknown word {', '.join(map(repr, unknown))} in {text!r}")
@@ -56,10 +53,7 @@ class Vocabulary:
 
     def decode(self, codes: ArrayLike) -> str:
         """The text that was encoded, its words one space apart.
-
-        Raises:
-            ValueError: for a code out of range.
-        """
+        Raises ValueError for a code out of range."""
         codes = np.asarray(codes)
         if (codes < 0).any() or (codes >= self.size).any():
             raise ValueError(f"codes must be in 0 .. {self.size - 1}, got {codes.tolist()}")

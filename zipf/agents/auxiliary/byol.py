@@ -308,10 +308,7 @@ def build(
     seed: int,
 ) -> BYOL:
     """The loss for an agent; the arguments are those of `build_auxiliary`.
-
-    Raises:
-        ValueError: a form that shifts images, for observations without one.
-    """
+    Raises ValueError: a form that shifts images, for observations without one."""
     if not isinstance(options, BYOLOptions) and not has_image(space):
         raise ValueError(
             f"auxiliary={options.name} needs an image named 'image', and the observations here "

@@ -260,11 +260,8 @@ def build(
     torso: Torso,
     seed: int,
 ) -> Reconstruction:
-    """The loss for an agent; the arguments are those of `build_auxiliary`.
-
-    Raises:
-        ValueError: the observations have no image, or no instruction where that is reconstructed.
-    """
+    """The loss for an agent; the arguments are those of `build_auxiliary`. Raises ValueError: the
+    observations have no image, or no instruction where that is reconstructed."""
     missing = set()
     if not isinstance(options, LanguageOptions) and not has_image(space):
         missing.add("image")

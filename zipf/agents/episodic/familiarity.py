@@ -57,10 +57,7 @@ BLOCK = 8
 
 class MemRecorder(DictionaryRecorder):
     """Rows stay in the familiarity buffer first; see `DictionaryRecorder` for the arguments.
-
-    Raises:
-        ValueError: the observations have no image.
-    """
+    Raises ValueError: the observations have no image."""
 
     options: MemOptions
     cores: Tensor

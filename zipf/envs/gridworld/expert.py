@@ -19,9 +19,7 @@ class Expert:
     """Plays all envs of a batch from their state: `Expert(env)()` is actions, int64 [N].
 
     It succeeds wherever the target can be reached in `max_steps`, as on all released maps.
-
-    Raises:
-        ValueError: the batch is not one of a single gridworld level.
+    Raises ValueError: the batch is not one of a single gridworld level.
     """
 
     def __init__(self, env: GridworldVectorEnv) -> None:

@@ -200,10 +200,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """The current frame, uint8 [height, width, 3], with `render_mode="rgb_array"`.
-
-        Raises:
-            ResetNeeded: before the first episode.
-        """
+        Raises ResetNeeded: before the first episode."""
         if self._env[0, 0] < 0:
             raise ResetNeeded("render() needs an episode: call reset() first")
         return self._frame() if self.render_mode == "rgb_array" else None

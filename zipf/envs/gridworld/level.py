@@ -64,10 +64,7 @@ class Level:
     @classmethod
     def make(cls, name: str, options: GridworldOptions) -> "Level":
         """Resolves the arguments of an environment.
-
-        Raises:
-            ValueError: for an unknown level, or sizes that make no map.
-        """
+        Raises ValueError for an unknown level, or sizes that make no map."""
         if not isinstance(name, str):
             raise ValueError(f"level must be a level's name, got {name!r}")
         name = name.removeprefix("gridworld/")

@@ -98,10 +98,7 @@ def build_maps(
 ) -> Maps:
     """Builds `num_maps` maps from map `first` on, of `num_rooms` rooms (rows, columns) of
     `room_size` cells.
-
-    Raises:
-        ValueError: sizes out of range, or a map has fewer places than objects.
-    """
+    Raises ValueError: sizes out of range, or a map has fewer places than objects."""
     _check_sizes(num_maps, num_rooms, room_size, num_objects)
     height, width = (n * (size + 1) + 1 for n, size in zip(num_rooms, room_size, strict=True))
     codes = np.zeros((num_maps, height + 2 * PAD, width + 2 * PAD), dtype=np.uint8)

@@ -80,11 +80,7 @@ class Expert(Remembering):
 
 
 def batch_of(env: LabyrinthVectorEnv | Mixture, player: str) -> LabyrinthVectorEnv:
-    """The envs that a scripted policy reads.
-
-    Raises:
-        ValueError: it cannot play them.
-    """
+    """The envs that a scripted policy reads. Raises ValueError: it cannot play them."""
     batch = env.batches[0] if isinstance(env, Mixture) else env  # they share their envs
     if not isinstance(batch, LabyrinthVectorEnv):
         raise ValueError(

@@ -32,11 +32,8 @@ from zipf.experiments.records.result_table import TABLES, check_table, ends_at, 
 
 def find_checkpoint(config: Config) -> dict[str, Any] | None:
     """The state to resume from, or None for a new run, as `config.resume` allows.
-
-    Raises:
-        UserError: there is none and `must`; there is one and `never`; it is damaged or was made
-            with other options.
-    """
+    Raises UserError: there is none and `must`; there is one and `never`; it is damaged or was made
+    with other options."""
     path = config.folder / "checkpoint.pt"
     if not path.exists():
         if config.resume == "must":
@@ -95,11 +92,7 @@ def is_finished(config: Config) -> bool:
 
 def agent_file(folder: Path) -> Path:
     """The file that a run's agent is loaded from: its checkpoint or, where there is none, its
-    weights.
-
-    Raises:
-        UserError: it has neither.
-    """
+    weights. Raises UserError: it has neither."""
     for name in ("checkpoint.pt", "weights.pt"):
         if (folder / name).is_file():
             return folder / name
@@ -279,10 +272,7 @@ def make(folder: Path) -> None:
 @contextmanager
 def lock(folder: Path) -> Iterator[None]:
     """Holds a run's folder against other processes, until this one ends, however it ends.
-
-    Raises:
-        UserError: another process is training there, or the folder cannot be written.
-    """
+    Raises UserError: another process is training there, or the folder cannot be written."""
     make(folder)
     try:
         file = open(folder / "lock", "a")  # noqa: SIM115
@@ -340,10 +330,7 @@ def check_description(config: Config, situation: dict[str, int] | None = None) -
 
 def read_description(folder: Path) -> dict[str, Any]:
     """What `write_description`, or `zipf.evaluate.record`, wrote to `run.json`.
-
-    Raises:
-        UserError: there is none, or it is damaged.
-    """
+    Raises UserError: there is none, or it is damaged."""
     path = folder / "run.json"
     try:
         if not path.is_file():

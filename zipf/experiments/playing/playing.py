@@ -91,10 +91,7 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
 
 def _who_plays(options: PlayOptions) -> str:
     """The policy, with a default where it is not set.
-
-    Raises:
-        UserError: with a line for each option that is missing or contradicts another.
-    """
+    Raises UserError with a line for each option that is missing or contradicts another."""
     problems = []
     if not options.level and not options.run:
         problems.append("level is not set: choose level=<a level's name> or run=<a run's folder>")

@@ -65,10 +65,7 @@ class Screen(Protocol):
 
 def open_screen(kind: str) -> Screen:
     """A screen of this kind: "window", "terminal", or "auto" for a window if possible.
-
-    Raises:
-        UserError: this screen cannot be opened here; says why.
-    """
+    Raises UserError: this screen cannot be opened here; says why."""
     if kind == "terminal":
         return Terminal()
     try:
@@ -92,9 +89,7 @@ class Terminal:
     """The terminal: two pixels per character, upper and lower half, in 24-bit colour.
 
     Ctrl-C interrupts as usual. Ctrl-Z does nothing.
-
-    Raises:
-        UserError: standard input or output is not a terminal.
+    Raises UserError: standard input or output is not a terminal.
     """
 
     in_characters = True

@@ -147,10 +147,7 @@ class _Episode:
 
     def play(self, seed: int | None) -> None:
         """Plays the episode to its end, or until the person skips to the next one.
-
-        Raises:
-            _Leave: the person leaves.
-        """
+        Raises _Leave: the person leaves."""
         self.observation, self.info = self.env.reset(seed=seed)
         self.reward, self.is_first = np.zeros(1, np.float32), np.ones(1, np.bool_)
         self.due = time.monotonic()

@@ -106,10 +106,7 @@ def record_videos(
 
 def record_run(folder: Path, trained: Trained, format: VideoFormat) -> video_files.Videos:
     """Records the videos of a run in the place of those that it may have.
-
-    Raises:
-        UserError: the envs do not play the same actions alike, or a file cannot be written.
-    """
+    Raises UserError: the envs do not play the same actions alike, or a file cannot be written."""
     target = folder / video_files.FOLDER
     try:
         target.mkdir(exist_ok=True)

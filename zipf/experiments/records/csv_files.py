@@ -83,11 +83,7 @@ def read_header(path: Path) -> list[str]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The file's content.
-
-    Raises:
-        UserError: it cannot be read.
-    """
+    """The file's content. Raises UserError: it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -96,11 +92,7 @@ def read_bytes(path: Path) -> bytes:
 
 def read_lines(path: Path) -> tuple[list[str], bool]:
     """The lines that end in a newline, without it, and whether there is a rest that does not; no
-    lines where there is no file.
-
-    Raises:
-        UserError: the file cannot be read.
-    """
+    lines where there is no file. Raises UserError: the file cannot be read."""
     if not path.exists():
         return [], False
     content = read_bytes(path)

@@ -199,11 +199,7 @@ class LevelGroup:
 
 
 def read_description(path: Path) -> RunDescription:
-    """The description in a `run.json`.
-
-    Raises:
-        UserError: it cannot be read, or is none.
-    """
+    """The description in a `run.json`. Raises UserError: it cannot be read, or is none."""
     try:
         return RunDescription.model_validate_json(read_bytes(path))
     except ValidationError as error:

@@ -118,10 +118,7 @@ def paper_titles() -> Mapping[str, str]:
 
 def paper_table(experiment: str) -> PaperTable:
     """The paper's numbers for one of its experiments, by our key (for instance ``gridworld``).
-
-    Raises:
-        UserError: the paper has no such experiment.
-    """
+    Raises UserError: the paper has no such experiment."""
     tables = _tables()
     if experiment not in tables:
         raise UserError(

@@ -60,11 +60,7 @@ def is_there(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Record:
-    """The record in a folder.
-
-    Raises:
-        UserError: a file cannot be read, or is damaged.
-    """
+    """The record in a folder. Raises UserError: a file cannot be read, or is damaged."""
     levels = _read_levels(folder / LEVELS)
     runs = {}
     for name, values in _read_nested(folder / RUNS).items():

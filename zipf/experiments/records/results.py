@@ -105,12 +105,8 @@ class Run:
 def load_runs(folders: Iterable[str | Path]) -> list[Run]:
     """Every run at any depth under `folders`, in the order of tables: those of run folders, and
     those of records; a folder may be one within a record. Links are followed; a run that is found
-    twice counts once.
-
-    Raises:
-        UserError: a folder does not exist, cannot be read or holds no run, or a run's files are
-            damaged.
-    """
+    twice counts once. Raises UserError: a folder does not exist, cannot be read or holds no run, or
+    a run's files are damaged."""
     roots = [Path(folder) for folder in folders]
     found: dict[Path, Run | Path] = {}
     for folder in roots:
@@ -188,11 +184,7 @@ def aligned(seeds: Sequence[pd.DataFrame]) -> list[pd.DataFrame]:
 
 
 def load_run(folder: Path) -> Run:
-    """The run in `folder`.
-
-    Raises:
-        UserError: one of its files is damaged.
-    """
+    """The run in `folder`. Raises UserError: one of its files is damaged."""
     description = read_description(folder / "run.json")
     notes: list[str] = []
     texts = {name: read_texts(folder / name, notes) for name in TABLES}
@@ -203,10 +195,7 @@ def load_run(folder: Path) -> Run:
 
 def load_record(folder: Path, within: Path | None = None) -> list[Run]:
     """The runs of the record in `folder`; only those within another folder if one is named.
-
-    Raises:
-        UserError: one of its files is damaged.
-    """
+    Raises UserError: one of its files is damaged."""
     kept = record.read(folder)
     places = {"config.yaml": folder / record.OPTIONS}
     places |= {name: folder / f"{name}{record.SUFFIX}" for name in TABLES}

@@ -172,10 +172,7 @@ def group_runs(runs: Sequence[Run], window: Asked | None) -> list[RunGroup]:
 
 def paper_of(runs: Sequence[Run]) -> PaperTable | None:
     """What the paper published for the runs of a group; None if it has nothing.
-
-    Raises:
-        UserError: they name an experiment that the paper does not have.
-    """
+    Raises UserError: they name an experiment that the paper does not have."""
     key = runs[0].description.paper
     if key is None:
         return None

@@ -146,11 +146,7 @@ def report_sections(
 ) -> list[Section]:
     """The sections of a report: one for each table, then the paper's layouts, its claims,
     statistics across seeds, what all runs differ in, where there are several tables, and the
-    glossary.
-
-    Raises:
-        UserError: a run's configuration or a video cannot be read.
-    """
+    glossary. Raises UserError: a run's configuration or a video cannot be read."""
     styles = line_styles([row for table in tables for row in table.rows])
     sections = [table_section(table, styles) for table in tables]
     for beside in side_by_side(tables):

@@ -83,10 +83,7 @@ _LONGER = "_v2"  # what the paper adds to the names of the skymazes
 
 def by_name(name: str) -> Level:
     """The level of this name, with or without `labyrinth/` before it.
-
-    Raises:
-        ValueError: there is no such level.
-    """
+    Raises ValueError: there is no such level."""
     if not isinstance(name, str):
         raise ValueError(f"level must be a name, got {name!r}: expected one of {', '.join(LEVELS)}")
     plain = name.removeprefix("labyrinth/")

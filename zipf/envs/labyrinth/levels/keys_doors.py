@@ -101,10 +101,7 @@ class _Planner:
 
     def build(self) -> Plan:
         """Draws rooms, keys and doors; the plan may have no solution.
-
-        Raises:
-            _NoPlace: the lattice has no room for what was drawn.
-        """
+        Raises _NoPlace: the lattice has no room for what was drawn."""
         rng, plan = self.rng, self.plan
         length = int(rng.integers(1, 4))
         easy, useless, openable = rng.integers(0, 2, 3).tolist()
