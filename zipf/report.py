@@ -231,10 +231,7 @@ def _remove_earlier_plots(folder: Path) -> None:
 
 
 def _command(
-    folders: Sequence[str | Path],
-    output: str | Path | None,
-    window: str | None,
-    record: str | Path,
+    folders: Sequence[str | Path], output: str | Path | None, window: str | None, record: str | Path
 ) -> str:
     arguments = [Path(folder).as_posix() for folder in folders]
     if output is not None:

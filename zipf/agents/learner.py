@@ -98,11 +98,7 @@ class Learner(Agent):
             torch.manual_seed(spec.seed)
             self.network = self.make_network()
             self.auxiliary = build_auxiliary(
-                spec.auxiliary,
-                spec.observation_space,
-                spec.network,
-                self.network,
-                spec.seed,
+                spec.auxiliary, spec.observation_space, spec.network, self.network, spec.seed
             )
         self.recorder = build_recorder(
             spec.episodic,

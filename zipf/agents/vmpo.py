@@ -33,13 +33,7 @@ from zipf.agents.agent import AgentSpec, register
 from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
-from zipf.agents.network import (
-    ActorCritic,
-    Inputs,
-    action_log_probability,
-    frozen_copy,
-    sampled,
-)
+from zipf.agents.network import ActorCritic, Inputs, action_log_probability, frozen_copy, sampled
 from zipf.agents.returns import bootstrapped_returns
 from zipf.agents.unroll import Unroll, weighted
 

@@ -87,12 +87,7 @@ class BYOL(Auxiliary):
     """
 
     def __init__(
-        self,
-        encoder: Encoder,
-        core_size: int,
-        actions: int,
-        options: AnyBYOLOptions,
-        seed: int,
+        self, encoder: Encoder, core_size: int, actions: int, options: AnyBYOLOptions, seed: int
     ):
         super().__init__(seed)
         o = self.options = options

@@ -113,11 +113,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
     action_space: spaces.Discrete
 
     def __init__(
-        self,
-        level: str = "zipf_2",
-        *,
-        render_mode: str | None = None,
-        **options: Any,
+        self, level: str = "zipf_2", *, render_mode: str | None = None, **options: Any
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(

@@ -102,10 +102,7 @@ class Level:
         )
 
     def observe(
-        self,
-        out: dict[str, NDArray[np.uint8]],
-        mask: NDArray[np.bool_],
-        envs: NDArray[np.int64],
+        self, out: dict[str, NDArray[np.uint8]], mask: NDArray[np.bool_], envs: NDArray[np.int64]
     ) -> None:
         """Writes what is seen in the envs of `mask` to their rows of `out`."""
         codes, cells = self.maps.codes, self.maps.cells

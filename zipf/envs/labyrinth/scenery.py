@@ -26,12 +26,7 @@ SCREEN_PIXELS = 128
 """Height and width of an env's screen: twice what is seen of it in a view of 96 x 72."""
 BOB, TURN = 4.0, 2.05
 """How far an item that is not static rises and sinks, units, and seconds of a turn."""
-SIDES = (
-    (0, 1, (1, 1, 1, 0)),
-    (1, 0, (0, 1, 1, 1)),
-    (0, -1, (0, 0, 0, 1)),
-    (-1, 0, (1, 0, 0, 0)),
-)
+SIDES = ((0, 1, (1, 1, 1, 0)), (1, 0, (0, 1, 1, 1)), (0, -1, (0, 0, 0, 1)), (-1, 0, (1, 0, 0, 0)))
 """East, north, west and south side of a solid cell: rows and columns to the cell from which it is
 seen, and its ends x0, y0, x1, y1 from the solid cell's south-west corner."""
 _FLOATS = 24.0  # of a player's point above the floor that an item stands on

@@ -117,10 +117,7 @@ class _Page:
         left, top = self.at(x, y)
         for size, colour in ((11.0 * _FINE, (0, 0, 0)), (8.5 * _FINE, fill)):
             corners = [
-                (
-                    left + far * size * math.cos(yaw + turn),
-                    top - far * size * math.sin(yaw + turn),
-                )
+                (left + far * size * math.cos(yaw + turn), top - far * size * math.sin(yaw + turn))
                 for far, turn in ((1.0, 0.0), (0.85, 2.5), (0.3, math.pi), (0.85, -2.5))
             ]
             self.pen.polygon(corners, colour)

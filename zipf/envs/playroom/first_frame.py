@@ -32,10 +32,7 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
     """
 
     def __init__(
-        self,
-        num_envs: int = 1,
-        level: str = "supervised/find_shape_zipf3",
-        **options: Any,
+        self, num_envs: int = 1, level: str = "supervised/find_shape_zipf3", **options: Any
     ):
         super().__init__(num_envs, level, **options)
         if not self.level.finding:

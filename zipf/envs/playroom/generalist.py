@@ -21,10 +21,7 @@ from zipf.envs.policies import Remembering
 
 # Ours.
 _NOWHERE = 1000.0  # coordinates of what has not been seen, metres: it is in nobody's way
-_PITCHES = (
-    (FIRST_PITCH, math.radians(-55)),
-    (math.radians(-10), math.radians(-40)),
-)
+_PITCHES = ((FIRST_PITCH, math.radians(-55)), (math.radians(-10), math.radians(-40)))
 """Views, radians, at which the room is searched by turns, first with an empty hand, then with a toy
 in it: at lower views the toy would be so low that the bed and other toys were in its way."""
 _SPOTS = np.array([(x, y) for x in (-1.0, 1.0) for y in (-1.0, 1.0)])

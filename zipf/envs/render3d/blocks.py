@@ -16,17 +16,7 @@ from llvmlite import ir
 from numba.extending import intrinsic as _intrinsic
 
 from zipf.compiled import compiled
-from zipf.envs.render3d.lanes import (
-    ADDRESS,
-    BYTE,
-    F32,
-    FLOAT,
-    I32,
-    INT,
-    LANES,
-    Code,
-    written,
-)
+from zipf.envs.render3d.lanes import ADDRESS, BYTE, F32, FLOAT, I32, INT, LANES, Code, written
 
 intrinsic: Any = _intrinsic  # its annotations do not say that it returns a function
 

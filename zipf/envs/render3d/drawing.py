@@ -29,13 +29,7 @@ from zipf.envs.render3d.arrays import (
     named_buffers,
     named_scenes,
 )
-from zipf.envs.render3d.blocks import (
-    STREAMED,
-    address,
-    end_stream,
-    pack_block,
-    stream_block,
-)
+from zipf.envs.render3d.blocks import STREAMED, address, end_stream, pack_block, stream_block
 from zipf.envs.render3d.flats import draw_flat
 from zipf.envs.render3d.instances import draw_instance
 from zipf.envs.render3d.lanes import LANES

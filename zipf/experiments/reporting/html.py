@@ -21,11 +21,7 @@ from markupsafe import Markup
 
 from zipf.experiments.records import video_files
 from zipf.experiments.records.results import Run
-from zipf.experiments.records.wording import (
-    count_text,
-    duration_text,
-    seeds_list,
-)
+from zipf.experiments.records.wording import count_text, duration_text, seeds_list
 from zipf.experiments.reporting.claims import ClaimLine
 from zipf.experiments.reporting.comparable import differences
 from zipf.experiments.reporting.draw_plotly import dash, specification
@@ -39,12 +35,7 @@ from zipf.experiments.reporting.grids import (
     side_by_side_caption,
     side_by_side_grids,
 )
-from zipf.experiments.reporting.markdown import (
-    CLAIM_HEADER,
-    RUN_COLUMNS,
-    claim_cells,
-    run_cells,
-)
+from zipf.experiments.reporting.markdown import CLAIM_HEADER, RUN_COLUMNS, claim_cells, run_cells
 from zipf.experiments.reporting.panels import Chart, LineStyle, charts, legend, line_styles
 from zipf.experiments.reporting.seed_statistics import SeedStatistics, without_statistics
 from zipf.experiments.reporting.side_by_side import side_by_side

@@ -102,9 +102,7 @@ def _anchor(heading: str) -> str:
 
 
 def _after_tables(
-    tables: Sequence[ScoreTable],
-    claims: Sequence[ClaimLine],
-    statistics: Sequence[SeedStatistics],
+    tables: Sequence[ScoreTable], claims: Sequence[ClaimLine], statistics: Sequence[SeedStatistics]
 ) -> list[str]:
     parts = [_side_by_side(beside) for beside in side_by_side(tables)]
     if any(line.at_hand for line in claims):

@@ -586,11 +586,7 @@ def by_visits(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | Non
 
 
 def row_line(
-    row: Row,
-    styles: Mapping[str, LineStyle],
-    x: Mapping[str, Numbers],
-    y: Numbers,
-    **more: Any,
+    row: Row, styles: Mapping[str, LineStyle], x: Mapping[str, Numbers], y: Numbers, **more: Any
 ) -> Line:
     """A line of a row of the table; `more` are attributes of the line."""
     style = styles[row.key]

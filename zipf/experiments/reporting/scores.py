@@ -227,7 +227,5 @@ def other_statistic(scores: pd.DataFrame, mean: str) -> pd.DataFrame:
     of the weighted one, and no published scores."""
     names = ["score", "error", *BASELINE_NAMES]
     return scores.assign(
-        **{name: scores[f"{mean}_{name}"] for name in names},
-        paper_value=np.nan,
-        paper_error=np.nan,
+        **{name: scores[f"{mean}_{name}"] for name in names}, paper_value=np.nan, paper_error=np.nan
     )

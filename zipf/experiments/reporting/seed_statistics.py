@@ -14,13 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from zipf.experiments.records.descriptions import LevelGroup
-from zipf.experiments.records.wording import (
-    KIND_NAMES,
-    NONE,
-    count_text,
-    score_text,
-    seeds_text,
-)
+from zipf.experiments.records.wording import KIND_NAMES, NONE, count_text, score_text, seeds_text
 from zipf.experiments.reporting.claim_checks import LEARNED
 from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.grids import Grid, Line

@@ -34,16 +34,7 @@ from zipf.envs.labyrinth.lasertag.opponents import act, forget, think
 from zipf.envs.labyrinth.lasertag.shooting import fly, make_ready, shoot, take
 from zipf.envs.labyrinth.lasertag.walking import walk
 from zipf.envs.labyrinth.mover import BELOW
-from zipf.envs.labyrinth.state import (
-    CELL,
-    TOUCH_X,
-    TOUCH_Y,
-    TOUCH_Z,
-    YAW,
-    X,
-    Y,
-    Z,
-)
+from zipf.envs.labyrinth.state import CELL, TOUCH_X, TOUCH_Y, TOUCH_Z, YAW, X, Y, Z
 
 THINKING = 6  # frames from thought to thought of an opponent: 0.1 s
 OPPONENTS_REST = REST + THINKING  # frames until opponents respawn

@@ -44,12 +44,7 @@ from zipf.envs.labyrinth.lasertag.arena import (
     TRACES,
     WAIT,
 )
-from zipf.envs.labyrinth.lasertag.sight import (
-    first_body,
-    in_view,
-    to_body,
-    to_surroundings,
-)
+from zipf.envs.labyrinth.lasertag.sight import first_body, in_view, to_body, to_surroundings
 from zipf.envs.labyrinth.mover import ABOVE, BELOW, EYE, FRAME, WIDE
 from zipf.envs.labyrinth.state import PITCH, VX, VY, VZ, YAW, X, Y, Z
 
@@ -94,13 +89,7 @@ def shoot(envs, i, f):
                 away = to_body(combat.bodies[i, other], x, y, z, dx, dy, dz)
                 if away < far:
                     flash(
-                        combat,
-                        i,
-                        envs.clock[i],
-                        x + away * dx,
-                        y + away * dy,
-                        z + away * dz,
-                        SPARK,
+                        combat, i, envs.clock[i], x + away * dx, y + away * dy, z + away * dz, SPARK
                     )
                     hurt(envs, i, other, f, DAMAGE[DISC], dx, dy, dz)
                     hits += 1

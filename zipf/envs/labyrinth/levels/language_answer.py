@@ -60,9 +60,7 @@ _ALL: tuple[Group, ...] = (
     _IN_VIEW | {"colour": diff(1), "shape": same(1)},
 )
 _SHAPES = _groups(
-    {"colour": same(1), "shape": same(1)},
-    {"colour": diff(1), "shape": same(1)},
-    {"shape": diff(1)},
+    {"colour": same(1), "shape": same(1)}, {"colour": diff(1), "shape": same(1)}, {"shape": diff(1)}
 )
 _THINGS = _groups({"colour": same(1)}, {"colour": diff(1)}, {"colour": diff(1)})
 _MOSTLY = (
