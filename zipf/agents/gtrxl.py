@@ -19,16 +19,13 @@ the state are those of older weights; for an actor-critic, of the update before 
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
-from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.options import Options
-
-Size = Annotated[int, Field(ge=1)]
+from zipf.options import NotNegative, Options, Size
 
 
 class GTrXLOptions(Options):
@@ -44,7 +41,7 @@ class GTrXLOptions(Options):
     heads: Size
     memory_length: Size
     mlp_size: Size
-    gate_bias: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    gate_bias: NotNegative
 
 
 class GTrXLMemory(nn.Module):

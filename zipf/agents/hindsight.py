@@ -26,9 +26,7 @@ from torch import Tensor
 
 from zipf.agents.encoders import Encoder
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast
-from zipf.options import Context, Options
-
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+from zipf.options import Context, NotNegative, Options, Size
 
 
 class NoHindsightOptions(Options):
@@ -50,14 +48,14 @@ class AchievedOptions(Options):
     """
 
     name: Literal["achieved"]
-    episodes: Annotated[int, Field(ge=1)]
-    length: Annotated[int, Field(ge=1)] | None
-    kept_per_goal: Annotated[int, Field(ge=1)] | None
+    episodes: Size
+    length: Size | None
+    kept_per_goal: Size | None
     reward: Annotated[float, Field(allow_inf_nan=False)]
     advantage: Literal["positive", "none"]
     policy_cost: NotNegative
     value_cost: NotNegative
-    fade: Annotated[int, Field(ge=1)] | None
+    fade: Size | None
     matching_cost: NotNegative = 0.0
 
     def problems(self, context: Context) -> Iterator[str]:

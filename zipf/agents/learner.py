@@ -40,9 +40,8 @@ from zipf.agents.averaging import average_gradients
 from zipf.agents.episodic import Dictionary, build_recorder
 from zipf.agents.memory import State
 from zipf.agents.network import Torso, autocast, frozen_copy
-from zipf.options import Options
+from zipf.options import Options, Positive
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 

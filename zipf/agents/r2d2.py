@@ -34,7 +34,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-import gymnasium as gym
 import torch
 from pydantic import Field
 from tensordict import TensorDict
@@ -45,21 +44,15 @@ from zipf.agents.critics import CRITICS, SCALAR
 from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.learner import Learner, LearnerOptions, Loss, adam
 from zipf.agents.memory import State
-from zipf.agents.network import Inputs, Torso, frozen_copy, head, in_full
-from zipf.agents.network_options import NetworkOptions
+from zipf.agents.network import Inputs, Torso, frozen_copy, in_full
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.sequences import Sequences
 from zipf.agents.truncations import Finals
 from zipf.agents.unroll import Needs, Unroll, weighted
-from zipf.options import Context, Options
+from zipf.options import Context, NotNegative, Options, Positive, Share, Size
 
 if TYPE_CHECKING:  # imported where learning begins: it brings TorchRL, which takes a second
     from zipf.agents.replay import Replay
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0, le=1)]
-PositiveInt = Annotated[int, Field(ge=1)]
 
 LADDER = 7.0  # alpha of Horgan et al. 2018
 
@@ -73,14 +66,14 @@ class R2D2Options(LearnerOptions):
     weight_decay: NotNegative
     discount: Share
     trace_lambda: Share
-    target_period: PositiveInt
+    target_period: Size
     epsilon: Share
     epsilon_ladder: bool
     burn_in: Annotated[int, Field(ge=0)]
     final_observations: Annotated[int, Field(ge=0)]
     samples_per_insert: Positive
-    replay_capacity: PositiveInt
-    replay_min: PositiveInt
+    replay_capacity: Size
+    replay_min: Size
     storage: Literal["ram", "memmap"]
     priority_exponent: NotNegative
     importance_exponent: NotNegative
@@ -150,18 +143,11 @@ class DuelingQ(Torso):
 
     value_heads = ("value", "advantage")
 
-    def __init__(
-        self,
-        observation_space: gym.spaces.Dict,
-        action_space: gym.Space,
-        network: NetworkOptions,
-        memory: Options,
-        critic: Options = SCALAR,
-    ):
-        super().__init__(observation_space, action_space, network, memory)
+    def __init__(self, *torso: Any, critic: Options = SCALAR):
+        super().__init__(*torso)
         self.critic = CRITICS.build(critic)
-        self.value = head(self.memory.size, network.head_size, self.critic.size)
-        self.advantage = head(self.memory.size, network.head_size, self.critic.size * self.actions)
+        self.value = self.make_head(self.critic.size)
+        self.advantage = self.make_head(self.critic.size * self.actions)
 
     def outputs(self, inputs: Inputs, state: State) -> tuple[Tensor, State]:
         """What the critic reads, float32 [T, B, actions, critic.size], and the memory's state after
@@ -234,7 +220,7 @@ class R2D2(Learner):
         self.replay: Replay | None = None
 
     def make_network(self) -> DuelingQ:
-        return DuelingQ(*self.spec.torso, self.spec.critic)
+        return DuelingQ(*self.spec.torso, critic=self.spec.critic)
 
     def make_optimiser(self, parameters: list[nn.Parameter]) -> torch.optim.Optimizer:
         decay = self.options.weight_decay
@@ -313,22 +299,14 @@ class R2D2(Learner):
     def _insert(self, unroll: Unroll) -> int:
         """Puts an unroll into replay, and the relabelled episodes that come with it; returns the
         number of sequences."""
-        inserted = 0
         fresh = self.sequences.of_unroll(unroll)
-        if fresh is not None:
-            self._store(fresh)
-            inserted += len(fresh)
+        found = [] if fresh is None else [fresh]
         if unroll.episodes is not None:
-            inserted += self._insert_episodes(unroll.episodes)
-        return inserted
-
-    def _insert_episodes(self, episodes: TensorDict) -> int:
-        inserted = 0
-        memory = self.initial_memory(episodes.shape[1])
-        for relabelled in self.sequences.of_episodes(episodes, memory, self._advance):
-            self._store(relabelled)
-            inserted += len(relabelled)
-        return inserted
+            memory = self.initial_memory(unroll.episodes.shape[1])
+            found += self.sequences.of_episodes(unroll.episodes, memory, self._advance)
+        for items in found:
+            self._store(items)
+        return sum(map(len, found))
 
     def _store(self, items: TensorDict) -> None:
         """Puts sequences [N] into replay."""
@@ -362,7 +340,6 @@ class R2D2(Learner):
         return Loss(loss, metrics, {"priorities": priorities})
 
     def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
-        """Lets the target network follow."""
         super().after_step(batch, kept)
         if self.updates % self.options.target_period == 0:
             self.target.load_state_dict(self.network.state_dict())
@@ -435,7 +412,6 @@ class R2D2(Learner):
         self.replay.load_state_dict(state["replay"])
 
     def carried(self) -> dict[str, Any]:
-        """The burn-in of the next sequences of these envs."""
         return self.sequences.carried()
 
     def carry(self, carried: dict[str, Any]) -> None:

@@ -36,8 +36,7 @@ from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, frozen_copy, sampled
 from zipf.agents.returns import bootstrapped_returns
 from zipf.agents.unroll import Unroll, weighted
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+from zipf.options import Positive, Share, Size
 
 SMALLEST_DUAL = 1e-8  # Song et al. 2020
 
@@ -47,8 +46,8 @@ class VMPOOptions(LearnerOptions):
 
     name: Literal["vmpo"]
     dual_learning_rate: Positive
-    discount: Annotated[float, Field(ge=0, le=1)]
-    target_period: Annotated[int, Field(ge=1)]
+    discount: Share
+    target_period: Size
     top_fraction: Annotated[float, Field(gt=0, le=1)]
     epsilon_eta: Positive
     epsilon_alpha: Positive

@@ -18,23 +18,19 @@ import torch.nn.functional as F
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, sample
+from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, Fraction, sample
 from zipf.agents.encoders import Encoder, has_image
 from zipf.agents.network import Inputs, Torso, frozen_copy, head
 from zipf.agents.network_options import NetworkOptions
-
-Size = Annotated[int, Field(ge=1)]
-Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(gt=0, le=1)]
-Rate = Annotated[float, Field(ge=0, le=1)]
+from zipf.options import NotNegative, Share, Size
 
 
 class BYOLSizes(AuxiliaryOptions):
     """Options of all forms; they learn from a random `fraction` of the envs."""
 
-    weight: Weight
+    weight: NotNegative
     fraction: Fraction
-    target_rate: Rate
+    target_rate: Share
     forward_hidden: Size
     projection_hidden: Size
     prediction_hidden: Size

@@ -6,15 +6,14 @@ words, and neither weights nor sizes. The decoder of an image mirrors the networ
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import gymnasium as gym
 import torch
 import torch.nn.functional as F
-from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, sample
+from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, Fraction, sample
 from zipf.agents.averaging import average
 from zipf.agents.encoders import has_image, is_text, vocabulary
 from zipf.agents.image_networks import ResidualBlock, largest_patch
@@ -25,16 +24,14 @@ from zipf.agents.network_options import (
     ResNetOptions,
     ShallowOptions,
 )
-
-Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(gt=0, le=1)]
+from zipf.options import NotNegative
 
 
 class VisionOptions(AuxiliaryOptions):
     """Reconstructs the image, in a random `fraction` of the frames."""
 
     name: Literal["vision"]
-    vision_weight: Weight
+    vision_weight: NotNegative
     fraction: Fraction
 
 
@@ -42,7 +39,7 @@ class LanguageOptions(AuxiliaryOptions):
     """Reconstructs the instruction, in a random `fraction` of the frames."""
 
     name: Literal["language"]
-    language_weight: Weight
+    language_weight: NotNegative
     fraction: Fraction
 
 
@@ -50,8 +47,8 @@ class VisionLanguageOptions(AuxiliaryOptions):
     """Reconstructs image and instruction, in a random `fraction` of the frames."""
 
     name: Literal["vision_language"]
-    vision_weight: Weight
-    language_weight: Weight
+    vision_weight: NotNegative
+    language_weight: NotNegative
     fraction: Fraction
 
 

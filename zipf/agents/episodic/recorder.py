@@ -70,10 +70,10 @@ class DictionaryRecorder(Recorder):
     """Draws a row of every episode and writes it when the episode ends.
 
     Args:
+        options: of the dictionary.
         envs: B of the unrolls.
         core_size: of the memory's outputs.
         actions: how many there are.
-        options: of the dictionary.
         seed: of the draws; with the number of updates, which is saved, all of them follow from it.
         observations: {name: zeros [B, ...]}, the parts of observations that rows have.
     """
@@ -87,10 +87,10 @@ class DictionaryRecorder(Recorder):
 
     def __init__(
         self,
+        options: DictionarySizes,
         envs: int,
         core_size: int,
         actions: int,
-        options: DictionarySizes,
         seed: int,
         observations: dict[str, Tensor] | None = None,
     ):
@@ -109,14 +109,12 @@ class DictionaryRecorder(Recorder):
         self._register("observation", observations or {})
 
     def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
-        """No loss."""
         return torch.zeros((), device=self.core.device), {}
 
     @torch.no_grad()
     def record(
         self, dictionary: Dictionary | None, steps: TensorDict, core: Tensor, action: Tensor
     ) -> None:
-        """Writes the rows of the episodes that have ended, in the order in which they did."""
         assert dictionary is not None
         device = self.core.device
         length, envs = len(core) - 1, core.shape[1]
@@ -149,12 +147,10 @@ class DictionaryRecorder(Recorder):
         self.updates += 1
 
     def carried(self) -> dict[str, Tensor]:
-        """A copy of what is kept of the episodes that the envs are in, [B, ...] each."""
         return {name: getattr(self, name).clone() for name in self._of_episodes()}
 
     def carry(self, carried: dict[str, Tensor]) -> None:
-        """Goes on with other envs; the age of an episode says whether the rest is in use."""
-        if not carried:
+        if not carried:  # the age of an episode says whether the rest is in use
             self.age.zero_()
         for name, value in carried.items():
             getattr(self, name).copy_(value)

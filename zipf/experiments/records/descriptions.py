@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from zipf.errors import UserError
 from zipf.experiments.records.csv_files import read_bytes
 from zipf.experiments.records.wording import EXTERNAL_MARK
+from zipf.options import Positive
 from zipf.protocol import BASELINE_NAMES, KINDS, PAPER_KINDS
 
 LINE_PATTERN = r"^[^\r\n]*$"
@@ -20,7 +21,6 @@ Line = Annotated[str, Field(min_length=1, pattern=LINE_PATTERN)]
 Colour = Annotated[str, Field(pattern=COLOUR_PATTERN)]
 Whole = Annotated[int, Field(gt=-(2**63), lt=2**63)]
 Count = Annotated[int, Field(ge=0, lt=10**15)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
