@@ -47,12 +47,10 @@ def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
     `backward()` and before the gradients are read, for example to clip their norm.
 
     Where a parameter has a gradient in only some learners, zeros stand for it in the others.
+    Raises ConnectionError: another learner has ended.
 
     Args:
         parameters: all that are learned, in the same order in all learners.
-
-    Raises:
-        ConnectionError: another learner has ended.
     """
     if _group is None:
         return

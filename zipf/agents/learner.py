@@ -200,13 +200,11 @@ class Learner(Agent):
         """Loads parts of another agent's network; called before any other method.
 
         All attributes that are a `Torso` load them, and the auxiliary loss follows their encoder.
+        Raises ValueError: the network has no such part, or one of another shape.
 
         Args:
             weights: a state dictionary for each part to take, by the part's name in both networks
                 (`Torso.parts`), such as `encoder` or `memory`.
-
-        Raises:
-            ValueError: the network has no such part, or one of another shape.
         """
         for network in self._torsos():
             parts = network.parts()

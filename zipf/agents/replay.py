@@ -32,6 +32,7 @@ class Replay:
     a run that is killed at any time resumes from there. A file holds numbers and nothing else, one
     for each part of an item. Every item has its number and is hashed as it is inserted; the state
     has the hashes, and loading checks every item that can be drawn, which reads all files once.
+    Raises ValueError: the items do not fit into RAM or onto the disk; nothing is allocated yet.
 
     Args:
         item: an example of an item, a TensorDict without batch axes.
@@ -39,9 +40,6 @@ class Replay:
         folder: where the items are kept; None for RAM.
         spare: items that are inserted between two checkpoints, at most.
         seed: of the draws.
-
-    Raises:
-        ValueError: the items do not fit into RAM or onto the disk; nothing is allocated yet.
     """
 
     def __init__(

@@ -117,12 +117,10 @@ def reset_options(value: Any, known: Collection[str]) -> Mapping[str, Any]:
 
 def single_action(action: Any, count: int) -> int:
     """The action of one env as an int; whether it is in range is not checked.
+    Raises TypeError: it is no integer.
 
     Args:
         count: how many actions there are, for the message.
-
-    Raises:
-        TypeError: it is no integer.
     """
     try:
         return operator.index(action)

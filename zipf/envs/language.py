@@ -16,6 +16,7 @@ class Vocabulary:
         vocabulary.encode("lift a duck")  # array([1, 2, 3, 0])
 
     A word's code is its place in `words`, counted from 1; 0 is padding.
+    Raises ValueError for a word that is there twice, or is none (empty, or with white space).
 
     Args:
         words: in an order that never changes, since trained networks depend on it.
@@ -23,9 +24,6 @@ class Vocabulary:
 
     Attributes:
         size: how many codes there are, padding included.
-
-    Raises:
-        ValueError: for a word that is there twice, or is none (empty, or with white space).
     """
 
     def __init__(self, words: Iterable[str], length: int) -> None:

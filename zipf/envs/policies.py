@@ -37,14 +37,12 @@ class Teacher:
     """A scripted policy of the envs that `zipf.envs.make_train` makes of a split.
 
     Called, it gives the actions, int64 [N], that it would take.
+    Raises ValueError: a train level has no such policy.
 
     Args:
         name: which player, of `zipf.envs.SCRIPTED`.
         split: the split.
         env: the envs.
-
-    Raises:
-        ValueError: a train level has no such policy.
     """
 
     def __init__(self, name: Scripted, split: Split, env: ZipfVectorEnv):

@@ -36,6 +36,7 @@ class Generalist(Remembering):
     where the agent stood, at every step at which it was asked. Where it was not asked from the
     first step of an episode on, its memory begins when it was. Asked again before the envs have
     moved, it gives the same actions.
+    Raises ValueError: the batch is not one of a single gridworld level.
 
     Args:
         env: the batch.
@@ -43,9 +44,6 @@ class Generalist(Remembering):
             of the step: the same in a batch of any size. The stream is left as it is.
         memory: False: it knows what is in view now and nothing else, and moves to a random
             neighbouring cell until it sees a way to the cued object.
-
-    Raises:
-        ValueError: the batch is not one of a single gridworld level.
     """
 
     remembered = ("_known", "_visits", "_episodes", "_streams", "_lengths")

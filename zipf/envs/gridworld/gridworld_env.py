@@ -135,16 +135,13 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts an episode.
+        """Starts an episode. Raises ValueError for a seed that is no whole number >= 0, unknown
+        options or ranks out of range; nothing has happened then.
 
         Args:
             seed: restarts the random stream.
             options: `map` and `target` force these ranks. Both are drawn all the same and then
                 replaced, so that the episodes that follow do not depend on it.
-
-        Raises:
-            ValueError: for a seed that is no whole number >= 0, unknown options or ranks out of
-                range; nothing has happened then.
         """
         if self._closed:
             raise ClosedEnvironmentError("reset() of an environment that was closed")

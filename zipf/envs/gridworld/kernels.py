@@ -76,14 +76,12 @@ def begin(mask, forced, map_cdf, target_cdf, cells, streams, envs):
 @compiled(references=False)
 def move_one(env, action, codes, cells):
     """Steps one environment.
+    Returns whether the agent touches the target, and whether it touches any object.
 
     Args:
         env: its state, int64 [4], written.
         action: in 0 .. 7.
         codes, cells: of `Maps`.
-
-    Returns:
-        Whether the agent touches the target, and whether it touches any object.
     """
     map, row, column = env[MAP], env[ROW] + PAD, env[COLUMN] + PAD
     down, right = _MOVES[action, 0], _MOVES[action, 1]

@@ -41,12 +41,10 @@ _KNOWN = (*MIXTURES, "zipf<exponent>", *LEVELS)
 
 def law(name: str) -> tuple[str, NDArray[np.float64]] | None:
     """The order of a level that draws tasks, and the probability of every rank; None for a task.
+    Raises ValueError: there is no such level.
 
     Args:
         name: with or without `labyrinth/` before it.
-
-    Raises:
-        ValueError: there is no such level.
     """
     if not isinstance(name, str):
         raise ValueError(f"level must be a name, got {name!r}: expected one of {', '.join(_KNOWN)}")
@@ -77,14 +75,12 @@ def make_vec(
     num_envs: int, level: str = "explore_goal_locations_small", **options: Any
 ) -> ZipfVectorEnv:
     """`num_envs` envs of a level: of one task, or of tasks drawn at every reset.
+    Raises ValueError for an unknown level, or options out of range.
 
     Args:
         num_envs: number of envs N.
         level: with or without `labyrinth/` before it.
         options: of `LabyrinthVectorEnv`, which all tasks have.
-
-    Raises:
-        ValueError: for an unknown level, or options out of range.
     """
     from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
     from zipf.envs.mixture import Mixture

@@ -30,13 +30,11 @@ class Generalist(Remembering):
     remembered as long as the map does.
 
     It may be asked in envs in which another policy acts. It then remembers what was in view at
-    every step at which it was asked.
+    every step at which it was asked. Raises ValueError: the batch has another number of actions
+    than fifteen, or is of another family.
 
     Args:
         env: the batch, also one that draws a task at every reset.
-
-    Raises:
-        ValueError: the batch has another number of actions than fifteen, or is of another family.
     """
 
     remembered = (

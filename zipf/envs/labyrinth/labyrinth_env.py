@@ -97,9 +97,7 @@ class LabyrinthEnv(SingleEnv):
     `zipf/Labyrinth-v0`, by `import zipf.envs`, or in one go
     `gymnasium.make("zipf.envs:zipf/Labyrinth-v0", level="rooms_watermaze")`. With
     `gymnasium.make_vec` the same id gives `LabyrinthVectorEnv`, which steps many envs at once.
-
-    Raises:
-        ValueError: for an unknown level, engine or number of actions, or sizes below 1.
+    Raises ValueError for an unknown level, engine or number of actions, or sizes below 1.
     """
 
     metadata = LabyrinthVectorEnv.metadata

@@ -86,9 +86,7 @@ class Expert:
 
     It may take over at any step: it keeps no more than the ways that it found last in each env,
     which it follows as long as nothing that they depend on has moved.
-
-    Raises:
-        ValueError: the batch is of another family, or its episodes are questions.
+    Raises ValueError: the batch is of another family, or its episodes are questions.
     """
 
     def __init__(self, env: PlayroomVectorEnv) -> None:

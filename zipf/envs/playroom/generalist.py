@@ -47,14 +47,11 @@ class Generalist(Remembering):
 
     It may be asked in envs in which another policy acts. It then remembers what was in view at
     every step at which it was asked, and how far the agent turned. Where it was not asked from the
-    first step of an episode on, its memory begins when it was.
+    first step of an episode on, its memory begins when it was. Raises ValueError: the envs are of
+    another engine, or have other actions: their episodes are questions.
 
     Args:
         env: the batch.
-
-    Raises:
-        ValueError: the envs are of another engine, or have other actions: their episodes are
-            questions.
     """
 
     remembered = (

@@ -32,6 +32,7 @@ _EXACT = 1e-6
 @compiled()
 def find_room(agent, env, held, spot):
     """Finds where an object can be held, and pushes the agent back where there is too little room.
+    Returns whether there is room. If not, the agent's place is as it was.
 
     Args:
         agent: a row of `Worlds.agents`; its place and its pitch may be changed.
@@ -40,9 +41,6 @@ def find_room(agent, env, held, spot):
         spot: float64 [3], written where there is room: the least and greatest distance of the
             object's middle from the agent's on the floor plane, and the height of its lowest
             point, metres.
-
-    Returns:
-        Whether there is room. If not, the agent's place is as it was.
     """
     item = env.objects[held]
     floor = floor_of_hand(env.furnished, env.furniture, item)

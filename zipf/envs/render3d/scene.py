@@ -234,6 +234,7 @@ class Scenes:
         tint: ArrayLike = 255,
     ) -> None:
         """Sets an env's terrain.
+        Raises ValueError for other shapes and a size that is not positive.
 
         Args:
             env: the env.
@@ -242,9 +243,6 @@ class Scenes:
             heights: [rows + 1, columns + 1], metres.
             textures: of the cells, one for all or [rows, columns].
             repeat, tint: see `terrain` and `terrain_tint`.
-
-        Raises:
-            ValueError: for other shapes and a size that is not positive.
         """
         if heights.shape != self.heights.shape[1:]:
             raise ValueError(f"heights must be {self.heights.shape[1:]}, not {heights.shape}")

@@ -62,6 +62,7 @@ Draw = dict[str, NDArray]  # what was drawn for episodes, {name: [N, ...]}
 
 class Augmentation:
     """Draws changes of the episodes of N envs and makes them.
+    Raises ValueError: there is nothing to change, or no symmetries.
 
     Args:
         options: what to draw.
@@ -69,9 +70,6 @@ class Augmentation:
         num_envs: N.
         seed: of the draws.
         symmetries: of these envs, where `options.symmetries`.
-
-    Raises:
-        ValueError: there is nothing to change, or no symmetries.
     """
 
     def __init__(

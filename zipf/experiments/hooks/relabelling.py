@@ -32,6 +32,7 @@ _FIRST_ROWS = 64  # ours: room for short episodes; it doubles where an episode i
 
 class Hindsight(Hook):
     """Keeps the running episode of each of N envs, and relabels those that end.
+    Raises ValueError: the envs do not say what an episode asks for, or what it has achieved.
 
     Args:
         options: how many episodes, and how many of their last frames.
@@ -44,9 +45,6 @@ class Hindsight(Hook):
             every episode for the goal that it was asked for, with these in the place of the
             actions taken; those that achieved another goal are kept and drawn apart from them.
             Where a matcher learns, its episodes say whether they `achieved` what they ask for.
-
-    Raises:
-        ValueError: the envs do not say what an episode asks for, or what it has achieved.
     """
 
     name = "hindsight"

@@ -48,13 +48,11 @@ class PlayOptions(Options):
 
 def play(options: PlayOptions, say: Callable[[str], None]) -> None:
     """Plays, shows and records episodes as the options say.
+    Raises UserError: options that contradict each other, or that this machine cannot fulfil.
 
     Args:
         options: what to play.
         say: prints a line about each episode and each file; is not called while a screen is open.
-
-    Raises:
-        UserError: options that contradict each other, or that this machine cannot fulfil.
     """
     policy = _who_plays(options)
     if options.record:  # making the envs may take a minute

@@ -64,13 +64,10 @@ class Videos(_Described):
 
 
 def read(folder: Path) -> Videos | None:
-    """The videos of a run; None where it has none.
+    """The videos of a run; None where it has none. Raises UserError: `videos.json` is damaged.
 
     Args:
         folder: the run's.
-
-    Raises:
-        UserError: `videos.json` is damaged.
     """
     path = folder / FOLDER / NAME
     if not path.exists():
@@ -85,12 +82,10 @@ def read(folder: Path) -> Videos | None:
 
 def data_address(folder: Path, video: Video) -> str:
     """A video as a `data:` address, which holds the file itself.
+    Raises UserError: the file is gone, or is not of the format that its name says.
 
     Args:
         folder: the run's.
-
-    Raises:
-        UserError: the file is gone, or is not of the format that its name says.
     """
     path = folder / FOLDER / video.file
     content = read_bytes(path)

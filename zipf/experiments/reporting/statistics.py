@@ -115,13 +115,10 @@ def bootstrap(
     statistic: Callable[..., NDArray[np.float64]], samples: list[NDArray[np.float64]]
 ) -> Interval:
     """A statistic of several samples [n] and its percentile interval; the same for the same
-    numbers.
+    numbers. Raises ValueError: fewer than two of a sample.
 
     Args:
         statistic: of arrays as arguments, along `axis`.
-
-    Raises:
-        ValueError: fewer than two of a sample.
     """
     if min(len(sample) for sample in samples) < FEWEST_SEEDS:
         raise ValueError(f"an interval needs {FEWEST_SEEDS} seeds")

@@ -97,14 +97,12 @@ class ScoreTable:
 
 def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[ScoreTable]:
     """One table per experiment; more where runs of an experiment cannot be compared.
+    Raises UserError: two runs of a table are the same condition and seed, or a run names a
+    published experiment that the paper does not have.
 
     Args:
         window: instead of each run's own; "scaled" for that at the same fractions of shorter runs;
             "own" for each run's own, with those that differ in one table.
-
-    Raises:
-        UserError: two runs of a table are the same condition and seed, or a run names a published
-            experiment that the paper does not have.
     """
     tables: list[ScoreTable] = []
     for group in group_runs(runs, window):
