@@ -30,13 +30,10 @@ class RandomPolicy:
 
 
 def chance(level: str, **options: Any) -> BaselineScore:
-    """The score of uniformly random actions on a level, exact, also by map and by target.
+    """The score of uniformly random actions on a level with these options of `GridworldOptions`,
+    exact, also by map and by target.
 
     On the released maps 0.0324 (`zipf_2`), 0.0477 (`uniform`) and 0.0859 (`rare`).
-
-    Args:
-        level: its name.
-        options: of `GridworldOptions`.
     """
     chosen = checked(GridworldOptions, options)
     return _chance(level, maps_of(level.removeprefix("gridworld/"), chosen), chosen.max_steps)
@@ -48,12 +45,8 @@ def _chance(level: str, maps: Maps, max_steps: int) -> BaselineScore:
 
 
 def mean_success(level: str, success: NDArray) -> BaselineScore:
-    """The score of a player on a level.
-
-    Args:
-        level: its name.
-        success: [maps, objects], the probability of success where that object is the target.
-    """
+    """The score of a policy on a level, from the probability of success where an object is the
+    target, [maps, objects]."""
     distribution = of_level(level.removeprefix("gridworld/"))
     num_maps, num_objects = success.shape
     by_map, by_target = success @ distribution(num_objects), distribution(num_maps) @ success

@@ -42,12 +42,8 @@ def require_gridworld(env: object, policy: str) -> None:
 
 
 def score(level: str, **options: Any) -> BaselineScore:
-    """The expert's score on a level, exact, also by map and by target.
-
-    Args:
-        level: its name.
-        options: of `GridworldOptions`.
-    """
+    """The expert's score on a level with these options of `GridworldOptions`, exact, also by map
+    and by target."""
     chosen = checked(GridworldOptions, options)
     maps = maps_of(level.removeprefix("gridworld/"), chosen)
     return mean_success(level, reached(maps, chosen.max_steps).astype(np.float64))

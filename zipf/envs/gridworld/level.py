@@ -22,12 +22,8 @@ OBSERVATIONS: dict[str, dict[str, tuple[int, ...]]] = {
 
 
 def distribution(name: str) -> Distribution:
-    """What the ranks of maps and of targets are drawn from, each by itself, on the level of a name.
-    Raises ValueError: there is no such level.
-
-    Args:
-        name: without its family.
-    """
+    """What the ranks of maps and of targets are drawn from, each by itself, on the level of a name
+    without its family. Raises ValueError: there is no such level."""
     if name == FRESH:
         return distributions.uniform
     try:

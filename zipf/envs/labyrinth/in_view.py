@@ -171,13 +171,8 @@ def _is_behind_a_hill(heights, size, x, y, eye, to_x, to_y, to_z):
 @compiled(error_model="numpy")
 def nearest_unseen(solid, seen_at, row, column):
     """The cell that was never seen to which the way from a cell is shortest, or, where there is
-    none, the one that was seen last the longest time ago.
-
-    Args:
-        solid: bool [rows, columns].
-        seen_at: int64 [rows, columns].
-        row, column: where the way begins.
-    """
+    none, the one that was seen last the longest time ago; `solid` and `seen_at` are [rows,
+    columns]."""
     rows, columns = solid.shape
     queue = [(row, column)]
     found = solid.copy()

@@ -39,13 +39,7 @@ class Memory:
 
 class Knowledge:
     """What a scripted policy knows of one env, in addition to the rules of its level, the
-    instruction, where it is itself and what it has taken: what has been in view.
-
-    Args:
-        memory: of the batch, written by what looks around.
-        env: the env.
-        number: the env's.
-    """
+    instruction, where it is itself and what it has taken: what has been in view."""
 
     def __init__(self, memory: Memory, world: World, number: int) -> None:
         self._memory = memory
@@ -73,13 +67,8 @@ class Knowledge:
 
     def explore(self, solid: NDArray[np.bool_], *, size: float, margin: float = MARGIN) -> int:
         """The action that leads to the nearest cell that was not seen yet; where there is none, to
-        the one that was seen last the longest time ago.
-
-        Args:
-            solid: bool [rows, columns]; what was not seen of it does not count.
-            size: of a cell, units.
-            margin: see `Ways`.
-        """
+        the one that was seen last the longest time ago. What was not seen of `solid` does not
+        count."""
         upright = self._towards(0.0)
         if upright is not None:
             return upright

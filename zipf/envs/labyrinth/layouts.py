@@ -34,12 +34,10 @@ class Layout:
 
 
 def read(cells: str, regions: str = "") -> Layout:
-    """A layout of two texts.
+    """A layout of two texts, rows from the north on, one a word.
 
-    Args:
-        cells: rows from the north on, one a word: `*` is a wall, `P` a start, `O` a slot; what is
-            missing is a wall.
-        regions: likewise, letters of regions; `.` is none.
+    In `cells` `*` is a wall, as is what is missing, `P` a start, `O` a slot; `regions` has letters
+    of regions; `.` is none.
     """
     rows, letters = cells.split(), regions.split()
     high, wide = len(rows) + 2, max(map(len, rows)) + 2

@@ -33,8 +33,6 @@ def move(envs, i, turn, rise, strafe, forward):
     """Moves the player of env `i` by one frame.
 
     Args:
-        envs: `Worlds`, written.
-        i: the env.
         turn, rise: of the view, to the left and upwards, radians.
         strafe, forward: 1, 0 or -1: to the right, forward.
     """
@@ -79,14 +77,8 @@ def move(envs, i, turn, rise, strafe, forward):
 
 @compiled(error_model="numpy")
 def turn_and_run(body, turn, rise, strafe, forward, acceleration, friction):
-    """Turns a body, float64 [8], and changes its velocity over the ground.
-
-    Args:
-        body: written.
-        turn, rise, strafe, forward: see `move`.
-        acceleration: ACCELERATION or IN_AIR.
-        friction: whether the ground slows it.
-    """
+    """Turns a body, float64 [8], as `move` does, and changes its velocity over the ground: with
+    ACCELERATION or IN_AIR, and by friction if that slows it."""
     body[YAW] = (body[YAW] + turn) % (2 * math.pi)
     body[PITCH] = min(max(body[PITCH] + rise, -_MOST_PITCH), _MOST_PITCH)
     if friction:

@@ -122,12 +122,7 @@ def _plan(number: int) -> _Plan:
 
 
 def draw(number: int, size: int) -> NDArray[np.uint8]:
-    """A picture, RGBA uint8 [size, size, 4].
-
-    Args:
-        number: from 0 to `COUNT` - 1.
-        size: height and width, pixels.
-    """
+    """Picture number 0 to `COUNT` - 1, RGBA uint8 [size, size, 4]."""
     picture = np.full((size, size, 4), 255, np.uint8)
     _paint(picture, *_plan(number))
     return picture

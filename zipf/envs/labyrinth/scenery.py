@@ -134,13 +134,10 @@ class Scenery:
         """Adds walls with a texture each and returns the first one's number.
 
         Args:
-            env: the env.
             ends: [walls, 4], x0, y0, x1, y1 in units; see `Scenes`.
             heights: bottom and top, units.
             textures, faces: [walls].
-            flags: of all of them.
             repeat: units per repeat of the texture; 0: once over the wall.
-            tint: of all of them.
         """
         scenes = self.scenes
         first = int(scenes.wall_count[world])

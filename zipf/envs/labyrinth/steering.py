@@ -79,15 +79,8 @@ def bearing(yaw: float, direction: float) -> float:
 
 
 class Ways:
-    """Shortest ways through a grid to some cells.
-
-    Args:
-        solid: bool [rows, columns].
-        cells: where ways lead to.
-        origin: x and y of the grid's south-west corner.
-        size: of a cell.
-        margin: how far from solid cells the player's point stays.
-    """
+    """Shortest ways through a grid to some cells, from which the player's point stays `margin` away
+    from solid ones. The grid has cells of this size and its south-west corner at `origin`."""
 
     def __init__(
         self,

@@ -69,13 +69,8 @@ def height_at(heights, size, x, y):
 
 @lru_cache(maxsize=256)
 def make_terrain(seed: int, side: float, mushrooms: tuple[int, int]) -> Terrain:
-    """Draws a terrain; the same arguments give the same one.
-
-    Args:
-        seed: of the draws.
-        side: of the terrain, units.
-        mushrooms: least and most of them.
-    """
+    """Draws a terrain with a side of so many units and this least and most number of mushrooms; the
+    same arguments give the same one."""
     rng = np.random.default_rng([seed, round(side), *mushrooms])
     size = side / QUADS
     heights = _heights(rng, size)

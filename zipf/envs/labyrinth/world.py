@@ -133,11 +133,8 @@ class World:
     ) -> None:
         """Builds platforms of one cell each in the sky; between them are invisible walls.
 
-        Args:
-            heights: [rows, columns], of the platforms' tops, units.
-            there: bool [rows, columns], where platforms are.
-            textures: of the tops, by height in multiples of `unit`.
-            unit: of height, units.
+        `there` bool [rows, columns] says where, `heights` of that shape how high their tops are, in
+        units, and `textures` how these look at each multiple of `unit`.
         """
         i, envs, scenery = self._number, self._envs, self._scenery
         rows, columns = there.shape
@@ -172,13 +169,9 @@ class World:
         tint: materials.Colour = materials.WHITE,
         repeat: float = CELL,
     ) -> int:
-        """Adds an upright solid block and returns its number as a box.
+        """Adds an upright solid block between two corners and returns its number as a box.
 
-        Args:
-            low, high: its lowest and highest corner.
-            texture: of its sides; None: it is invisible.
-            tint: of its sides.
-            repeat: units per repeat of the texture.
+        Without a texture it is invisible; `repeat` is the units per repeat of the texture.
         """
         i = self._number
         box = int(self._envs.box_count[i])
@@ -206,14 +199,8 @@ class World:
         repeat: float = CELL,
         open_sides: str = "",
     ) -> None:
-        """Adds the walls of a rectangular room.
-
-        Args:
-            low, high: its corners.
-            height: of the walls.
-            texture, tint, repeat: of the walls.
-            open_sides: of "east", "north", "west" and "south", those without a wall.
-        """
+        """Adds the walls of a rectangular room between two corners, but for its open sides, of
+        "east", "north", "west" and "south"."""
         (x0, y0), (x1, y1) = low, high
         thick = 40.0
         for side, ends in (
@@ -229,13 +216,8 @@ class World:
     def add_ring(
         self, apothem: float, sides: int, height: float, texture: str, *, tint: materials.Colour
     ) -> None:
-        """Adds the walls of a regular room around the origin.
-
-        Args:
-            apothem: distance of the walls' middles from the origin.
-            sides: how many walls; the first is in the east.
-            height, texture, tint: of the walls.
-        """
+        """Adds the walls of a regular room around the origin, the first of which is in the east;
+        their middles are `apothem` from the origin."""
         i = self._number
         angles = 2 * math.pi * np.arange(sides) / sides
         self._envs.plane_count[i] = sides
@@ -254,14 +236,8 @@ class World:
     def add_picture(
         self, distance: float, angle: float, height: float, size: float, texture: int
     ) -> None:
-        """Hangs a picture that faces the origin.
-
-        Args:
-            distance, angle: of its middle from the origin, units and radians.
-            height: of its middle above the floor.
-            size: of its sides.
-            texture: its number.
-        """
+        """Hangs a square picture that faces the origin; its middle is at this distance, angle
+        (radians) and height above the floor."""
         middle = distance * np.array([math.cos(angle), math.sin(angle)])
         along = size / 2 * np.array([-math.sin(angle), math.cos(angle)])
         ends = np.array([[*(middle - along), *(middle + along)]])
@@ -271,13 +247,7 @@ class World:
         )
 
     def add_screen(self, distance: float, height: float, side: float) -> Screen:
-        """Adds a white square screen that faces the origin from the north.
-
-        Args:
-            distance: of its middle from the origin, units.
-            height: of its middle.
-            side: of the screen.
-        """
+        """Adds a white square screen that faces the origin from the north."""
         self._envs.screen[self._number] = 0.0, distance, height, side
         self.add_picture(distance, math.pi / 2, height, side, SCREEN)
         return Screen(self._envs, self._scenery, self._number)
@@ -308,13 +278,8 @@ class World:
         tint: materials.Colour,
         sky: tuple[materials.Colour, materials.Colour],
     ) -> None:
-        """Builds a terrain, with invisible walls at its edges.
-
-        Args:
-            terrain: its heights.
-            texture, tint: of the ground.
-            sky: colours at the horizon and overhead.
-        """
+        """Builds a terrain, with invisible walls at its edges; the sky has colours at the horizon
+        and overhead."""
         i, envs, scenes = self._number, self._envs, self._scenery.scenes
         envs.quad[i] = terrain.size
         envs.heights[i] = terrain.heights
@@ -380,9 +345,7 @@ class World:
         """Adds an item that is nowhere yet, and returns its number.
 
         Args:
-            mesh: its shape.
             colours: main and accent colour.
-            scale: of the mesh.
             spins: whether it bobs and turns.
             seen_only: whether nothing happens when it is touched.
             pattern: one of `patterns.PATTERNS`, which mixes the two colours; solid: the mesh has
@@ -412,13 +375,8 @@ class World:
         texture: str = "panel",
         tint: materials.Colour = materials.WHITE,
     ) -> int:
-        """Adds an open door in the middle of a cell, and returns its number.
-
-        Args:
-            cell: of the text map.
-            eastwards: whether it is walked through to the east or west, else to the north or south.
-            texture, tint: of the door.
-        """
+        """Adds an open door in the middle of a cell, and returns its number. It is walked through
+        to the east or west if `eastwards`, else to the north or south."""
         i, scenery = self._number, self._scenery
         door = int(self._envs.box_count[i])
         self._envs.box_count[i] += 1
@@ -517,12 +475,8 @@ class World:
     def show_square(
         self, place: tuple[float, float, float, float], colour: materials.Colour | None
     ) -> None:
-        """Draws a rectangle over the view, or removes it.
-
-        Args:
-            place: left, top, right and bottom, as shares of the image's width and height.
-            colour: of the rectangle; None: there is none.
-        """
+        """Draws a rectangle over the view, or removes it. Its place is left, top, right and bottom,
+        as shares of the image's width and height."""
         i, scenes = self._number, self._scenery.scenes
         scenes.overlay_count[i] = colour is not None
         scenes.overlays[i, 0] = place

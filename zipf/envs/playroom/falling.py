@@ -17,13 +17,8 @@ STILL_MOTION = 0.01  # an object that moves less than this counts as motionless,
 
 @compiled(references=False)
 def fall(envs, i, before):
-    """Updates heights, orientations and the status of the objects of env `i`.
-
-    Args:
-        envs: `objects`, `orientation`, `status`, `still` and `lifted` are written.
-        i: the env.
-        before: the objects' x, y before the physics of this step, float64 [C, 2].
-    """
+    """Updates heights, orientations and the status of the objects of env `i`, whose x, y `before`
+    the physics of this step are float64 [C, 2]."""
     status, still = envs.status[i], envs.still[i]
     for j in range(status.size):
         item = envs.objects[i, j]

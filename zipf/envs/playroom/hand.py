@@ -74,14 +74,7 @@ _COAST = FRAME * sum(math.exp(-DAMPING * FRAME * k) for k in range(FRAMES))
 
 @compiled()
 def control(mask, actions, envs, commands):
-    """Applies the actions of the envs of `mask`, and tells the physics what to do.
-
-    Args:
-        mask: bool [N].
-        actions: int64 [N].
-        envs: read and written.
-        commands: written.
-    """
+    """Applies the actions int64 [N] of the envs of `mask`, and tells the physics what to do."""
     pose, turned = np.empty(6), np.empty((3, 3))
     for i in range(mask.size):
         if not mask[i]:
@@ -262,12 +255,8 @@ def _reach_out(agent, item, spot, drive):
 def keep_in_hand(envs, i, start):
     """After the physics, puts the held object of env `i` back in front of the agent.
 
-    Other objects may have stopped it on its way, but do not push it aside.
-
-    Args:
-        envs: read and written.
-        i: the env.
-        start: the agent's x, y before the physics, float64 [2], where there was room.
+    Other objects may have stopped it on its way, but do not push it aside. `start` is the agent's
+    x, y before the physics, where there was room.
     """
     held = envs.hands[i]
     agent, item, spot = envs.agents[i], envs.objects[i, held], envs.spots[i]

@@ -16,13 +16,11 @@ APPROACH_DISTANCE = 0.7
 
 @compiled(references=False)
 def settle(mask, start, before, envs, reward, terminated, success):
-    """After the physics, objects are held or fall, and episodes are judged.
+    """After the physics, objects are held or fall, and the episodes of `mask` are judged.
 
     Args:
-        mask: the envs concerned, bool [N].
         start: the agents' x, y before the physics of this step, float64 [N, 2].
         before: the objects' x, y before the physics of this step, float64 [N, C, 2].
-        envs: read and written.
         reward, terminated, success: float64, bool, bool [N], written.
     """
     for i in range(mask.size):

@@ -36,12 +36,8 @@ class MeshAtlas:
 
 
 def load_meshes(path: Path | None = None) -> MeshAtlas:
-    """An atlas: a file that the script wrote, loaded once. Arrays are read-only.
-    Raises FileNotFoundError if there is no such file.
-
-    Args:
-        path: of the file; None for the 50 toys by rank, then the bed and the tray.
-    """
+    """An atlas: a file that the script wrote (None: the 50 toys by rank, then the bed and the
+    tray), loaded once. Arrays are read-only. Raises FileNotFoundError if there is no such file."""
     return _load(path or Path(__file__).with_name("meshes.npz"))
 
 

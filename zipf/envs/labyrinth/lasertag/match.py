@@ -38,11 +38,9 @@ class Supply:
 
 
 class Match:
-    """Lets the player and some opponents fight each other in a text map.
+    """Lets the player and some opponents fight each other in a text map without items.
 
     Args:
-        env: with a text map and no items.
-        opponents: how many.
         spawns: cells where fighters begin.
         supplies: kinds and cells.
         hue: of the opponents, degrees.

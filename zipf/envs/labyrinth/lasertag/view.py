@@ -96,8 +96,6 @@ def show_supplies(mask, combat, meshes, shape, colours):
     """Gives the supplies of the envs of `mask` their looks, also those that were dropped.
 
     Args:
-        mask: bool [N].
-        combat: of `Worlds`.
         meshes: int32, numbers of SUPPLY_MESHES.
         shape, colours: of `Scenery` and `Scenes`, written.
     """
@@ -115,9 +113,7 @@ def pose(mask, items, clock, combat, meshes, pictures):
     """Copies what happens in the combats of the envs of `mask` to their scenes.
 
     Args:
-        mask: bool [N].
         items: how many instances come before those of the actors.
-        clock, combat: of `Worlds`.
         meshes: int32, numbers of ACTOR_MESHES.
         pictures: `Pictures`, written.
     """

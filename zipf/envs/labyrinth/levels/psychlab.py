@@ -92,12 +92,7 @@ class Psychlab(Episode):
         """A trial has ended."""
 
     def ask(self, buttons: tuple[Place, ...], right: int) -> None:
-        """Shows black buttons, which answer the trial.
-
-        Args:
-            buttons: their places.
-            right: the number of the right one.
-        """
+        """Shows black buttons, which answer the trial, at these places; `right` is one's number."""
         self.buttons, self.right = buttons, right
         for button in buttons:
             self.screen.add_widget(button)

@@ -26,13 +26,9 @@ def random_heights(
 ) -> tuple[NDArray[np.int64], Cell, Cell]:
     """Draws platforms: several ways from a start to a goal, of which only the first leads there.
 
-    Args:
-        rng: draws.
-        difficulty: 0 .. 1, of the size, the number of ways and their detours.
-
-    Returns:
-        heights: int64 [rows, columns], units of `UNIT`; -1: no platform.
-        start, goal: cells.
+    The difficulty, 0 .. 1, is that of the size, the number of ways and their detours. Returns
+    heights int64 [rows, columns], in units of `UNIT`, -1 where there is no platform, and the cells
+    of start and goal.
     """
     n = 4 + math.floor(6 * difficulty + 0.5)
     most_paths = 1 + math.floor(7 * difficulty + 0.5)
