@@ -35,12 +35,8 @@ def _stream(stream: TextIO, name: str | None) -> TextIO:
 
 
 class _Droppable(io.FileIO):
-    """A file that may stop to take what is written to it.
-
-    Args:
-        descriptor: of the open file.
-        name: to name it by, once, on standard error, where it fails in an unusual way.
-    """
+    """A file that may stop to take what is written to it. Where that fails in an unusual way, it is
+    named once, on standard error."""
 
     def __init__(self, descriptor: int, name: str | None):
         super().__init__(descriptor, "w", closefd=False)

@@ -136,14 +136,10 @@ class Distribution(Critic):
 
 
 def cvar(returns: Tensor, probabilities: Tensor, level: float) -> Tensor:
-    """The mean of the lowest `level` of a distribution, [..., n], [..., n] -> [...].
+    """The mean of the lowest `level` of a distribution, 0 < level <= 1, [..., n], [..., n] ->
+    [...], from ascending returns and their probabilities, which sum to 1.
 
     A return at the boundary counts with the part of its probability that lies below `level`.
-
-    Args:
-        returns: ascending.
-        probabilities: of the returns; they sum to 1.
-        level: greater than 0, at most 1; with 1 it is the mean.
     """
     below = (probabilities.cumsum(-1) - probabilities).clamp(min=0)
     counted = torch.minimum(probabilities, (level - below).clamp(min=0))

@@ -83,15 +83,13 @@ def hindsight_loss(
     updates: int,
     precision: Literal["float32", "bfloat16"] = "float32",
 ) -> tuple[Tensor | float, dict[str, Tensor]]:
-    """The loss of relabelled episodes [L, E], as `Unroll.episodes` has them, and metrics.
+    """The loss of relabelled episodes [L, E], as `Unroll.episodes` has them, and metrics, after so
+    many updates.
 
     The memory is unrolled from before each episode's first row. Without such an episode, or once
     the costs are 0, the loss is 0, `hindsight_episodes` too, and the other metrics are NaN; without
-    hindsight there are no metrics.
-    The contrastive loss of a matcher, which does not fade, is added (`matching_loss`).
-
-    Args:
-        updates: made before this one.
+    hindsight there are no metrics. The contrastive loss of a matcher, which does not fade, is added
+    (`matching_loss`).
     """
     if isinstance(options, NoHindsightOptions):
         return 0.0, {}

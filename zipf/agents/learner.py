@@ -223,11 +223,8 @@ class Learner(Agent):
         return self.network.fixed_parts()
 
     def scale_learning_rates(self, factor: float) -> None:
-        """Sets the learning rates of all optimisers, for the updates that follow.
-
-        Args:
-            factor: of the learning rates that they were built with; from 0 to 1.
-        """
+        """Sets the learning rates of all optimisers, for the updates that follow, to this factor, 0
+        to 1, of those that they were built with."""
         for optimiser in self.optimisers.values():
             for group in optimiser.param_groups:
                 group["lr"] = factor * group.setdefault("initial_lr", group["lr"])

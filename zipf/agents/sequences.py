@@ -89,11 +89,7 @@ class Sequences:
 
         The rows before an episode's first and behind its last are empty: an episode begins and is
         truncated in each of them, at an observation that is not there, so that they have no error.
-
-        Args:
-            episodes: see `Unroll`.
-            memory: before the first frame of E envs.
-            advance: from steps [rows, E] and the memory before them, that after them.
+        `advance` gives the memory after steps [rows, E] from that before them.
         """
         rows, count = episodes.shape
         length, burn_in = self.unroll_length, self.burn_in

@@ -116,12 +116,8 @@ def reset_options(value: Any, known: Collection[str]) -> Mapping[str, Any]:
 
 
 def single_action(action: Any, count: int) -> int:
-    """The action of one env as an int; whether it is in range is not checked.
-    Raises TypeError: it is no integer.
-
-    Args:
-        count: how many actions there are, for the message.
-    """
+    """The action of one env as an int; whether it is one of `count`, which the message names, is
+    not checked. Raises TypeError: it is no integer."""
     try:
         return operator.index(action)
     except TypeError:

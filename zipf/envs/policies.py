@@ -34,16 +34,9 @@ class Remembering:
 
 
 class Teacher:
-    """A scripted policy of the envs that `zipf.envs.make_train` makes of a split.
-
-    Called, it gives the actions, int64 [N], that it would take.
-    Raises ValueError: a train level has no such policy.
-
-    Args:
-        name: which player, of `zipf.envs.SCRIPTED`.
-        split: the split.
-        env: the envs.
-    """
+    """A scripted policy, of `zipf.envs.SCRIPTED`, of the envs that `zipf.envs.make_train` makes of
+    a split. Called, it gives the actions, int64 [N], that it would take. Raises ValueError: a train
+    level has no such policy."""
 
     def __init__(self, name: Scripted, split: Split, env: ZipfVectorEnv):
         self._env = env

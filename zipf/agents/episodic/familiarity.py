@@ -191,12 +191,8 @@ def _blocks(size: int, device: torch.device) -> Tensor:
 
 def augment(image: Tensor, noise: float, cutout: float, generator: torch.Generator) -> Tensor:
     """Gaussian noise, and a grey square cut out at random (DeVries and Taylor 2017), whose centre
-    is anywhere in the image. uint8 [N, H, W, C].
-
-    Args:
-        noise: its standard deviation, as a share of the range of pixels.
-        cutout: the square's sides, as a share of the image's.
-    """
+    is anywhere in the image, uint8 [N, H, W, C]. `noise` is its standard deviation, as a share of
+    the range of pixels, `cutout` the square's sides, as a share of the image's."""
     n, height, width, _ = image.shape
     normal = torch.randn(image.shape, generator=generator).to(image.device)
     noisy = (image + 255 * noise * normal).round().clamp(0, 255).to(torch.uint8)

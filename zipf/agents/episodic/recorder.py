@@ -38,11 +38,8 @@ class Recorder(nn.Module):
     """The recorder of agents without episodic memory: it records nothing, and its loss is 0."""
 
     def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
-        """The weighted loss of an update, float32 [], and metrics to log, [] each.
-
-        Args:
-            encoder: the agent's; gradients reach it.
-        """
+        """The weighted loss of an update, float32 [], and metrics, [] each; its gradients reach
+        `encoder`."""
         return torch.zeros(()), {}
 
     def record(
@@ -201,12 +198,7 @@ class DictionaryRecorder(Recorder):
 
 
 def pick(before: Tensor, unroll: Tensor, source: Tensor, env: Tensor) -> Tensor:
-    """`unroll[source, world]`, or `before[world]` where `source` is -1.
-
-    Args:
-        before: [B, ...].
-        unroll: [T + 1, B, ...].
-        source, env: int64 [N].
-    """
+    """`unroll[source, env]` of unroll [T + 1, B, ...], or `before[env]` [B, ...] where `source` is
+    -1."""
     inside = (source >= 0).view(-1, *[1] * (before.ndim - 1))
     return torch.where(inside, unroll[source.clamp(min=0), env], before[env])

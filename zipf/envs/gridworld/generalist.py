@@ -130,14 +130,13 @@ def _hashes(streams, lengths, seed):
 
 @compiled()
 def _choose(places, cues, known, visits, ties, actions):
-    """Chooses actions from what is known of the envs, and from nothing else.
+    """Chooses actions int64 [N] from what is known of the envs, and from nothing else.
 
     Args:
         places: row and column of the agents in `known`, int64 [N, 2].
         cues: codes of the objects to find, uint8 [N].
         known, visits: see `_look`.
         ties: random numbers, uint64 [N].
-        actions: int64 [N], written.
     """
     rows, columns = known.shape[1:]
     steps = np.empty((rows, columns), np.int32)

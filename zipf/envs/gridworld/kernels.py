@@ -75,14 +75,8 @@ def begin(mask, forced, map_cdf, target_cdf, cells, streams, envs):
 
 @compiled(references=False)
 def move_one(env, action, codes, cells):
-    """Steps one environment.
-    Returns whether the agent touches the target, and whether it touches any object.
-
-    Args:
-        env: its state, int64 [4], written.
-        action: in 0 .. 7.
-        codes, cells: of `Maps`.
-    """
+    """Steps one environment, whose state int64 [4] is written, by an action in 0 .. 7. Returns
+    whether the agent touches the target, and whether it touches any object."""
     map, row, column = env[MAP], env[ROW] + PAD, env[COLUMN] + PAD
     down, right = _MOVES[action, 0], _MOVES[action, 1]
     blocked = codes[map, row + down, column + right] == WALL
@@ -102,14 +96,11 @@ def move_one(env, action, codes, cells):
 
 @compiled()
 def move(mask, actions, codes, cells, max_steps, lengths, envs, reward, terminated, truncated):
-    """Steps the envs of `mask`.
+    """Steps the envs of `mask`, whose state is written.
 
     Args:
-        mask, actions: bool [N] and int64 [N].
-        codes, cells: of `Maps`.
         max_steps: the length at which an episode is truncated.
         lengths: of the episodes with this step, int64 [N].
-        envs: the state, written.
         reward, terminated, truncated: float64, bool, bool [N], written.
     """
     for i in range(len(envs)):
@@ -122,15 +113,8 @@ def move(mask, actions, codes, cells, max_steps, lengths, envs, reward, terminat
 
 @compiled()
 def draw_tiles(mask, envs, codes, cells, tiles, cue):
-    """Writes the observations of the envs of `mask` as cell codes.
-
-    Args:
-        mask: bool [N].
-        envs: the state.
-        codes, cells: of `Maps`.
-        tiles: the agent's view, uint8 [N, 7, 7], written.
-        cue: the code of the target, uint8 [N, 1], written.
-    """
+    """Writes the observations of the envs of `mask` as cell codes: the agent's view uint8 [N, 7, 7]
+    to `tiles`, the code of the target uint8 [N, 1] to `cue`."""
     for i in range(len(envs)):
         if not mask[i]:
             continue

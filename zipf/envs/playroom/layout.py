@@ -43,15 +43,13 @@ _MAX_TRIES = 10_000
 def draw_situations(mask, forced, probabilities, tasks, streams, envs):
     """Draws ranks, task and the seed of everything else for the episodes of `mask`.
 
-    Every episode takes the same number of draws from its env's stream, forced or not. Objects
-    are drawn with replacement in `supervised/` levels, without it in the others.
+    Every episode takes the same number of draws from its env's stream, forced or not. Objects are
+    drawn with replacement in `supervised/` levels, without it in the others.
 
     Args:
-        mask: the envs that begin an episode, bool [N].
         forced: int64 [ranks of the situation, N], -1 where a rank is drawn.
         probabilities: of an object's rank, float64 [50].
         tasks: the tasks to draw from uniformly, int64 [any]; empty where there is no choice.
-        streams: the envs' random streams, uint64 [N, 4], advanced.
         envs: `ranks`, `task` and `scenery` are written.
     """
     replacement = envs.finding

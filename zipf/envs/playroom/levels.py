@@ -121,13 +121,9 @@ LEVELS = _levels()
 
 
 def by_name(name: str, frequent_exponent: float = 0.0) -> Level:
-    """The level of this name, with or without `playroom/` before it.
-    Raises ValueError: there is none; names the nearest.
-
-    Args:
-        name: one of `LEVELS`.
-        frequent_exponent: of Zipf's law over the ten most frequent objects in `*_frequent` levels.
-    """
+    """The level of this name, with or without `playroom/` before it; the exponent is that of Zipf's
+    law over the ten most frequent objects in `*_frequent` levels. Raises ValueError: there is none;
+    names the nearest."""
     if not isinstance(name, str):
         raise ValueError(f"level must be a name, got {name!r}: expected one of {', '.join(LEVELS)}")
     name = name.removeprefix("playroom/")

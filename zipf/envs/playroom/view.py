@@ -38,12 +38,10 @@ def extents_of(names: tuple[str, ...]) -> NDArray[np.float64]:
 
 
 class View:
-    """Draws the images of a batch of playrooms.
+    """Draws the images of a batch of playrooms, whose state every method reads again.
 
     Args:
         names: the objects' names by rank.
-        envs: the state of the envs, read again by every method.
-        width, height: of the agent's image, pixels.
         varied: whether every episode has its own looks, see `varied_looks.py`.
     """
 

@@ -132,14 +132,12 @@ def write_description(
     *,
     pretrained: dict[str, Any] | None = None,
 ) -> None:
-    """Writes `config.yaml` and `run.json`: what is run, how and with what.
+    """Writes `config.yaml` and `run.json`: what is run, how and with what, and with which run's
+    weights a new one began (`pretrained`).
 
     A resumed run keeps the description of how it began; how it went on is added to `resumed`.
     Raises UserError: the folder cannot be written, or a resumed run's description is gone or
     damaged.
-
-    Args:
-        pretrained: the run whose weights a new run began with.
     """
     split = config.split
     how: dict[str, Any] = {
@@ -307,12 +305,9 @@ def read_config(folder: Path, plugins: Collection[str] = ()) -> Config:
 
 
 def check_description(config: Config, situation: dict[str, int] | None = None) -> dict[str, Any]:
-    """The contents of `run.json`, in the folder of a run that there is.
-    Raises UserError: `run.json` or `config.yaml` is gone, damaged or another run's.
-
-    Args:
-        situation: of the envs; None: not compared.
-    """
+    """The contents of `run.json`, in the folder of a run that there is, whose envs have this
+    situation (None: not compared). Raises UserError: `run.json` or `config.yaml` is gone, damaged
+    or another run's."""
     description = read_description(config.folder)
     known = {} if situation is None else {"situation": situation}
     _check_same(config.folder, description, config, **known)

@@ -61,16 +61,8 @@ Draw = dict[str, NDArray]  # what was drawn for episodes, {name: [N, ...]}
 
 
 class Augmentation:
-    """Draws changes of the episodes of N envs and makes them.
-    Raises ValueError: there is nothing to change, or no symmetries.
-
-    Args:
-        options: what to draw.
-        space: of the observations of one env.
-        num_envs: N.
-        seed: of the draws.
-        symmetries: of these envs, where `options.symmetries`.
-    """
+    """Draws changes of the episodes of N envs and makes them; symmetries are those of these envs,
+    where `options.symmetries`. Raises ValueError: there is nothing to change, or no symmetries."""
 
     def __init__(
         self,

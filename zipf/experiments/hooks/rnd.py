@@ -61,13 +61,8 @@ class RNDOptions(Options):
 
 
 class RNDBonus(Bonus):
-    """The bonus, and its networks on the CPU.
-
-    Args:
-        options: of the class `RNDOptions`.
-        observation_space: of one env.
-        seed: of the networks' weights and of the choice of what is learned from.
-    """
+    """The bonus, and its networks on the CPU. The seed is that of the networks' weights and of the
+    choice of what is learned from."""
 
     def __init__(self, options: RNDOptions, observation_space: gym.spaces.Dict, seed: int):
         self.options = options

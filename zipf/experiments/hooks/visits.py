@@ -14,11 +14,7 @@ from zipf.experiments.hooks.hook import Hook, Row, arrays
 
 
 class Visits(Hook):
-    """Counts training episodes by their situation, at their end.
-
-    Args:
-        ranks: the names of the situation's ranks.
-    """
+    """Counts training episodes by their situation, whose ranks have these names, at their end."""
 
     name = "visits"
 

@@ -47,13 +47,9 @@ class PlayOptions(Options):
 
 
 def play(options: PlayOptions, say: Callable[[str], None]) -> None:
-    """Plays, shows and records episodes as the options say.
-    Raises UserError: options that contradict each other, or that this machine cannot fulfil.
-
-    Args:
-        options: what to play.
-        say: prints a line about each episode and each file; is not called while a screen is open.
-    """
+    """Plays, shows and records episodes as the options say; `say` prints a line about each episode
+    and file, while no screen is open. Raises UserError: options that contradict each other, or that
+    this machine cannot fulfil."""
     policy = _who_plays(options)
     if options.record:  # making the envs may take a minute
         check_recording(Path(options.record), options.fps or 0)

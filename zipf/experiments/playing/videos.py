@@ -160,14 +160,11 @@ def find_situation(trained: Trained, extreme: Extreme) -> Situation:
 
 
 def play(trained: Trained, situation: Situation, name: str) -> tuple[list[Episode], int, int]:
-    """Plays a situation until it has had both outcomes, `EPISODES` at most.
+    """Plays a situation until it has had both outcomes, `EPISODES` at most; the agent's draws are
+    seeded from `name`.
 
-    Args:
-        name: from which the agent's draws are seeded.
-
-    Returns:
-        The first success and the first failure, without an outcome that there was not; how many
-        episodes were played, and how many of them succeeded.
+    Returns the first success and the first failure, without an outcome that there was not; how many
+    episodes were played, and how many of them succeeded.
     """
     first: dict[video_files.Outcome, Episode] = {}
     tried = successes = 0

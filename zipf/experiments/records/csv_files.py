@@ -32,13 +32,11 @@ EXPECTED: Mapping[Kind, str] = {
 
 
 def read_texts(path: Path, notes: list[str]) -> pd.DataFrame:
-    """A CSV file as text, in the order of its lines; no columns where it has no line.
+    """A CSV file, compressed if its name ends in .gz, as text in the order of its lines; no columns
+    where it has no line. `notes` gains a sentence if the last line is torn.
+
     Returns a frame of str whose index is the number of the line in the file, the header being line
     1. Raises UserError: the file cannot be read, or a line is damaged.
-
-    Args:
-        path: of the file; one whose name ends in .gz is compressed.
-        notes: gains a sentence if the last line is torn.
     """
     lines, torn = read_lines(path)
     if torn:
@@ -101,12 +99,8 @@ def read_lines(path: Path) -> tuple[list[str], bool]:
 
 
 def read_fields(path: Path, lines: list[str]) -> list[list[str]]:
-    """The fields of each line, those of the header first.
-    Raises UserError: a line has another number of fields than the header, or other damage.
-
-    Args:
-        path: of the file, for messages.
-    """
+    """The fields of each line, those of the header first; the path is for messages. Raises
+    UserError: a line has another number of fields than the header, or other damage."""
     reader = csv.reader(lines, strict=True)
     found: list[list[str]] = []
     try:

@@ -222,12 +222,8 @@ def _run(
     places: Mapping[str, Path],
     notes: Sequence[str],
 ) -> Run:
-    """The run that these files tell of.
-
-    Args:
-        texts: its tables, by the name of the file.
-        places: where tables and options were read, for messages.
-    """
+    """The run that these files tell of: its tables by the name of the file, and, for messages,
+    where they and the options were read."""
 
     def of(name: str) -> tuple[Path, pd.DataFrame]:
         return places[name], texts[name]

@@ -64,11 +64,7 @@ class Videos(_Described):
 
 
 def read(folder: Path) -> Videos | None:
-    """The videos of a run; None where it has none. Raises UserError: `videos.json` is damaged.
-
-    Args:
-        folder: the run's.
-    """
+    """The videos of a run; None where it has none. Raises UserError: `videos.json` is damaged."""
     path = folder / FOLDER / NAME
     if not path.exists():
         return None
@@ -81,12 +77,8 @@ def read(folder: Path) -> Videos | None:
 
 
 def data_address(folder: Path, video: Video) -> str:
-    """A video as a `data:` address, which holds the file itself.
-    Raises UserError: the file is gone, or is not of the format that its name says.
-
-    Args:
-        folder: the run's.
-    """
+    """A run's video as a `data:` address, which holds the file itself. Raises UserError: the file
+    is gone, or is not of the format that its name says."""
     path = folder / FOLDER / video.file
     content = read_bytes(path)
     good = content[:4] == b"GIF8" if path.suffix == ".gif" else content[4:8] == b"ftyp"

@@ -124,12 +124,8 @@ class RunGroup:
 
 
 def group_runs(runs: Sequence[Run], window: Asked | None) -> list[RunGroup]:
-    """The runs of each table, in the order of tables.
-    Raises UserError: two runs of a group are the same condition and seed.
-
-    Args:
-        window: instead of each run's own.
-    """
+    """The runs of each table, in the order of tables; `window` stands in the place of each run's
+    own. Raises UserError: two runs of a group are the same condition and seed."""
     by_key: dict[str, list[Run]] = {}
     for run in runs:
         if not run.description.external:

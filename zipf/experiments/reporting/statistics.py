@@ -114,12 +114,8 @@ def _better(*levels: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
 def bootstrap(
     statistic: Callable[..., NDArray[np.float64]], samples: list[NDArray[np.float64]]
 ) -> Interval:
-    """A statistic of several samples [n] and its percentile interval; the same for the same
-    numbers. Raises ValueError: fewer than two of a sample.
-
-    Args:
-        statistic: of arrays as arguments, along `axis`.
-    """
+    """A statistic of several samples [n], a function of arrays along `axis`, and its percentile
+    interval; the same for the same numbers. Raises ValueError: fewer than two of a sample."""
     if min(len(sample) for sample in samples) < FEWEST_SEEDS:
         raise ValueError(f"an interval needs {FEWEST_SEEDS} seeds")
     drawn: Any = stats.bootstrap(
