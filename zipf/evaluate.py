@@ -125,7 +125,6 @@ def _evaluate_script(options: EvaluateOptions) -> None:
 
 @contextmanager
 def _progress() -> Iterator[Watch]:
-    """Shows on a terminal how many episodes have ended."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     columns = BarColumn(), MofNCompleteColumn(), TextColumn("episodes")

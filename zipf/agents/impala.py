@@ -66,11 +66,8 @@ class Impala(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Samples an action in each of B envs, in training and evaluation alike.
-
-        Returns actions int64 [B], the memory after this frame, and the behaviour policy's `logits`
-        float32 [B, actions], which `update` needs.
-        """
+        """Samples an action, in training and evaluation alike; `logits` float32 [B, actions] are
+        for `update`."""
         with self.autocast():
             outputs = self.actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
@@ -78,7 +75,6 @@ class Impala(Learner):
 
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
-        """V of each of B envs, float32 [B]."""
         with self.autocast():
             return self.actor(inputs.unsqueeze(), memory).value[0]
 

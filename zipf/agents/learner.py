@@ -281,7 +281,6 @@ def adam(options: LearnerOptions) -> dict[str, Any]:
 
 
 def _parameters(optimisers: Iterable[torch.optim.Optimizer]) -> list[nn.Parameter]:
-    """All parameters of optimisers, in their order."""
     return [
         parameter
         for optimiser in optimisers

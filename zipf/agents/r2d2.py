@@ -230,13 +230,11 @@ class R2D2(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """The greedy action in each of B envs; in training, env i of `num_envs` takes a random
-        one with probability `epsilon`, or with the ladder (Horgan et al. 2018)
-        epsilon^(1 + 7 k / (num_envs - 1)), k a place of its own in 0 .. num_envs - 1.
+        """The greedy action in each of B envs; in training, env i of `num_envs` takes a random one
+        with probability `epsilon`, or with the ladder (Horgan et al. 2018) epsilon^(1 + 7 k /
+        (num_envs - 1)), k a place of its own in 0 .. num_envs - 1.
 
         The generator is the CPU's whatever the device, so that a run can move between devices.
-
-        Returns actions int64 [B], the memory after this frame, and an empty dictionary.
         """
         with self.autocast():
             q, memory = self.actor(inputs.unsqueeze(), memory)
@@ -280,11 +278,8 @@ class R2D2(Learner):
         """Puts an unroll into replay and takes one optimiser step on a batch from there.
 
         Returns the loss and other metrics; all but those of the replay are NaN where no step was
-        taken.
-
-        Raises:
-            FloatingPointError: learning has diverged; no weights were changed.
-            OSError: the replay's files do not fit onto the disk.
+        taken. Raises FloatingPointError: learning has diverged; no weights were changed. Raises
+        OSError: the replay's files do not fit onto the disk.
         """
         assert self.replay is not None, "begin_learning() comes first"
         inserted = self._insert(unroll)
@@ -309,7 +304,6 @@ class R2D2(Learner):
         return sum(map(len, found))
 
     def _store(self, items: TensorDict) -> None:
-        """Puts sequences [N] into replay."""
         assert self.replay is not None
         index = self.replay.insert(items)
         if self.options.fresh_priority == "error":

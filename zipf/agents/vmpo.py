@@ -88,12 +88,8 @@ class VMPO(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Samples an action of the target policy in each of B envs, in training and evaluation
-        alike.
-
-        Returns actions int64 [B], the memory after this frame, and the target policy's `logits`
-        float32 [B, actions], which `update` needs.
-        """
+        """Samples an action of the target policy, in training and evaluation alike; its `logits`
+        float32 [B, actions] are for `update`."""
         with self.autocast():
             outputs = self.actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
@@ -101,7 +97,7 @@ class VMPO(Learner):
 
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
-        """The target network's V of each of B envs, float32 [B]; the memory is the target's."""
+        """The target network's V, float32 [B]; the memory is the target's."""
         with self.autocast():
             return self.actor(inputs.unsqueeze(), memory).value[0]
 

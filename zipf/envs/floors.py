@@ -162,8 +162,6 @@ def exceeds(found: Floor, known: float, margin: float) -> bool:
 
 
 class _Search:
-    """One search: every policy that was tried, with its returns."""
-
     def __init__(self, arena: Arena, seconds: float, episodes: int, seed: int) -> None:
         self.arena = arena
         self.rng = np.random.default_rng(seed)
@@ -185,7 +183,6 @@ class _Search:
         return self._halved()
 
     def _used(self) -> float:
-        """The share of the time that has passed."""
         passed = time.monotonic() - self.began
         return passed / self.seconds if self.seconds else math.inf
 
@@ -193,7 +190,6 @@ class _Search:
         return self.rng.integers(SEARCHED, 2 * SEARCHED, size=count).tolist()
 
     def _try(self, texts: Sequence[str], share: float = SHARES[2]) -> None:
-        """Plays policies, until this share of the time has passed."""
         new = [text for text in dict.fromkeys(texts) if text not in self.tried]
         for first in range(0, len(new), self.batch):
             if self._used() > share:
@@ -322,7 +318,6 @@ def _runs(text: str) -> list[tuple[int, int]]:
 
 
 def _shortened(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The first `LONGEST` actions."""
     kept: list[tuple[int, int]] = []
     left = LONGEST
     for action, steps in runs:

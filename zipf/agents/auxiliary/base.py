@@ -58,11 +58,8 @@ class Auxiliary(nn.Module):
     def forward(self, inputs: Inputs, core: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """The weighted loss of an unroll, float32 [], and metrics to log, [] each.
 
-        The loss is a mean over time and batch, as all losses here (`zipf.agents.agent`).
-
-        Args:
-            inputs: of T + 1 steps of B envs.
-            core: the memory's output there, [T + 1, B, size].
+        The loss is a mean over time and batch, as all losses here (`zipf.agents.agent`), from
+        `inputs` of T + 1 steps of B envs and the memory's output there, `core` [T + 1, B, size].
         """
         return torch.zeros((), device=core.device), {}
 

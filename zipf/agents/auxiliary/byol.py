@@ -166,7 +166,6 @@ class BYOL(Auxiliary):
         )
 
     def begin_with(self, encoder: Encoder) -> None:
-        """The target encoder is a copy of the agent's."""
         self.target_encoder.load_state_dict(encoder.state_dict())
 
     @torch.no_grad()

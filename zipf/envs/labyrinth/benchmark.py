@@ -115,7 +115,6 @@ def mean_of_tasks(name: str) -> Callable[..., BaselineScore | None]:
 
 
 def _tasks(order: str) -> list[str]:
-    """The tasks in an order, most frequent first."""
     return list(LEVELS)[:: -1 if order == "reversed" else 1]
 
 

@@ -104,7 +104,6 @@ class Generalist(Remembering):
         self._poses[i] = x, y, yaw
 
     def _look(self, i: int) -> None:
-        """Adds what is in view now."""
         envs, memory = self.env.envs, self.memory
         body, now = envs.bodies[i], int(envs.clock[i])
         seen_at, opaque = self._seen_at[i], envs.opaque[i]

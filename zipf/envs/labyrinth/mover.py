@@ -214,5 +214,4 @@ def _reach(envs, i, axis, wanted):
 
 @compiled(error_model="numpy")
 def _cell(coordinate):
-    """The row or column of a coordinate."""
     return math.floor(coordinate / CELL)

@@ -107,7 +107,6 @@ class Scenery:
         return {**self.__dict__, "_large": None}
 
     def _update(self, mask: NDArray[np.bool_]) -> None:
-        """Copies the poses of players and items to the scenes of the envs of `mask`."""
         scenes, envs = self.scenes, self.envs
         actors, supplies = _combat_meshes()
         fights = envs.combat.fighters.any()

@@ -205,7 +205,7 @@ def balanced(goal: int, others: int, right: int = 10) -> Judge:
 
 
 class CountingJudge(Judge):
-    """Each goal is worth 1, the last one 10 more. It ends the task, and so does any other object."""
+    """Each goal is worth 1, the last one 10 more; it and any other object end the task."""
 
     LAST = 10
 

@@ -226,7 +226,6 @@ def _draw_items(page: _Page, envs: Envs, scenery: Scenery, world: int) -> None:
 
 
 def _mixed(texture: int, tint: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """The mean colour of a tinted texture."""
     mixed: NDArray[np.float64] = materials.mean_colours()[texture] * tint / 255
     return mixed
 

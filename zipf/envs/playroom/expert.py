@@ -257,7 +257,6 @@ class Expert:
         return found[1]
 
     def _poses(self, i: int) -> bytes:
-        """What there is beside the agent, and where."""
         w = self.envs
         arrays = (w.ranks, w.hands, w.objects, w.orientation, w.furniture)
         return b"".join(array[i].tobytes() for array in arrays)
@@ -309,7 +308,6 @@ def _can_aim(agent, env):
 
 @compiled()
 def _centre(row, column):
-    """x and y of a cell."""
     return (column + 0.5) * _CELL - ROOM / 2, (row + 0.5) * _CELL - ROOM / 2
 
 

@@ -88,7 +88,6 @@ def _stand_up(frame, angle):
 
 @compiled(references=False)
 def _normalise(frame, c):
-    """Scales a column to length 1."""
     norm = math.sqrt(frame[0, c] ** 2 + frame[1, c] ** 2 + frame[2, c] ** 2)
     for r in range(3):
         frame[r, c] /= norm

@@ -11,7 +11,7 @@ _SIDEWAYS = ("strafe", "turn", "spin_right", "spin_forward")
 
 
 class Symmetries:
-    """Shows rooms, or questions about their first frame, in a mirror. Instructions name no sides."""
+    """Shows rooms or questions about their first frame in a mirror. Instructions name no sides."""
 
     count = 2
 

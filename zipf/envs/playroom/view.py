@@ -112,7 +112,6 @@ class View:
         return {**self.__dict__, "_large": None}
 
     def _update(self, mask: NDArray[np.bool_]) -> None:
-        """Copies the poses of cameras and objects to the scenes of the envs of `mask`."""
         envs, scenes = self.envs, self.scenes
         _pose(
             mask, envs.agents, envs.objects, envs.orientation, envs.ranks, envs.extents,

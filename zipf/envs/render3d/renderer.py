@@ -67,14 +67,10 @@ class Renderer:
     def render(
         self, scenes: Scenes, out: NDArray[np.uint8], mask: NDArray[np.bool_] | None = None
     ) -> None:
-        """Writes the views to `out`, uint8 [N, height, width, 3], C-contiguous.
+        """Writes the views to `out`, uint8 [N, height, width, 3], C-contiguous, but for the envs
+        that are not in `mask`, bool [N]. The textures in `tiles` must exist; this is not checked.
         Raises ValueError for an `out` or a `mask` of another shape, dtype or layout, and for scenes
         with textures or meshes that do not exist.
-
-        Args:
-            scenes: read. The textures in `tiles` must exist; this is not checked.
-            out: written.
-            mask: bool [N], the envs to draw; the other rows of `out` are left as they are.
         """
         n = scenes.num_envs
         shape = (n, self.height, self.width, 3)

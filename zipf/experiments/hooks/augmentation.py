@@ -190,14 +190,12 @@ class Augmentation:
         return self._inverse[self._drawn["symmetry"], actions]
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that later calls depend on."""
         return {
             "generator": self._rng.bit_generator.state,
             **{name: drawn.copy() for name, drawn in self._drawn.items()},
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continues from `state_dict()`."""
         self._rng.bit_generator.state = state["generator"]
         for name in state.keys() - {"generator"}:
             self._drawn[name][:] = state[name]

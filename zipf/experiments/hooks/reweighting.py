@@ -107,7 +107,6 @@ class GoalWeights:
         return {"counts": self.counts, "counters": self.counters.copy()}
 
     def load_state_dict(self, state: dict[str, NDArray[np.int64]]) -> None:
-        """Continues from `state_dict()`."""
         self.counts[:] = state["counts"]
         self.counters[:] = state["counters"]
 

@@ -132,7 +132,6 @@ class RNDBonus(Bonus):
             self.waiting = self.waiting[size:]
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that later calls depend on."""
         return {
             "target": self.target.state_dict(),
             "predictor": self.predictor.state_dict(),
@@ -145,7 +144,6 @@ class RNDBonus(Bonus):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict()`, in which arrays may stand in the place of tensors."""
         tensors = _tensors(state)
         self.target.load_state_dict(tensors["target"])
         self.predictor.load_state_dict(tensors["predictor"])
@@ -183,11 +181,9 @@ class Statistics:
         return self.mean, np.sqrt(self.variance)
 
     def state_dict(self) -> dict[str, Any]:
-        """The three numbers."""
         return {"count": self.count, "mean": self.mean, "variance": self.variance}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict()`."""
         self.count = state["count"]
         self.mean, self.variance = np.array(state["mean"]), np.array(state["variance"])
 

@@ -69,7 +69,6 @@ class Visits(Hook):
         }
 
     def load_state_dict(self, state: Mapping[str, NDArray[np.int64]]) -> None:
-        """Continues from `state_dict()`."""
         self._met.clear()
         for counts in self._of_rank.values():
             counts.clear()

@@ -182,8 +182,6 @@ def _check_spaces(level: str, env: ZipfVectorEnv, trained: Trained) -> None:
 
 
 class _Random:
-    """Uniformly random actions."""
-
     def __init__(self, env: ZipfVectorEnv, seed: int) -> None:
         self.actions = int(env.single_action_space.n)
         self.rng = np.random.default_rng(seed)

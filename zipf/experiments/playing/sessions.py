@@ -133,8 +133,6 @@ class Session:
 
 
 class _Episode:
-    """One episode, from reset to end."""
-
     def __init__(self, session: Session, one: PlayedLevel, number: int, names_level: bool) -> None:
         self.session = session
         self.one = one
@@ -205,7 +203,6 @@ class _Episode:
         return action
 
     def _rest(self) -> None:
-        """Pauses on the last frame."""
         if self.shows.recording:
             self.shows.recording.hold(_PAUSE)
         if self.one.policy is None:

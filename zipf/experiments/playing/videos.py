@@ -208,7 +208,6 @@ def _batch(
 
 
 def _record(trained: Trained, situation: Situation, episode: Episode, path: Path) -> Video:
-    """Plays an episode again and records it."""
     length = len(episode.actions)
     every = ceil((length + 1) / MOST_FRAMES)
     drawn = {"autoreset_mode": AutoresetMode.DISABLED, "render_mode": "rgb_array"}
@@ -244,7 +243,6 @@ def _picture(env: ZipfVectorEnv) -> NDArray[np.uint8]:
 
 
 def _playable(folder: Path, trained: Trained) -> None:
-    """Raises `UserError` where there is nothing to show."""
     if trained.agent.answers_questions:
         raise UserError(
             f"videos: {folder.as_posix()} is of a classifier, which answers questions and does "

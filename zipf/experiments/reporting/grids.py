@@ -255,7 +255,6 @@ def _budgets(table: ScoreTable) -> dict[str, dict[str, str]]:
 
 
 def _windows(row: Row) -> str:
-    """The windows of a row's runs, in updates."""
     found = {run.description.window for run in row.runs if run.description.window}
     return ", ".join(updates_text(*window) for window in sorted(found))
 

@@ -97,7 +97,6 @@ def record(
 
 
 def _anchor(heading: str) -> str:
-    """The anchor that GitHub gives a heading."""
     return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
 
 

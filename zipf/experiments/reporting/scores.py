@@ -123,7 +123,6 @@ def score_frame(
 
 
 def _score(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str, Any]:
-    """A row's score on these levels, and what is behind it."""
     inside = {run: means_inside(run, levels, window) for run in runs}
     scored = {run: evaluations for run, evaluations in inside.items() if len(evaluations)}
     effort = {

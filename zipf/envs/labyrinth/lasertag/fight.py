@@ -139,7 +139,6 @@ def _decay(status):
 
 @compiled(error_model="numpy")
 def _any_flies(shots):
-    """Whether an orb is in the air."""
     flying = 0
     for k in range(len(shots)):
         flying += shots[k, SHOOTER] >= 0

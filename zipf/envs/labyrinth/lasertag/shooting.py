@@ -188,7 +188,6 @@ def _drop(envs, i, gadget, x, y):
 
 @compiled(error_model="numpy")
 def _launch(shots, now, f, x, y, z, dx, dy, dz):
-    """Sends an orb off."""
     k = 0
     while k < SHOTS - 1 and shots[k, SHOOTER] >= 0:
         k += 1

@@ -150,7 +150,6 @@ def pose(mask, items, clock, combat, meshes, pictures):
 
 @compiled(error_model="numpy")
 def _place(pictures, i, k, mesh, x, y, z, scale):
-    """Places an instance."""
     pictures.mesh[i, k] = mesh
     position = pictures.position[i, k]
     position[0], position[1], position[2] = x * _METRES, y * _METRES, z * _METRES

@@ -67,7 +67,6 @@ class LanguageEpisode(Episode):
         world.say(task.text)
 
     def _add(self, number: int, one: Object, rng: np.random.Generator) -> int:
-        """Adds an object as an item."""
         first = rgb(one.colour, rng)
         return self.world.add_item(
             one.shape,

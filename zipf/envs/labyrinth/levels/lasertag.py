@@ -148,7 +148,6 @@ class Lasertag(Episode):
         return best
 
     def _go_to(self, point: Point, known: Knowledge) -> int:
-        """Walks by the shortest way."""
         ways = Ways(self.maze.solid & known.seen(*self.maze.solid.shape), [])
         cell = ways.cell_of(*point)
         x, y, *_ = self.world.player

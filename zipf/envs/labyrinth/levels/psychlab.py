@@ -75,7 +75,6 @@ class Psychlab(Episode):
         self._fixate()
 
     def _fixate(self) -> None:
-        """Shows the fixation mark."""
         self.screen.clear()
         for wide, high in ((_MARK, _ARM), (_ARM, _MARK)):
             place = (0.5 - wide / 2, 0.5 - high / 2, 0.5 + wide / 2, 0.5 + high / 2)

@@ -140,7 +140,6 @@ class SequentialComparison(Psychlab):
             self.screen.paste(_IMAGES[form, colour], left, top)
 
     def _any_figure(self) -> Figure:
-        """A figure of the trial's domain."""
         form = int(self.rng.integers(1, 1 + ORIENTATIONS))
         if self.domain == "squares" or (self.domain == "all" and self.rng.integers(2)):
             form = SQUARE
