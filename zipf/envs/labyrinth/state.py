@@ -80,56 +80,32 @@ class Envs(NamedTuple):
     combat: Combat  # laser tag
 
 
+# By array, its shape behind [N] and what its entries are at first.
+_AT_FIRST: dict[str, tuple[tuple[int, ...], float]] = {
+    "clock": ((), 0), "limit": ((), 1), "ending": ((), -1), "finishing": ((), False),
+    "bodies": ((8,), 0.0), "pushed": ((), 0), "cells": ((2,), 0),
+    "solid": ((GRID, GRID), False), "opaque": ((GRID, GRID), False), "floor": ((GRID, GRID), 0.0),
+    "boxes": ((BOXES, 6), 0.0), "see_through": ((BOXES,), False), "box_count": ((), 0),
+    "planes": ((PLANES, 3), 0.0), "plane_count": ((), 0),
+    "pillars": ((PILLARS, 3), 0.0), "pillar_count": ((), 0),
+    "quad": ((), 0.0), "heights": ((QUADS + 1, QUADS + 1), 0.0),
+    "held": ((), False), "hold": ((3,), 0.0), "places": ((ITEMS, 3), 0.0),
+    "present": ((ITEMS,), False), "touchable": ((ITEMS,), False), "returning": ((ITEMS,), -1),
+    "zones": ((ZONES, 6), 0.0), "inside": ((ZONES,), False), "timers": ((TIMERS,), -1),
+    "screen": ((4,), 0.0), "widgets": ((WIDGETS, 4), 0.0), "watched": ((), -1),
+    "instruction": ((VOCABULARY.length,), 0),
+}  # fmt: skip
+
+
 def make_envs(num_envs: int) -> Envs:
     """The state of envs in which no episode has begun."""
     n = num_envs
-    return Envs(
-        clock=np.zeros(n, np.int64),
-        limit=np.ones(n, np.int64),
-        ending=np.full(n, -1, np.int64),
-        finishing=np.zeros(n, np.bool_),
-        bodies=np.zeros((n, 8)),
-        pushed=np.zeros(n, np.int64),
-        cells=np.zeros((n, 2), np.int64),
-        solid=np.zeros((n, GRID, GRID), np.bool_),
-        opaque=np.zeros((n, GRID, GRID), np.bool_),
-        floor=np.zeros((n, GRID, GRID)),
-        boxes=np.zeros((n, BOXES, 6)),
-        see_through=np.zeros((n, BOXES), np.bool_),
-        box_count=np.zeros(n, np.int64),
-        planes=np.zeros((n, PLANES, 3)),
-        plane_count=np.zeros(n, np.int64),
-        pillars=np.zeros((n, PILLARS, 3)),
-        pillar_count=np.zeros(n, np.int64),
-        quad=np.zeros(n),
-        heights=np.zeros((n, QUADS + 1, QUADS + 1)),
-        held=np.zeros(n, np.bool_),
-        hold=np.zeros((n, 3)),
-        places=np.zeros((n, ITEMS, 3)),
-        present=np.zeros((n, ITEMS), np.bool_),
-        touchable=np.zeros((n, ITEMS), np.bool_),
-        returning=np.full((n, ITEMS), -1, np.int64),
-        zones=np.zeros((n, ZONES, 6)),
-        inside=np.zeros((n, ZONES), np.bool_),
-        timers=np.full((n, TIMERS), -1, np.int64),
-        screen=np.zeros((n, 4)),
-        widgets=np.zeros((n, WIDGETS, 4)),
-        watched=np.full(n, -1, np.int64),
-        instruction=np.zeros((n, VOCABULARY.length), np.int64),
-        combat=make_combat(n, GRID),
-    )
+    arrays = {name: np.full((n, *shape), first) for name, (shape, first) in _AT_FIRST.items()}
+    return Envs(**arrays, combat=make_combat(n, GRID))
 
 
 def clear(envs: Envs, i: int) -> None:
     """Empties an env for a new episode."""
-    for name, value in (
-        ("clock", 0), ("limit", 1), ("ending", -1), ("finishing", False), ("bodies", 0.0),
-        ("pushed", 0), ("cells", 0), ("solid", False), ("opaque", False), ("floor", 0.0),
-        ("see_through", False), ("box_count", 0),
-        ("plane_count", 0), ("held", False), ("pillar_count", 0), ("quad", 0.0),
-        ("touchable", False), ("present", False), ("returning", -1), ("zones", 0.0),
-        ("inside", False), ("timers", -1), ("screen", 0.0), ("widgets", 0.0), ("watched", -1),
-        ("instruction", 0),
-    ):  # fmt: skip
-        getattr(envs, name)[i] = value
+    for name, (_, first) in _AT_FIRST.items():
+        getattr(envs, name)[i] = first
     envs.combat.fighters[i] = 0

@@ -42,31 +42,12 @@ from zipf.experiments.reporting.windows import Window, evaluations_inside, windo
 from zipf.protocol import BASELINE_NAMES
 
 CSV_COLUMNS = (
-    "table",
-    "experiment",
-    "condition",
-    "title",
-    "external",
-    "level_kind",
-    "level",
-    "levels",
-    "seeds",
-    "score",
-    "error",
-    "plain_score",
-    "plain_error",
-    "capped_score",
-    "capped_error",
-    "spread",
-    "paper_value",
-    "paper_error",
+    "table", "experiment", "condition", "title", "external", "level_kind", "level", "levels",
+    "seeds", "score", "error", "plain_score", "plain_error", "capped_score", "capped_error",
+    "spread", "paper_value", "paper_error",
     *(f"{mean}{name}" for name in BASELINE_NAMES for mean in ("", "plain_", "capped_")),
-    "window",
-    "evaluations",
-    "episodes",
-    "updates",
-    "frames",
-)
+    "window", "evaluations", "episodes", "updates", "frames",
+)  # fmt: skip
 
 
 CAP = 1.0  # a human's score; DMLab-30's convention (Espeholt et al. 2018, IMPALA, section 5.3)

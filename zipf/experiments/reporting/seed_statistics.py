@@ -30,20 +30,9 @@ from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside, situations_inside
 
 STATISTICS_COLUMNS = (
-    "table",
-    "experiment",
-    "condition",
-    "title",
-    "external",
-    "level_kind",
-    "statistic",
-    "against",
-    "value",
-    "low",
-    "high",
-    "seeds",
-    "levels",
-)
+    "table", "experiment", "condition", "title", "external", "level_kind", "statistic", "against",
+    "value", "low", "high", "seeds", "levels",
+)  # fmt: skip
 AT_CHANCE = "at chance"
 MOST_SITUATIONS = 20  # ours: more columns are read by nobody
 TOO_FEW = f"needs {FEWEST_SEEDS} seeds"
