@@ -239,9 +239,7 @@ class HorizonMap(nn.Module):
 
     def forward(self, core: Tensor, actions: Tensor) -> Iterator[Tensor]:
         """`[T, B, core]`, one-hot `[T, B, actions]` -> `[T - k + 1, B, features]` for each k.
-
-        Row t is k steps after row t of `core`; k goes from 1 to the horizon or to T.
-        """
+        Row t is k steps after row t of `core`; k goes from 1 to the horizon or to T."""
         state = self.begin(core).tanh()
         for k in range(min(self.horizon, len(core))):
             state = state[: len(core) - k]

@@ -119,17 +119,13 @@ class Reconstruction(Auxiliary):
 
 def image_cross_entropy(logits: Tensor, image: Tensor) -> Tensor:
     """Mean sigmoid cross-entropy of channels in [0, 1]: [N, H, W, C] and uint8 [N, H, W, C] -> [].
-
-    Its minimum is not 0 but the entropy of the values between black and white.
-    """
+    Its minimum is not 0 but the entropy of the values between black and white."""
     return F.binary_cross_entropy_with_logits(logits.float(), image / 255.0)
 
 
 def word_cross_entropy(logits: Tensor, instruction: Tensor) -> Tensor:
     """Mean cross-entropy of the words: [N, L, vocabulary] and integers [N, L] -> [].
-
-    0 is padding, which does not count.
-    """
+    0 is padding, which does not count."""
     words = instruction.flatten().long()
     total = F.cross_entropy(logits.flatten(0, 1).float(), words, ignore_index=0, reduction="sum")
     return total / (words != 0).sum().clamp(min=1)

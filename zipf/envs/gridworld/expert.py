@@ -67,9 +67,7 @@ def reached(maps: Maps, max_steps: int) -> NDArray[np.bool_]:
 @lru_cache(maxsize=16)
 def shortest_ways(maps: Maps) -> NDArray[np.int64]:
     """The action to take in each cell, by map and target: int64 [maps, objects, cells].
-
-    Cells are flat indices. From those that no way leads from, any action.
-    """
+    Cells are flat indices. From those that no way leads from, any action."""
     num_maps, height, width = maps.boards.shape
     leads_to = destinations(maps)
     objects = maps.cells[:, :-1, 0] * width + maps.cells[:, :-1, 1]

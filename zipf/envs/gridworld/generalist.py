@@ -163,9 +163,7 @@ def _is_open(known, row, column, down, right):
 @compiled()
 def _way(known, row, column, cue, steps, queue):
     """The first move of the shortest known way to the cued object, or -1 if none is known.
-
-    A breadth-first search from the object on; `steps` and `queue` are overwritten.
-    """
+    A breadth-first search from the object on; `steps` and `queue` are overwritten."""
     goal_row = goal_column = -1
     rows, columns = known.shape
     for r in range(rows):

@@ -31,9 +31,7 @@ STRIPES[..., :_STRIPE] = SPRITES.reshape(2, NUM_CODES, CELL, _STRIPE)
 
 def _copier(size: int) -> Any:
     """A compiled function that copies `size` bytes between two addresses in one load and store.
-
-    Numba compiles a copy of 27 bytes to a loop or a call; a vector of 32 takes two instructions.
-    """
+    Numba compiles a copy of 27 bytes to a loop or a call; a vector of 32 takes two instructions."""
 
     def copy(typingctx: Any, destination: Any, source: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:

@@ -138,9 +138,7 @@ def fresh_from(num_maps: int) -> int:
 
 def _link_rooms(num_rooms: tuple[int, int], rng: np.random.Generator) -> dict[Room, list[Room]]:
     """The neighbours that a door joins each room to, in the order in which doors were added.
-
-    Every room can be reached. A door between two rooms is in the lists of both.
-    """
+    Every room can be reached. A door between two rooms is in the lists of both."""
     rooms = [(row, column) for row in range(num_rooms[0]) for column in range(num_rooms[1])]
     links: dict[Room, list[Room]] = {room: [] for room in rooms}
 

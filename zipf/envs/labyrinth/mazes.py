@@ -83,9 +83,7 @@ def random_maze(rng: np.random.Generator, options: MazeOptions) -> Maze:
 
 def _place_rooms(rng: np.random.Generator, options: MazeOptions) -> list[tuple[int, int, int, int]]:
     """South-west corner, height and width of each room, in a random order.
-
-    Sizes are drawn on a lattice of every other cell, so that walls stay between rooms.
-    """
+    Sizes are drawn on a lattice of every other cell, so that walls stay between rooms."""
     high, wide = (options.rows - 1) // 2, (options.columns - 1) // 2
     least, most = (options.smallest - 1) // 2, (options.largest - 1) // 2
     middle = (least + most) // 2

@@ -30,9 +30,7 @@ WAIT = NAMES["fire"]
 
 def walk_to(world: World, x: float, y: float, *, slowly: bool = False) -> int:
     """The action that walks to a point in a straight line.
-
-    `slowly` turns on the spot until the point is ahead, to keep to a narrow way.
-    """
+    `slowly` turns on the spot until the point is ahead, to keep to a narrow way."""
     own_x, own_y, yaw, _ = world.player
     off = bearing(yaw, math.atan2(y - own_y, x - own_x))
     if abs(off) > (30.0 if slowly else 75.0):

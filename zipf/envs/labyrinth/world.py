@@ -170,9 +170,7 @@ class World:
         repeat: float = CELL,
     ) -> int:
         """Adds an upright solid block between two corners and returns its number as a box.
-
-        Without a texture it is invisible; `repeat` is the units per repeat of the texture.
-        """
+        Without a texture it is invisible; `repeat` is the units per repeat of the texture."""
         i = self._number
         box = int(self._envs.box_count[i])
         self._envs.box_count[i] += 1

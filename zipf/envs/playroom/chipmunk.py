@@ -23,15 +23,9 @@ from zipf.envs.render3d.lanes import written
 
 _STEP, _SET_FORCE, _POSITION, _ANGLE, _VELOCITY, _MOVE, _SET_VELOCITY, _SET_SPIN = range(8)
 _NAMES = (
-    "cpSpaceStep",
-    "cpBodySetForce",
-    "cpBodyGetPosition",
-    "cpBodyGetAngle",
-    "cpBodyGetVelocity",
-    "cpBodySetPosition",
-    "cpBodySetVelocity",
-    "cpBodySetAngularVelocity",
-)
+    "cpSpaceStep", "cpBodySetForce", "cpBodyGetPosition", "cpBodyGetAngle", "cpBodyGetVelocity",
+    "cpBodySetPosition", "cpBodySetVelocity", "cpBodySetAngularVelocity",
+)  # fmt: skip
 
 
 def address(pointer: Any) -> int:

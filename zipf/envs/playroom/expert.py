@@ -290,9 +290,7 @@ def _aim(agent, item, extent):
 @compiled()
 def _can_aim(agent, env):
     """Whether the target can be gripped from here; turns the view of `agent` to it.
-
-    The view need not be turned more precisely than it can be.
-    """
+    The view need not be turned more precisely than it can be."""
     _aim(agent, env.objects[0], env.extents[env.ranks[0]])
     yaw, pitch = agent[YAW], agent[PITCH]
     if pitch < hand.LOWEST + _AIM_PITCH or hand.pick(agent, env) != 0:
@@ -360,9 +358,7 @@ def around(item, distance):
 @compiled()
 def _is_blocked(x, y, env, pushing):
     """Whether the agent would touch something at (x, y), or approach the wrong object.
-
-    With `pushing` it may touch objects that it can push aside.
-    """
+    With `pushing` it may touch objects that it can push aside."""
     margin = AGENT_RADIUS + 0.03
     if max(abs(x), abs(y)) > ROOM / 2 - margin:
         return True
@@ -385,9 +381,7 @@ def _is_blocked(x, y, env, pushing):
 @compiled()
 def _blocked(envs, i, pushing):
     """The cells that the agent of env `i` keeps out of: bool [rows, columns].
-
-    With `pushing` the way may lead through objects.
-    """
+    With `pushing` the way may lead through objects."""
     env = one_env(envs, i)
     blocked = np.zeros((_CELLS, _CELLS), np.bool_)
     for row in range(_CELLS):

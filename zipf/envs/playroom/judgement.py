@@ -38,9 +38,7 @@ def settle(mask, start, before, envs, reward, terminated, success):
 @compiled(references=False)
 def _judge(envs, i):
     """1 if the task was done, 0 if it was done with the wrong object or place, -1 if neither.
-
-    An object counts as the target if it is of the target's rank.
-    """
+    An object counts as the target if it is of the target's rank."""
     ranks = envs.ranks[i]
     if envs.finding:
         return _judge_approach(ranks, envs.agents[i], envs.objects[i])
@@ -55,9 +53,7 @@ def _judge(envs, i):
 @compiled(references=False)
 def _judge_approach(ranks, agent, objects):
     """1 if the agent has come near the target, 0 if near another object, -1 if near none.
-
-    The nearest object counts: an agent that walks between two comes near both in one step.
-    """
+    The nearest object counts: an agent that walks between two comes near both in one step."""
     nearest = nearest_within(APPROACH_DISTANCE, agent, objects)
     if nearest < 0:
         return -1

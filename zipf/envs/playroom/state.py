@@ -66,9 +66,7 @@ class Env(NamedTuple):
 @compiled()
 def one_env(envs, i):
     """`World` number `i`, to be passed to functions that are called often.
-
-    Its arrays are views. Passing all of `Worlds` takes longer than such a function.
-    """
+    Its arrays are views. Passing all of `Worlds` takes longer than such a function."""
     return Env(
         envs.finding, envs.furnished, envs.reach, envs.extents, envs.ranks[i],
         envs.hands[i], envs.objects[i], envs.orientation[i], envs.furniture[i],

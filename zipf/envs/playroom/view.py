@@ -64,9 +64,7 @@ class View:
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
         """Reads or draws what stays the same for an episode, in the envs of `mask`.
-
-        Varied looks are drawn from `worlds.scenery`, after everything else of the episode.
-        """
+        Varied looks are drawn from `worlds.scenery`, after everything else of the episode."""
         envs, scenes = self.envs, self.scenes
         count = envs.ranks.shape[1]
         scenes.mesh[mask, :count] = self.meshes[envs.ranks[mask]]
@@ -169,9 +167,7 @@ def _pose(
 @compiled(references=False)
 def _shade(shadow, item, middle, frame, size, furnished, furniture):
     """Writes a row of `Scenes.shadows`: the shadow of an object on what is below.
-
-    `middle` is the height of the object's centre, and `size` that at which it is drawn, metres.
-    """
+    `middle` is the height of the object's centre, and `size` that at which it is drawn, metres."""
     top = 0.0
     if furnished:
         for k in range(2):

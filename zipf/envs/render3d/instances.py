@@ -134,9 +134,7 @@ def draw_instance(
 @compiled(references=False, error_model="numpy", fastmath=True)
 def _paint(palette, part, light, pattern, triangle):
     """The colour 0x00BBGGRR of a part of a mesh in a light of 0 .. 1.
-
-    With a pattern, the number of the triangle for `pattern_block`, if the part has the pattern.
-    """
+    With a pattern, the number of the triangle for `pattern_block`, if the part has the pattern."""
     if pattern >= 0 and part < 2:
         return np.int32(triangle - (1 << 31))
     red, green, blue = palette[part, 0], palette[part, 1], palette[part, 2]

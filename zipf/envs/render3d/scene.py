@@ -177,9 +177,7 @@ class Scenes:
         face: int = -1,
     ) -> int:
         """Adds a wall along `ends` (x0, y0, x1, y1) and returns its index.
-
-        Raises ValueError if the env's walls are at their capacity.
-        """
+        Raises ValueError if the env's walls are at their capacity."""
         index = _take(self.wall_count, i, self.walls.shape[1], "walls")
         self.walls[i, index, :4] = ends
         self.walls[i, index, 4:] = heights

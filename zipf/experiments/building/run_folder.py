@@ -70,9 +70,7 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
 
 def is_finished(config: Config) -> bool:
     """Whether a run has nothing left to do, by its files alone: no envs or networks are made.
-
-    False also where something is wrong, such as a damaged file: the run itself will tell.
-    """
+    False also where something is wrong, such as a damaged file: the run itself will tell."""
     folder = config.folder
     try:
         if config.resume == "never" or not ends_at(folder / "evaluations.csv", config.updates):

@@ -92,9 +92,7 @@ class RNDBonus(Bonus):
 
     def __call__(self, observation: Parts, mask: Tensor) -> Tensor:
         """The observations of the mask enter the statistics, and some of them are learned from.
-
-        Sums of errors go on over episodes, as in Burda et al. 2019.
-        """
+        Sums of errors go on over episodes, as in Burda et al. 2019."""
         bonus = np.zeros(len(mask), np.float32)
         rows = np.flatnonzero(np.asarray(mask))
         if not len(rows):

@@ -58,9 +58,7 @@ class Screen(Protocol):
 
     def key(self, timeout: float | None) -> str | None:
         """The next key, by its name in `zipf.envs.keyboard`; `LEAVE` when the screen is closed.
-
-        Waits for at most `timeout` seconds (None: without limit); None if no key was pressed.
-        """
+        Waits for at most `timeout` seconds (None: without limit); None if no key was pressed."""
 
 
 def open_screen(kind: str) -> Screen:

@@ -97,23 +97,16 @@ class _Leave(Exception):
     """Raised when the person leaves."""
 
 
+@dataclass
 class Session:
     """Plays episodes on the envs, in turn."""
 
-    def __init__(
-        self,
-        levels: list[PlayedLevel],
-        shows: Shows,
-        fps: float,
-        seed: int,
-        say: Callable[[str], None],
-    ) -> None:
-        self.levels = levels
-        self.shows = shows
-        self.fps = fps
-        self.seed = seed
-        self.say = say
-        self.toggled = 0
+    levels: list[PlayedLevel]
+    shows: Shows
+    fps: float
+    seed: int
+    say: Callable[[str], None]
+    toggled: int = 0
 
     def play(self, episodes: int | None) -> None:
         """Plays this number of episodes; None: until the person leaves."""

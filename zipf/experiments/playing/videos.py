@@ -249,21 +249,15 @@ def _playable(folder: Path, trained: Trained) -> None:
             "not act"
         )
     with closing(_envs(trained, trained.config.split.uniform[0], 1)) as env:
-        if not env.reports_success:
-            raise UserError(
-                f"videos: the envs of {folder.as_posix()} report no success; give runs of "
-                "envs that do"
-            )
-        if not env.metadata.get("render_modes"):
-            raise UserError(
-                f"videos: the envs of {folder.as_posix()} draw no pictures; give runs of "
-                "envs that do"
-            )
-        if not env.situation:
-            raise UserError(
-                f"videos: the envs of {folder.as_posix()} report no situation; give runs of "
-                "envs that do"
-            )
+        for has, lacks in (
+            (env.reports_success, "report no success"),
+            (env.metadata.get("render_modes"), "draw no pictures"),
+            (env.situation, "report no situation"),
+        ):
+            if not has:
+                raise UserError(
+                    f"videos: the envs of {folder.as_posix()} {lacks}; give runs of envs that do"
+                )
 
 
 def _envs(trained: Trained, level: envs.SplitLevel, count: int, **kwargs: Any) -> ZipfVectorEnv:

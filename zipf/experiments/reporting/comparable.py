@@ -83,9 +83,7 @@ class Differences:
 
 def differences(runs: Sequence[Run]) -> Differences:
     """The options in which these runs differ, without those that cannot change what is learned.
-
-    External agents, which have no options, are left out.
-    """
+    External agents, which have no options, are left out."""
     shared: dict[str, list[Run]] = {}
     for run in runs:
         if not run.description.external:

@@ -51,9 +51,7 @@ class SeedStatistics:
 
 def seed_scores(row: Row, levels: LevelGroup, table: ScoreTable) -> NDArray[np.float64]:
     """A row's scores [seeds, levels]: of each seed the median over the window on each level.
-
-    Without the seeds that have no score in the window, as in the table.
-    """
+    Without the seeds that have no score in the window, as in the table."""
     found = []
     for run in row.runs:
         scored = run.evaluations_of(levels)

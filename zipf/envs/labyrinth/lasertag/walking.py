@@ -25,9 +25,7 @@ _SKIN = 1e-6
 @compiled(error_model="numpy")
 def walk(solid, bodies, status, count, f, turn, rise, strafe, forward):
     """Moves fighter `f` of `count` by a frame, see `mover.move`; bodies are written.
-
-    It does not walk through walls, solid cells [rows, columns], nor through others.
-    """
+    It does not walk through walls, solid cells [rows, columns], nor through others."""
     body = bodies[f]
     standing = body[Z] - BELOW <= _SKIN
     grips = standing and status[f, SLIDE] <= 0
