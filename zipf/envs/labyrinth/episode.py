@@ -16,11 +16,7 @@ class Episode(ABC):
     """The rules of a level, for one episode of one env.
 
     The constructor builds what stays for the episode, then `begin_map` what a map begins with. A
-    map ends with `World.finish_map`; the clock goes on.
-
-    Args:
-        env: empty.
-        rng: for this episode's layout.
+    map ends with `World.finish_map`; the clock goes on. `rng` is for this episode's layout.
     """
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:

@@ -56,13 +56,7 @@ def _combat_meshes() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 
 class Scenery:
-    """The scenes of N envs.
-
-    Attributes:
-        scenes: in metres.
-        shape: int32 [N, ITEMS], the mesh of an item; -1: it is not shown even if it is there.
-        spins: bool [N, ITEMS], whether an item bobs and turns.
-    """
+    """The scenes of N envs, in metres."""
 
     def __init__(self, envs: Envs, width: int, height: int) -> None:
         n = len(envs.clock)
@@ -72,6 +66,7 @@ class Scenery:
             grid=(GRID, GRID), overlays=OVERLAYS, terrain=(QUADS, QUADS),
             screen=(SCREEN_PIXELS, SCREEN_PIXELS),
         )  # fmt: skip
+        # The mesh of each item; -1: it is not shown even if it is there. Whether it bobs and turns.
         self.shape = np.full((n, ITEMS), -1, np.int32)
         self.spins = np.zeros((n, ITEMS), np.bool_)
         self.renderer = _renderer(height, width)

@@ -57,13 +57,8 @@ class Door(NamedTuple):
 
 
 class World:
-    """One world: what a level builds in it, and what its rules do.
-
-    Args:
-        worlds, scenery: of the batch, written.
-        number: the world's.
-        rewards: float64 [N], of the running step.
-    """
+    """One env of a batch, whose arrays are written: what a level builds in it, and what its rules
+    do. `rewards`, float64 [N], are those of the running step."""
 
     def __init__(
         self, envs: Envs, scenery: Scenery, number: int, rewards: NDArray[np.float64]

@@ -44,15 +44,9 @@ class Psychlab(Episode):
 
     Approximated: the screen has 128 x 128 pixels, the original's 512 or 256, of which a view of
     96 x 72 shows about 60; its frame, the pedestal and the sky are ours.
-
-    Attributes:
-        trials: of an episode, at most; it ends after the last one.
-        screen: what is looked at.
-        done: trials that have been answered.
-        wanted: where the scripted expert looks.
     """
 
-    trials: ClassVar[int] = 60
+    trials: ClassVar[int] = 60  # of an episode, at most; it ends after the last one
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
@@ -66,7 +60,7 @@ class Psychlab(Episode):
             tint=_DARK,
         )
         self.screen = world.add_screen(DISTANCE, HEIGHT, SIDE)
-        self.done = 0
+        self.done = 0  # trials that have been answered
 
     def begin_map(self, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -80,7 +74,7 @@ class Psychlab(Episode):
             place = (0.5 - wide / 2, 0.5 - high / 2, 0.5 + wide / 2, 0.5 + high / 2)
             self.screen.fill(place, RED)
         self.screen.add_widget(CENTRE)
-        self.wanted = CENTRE
+        self.wanted = CENTRE  # where the scripted policies look
         self.fixating = True
 
     @abstractmethod
@@ -136,13 +130,10 @@ class Staircase:
 
     A block without errors leads a level up; one with at most half of the answers right, rounded
     down, leads a level down, but not below 1.
-
-    Attributes:
-        level: from 1.
     """
 
     def __init__(self) -> None:
-        self.level = 1
+        self.level = 1  # from 1
         self._trials = self._correct = 0
 
     def count(self, correct: bool) -> None:

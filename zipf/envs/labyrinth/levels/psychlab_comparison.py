@@ -74,18 +74,13 @@ class SequentialComparison(Psychlab):
     Length: 60 trials, or the time limit. The turquoise frame needs looking up or down: with nine
     actions no test is ever reached.
     Approximated: figures fill five sixths of the side of their cells.
-
-    Attributes:
-        staircase: its level is how many figures there are.
-        phase: "study", "delay" or "test".
-        study, test: the figures of the two phases, by cell.
     """
 
     NEW, OLD = 0, 1
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
-        self.staircase = Staircase()
+        self.staircase = Staircase()  # its level is how many figures there are
 
     def begin_trial(self) -> None:
         self.domain = DOMAINS[int(self.rng.integers(len(DOMAINS)))]
@@ -98,7 +93,7 @@ class SequentialComparison(Psychlab):
             changed = CELLS[int(cells[self.rng.integers(len(cells))])]
             self.test[changed] = self._changed(self.study[changed])
         self._show(self.study)
-        self.phase = "study"
+        self.phase = "study"  # then "delay", then "test"
         left, top = (BUTTON_STARTS[k] for k in self.rng.integers(2, size=2).tolist())
         self.button: Place = left, top, left + BUTTON, top + BUTTON
         self.screen.add_widget(self.button)
