@@ -197,14 +197,12 @@ class Learner(Agent):
         self.recorder.carry(carried)
 
     def begin_with(self, weights: Mapping[str, Mapping[str, Tensor]]) -> None:
-        """Loads parts of another agent's network; called before any other method.
+        """Loads parts of another agent's network, before any other method is called: from a state
+        dictionary for each, by its name in both networks (`Torso.parts`), such as `encoder` or
+        `memory`.
 
         All attributes that are a `Torso` load them, and the auxiliary loss follows their encoder.
         Raises ValueError: the network has no such part, or one of another shape.
-
-        Args:
-            weights: a state dictionary for each part to take, by the part's name in both networks
-                (`Torso.parts`), such as `encoder` or `memory`.
         """
         for network in self._torsos():
             parts = network.parts()

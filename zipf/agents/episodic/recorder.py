@@ -64,16 +64,9 @@ class Recorder(nn.Module):
 
 
 class DictionaryRecorder(Recorder):
-    """Draws a row of every episode and writes it when the episode ends.
-
-    Args:
-        options: of the dictionary.
-        envs: B of the unrolls.
-        core_size: of the memory's outputs.
-        actions: how many there are.
-        seed: of the draws; with the number of updates, which is saved, all of them follow from it.
-        observations: {name: zeros [B, ...]}, the parts of observations that rows have.
-    """
+    """Draws a row of every episode and writes it when the episode ends. All draws follow from the
+    seed and the number of updates, which is saved. `observations` {name: zeros [B, ...]} are the
+    parts of observations that rows have."""
 
     updates: Tensor
     age: Tensor

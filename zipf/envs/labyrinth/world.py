@@ -90,13 +90,12 @@ class World:
         floors: NDArray[np.int64] | str,
         walls: NDArray[np.int64] | None,
     ) -> None:
-        """Builds walls and floors of a text map, roofless.
+        """Builds walls and floors of a text map, roofless, bool [rows, columns] with rows to the
+        north and a solid border.
 
-        Args:
-            solid: bool [rows, columns], rows to the north, with a solid border.
-            floors, walls: int64 [rows, columns], the textures of a cell's floor and of the walls
-                around it; used where a cell is not solid. A name is the floor of all cells, and
-                without textures walls are invisible.
+        `floors` and `walls`, int64 [rows, columns], are the textures of a cell's floor and of the
+        walls around it, where it is not solid. A name is the floor of all cells, and without
+        textures walls are invisible.
         """
         i, envs, scenery = self._number, self._envs, self._scenery
         rows, columns = solid.shape

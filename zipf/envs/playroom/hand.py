@@ -138,12 +138,8 @@ def _layer(status, height):
 
 @compiled()
 def pick(agent, env):
-    """The object that an agent could grip, or -1.
-
-    Args:
-        agent: a row of `Worlds.agents` or a pose that is tried out, float64 [6]; HOLD is written.
-        env: `World`, read.
-    """
+    """The object that an agent could grip, or -1. `agent` is a row of `Envs.agents` or a pose that
+    is tried out, float64 [6], whose HOLD is written."""
     ranks, furniture = env.ranks, env.furniture
     objects, orientation = env.objects, env.orientation
     direction = np.empty(3)

@@ -88,12 +88,8 @@ def _find_room(agent, env, held, floor, spot):
 
 @compiled()
 def keep_in_view(agent, height, distance):
-    """Keeps the view from pointing too far below a held object.
-
-    Args:
-        agent: a row of `Worlds.agents`; its pitch may be changed.
-        height, distance: of the object's middle, metres.
-    """
+    """Keeps the view of an agent, whose pitch may be changed, from pointing too far below a held
+    object whose middle is at this height and distance, metres."""
     agent[PITCH] = max(agent[PITCH], math.atan2(height - EYE, distance) - STEEP)
 
 

@@ -195,14 +195,9 @@ def describe_levels(
     chance_episodes: int = 0,
     kinds: Collection[str] | None = None,
 ) -> list[dict[str, Any]]:
-    """The levels of a run, each with its weight and the scores of those baselines that are known,
-    as `LevelDescription` reads them.
-
-    Args:
-        options: constructor options of the levels.
-        chance_episodes: measure chance over so many episodes where it is not known; 0: do not.
-        kinds: of levels; None: all that the split has.
-    """
+    """The levels of a run, of these kinds (None: all), each with its weight and the scores of those
+    baselines that are known, as `LevelDescription` reads them. Where chance is not known it is
+    measured over `chance_episodes`, if any."""
     described = []
     for kind in split.kinds if kinds is None else kinds:
         for level in split.levels(kind):
@@ -281,15 +276,12 @@ def lock(folder: Path) -> Iterator[None]:
 
 
 def read_config(folder: Path, plugins: Collection[str] = ()) -> Config:
-    """The configuration that a run was started with.
+    """The configuration that a run was started with, while these plugins are loaded. Those that the
+    run was made with are never imported because its file says so: a run's folder may come from
+    anywhere.
 
-    Args:
-        plugins: the modules that are loaded. Those that the run was made with are never imported
-            because its file says so: a run's folder may come from anywhere.
-
-    Raises:
-        UserError: the folder holds no run, one that needs other plugins, one that this version
-            cannot read, or the record of an agent of another program; or it is damaged.
+    Raises UserError: the folder holds no run, one that needs other plugins, one that this version
+    cannot read, or the record of an agent of another program; or it is damaged.
     """
     description = read_description(folder)
     if external := description["external"]:

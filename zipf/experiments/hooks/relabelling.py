@@ -102,14 +102,8 @@ class Hindsight(Hook):
         ended: NDArray[np.bool_],
         final_info: dict[str, NDArray[Any]],
     ) -> None:
-        """Adds a step of all envs.
-
-        Args:
-            observation: of this step, {name: [N, ...]}.
-            fields: those of an unroll's row, {name: [N]}.
-            ended: the envs whose episodes end with this step, bool [N].
-            final_info: the outcome of these; needed where there are any.
-        """
+        """Adds a step of all envs: its observation {name: [N, ...]}, the `fields` of an unroll's
+        row {name: [N]}, the envs whose episodes end with it, bool [N], and the outcome of these."""
         if self.options.length is None and self._lengths.max() == self._rows:
             self._grow(2 * self._rows)
         rows = self._lengths % self._rows

@@ -124,11 +124,8 @@ def bounded(
 
 class Reweighting(Hook):
     """Weighs the frames of unrolls by the goals of their episodes, with the counts at their end.
-    Raises ValueError: the envs do not say what an episode asks for.
-
-    Args:
-        goal: reads what episodes ask for; None where nothing says it.
-        num_envs: N.
+    Raises ValueError: the envs do not say what an episode asks for: `goal`, which reads it, is
+    None.
     """
 
     name = "reweighting"

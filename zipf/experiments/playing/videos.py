@@ -74,17 +74,11 @@ def record_videos(
     plugins: Sequence[str],
     say: Callable[[str], None],
 ) -> None:
-    """Records videos of every run under `folders`, each into a folder `videos` in the run's.
+    """Records videos of every run under `folders`, at any depth, each into a folder `videos` in the
+    run's; `say` prints a line about each.
 
-    Args:
-        folders: run folders, or folders with runs at any depth.
-        format: of the files.
-        plugins: modules to import first, see `zipf.plugins`.
-        say: prints a line about each run.
-
-    Raises:
-        UserError: there is no run, or, before anything is recorded, a run has no checkpoint that
-            can be loaded, an agent that does not act, or envs that report no success.
+    Raises UserError: there is no run, or, before anything is recorded, a run has no checkpoint that
+    can be loaded, an agent that does not act, or envs that report no success.
     """
     found = [run.folder for run in load_runs(folders)]
     for folder in found:

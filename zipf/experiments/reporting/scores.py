@@ -62,11 +62,8 @@ def score_frame(
     paper: PaperTable | None,
 ) -> pd.DataFrame:
     """The scores of comparable runs, one line per row and group of levels.
-
-    Returns:
-        The columns that docs/results.md describes for `report.csv`, and `row` and `column`, the
-        keys of the row and of the group of levels. NaN is "none".
-    """
+    Returns the columns that docs/results.md describes for `report.csv`, and `row` and `column`, the
+    keys of the row and of the group of levels. NaN is "none"."""
     runs = [run for row in rows for run in row.runs]
     baselines = {levels.column: _baselines(runs, levels) for levels in groups}
     lines = []
