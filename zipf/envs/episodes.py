@@ -51,7 +51,7 @@ def measure(
     Raises ValueError: no episodes, no envs, an unknown level, or options out of range.
 
     Args:
-        player: `player(env)` plays a batch: called, it gives actions [N].
+        policy: `policy(env)` plays a batch: called, it gives actions [N].
         level: what `make_vec` takes.
         episodes: how many episodes, at least 1.
         seed: of the envs, and of random actions.

@@ -35,8 +35,8 @@ def find_room(agent, env, held, spot):
     Returns whether there is room. If not, the agent's place is as it was.
 
     Args:
-        agent: a row of `Worlds.agents`; its place and its pitch may be changed.
-        env: `World`, read.
+        agent: a row of `Envs.agents`; its place and its pitch may be changed.
+        env: `Env`, read.
         held: the object.
         spot: float64 [3], written where there is room: the least and greatest distance of the
             object's middle from the agent's on the floor plane, and the height of its lowest

@@ -119,7 +119,7 @@ def lay_out(mask, envs):
     """Places agent, objects and furniture of the episodes of `mask`, and paints them.
 
     Nothing overlaps, the agent can reach everything, and no place is near both bed and tray. Draws
-    from `worlds.scenery`. Returns whether there was room for everything.
+    from `envs.scenery`. Returns whether there was room for everything.
     """
     fits = True
     for i in range(mask.size):

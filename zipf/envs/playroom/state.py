@@ -50,7 +50,7 @@ class Envs(NamedTuple):
 
 
 class Env(NamedTuple):
-    """One of the `Worlds`: where things are."""
+    """One of the `Envs`: where things are."""
 
     finding: bool
     furnished: bool
@@ -65,8 +65,8 @@ class Env(NamedTuple):
 
 @compiled()
 def one_env(envs, i):
-    """`World` number `i`, to be passed to functions that are called often.
-    Its arrays are views. Passing all of `Worlds` takes longer than such a function."""
+    """Env number `i`, to be passed to functions that are called often.
+    Its arrays are views. Passing all of `Envs` takes longer than such a function."""
     return Env(
         envs.finding, envs.furnished, envs.reach, envs.extents, envs.ranks[i],
         envs.hands[i], envs.objects[i], envs.orientation[i], envs.furniture[i],

@@ -64,7 +64,7 @@ class View:
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
         """Reads or draws what stays the same for an episode, in the envs of `mask`.
-        Varied looks are drawn from `worlds.scenery`, after everything else of the episode."""
+        Varied looks are drawn from `envs.scenery`, after everything else of the episode."""
         envs, scenes = self.envs, self.scenes
         count = envs.ranks.shape[1]
         scenes.mesh[mask, :count] = self.meshes[envs.ranks[mask]]
@@ -141,7 +141,7 @@ def _pose(
     position, rotation, shadows,
 ):  # fmt: skip
     """Writes `camera`, `position`, `rotation` and `shadows`, arrays of `Scenes`, from arrays of
-    `Worlds`. `scale` is an array of `Scenes`, too."""
+    `Envs`. `scale` is an array of `Scenes`, too."""
     for i in range(mask.size):
         if not mask[i]:
             continue

@@ -61,7 +61,7 @@ class Combat(NamedTuple):
 
     fighters: NDArray[np.int64]
     """[N]: how many there are; 0: there is no combat, and the rest has no meaning."""
-    bodies: NDArray[np.float64]  # [N, FIGHTERS, 8], as `Worlds.bodies`, of which row 0 is a copy
+    bodies: NDArray[np.float64]  # [N, FIGHTERS, 8], as `Envs.bodies`, of which row 0 is a copy
     status: NDArray[np.int64]  # [N, FIGHTERS, columns]
     minds: NDArray[np.float64]  # [N, FIGHTERS, columns]: of opponents
     fields: NDArray[np.int16]
