@@ -1,4 +1,4 @@
-"""One world, as the rules of a level see it."""
+"""The world of one env, as the rules of a level see it."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ class Door(NamedTuple):
 
 
 class World:
-    """One env of a batch, whose arrays are written: what a level builds in it, and what its rules
-    do. `rewards`, float64 [N], are those of the running step."""
+    """The three-dimensional world of one env, whose arrays are written: what a level builds in it,
+    and what its rules do. `rewards`, float64 [N], are those of the running step."""
 
     def __init__(
         self, envs: Envs, scenery: Scenery, number: int, rewards: NDArray[np.float64]
