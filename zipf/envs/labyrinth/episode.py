@@ -19,6 +19,9 @@ class Episode(ABC):
     map ends with `World.finish_map`; the clock goes on. `rng` is for this episode's layout.
     """
 
+    def __init_subclass__(cls) -> None:
+        cls.__doc__ = cls.__doc__ or cls.__mro__[1].__doc__  # of a variant: that of what it varies
+
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         self.world = world
 

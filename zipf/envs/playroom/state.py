@@ -1,6 +1,6 @@
 """The state of a batch of playrooms, as the arrays that the compiled functions work on."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,24 +84,11 @@ class Commands(NamedTuple):
     """[N]: an object that was just released, to be placed at its new angle, or -1."""
 
 
-def make_envs(
-    num_envs: int,
-    num_objects: int,
-    *,
-    finding: bool,
-    furnished: bool,
-    near_failure: bool,
-    reach: float,
-    extents: NDArray[np.float64],
-) -> Envs:
-    """The state of envs in which no episode has begun."""
+def make_envs(num_envs: int, num_objects: int, **level: Any) -> Envs:
+    """The state of envs in which no episode has begun; `level` are its fields before `ranks`."""
     n, count = num_envs, num_objects
     return Envs(
-        finding=finding,
-        furnished=furnished,
-        near_failure=near_failure,
-        reach=reach,
-        extents=extents,
+        **level,
         ranks=np.zeros((n, count), np.int64),
         task=np.zeros(n, np.int64),
         scenery=np.zeros((n, 4), np.uint64),

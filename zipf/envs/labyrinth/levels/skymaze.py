@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,13 +110,12 @@ class IrreversiblePath(Episode):
     Rewards: +100 for the goal, which ends the episode.
     """
 
-    @staticmethod
-    def difficulty(rng: np.random.Generator) -> float:
-        raise NotImplementedError
+    difficulty: ClassVar[float | None]  # None: drawn for every episode
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
-        heights, self.start, self.goal = random_heights(rng, self.difficulty(rng))
+        difficulty = float(rng.random()) if self.difficulty is None else self.difficulty
+        heights, self.start, self.goal = random_heights(rng, difficulty)
         self.heights = heights
         textures = {
             int(height): materials.index(f"floor_{rng.integers(4 * materials.STYLES)}")
@@ -170,16 +170,8 @@ class IrreversiblePath(Episode):
 
 
 class IrreversiblePathHard(IrreversiblePath):
-    __doc__ = IrreversiblePath.__doc__
-
-    @staticmethod
-    def difficulty(rng: np.random.Generator) -> float:
-        return 0.9
+    difficulty = 0.9
 
 
 class IrreversiblePathVaried(IrreversiblePath):
-    __doc__ = IrreversiblePath.__doc__
-
-    @staticmethod
-    def difficulty(rng: np.random.Generator) -> float:
-        return float(rng.random())
+    difficulty = None
