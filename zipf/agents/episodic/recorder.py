@@ -45,14 +45,9 @@ class Recorder(nn.Module):
     def record(
         self, dictionary: Dictionary | None, steps: TensorDict, core: Tensor, action: Tensor
     ) -> None:
-        """Follows an optimiser step: writes the rows of the unroll's episodes that have ended.
-
-        Args:
-            dictionary: the agent's.
-            steps: of the unroll, [T + 1, B].
-            core: the memory's outputs there, [T + 1, B, size].
-            action: int64 [T + 1, B], what was done, or what a teacher says should have been.
-        """
+        """Follows an optimiser step: writes the rows of the unroll's episodes that have ended, from
+        its steps [T + 1, B], the memory's outputs there, [T + 1, B, size], and actions int64 [T +
+        1, B]: what was done, or what a teacher says should have been."""
 
     def carried(self) -> dict[str, Tensor]:
         """A copy of what is kept of the episodes that the envs are in."""

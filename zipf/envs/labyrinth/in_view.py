@@ -17,12 +17,8 @@ _TALL = 40.0  # of what is looked for above the ground of a terrain
 
 @compiled(error_model="numpy")
 def is_ahead(body, x, y, z, wide, high):
-    """Whether a point is in the image of a player: not beside, above or below it.
-
-    Args:
-        body: the player's.
-        x, y, z: the point, units.
-        wide, high: tangents of half the field of view across and upwards.
+    """Whether the point x, y, z, units, is in the image of the player with this body: not beside,
+    above or below it. `wide` and `high` are tangents of half the field of view across and upwards.
     """
     ahead_x, ahead_y, up = x - body[X], y - body[Y], z - (body[Z] + EYE)
     cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
@@ -34,13 +30,9 @@ def is_ahead(body, x, y, z, wide, high):
 
 @compiled(error_model="numpy")
 def see_cells(solid, body, wide, high, now, seen_at):
-    """Marks the cells of a text map that are in view, walls included.
-
-    Args:
-        solid: bool [rows, columns], what hides what is behind it.
-        body, wide, high: see `is_ahead`. Where the horizon is not in view no cell is.
-        now: the frame.
-        seen_at: int64 [rows, columns] at least, written: `now` where a cell is in view.
+    """Marks the cells of a text map that are in view, walls included: `seen_at` of a cell, int64
+    [rows, columns] at least, becomes `now`, the frame. `solid` bool [rows, columns] hides what is
+    behind it; for body, wide and high see `is_ahead`. Where the horizon is not in view no cell is.
     """
     if math.tan(abs(body[PITCH])) > high:
         return

@@ -87,13 +87,9 @@ class Knowledge:
         walk: Callable[[Point], int] | None = None,
         pitches: Sequence[float] = (0.0,),
     ) -> int:
-        """The action that looks around: a full turn at each pitch, then another at the next spot.
-
-        Args:
-            spots: to look around from, one after another and then again.
-            walk: the action that leads to a spot; None: in a straight line.
-            pitches: of the view, radians.
-        """
+        """The action that looks around: a full turn at each pitch, radians, then another at the
+        next of the spots, again and again. `walk` is the action that leads to a spot; None: in a
+        straight line."""
         memory, i = self._memory, self._i
         if memory.turned[i] >= 2 * math.pi:
             memory.turned[i] = 0.0

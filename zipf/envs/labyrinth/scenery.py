@@ -150,17 +150,12 @@ class Scenery:
 
 
 def faces(solid: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
-    """The walls of a text map: a face wherever a free cell has a solid neighbour.
+    """The walls of a text map, bool [rows, columns] with a solid border: a face wherever a free
+    cell has a solid neighbour. Arrays are read-only:
 
-    Args:
-        solid: bool [rows, columns], with a solid border.
-
-    Returns:
-        ends: float64 [walls, 4], units.
-        cells: int64 [walls, 2], row and column of the free cell.
-        numbers: int64 [walls], the face of the solid cell, see `Scenes.wall_face`.
-
-        Arrays are read-only.
+    - the ends, float64 [walls, 4], units
+    - the free cell, int64 [walls, 2], row and column
+    - the face of the solid cell, int64 [walls], see `Scenes.wall_face`
     """
     return _faces(solid.shape[0], solid.tobytes())
 

@@ -171,14 +171,11 @@ def _is_clear(solid, x, y, to_x, to_y, margin):
 
 
 class Field(Ways):
-    """Shortest ways over an open floor, around obstacles, to one point.
+    """Shortest ways to the point `goal` over an open floor, between the corners `low` and `high`,
+    around obstacles.
 
-    Args:
-        low, high: corners of the floor that the player's point may be on.
-        goal: x and y.
-        obstacles: points to keep away from.
-        away: how far, along x or y; what is touched is a box.
-        walls: further rectangles to keep out of, x0, y0, x1, y1.
+    The player's point keeps `away`, along x or y, from obstacles, as what is touched is a box, and
+    out of `walls`, further rectangles x0, y0, x1, y1.
     """
 
     SIZE = 20.0

@@ -38,12 +38,8 @@ def extents_of(names: tuple[str, ...]) -> NDArray[np.float64]:
 
 
 class View:
-    """Draws the images of a batch of playrooms, whose state every method reads again.
-
-    Args:
-        names: the objects' names by rank.
-        varied: whether every episode has its own looks, see `varied_looks.py`.
-    """
+    """Draws the images of a batch of playrooms, whose state every method reads again. `names` are
+    the objects' by rank; with `varied` every episode has its own looks, see `varied_looks.py`."""
 
     def __init__(
         self, names: tuple[str, ...], envs: Envs, width: int, height: int, *, varied: bool

@@ -231,16 +231,12 @@ class Scenes:
         repeat: float = 0.0,
         tint: ArrayLike = 255,
     ) -> None:
-        """Sets an env's terrain.
-        Raises ValueError for other shapes and a size that is not positive.
+        """Sets an env's terrain, whose cells have this size and whose south-west corner this x, y,
+        metres.
 
-        Args:
-            env: the env.
-            corner: x, y of the south-west corner.
-            size: of a cell, metres.
-            heights: [rows + 1, columns + 1], metres.
-            textures: of the cells, one for all or [rows, columns].
-            repeat, tint: see `terrain` and `terrain_tint`.
+        `heights` are [rows + 1, columns + 1], metres, `textures` those of the cells, one for all or
+        [rows, columns]; for the rest see `terrain` and `terrain_tint`. Raises ValueError for other
+        shapes and a size that is not positive.
         """
         if heights.shape != self.heights.shape[1:]:
             raise ValueError(f"heights must be {self.heights.shape[1:]}, not {heights.shape}")

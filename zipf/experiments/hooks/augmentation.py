@@ -165,13 +165,7 @@ class RandomAugmentation:
 
 
 class Draws(Hook):
-    """Draws what an augmentation changes in the episodes of N envs: the column `draw`.
-
-    Args:
-        augmentation: whose numbers are drawn.
-        num_envs: N.
-        seed: of the draws.
-    """
+    """Draws what an augmentation changes in the episodes of N envs: the column `draw`."""
 
     name = "augmentation"
 

@@ -33,14 +33,9 @@ class PlayedLevel:
 
 
 class Shows:
-    """Draws the picture and passes it to the screen and the recording, if there are any.
-
-    Args:
-        env: an env that will be shown.
-        screen, recording: None: there is none.
-        view: what both show; None: the env, or in a terminal what the agent sees.
-        scale: factor of the picture's sides; None: chosen by its height.
-    """
+    """Draws the picture and passes it to the screen and the recording, if there are any. `env` is
+    one that will be shown. With `view` None both show the env, or in a terminal what the agent
+    sees; with `scale` None, the factor of the picture's sides, it is chosen by its height."""
 
     def __init__(
         self,
