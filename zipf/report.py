@@ -190,11 +190,8 @@ def report(
 
 
 def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str]:
-    """The Markdown files in these folders, but for those that the report writes itself.
-
-    Raises:
-        UserError: one cannot be read.
-    """
+    """The Markdown files in these folders, but for those that the report writes itself. Raises
+    UserError: one cannot be read."""
     own = {path.resolve() for path in written}
     found = (path for folder in folders for path in sorted(Path(folder).glob("*.md")))
     texts = []

@@ -102,11 +102,5 @@ class LabyrinthEnv(SingleEnv):
 
     metadata = LabyrinthVectorEnv.metadata
 
-    def __init__(
-        self,
-        level: str = "explore_goal_locations_small",
-        *,
-        render_mode: str | None = None,
-        **options: Any,
-    ) -> None:
-        super().__init__(make_vec, level=level, render_mode=render_mode, **options)
+    def __init__(self, level: str = "explore_goal_locations_small", **options: Any) -> None:
+        super().__init__(make_vec, level=level, **options)

@@ -130,11 +130,5 @@ class PlayroomEnv(SingleEnv):
 
     metadata = PlayroomVectorEnv.metadata
 
-    def __init__(
-        self,
-        level: str = "lift/lift_shape_zipf3",
-        *,
-        render_mode: str | None = None,
-        **options: Any,
-    ) -> None:
-        super().__init__(PlayroomVectorEnv, level=level, render_mode=render_mode, **options)
+    def __init__(self, level: str = "lift/lift_shape_zipf3", **options: Any) -> None:
+        super().__init__(PlayroomVectorEnv, level=level, **options)

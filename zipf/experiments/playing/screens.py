@@ -157,10 +157,7 @@ class Terminal:
         assert self._shown
         picture, text = self._shown
         self._size = os.get_terminal_size(self._output)
-        columns, rows = (
-            self._size.columns or 80,
-            self._size.lines or 24,
-        )  # some terminals report 0, 0
+        columns, rows = self._size.columns or 80, self._size.lines or 24  # some report 0, 0
         lines, keys = text.wrapped(max(columns - 1, 1))
         below = [f"\x1b[1m{line}\x1b[0m" for line in lines] + [f"\x1b[2m{k}\x1b[0m" for k in keys]
         below = below[: max(rows - _FEWEST_ROWS, 0)]
@@ -239,12 +236,8 @@ def half_blocks(picture: NDArray[np.uint8]) -> list[str]:
 
 
 class Window:
-    """A window, by pygame.
-
-    Raises:
-        ImportError: if pygame is not installed.
-        RuntimeError: if there is no display.
-    """
+    """A window, by pygame. Raises ImportError if that is not installed, and RuntimeError without a
+    display."""
 
     in_characters = False
 

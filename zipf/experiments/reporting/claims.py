@@ -328,17 +328,8 @@ def check_claims(tables: Sequence[ScoreTable]) -> list[ClaimLine]:
 
 def csv_claims(lines: Sequence[ClaimLine]) -> str:
     """`claims.csv`: every line, whether there are scores for it or not."""
-    cells = [
-        (
-            line.claim.id,
-            line.claim.statement,
-            line.table,
-            line.bounds,
-            line.outcome,
-            line.numbers,
-            line.paper or "",
-            line.claim.note,
-        )
-        for line in lines
-    ]
+    cells = []
+    for line in lines:
+        judged = line.bounds, line.outcome, line.numbers, line.paper or ""
+        cells.append((line.claim.id, line.claim.statement, line.table, *judged, line.claim.note))
     return pd.DataFrame(cells, columns=list(CLAIM_COLUMNS)).to_csv(index=False, lineterminator="\n")
