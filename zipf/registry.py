@@ -51,7 +51,7 @@ class Registry(Generic[Part]):
         self._options[name], self._builds[name] = options, build
 
     def build(self, options: Any, *others: Any, **named: Any) -> Part:
-        """The part that the options name. Raises ValueError: it does not fit `others` or `named`."""
+        """The part that the options name. Raises ValueError: it does not fit the others."""
         return self._builds[options.name](options, *others, **named)
 
     def builds(self) -> Mapping[str, Callable[..., Part]]:
