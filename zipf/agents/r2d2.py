@@ -295,14 +295,22 @@ class R2D2(Learner):
     def _insert(self, unroll: Unroll) -> int:
         """Puts an unroll into replay, and the relabelled episodes that come with it; returns the
         number of sequences."""
+        inserted = 0
         fresh = self.sequences.of_unroll(unroll)
-        found = [] if fresh is None else [fresh]
+        if fresh is not None:
+            self._store(fresh)
+            inserted += len(fresh)
         if unroll.episodes is not None:
-            memory = self.initial_memory(unroll.episodes.shape[1])
-            found += self.sequences.of_episodes(unroll.episodes, memory, self._advance)
-        for items in found:
-            self._store(items)
-        return sum(map(len, found))
+            inserted += self._insert_episodes(unroll.episodes)
+        return inserted
+
+    def _insert_episodes(self, episodes: TensorDict) -> int:
+        inserted = 0
+        memory = self.initial_memory(episodes.shape[1])
+        for relabelled in self.sequences.of_episodes(episodes, memory, self._advance):
+            self._store(relabelled)
+            inserted += len(relabelled)
+        return inserted
 
     def _store(self, items: TensorDict) -> None:
         assert self.replay is not None
