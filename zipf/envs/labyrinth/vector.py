@@ -95,7 +95,6 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         return tuple(np.hstack(pair) for pair in zip(views, maps, strict=True))
 
     def _frames(self, level: Level) -> int:
-        """Frames of an episode of a level."""
         if self.max_steps is None:
             return level.frames
         return min(level.frames, self.max_steps * self.action_repeat)
@@ -110,7 +109,6 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self._start(mask)
 
     def _start(self, mask: NDArray[np.bool_]) -> None:
-        """Begins the episodes of the envs of `mask` from their seeds."""
         for i in np.flatnonzero(mask).tolist():
             clear(self.envs, i)
             self._scenery.clear(i)
@@ -155,7 +153,6 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         return self._rewards.copy(), over, timed_out, over
 
     def _tell(self, i: int, event: int, index: int) -> None:
-        """Tells an env's episode what has happened."""
         episode = self.episodes[i]
         assert episode is not None
         if event == engine.MAP:
@@ -212,7 +209,6 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self._replay(state["seeded"], state["lengths"])
 
     def _replay(self, begun: NDArray[np.bool_], lengths: NDArray[np.int64]) -> None:
-        """Replays the episodes of the envs of `begun`."""
         self._start(begun)
         for t in range(int(lengths.max(where=begun, initial=0))):
             self._play(begun & (lengths > t), self._actions[:, t].astype(np.int64))
