@@ -267,7 +267,8 @@ def _unwrapped(model: BaseAlgorithm) -> tuple[VecEnv | None, list[VecEnvWrapper]
         ValueError: a model plays otherwise than it was trained without something that is not known
             here.
     """
-    env, wrappers = model.get_env(), []
+    wrappers: list[VecEnvWrapper] = []
+    env = model.get_env()
     has_masks = "action_masks" in inspect.signature(model.predict).parameters
     while isinstance(env, VecEnvWrapper):
         if type(env) not in _WRAPPERS:
