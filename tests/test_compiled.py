@@ -1,13 +1,14 @@
 """The cache of compiled code: it notices every change that matters, and does without a folder."""
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from conftest import slow_but
+from conftest import ANNOUNCED, slow_but
 
 from zipf import compiled
 
@@ -161,15 +162,37 @@ def test_compiling_is_announced_once_and_never_when_saved(small: Path) -> None:
     assert finish(start(small, silenced))[1] == ""
 
 
-@pytest.mark.parametrize(
-    "content", slow_but([b"", b"\x80\x04", b"garbage", b"\x80\x04K\x05."], b"garbage")
-)
-def test_damaged_code_is_compiled_again(small: Path, content: bytes) -> None:
+DAMAGES = {
+    "empty": lambda content: b"",
+    "garbage": lambda content: b"garbage",
+    "a number": lambda content: b"\x80\x04K\x05.",
+    "a pair": lambda content: pickle.dumps((1, 2)),
+    "of no module": lambda content: b"cnowhere\nnothing\n.",
+    "cut": lambda content: content[:-100],
+    "code of before": lambda content: content[32:],
+    "a bit": lambda content: content[:3000] + bytes([content[3000] ^ 1]) + content[3001:],
+}
+
+
+@pytest.mark.parametrize("how", slow_but(DAMAGES, "a bit"))
+def test_damaged_code_is_compiled_again(small: Path, how: str) -> None:
     finish(start(small, "kernel(5)"))
     for path in (small / "__pycache__").glob("*.nbc"):
-        path.write_bytes(content)
-    assert finish(start(small, f"print(kernel(5)){HITS}"))[0] == "11\n0"
-    assert finish(start(small, f"print(kernel(5)){HITS}"))[0] == "11\n1"
+        path.write_bytes(DAMAGES[how](path.read_bytes()))
+    output, errors = finish(start(small, f"print(kernel(5)){HITS}"))
+    assert (output, errors) == ("11\n0", ANNOUNCED)
+    assert finish(start(small, f"print(kernel(5)){HITS}")) == ("11\n1", "")
+
+
+def test_code_that_cannot_be_replaced_is_compiled_with_one_warning(small: Path) -> None:
+    finish(start(small, "kernel(5)"))
+    for path in list((small / "__pycache__").glob("*.nbc")):
+        path.unlink()
+        path.mkdir()
+    output, errors = finish(start(small, f"print(kernel(5)){HITS}"))
+    assert output == "11\n0"
+    assert "Traceback" not in errors
+    assert errors.count("RuntimeWarning") == 1
 
 
 def test_where_the_disk_is_full_there_is_one_warning_and_no_cache(small: Path) -> None:

@@ -239,3 +239,42 @@ def test_a_comment_that_says_same_is_that_of_the_line_above(tmp_path):
         "f.g": (8, ""),
         "h": (10, ""),
     }
+
+
+MINE = """# @package _global_
+# Mine.
+defaults:
+  - override /memory: mlp
+row: {title: "Mine é"}
+"""
+
+
+@pytest.mark.parametrize(
+    ("encoding", "told"),
+    [
+        ("utf-8-sig", "begins with a byte-order mark; save it as UTF-8 without one"),
+        ("latin-1", "is not UTF-8 text"),
+        ("utf-16", "is not UTF-8 text"),
+    ],
+)
+def test_a_file_of_another_encoding_is_named(encoding, told, tmp_path, monkeypatch):
+    monkeypatch.setattr(config_files, "_user_folders", [tmp_path])
+    path = tmp_path / "condition" / "mine.yaml"
+    path.parent.mkdir()
+    path.write_bytes(MINE.encode(encoding))
+    with pytest.raises(UserError) as raised:
+        loading.load(["experiment=demo", "condition=mine"])
+    assert str(raised.value) == f"{path}: {told}"
+
+
+def test_a_file_of_blocks_may_begin_with_a_mark_and_have_line_ends_of_windows(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(config_files, "_user_folders", [tmp_path])
+    text = "# Mine.\r\nmine:\r\n  choose: {memory: mlp}\r\n  row: {title: Mine}\r\n"
+    (tmp_path / "condition.yaml").write_bytes(text.encode("utf-8-sig"))
+    config = loading.load(["experiment=demo", "condition=mine"])
+    assert (config.memory.name, config.row.title) == ("mlp", "Mine")
+    (tmp_path / "condition.yaml").write_bytes("# é\nmine: {}".encode("latin-1"))
+    with pytest.raises(UserError, match=r"condition.yaml: is not UTF-8 text"):
+        loading.load(["experiment=demo", "condition=mine"])

@@ -5,8 +5,9 @@ import json
 import pytest
 from conftest import contents, slow_but
 
+from zipf import report
 from zipf.errors import UserError
-from zipf.experiments.building import loading
+from zipf.experiments.building import loading, run_folder
 from zipf.experiments.records.result_table import TABLES, ResultTable, check_table
 from zipf.experiments.training import runner
 
@@ -150,3 +151,33 @@ def test_rows_without_their_checkpoint_are_kept_however_damaged(content, trained
     with pytest.raises(UserError, match=r"metrics\.csv: holds results"):
         runner.train(config)
     assert (folder / "metrics.csv").read_bytes() == content
+
+
+BY_WINDOWS = {
+    "line ends": lambda content: content.replace(b"\n", b"\r\n"),
+    "line ends and a mark": lambda content: b"\xef\xbb\xbf" + content.replace(b"\n", b"\r\n"),
+}
+
+
+@pytest.mark.parametrize("how", BY_WINDOWS)
+def test_a_run_goes_on_from_files_that_a_program_of_windows_has_written(how, trained, tmp_path):
+    config = loading.load(trained)
+    for path in config.folder.iterdir():
+        if path.suffix in (".csv", ".json", ".yaml"):
+            path.write_bytes(BY_WINDOWS[how](path.read_bytes()))
+    assert run_folder.is_finished(config)
+    assert report.report([config.folder], tmp_path / "report", "last").files
+    assert runner.train(loading.load([*trained, "updates=3"])) == 0
+    for name in TABLES:
+        assert b"\r" not in (config.folder / name).read_bytes()
+
+
+def test_utf_16_is_told(trained, tmp_path):
+    folder = loading.load(trained).folder
+    for name in ("run.json", "metrics.csv"):
+        path = folder / name
+        before = path.read_bytes()
+        path.write_bytes(before.decode().encode("utf-16"))
+        with pytest.raises(UserError, match=rf"{name}: is UTF-16 text; should be UTF-8"):
+            report.report([folder], tmp_path / "report", "last")
+        path.write_bytes(before)

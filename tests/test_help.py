@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from conftest import run, slow_but
 
 import zipf.evaluate
 import zipf.play
@@ -48,6 +49,58 @@ def test_help_has_usage_purpose_and_examples(module, monkeypatch, capsys):
     assert len(purpose.split()) > 15
     assert len(examples(text, module)) >= 3
     assert max(map(len, text.splitlines())) <= 100
+
+
+def train(words, monkeypatch, capsys):
+    """The exit code of `python -m zipf.train`, and what it prints."""
+    monkeypatch.setattr(sys, "argv", ["zipf.train", *words])
+    with pytest.raises(SystemExit) as ended:
+        zipf.train.main()
+    return ended.value.code, capsys.readouterr()
+
+
+FLAGS = [
+    (["experiment=demo", "updates=7", "--info"], "Defaults List"),
+    (["experiment=demo", "--info", "updates=7"], "Defaults List"),
+    (["-i", "experiment=demo", "updates=7"], "Defaults List"),
+    (["experiment=demo", "--info", "searchpath", "updates=7"], "Search path"),
+    (["experiment=demo", "--cfg", "job", "updates=7"], "updates: 7"),
+    (["experiment=demo", "updates=7", "--hydra-help"], "Hydra (1."),
+    (["experiment=demo", "name=mine", 'row.title="Mine"', "--cfg", "job"], "title: Mine"),
+    (["experiment=demo", "name=mine", "row.title=My agent", "--cfg", "job"], "title: My agent"),
+    (["experiment=demo", "name=mine", "++row.order=3", "--cfg", "job"], "order: 3"),
+]
+
+
+@pytest.mark.parametrize(("words", "shown"), slow_but(FLAGS, FLAGS[1], FLAGS[6]))
+def test_flags_stand_anywhere(words, shown):
+    said = run(*words)
+    assert said.returncode == 0, said.stderr
+    assert shown in said.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["experiment=demo", "--cfg"], "--cfg/-c: expected one argument"),
+        (["experiment=demo", "--cfg", "updates=7"], "--cfg/-c: invalid choice: 'updates=7'"),
+        (["experiment=demo", "--info=updates"], "--info/-i: invalid choice: 'updates'"),
+        (["--config-dir"], "--config-dir/-cd: expected one argument"),
+        (["experiment=demo", "--shell-completion"], "goes with install="),
+        (["experimnt=demo"], "experimnt: no such option; did you mean experiment?"),
+        (["-m", "experimnt=demo,gridworld"], "experimnt: no such option; did you mean experiment?"),
+        (["experimnt=demo", "--help"], "experimnt: no such option; did you mean experiment?"),
+        (
+            ["experiment=demo", "updats=7", "--help"],
+            "updats: no such option; did you mean updates?",
+        ),
+        (["-m", "swep=demo"], "swep: no such option; did you mean sweep?"),
+    ],
+)
+def test_a_mistake_in_the_command_is_one_line(words, told, monkeypatch, capsys):
+    code, said = train(words, monkeypatch, capsys)
+    assert (code, said.out, said.err.count("\n")) == (2, "", 1)
+    assert told in said.err
 
 
 @pytest.mark.parametrize("module", [*OPTIONS, zipf.train], ids=lambda m: m.__name__)

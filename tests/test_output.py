@@ -14,7 +14,7 @@ from rich.console import Console
 
 from zipf.experiments.building import checkpoint
 from zipf.experiments.training.display import Display
-from zipf.experiments.training.signals import StopSignals
+from zipf.experiments.training.signals import CLUSTER, StopSignals
 
 TRAIN = [*TINY, "updates=6", "evaluation.every=1", "name=x"]
 
@@ -88,6 +88,33 @@ def test_a_closed_terminal_is_no_reason_to_stop() -> None:
     with StopSignals(said.append) as stop:
         os.kill(os.getpid(), signal.SIGHUP)
     assert (stop.requested, said) == (0, [])
+
+
+@pytest.mark.parametrize("number", CLUSTER)
+def test_what_clusters_send_stops_with_a_checkpoint_however_often(number: signal.Signals) -> None:
+    said: list[str] = []
+    with StopSignals(said.append) as stop:
+        for _ in range(3):
+            signal.raise_signal(number)
+        assert stop.requested == number
+        assert said == [f"stopping with a checkpoint: {number.name}"]
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+    assert signal.getsignal(number) is signal.SIG_DFL
+
+
+def test_a_handler_of_somebody_elses_stays() -> None:
+    received: list[int] = []
+    own = lambda number, frame: received.append(number)  # noqa: E731
+    before = signal.signal(signal.SIGUSR1, own)
+    try:
+        with StopSignals(received.append) as stop:  # type: ignore[arg-type]
+            signal.raise_signal(signal.SIGUSR1)
+        assert (stop.requested, received) == (0, [signal.SIGUSR1])
+        assert signal.getsignal(signal.SIGUSR1) is own
+    finally:
+        signal.signal(signal.SIGUSR1, before)
 
 
 METRICS = {"frames": 20.0, "frames_per_second": 5.0, "seconds": 4.0} | {

@@ -13,6 +13,7 @@ from torch import nn
 
 from zipf import envs, evaluate
 from zipf.adapters import torchrl, torchscript
+from zipf.envs import family
 
 SMALL = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 20}
 TILES = {**SMALL, "observation": "tiles"}
@@ -200,6 +201,116 @@ def test_a_model_of_an_array_is_given_the_only_observation(sb3):
     assert isinstance(model.observation_space, spaces.Box)
     model.predict = lambda image, *_: (scripted({"image": image}), None)
     assert played(sb3.policy(model)).equals(played(scripted))
+
+
+WRAPPINGS = {
+    "normalised": lambda sb3, env: sb3.VecNormalize(sb3.VecMonitor(env), clip_obs=1.5),
+    "the image": lambda sb3, env: sb3.VecNormalize(sb3.VecExtractDictObs(env, "image")),
+    "stacked, normalised": lambda sb3, env: sb3.VecNormalize(sb3.VecFrameStack(env, 3)),
+    "normalised, stacked": lambda sb3, env: sb3.VecFrameStack(sb3.VecNormalize(env), 3),
+    "stacked images": lambda sb3, env: sb3.VecFrameStack(
+        sb3.VecTransposeImage(sb3.VecExtractDictObs(env, "image")), 2
+    ),
+}
+
+
+@pytest.mark.filterwarnings("ignore:The environment is already wrapped")
+@pytest.mark.parametrize("wrapping", WRAPPINGS)
+def test_a_model_sees_what_the_wrappers_of_its_env_show(sb3, wrapping):
+    from stable_baselines3.common import vec_env
+
+    policy = "CnnPolicy" if "image" in wrapping else "MultiInputPolicy"
+    policy = "MlpPolicy" if wrapping == "the image" else policy
+    model = ppo(sb3, policy=policy, wrap=lambda env: WRAPPINGS[wrapping](vec_env, env), **SMALL)
+    env, seen = model.get_env(), []
+    env.reset()
+    for i in range(30):
+        env.step(np.full(2, i % 8))
+    if normalise := model.get_vec_normalize_env():
+        normalise.training = False
+    model.predict = lambda given, *_, action_masks=None: (seen.append(given), None)
+    batch = envs.make_vec("gridworld/zipf_2", 3, **SMALL)
+    policy = sb3.policy(model).for_envs(
+        batch.single_observation_space, batch.single_action_space, 0
+    )
+    policy.start(2)
+    env.unwrapped.seed(7)
+    expected, (observation, _) = env.reset(), batch.reset(seed=7)
+    is_first = np.ones(2, bool)
+    ends = 0
+    for i in range(50):
+        policy({name: value[:2] for name, value in observation.items()}, np.zeros(2), is_first)
+        np.testing.assert_equal(seen[-1], expected)
+        actions = np.array([i % 8, i * 5 % 8])
+        expected, _, is_first, _ = env.step(actions)
+        observation, *_ = batch.step(np.append(actions, 0))
+        ends += is_first.sum()
+    assert ends > 3
+
+
+def test_a_model_is_scored_with_the_statistics_of_its_env(sb3, tmp_path, caplog):
+    from stable_baselines3 import DQN, PPO
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    model = ppo(sb3, wrap=VecNormalize, **SMALL)
+    model.learn(16)
+    statistics = model.get_vec_normalize_env()
+    given = []
+    model.predict = lambda seen, *_: (given.append(seen) or scripted(seen), None)
+    played(sb3.policy(model))
+    assert {one["image"].dtype for one in given} == {np.dtype(np.float32)}
+    before = statistics.obs_rms["image"].mean.copy()
+    played(sb3.policy(model))
+    assert np.array_equal(statistics.obs_rms["image"].mean, before)
+
+    del model.predict
+    model.save(tmp_path / "model")
+    statistics.save(str(tmp_path / "statistics"))
+    with pytest.raises(ValueError, match=r"trained under VecNormalize.* PPO\.load\(path, env="):
+        played(sb3.policy(PPO.load(tmp_path / "model")))
+    batch = sb3.ZipfVecEnv(envs.make_vec("gridworld/zipf_2", 4, **SMALL))
+    env = VecNormalize.load(str(tmp_path / "statistics"), batch)
+    loaded = sb3.policy(PPO.load(tmp_path / "model", env=env))
+    assert played(loaded).equals(played(sb3.policy(model)))
+
+    off_policy = DQN("MultiInputPolicy", batch, buffer_size=10)
+    off_policy.learn(4)
+    played(sb3.policy(off_policy))
+    assert not caplog.messages
+    off_policy.save(tmp_path / "off_policy")
+    played(sb3.policy(DQN.load(tmp_path / "off_policy")))
+    assert "scored without wrappers such as VecNormalize" in caplog.text
+
+
+def test_what_is_not_known_of_a_models_env_is_refused(sb3, monkeypatch):
+    import gymnasium as gym
+    from sb3_contrib import MaskablePPO
+    from sb3_contrib.common.wrappers import ActionMasker
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    class Halved(VecNormalize): ...
+
+    with pytest.raises(ValueError, match=r"wrapper Halved, .*PPO\.load\(path\)"):
+        played(sb3.policy(ppo(sb3, wrap=Halved, **SMALL)))
+    monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
+    envs.register(envs.zipfian("CartPole-v1", over={"max_episode_steps": range(9, 14)}))
+    for wrap, made, why in (
+        (gym.wrappers.NormalizeObservation, PPO, "Gymnasium's NormalizeObservation"),
+        (lambda env: ActionMasker(env, lambda _: np.ones(2)), MaskablePPO, "action_masks allow"),
+    ):
+        env = DummyVecEnv([lambda wrap=wrap: wrap(gym.make("CartPole-v1"))])
+        model = made("MlpPolicy", env, n_steps=8, batch_size=8)
+        with pytest.raises(ValueError, match=why):
+            evaluate.score(sb3.policy(model), "cartpole", episodes=2)
+
+
+def test_normalising_leaves_the_batchs_own_space(sb3):
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    batch = envs.make_vec("gridworld/zipf_2", 2, **SMALL)
+    VecNormalize(sb3.ZipfVecEnv(batch))
+    assert batch.single_observation_space["image"].dtype == np.uint8
 
 
 @pytest.mark.parametrize("name", ["env_options", "geometry"])  # the latter in older files

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import PACKAGE, slow_but
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from run_folders import (
@@ -418,3 +422,54 @@ def test_only_the_plots_of_the_earlier_report_are_removed(tmp_path: Path) -> Non
         "gridworld_learning.png",
         "my_learning.png",
     ]
+
+
+# --- a user's own settings -------------------------------------------------------------------
+
+
+def test_figures_are_the_same_whatever_matplotlib_is_set_to(tmp_path: Path) -> None:
+    write_run(tmp_path / "runs", constant(0.5))
+    theirs: dict[Any, Any] = {
+        "text.usetex": True,
+        "font.size": 30,
+        "savefig.bbox": "tight",
+        "lines.linewidth": 9,
+    }
+    usual = report.report([tmp_path / "runs"], tmp_path / "usual").files
+    with matplotlib.rc_context(theirs):
+        made = report.report([tmp_path / "runs"], tmp_path / "made").files
+        assert all(matplotlib.rcParams[name] == value for name, value in theirs.items())
+    pictures = [path for path in usual if path.suffix == ".png"]
+    assert pictures
+    for path in pictures:
+        assert path.read_bytes() == (tmp_path / "made" / path.name).read_bytes()
+    assert len(made) == len(usual)
+
+
+@pytest.mark.parametrize(
+    ("backend", "settings", "told"),
+    slow_but(
+        [
+            ("module://matplotlib_inline.backend_inline", b"font.size: 8", ""),
+            ("no", b"text.usetex: true", ""),
+            ("agg", b"# caf\xe9", "error: matplotlib cannot read its settings, a matplotlibrc: "),
+        ],
+        ("module://matplotlib_inline.backend_inline", b"font.size: 8", ""),
+    ),
+)
+def test_matplotlib_is_imported_whatever_it_is_set_to(
+    backend: str, settings: bytes, told: str, tmp_path: Path
+) -> None:
+    """In another environment than the notebook's there is no `matplotlib_inline`."""
+    (tmp_path / "matplotlibrc").write_bytes(settings)
+    write_run(tmp_path / "runs", constant(0.5))
+    variables = {"PYTHONPATH": str(PACKAGE), "MPLBACKEND": backend}
+    made = subprocess.run(
+        [sys.executable, "-m", "zipf.report", "runs"],
+        env={**os.environ, **variables},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert (told in made.stderr, bool(made.returncode)) == (True, bool(told)), made.stderr
+    assert "Traceback" not in made.stderr

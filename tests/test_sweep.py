@@ -220,6 +220,11 @@ if seed in ("seed=5", "seed=6"):  # stops when it is told to, or later
         signal.pause()
     print("stopped at update 3; the same command resumes")
     sys.exit(128 + signal.SIGTERM)
+if seed in ("seed=10", "seed=11"):  # the time of its job is over
+    os.kill(os.getppid(), signal.SIGUSR2)
+    os.read(int(os.environ["ZIPF_SWEEP_PIPE"]), 1)
+    print("stopped at update 3; the same command resumes")
+    sys.exit(128 + signal.SIGTERM)
 """
 
 
@@ -278,6 +283,40 @@ def test_a_signal_stops_the_running_job_and_begins_no_other(scripted):
     assert signal.getsignal(signal.SIGTERM) is before
 
 
+def test_a_cluster_stops_a_sweep_as_a_user_does(scripted):
+    code, lines = scripted("10,7")
+    assert code == 128 + signal.SIGUSR2
+    assert "2 jobs: 1 stopped, 1 not begun" in lines
+
+
+@pytest.mark.parametrize("ends", [True, False], ids=["again", "too often"])
+def test_a_job_saves_before_submitit_gives_it_back_to_the_queue(ends, scripted, monkeypatch):
+    """As in a process of submitit's, whose handler ends it, or raises after too many times."""
+
+    def checkpoint_and_try_requeue(number, frame):
+        assert job.Board.outcome(*told[-1][:2]).text.startswith("stopped at update 3: its time is")
+        if ends:
+            raise SystemExit(144)
+        raise RuntimeError("timed-out too many times")
+
+    told, tell = [], job.Board.tell
+    monkeypatch.setattr(job.Board, "tell", lambda *of: (told.append(of), tell(*of)))
+    before = signal.signal(signal.SIGUSR2, checkpoint_and_try_requeue)
+    try:
+        if ends:
+            with pytest.raises(SystemExit):
+                scripted("10")
+        else:
+            code, lines = scripted("11,7")
+            assert code == 2
+            last = "stopped at update 3; the same command resumes; timed-out too many times"
+            assert f"1/2 demo x seed 11: {last}" in lines
+            assert "2 jobs: 1 finished, 1 stopped" in lines
+        assert signal.getsignal(signal.SIGUSR2) is checkpoint_and_try_requeue
+    finally:
+        signal.signal(signal.SIGUSR2, before)
+
+
 def test_a_second_signal_stops_at_once(scripted):
     code, lines = scripted("6,7")
     assert code == 128 + signal.SIGTERM
@@ -296,13 +335,34 @@ def test_a_launcher_that_breaks_is_told(scripted, monkeypatch):
             self.task.board.tell(self.task.jobs[1], job.Outcome("begun", "begins"))
             raise RuntimeError("a worker\nwas killed")
 
-    monkeypatch.setattr(sweep, "_launcher", lambda overrides, root, task: Broken(task))
+    monkeypatch.setattr(sweep, "_launcher", lambda overrides, root, task, wants_gpu: Broken(task))
     code, lines = scripted("0,7,8")
     assert code == 2
     failure = "failed: the launcher failed: RuntimeError: a worker was killed"
     assert f"2/3 demo x seed 7: {failure}" in lines
     assert f"3/3 demo x seed 8: {failure}" in lines
     assert "3 jobs: 1 finished, 2 failed" in lines
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], True),
+        (["hydra.launcher.gpus_per_node=1"], False),
+        (["hydra.launcher.gres='gpu:1'"], False),
+        (["+hydra.launcher.additional_parameters.gpus=1"], False),
+        (["device=cpu"], False),
+    ],
+)
+def test_a_launcher_that_gives_no_gpu_is_told(words, told, monkeypatch, tmp_path, capsys):
+    plugin = pytest.importorskip("hydra_plugins.hydra_submitit_launcher.submitit_launcher")
+    monkeypatch.setattr(plugin.SlurmLauncher, "launch", lambda *_: [])
+    words = ["device=auto", "hydra/launcher=submitit_slurm", *words]
+    sweep.run([*TINY, f"run_root={tmp_path}", *words])
+    line = (
+        "hydra.launcher.gpus_per_node=None: jobs are given no GPU, and device=auto is a CPU there"
+    )
+    assert (line in capsys.readouterr().out) == told
 
 
 def test_a_job_stops_when_its_sweep_has_gone(monkeypatch):
@@ -436,7 +496,7 @@ def test_a_sweep_that_was_killed_gives_the_same_table_when_asked_for_again(
     assert scores(tmp_path) == scores(beside[0])
 
 
-def begun(*arguments, cwd):
+def begun(*arguments, cwd, **variables):
     """A sweep of one's own session, as on a terminal."""
     return subprocess.Popen(
         command("-m", *arguments),
@@ -445,7 +505,7 @@ def begun(*arguments, cwd):
         text=True,
         start_new_session=True,
         cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(PACKAGE)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGE), str(cwd)]), **variables},
     )
 
 
@@ -469,3 +529,42 @@ def test_ctrl_c_in_a_parallel_sweep_stops_every_job_with_a_checkpoint(tmp_path):
     for path in running:
         update = checkpoint.load(path.parent / "checkpoint.pt")["update"]
         assert pd.read_csv(path)["update"].nunique() == update > 1
+
+
+@pytest.mark.slow
+def test_a_job_whose_place_submitit_needs_goes_on_where_it_was(tmp_path):
+    """By the signal that its controller sends to it."""
+    arguments = [*TINY, "updates=100", "schedule.checkpoint_every=99999", "name=x"]
+    arguments += ["evaluation.every=99999", f"run_root={tmp_path}", "hydra/launcher=submitit_local"]
+    process = begun(*arguments, cwd=tmp_path)
+    metrics = tmp_path / "demo" / "x" / "seed0" / "metrics.csv"
+    while not metrics.exists() or "\n2," not in metrics.read_text():
+        assert process.poll() is None
+        time.sleep(0.01)
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        if b"submitit.core._submit" in path.read_bytes() and str(tmp_path) in path.read_text():
+            os.kill(int(path.parent.name), signal.SIGUSR2)
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert "1/1 demo x seed 0: stopped at update" in output
+    assert output.count("1/1 demo x seed 0: begins") == 2
+    assert "resumes at update " in (metrics.parent / "train.log").read_text()
+    assert pd.read_csv(metrics)["update"].unique().tolist() == list(range(1, 101))
+
+
+SEEN = """
+import os
+if "ZIPF_SWEEP_PIPE" in os.environ:
+    open("seen", "w").write(os.environ.get("CUDA_VISIBLE_DEVICES", "all"))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("words", "seen"), [((), "3"), (("hydra.launcher.gpus_per_node=0",), "")])
+def test_jobs_of_submitit_on_this_machine_see_its_gpus(words, seen, tmp_path):
+    (tmp_path / "seen_gpus.py").write_text(SEEN)
+    arguments = [*TINY, "updates=1", "plugins=[seen_gpus]", "hydra/launcher=submitit_local"]
+    process = begun(*arguments, *words, cwd=tmp_path, CUDA_VISIBLE_DEVICES="3")
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, output + errors
+    assert (tmp_path / "seen").read_text() == seen

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -258,7 +259,11 @@ def test_seeds_differ_and_repeat(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("number", "lag"), [(signal.SIGINT, 0), pytest.param(signal.SIGTERM, 1, marks=pytest.mark.slow)]
+    ("number", "lag"),
+    slow_but(
+        [(signal.SIGINT, 0), (signal.SIGTERM, 1), (signal.SIGUSR1, 0), (signal.SIGXCPU, 0)],
+        (signal.SIGINT, 0),
+    ),
 )
 def test_a_run_that_a_signal_stopped_resumes_bit_for_bit(number, lag, tmp_path):
     common = [*TINY, "updates=100000", "schedule.checkpoint_every=99999", f"collector.lag={lag}"]
@@ -281,6 +286,14 @@ def test_a_run_that_a_signal_stopped_resumes_bit_for_bit(number, lag, tmp_path):
     whole = cut.model_copy(update={"run_root": str(tmp_path / "whole"), "resume": "never"})
     assert runner.train(whole) == 0
     assert_equal(learned(whole.folder), learned(cut.folder))
+
+
+def test_a_run_in_a_thread(tmp_path, capsys):
+    config = loading.load([*TINY, "updates=2", f"run_root={tmp_path}"])
+    with ThreadPoolExecutor() as pool:
+        assert pool.submit(runner.train, config).result() == 0
+    assert "signals save no checkpoint here: this is not the main thread" in capsys.readouterr().out
+    assert run_folder.is_finished(config)
 
 
 def test_the_end_of_a_run_is_told(tmp_path, capsys):

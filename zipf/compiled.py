@@ -128,13 +128,14 @@ class _Files(IndexDataCacheFile):
     def load(self, key: Any) -> Any:
         """The code that was saved for a signature, or None."""
         try:
-            saved_key, data = pickle.loads(self._path(key).read_bytes())
-            if saved_key == key:
-                return data
-        except FileNotFoundError:
-            pass
-        except (OSError, EOFError, pickle.UnpicklingError, ValueError, TypeError):
-            pass  # damaged: it is compiled and saved again
+            content = self._path(key).read_bytes()
+            digest, saved = content[:_DIGEST], content[_DIGEST:]
+            if hashlib.sha256(saved).digest() == digest:  # else it is damaged, or of another origin
+                saved_key, data = pickle.loads(saved)
+                if saved_key == key:
+                    return data
+        except (OSError, ImportError, AttributeError):
+            pass  # there is none, it cannot be read, or it needs another version of a library
         _announce_once()
         return None
 
@@ -142,7 +143,8 @@ class _Files(IndexDataCacheFile):
         """Saves the code for a signature and deletes code of other states of the sources."""
         try:
             with self._open_for_write(str(self._path(key))) as file:
-                file.write(self._dump((key, data)))
+                saved = self._dump((key, data))
+                file.write(hashlib.sha256(saved).digest() + saved)
         except OSError:  # the disk is full
             _warn_once()
             return
@@ -158,6 +160,9 @@ class _Files(IndexDataCacheFile):
 
     def _path(self, key: Any) -> Path:
         return self._folder / f"{self._prefix}{_short_hash(key)}.nbc"
+
+
+_DIGEST = 32  # bytes that a file begins with: SHA-256 of the rest
 
 
 def _short_hash(value: Any) -> str:

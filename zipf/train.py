@@ -73,16 +73,17 @@ def _main() -> int:
         return 0
     words, asked = _asked_to_explain(sys.argv[1:])
     arguments = command_line.split(words)
-    flags = [word for word in words if word not in arguments.overrides]
     if arguments.help:  # shows the options of one run
         arguments.overrides = sweeps.of_all_jobs(arguments.overrides)
-    sys.argv[1:] = [*flags, *arguments.overrides]  # Hydra wants all overrides together
+    overrides = [] if arguments.hydra_help else arguments.overrides
+    sys.argv[1:] = [*arguments.flags, *overrides]  # Hydra wants all overrides together
     asks = ("hydra_help", "info", "shell_completion")
     _check_flags(arguments)
     if arguments.config_dir:
         config_files.add_folder(arguments.config_dir)
     composing.load_plugins(command_line.plugins_of(arguments.overrides))
     if arguments.help:
+        command_line.check_names(arguments.overrides)
         print(catalogue.help_text(arguments.overrides))
         return 0
     if asked is not None:
@@ -155,6 +156,10 @@ def _check_flags(arguments: argparse.Namespace) -> None:
         raise UserError("--experimental-rerun: give the same options again")
     if arguments.resolve and not (arguments.cfg or arguments.help):
         raise UserError("--resolve: goes with --cfg job")
+    if arguments.shell_completion and not any(
+        word.startswith(("install=", "uninstall=", "query=")) for word in arguments.overrides
+    ):
+        raise UserError("--shell-completion: goes with install=, uninstall= or query=<shell>")
     modes = ("run", "multirun", "cfg", "info", "shell_completion")
     given = [f"--{mode.replace('_', '-')}" for mode in modes if getattr(arguments, mode)]
     if len(given) > 1:

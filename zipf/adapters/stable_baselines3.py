@@ -5,6 +5,9 @@ It needs `pip install "zipf-rl[sb3]"`.
 
 from __future__ import annotations
 
+import copy
+import inspect
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,6 +15,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import NormalizeObservation
 from numpy.typing import NDArray
 
 from zipf.envs.vector import Observation, ZipfVectorEnv
@@ -19,7 +23,18 @@ from zipf.envs.vector import Observation, ZipfVectorEnv
 try:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.monitor import Monitor
-    from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
+    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+    from stable_baselines3.common.vec_env import (
+        VecCheckNan,
+        VecExtractDictObs,
+        VecFrameStack,
+        VecMonitor,
+        VecNormalize,
+        VecTransposeImage,
+        VecVideoRecorder,
+    )
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvWrapper
+    from stable_baselines3.common.vec_env.stacked_observations import StackedObservations
 except ImportError as error:
     raise ImportError(
         "zipf.adapters.stable_baselines3 needs Stable-Baselines3: pip install 'zipf-rl[sb3]'"
@@ -60,7 +75,8 @@ class ZipfVecEnv(VecEnv):
                 f"{env.autoreset_mode.name}"
             )
         self.env = env
-        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        space = copy.deepcopy(env.single_observation_space)  # VecNormalize writes into it
+        super().__init__(env.num_envs, space, env.single_action_space)
         self._actions: NDArray[Any] = np.zeros(env.num_envs, np.int64)
         self._start = time.monotonic()
 
@@ -156,6 +172,11 @@ def _row(info: dict[str, Any], i: int) -> dict[str, Any]:
 def policy(model: BaseAlgorithm, *, deterministic: bool = False) -> ModelPolicy:
     """A model of Stable-Baselines3 or sb3-contrib as a policy; it may be recurrent.
 
+    It is given what the wrappers of its env, `model.get_env()`, make of observations: the
+    statistics of `VecNormalize`, which stay as they are, the frames of `VecFrameStack`, the one of
+    `VecExtractDictObs`. A file has no env; where there were such wrappers, load it with them:
+    `PPO.load(path, env=VecNormalize.load(statistics, vec_env))`.
+
     Args:
         model: the model. Its attribute `env_options`, where you give it one, names the constructor
             options that it was trained with, and is saved with it.
@@ -184,15 +205,17 @@ class ModelPolicy:
         """Prepares for environments with these spaces; draws are from PyTorch's global generator.
 
         Raises:
-            ValueError: the model has other spaces.
+            ValueError: the model has other spaces, or what its env made of observations or actions
+                is not known.
         """
-        declared = self.model.observation_space
+        env, self.wrappers = _unwrapped(self.model)
+        declared = self.model.observation_space if env is None else env.observation_space
         expected: spaces.Space = observation_space
         self.alone: str | None = None  # the only observation, for a model that reads an array
         if len(observation_space) == 1 and not isinstance(declared, spaces.Dict):
             self.alone = next(iter(observation_space))
             expected = observation_space[self.alone]
-        if not _same_space(declared, expected):
+        if not _same_space(_unwritten(declared, expected, self.wrappers), expected):
             raise ValueError(
                 f"the model's observation space, {declared}, differs from the environments', "
                 f"{expected}"
@@ -206,13 +229,122 @@ class ModelPolicy:
 
     def start(self, num_envs: int) -> None:
         self.state: Any = None
+        self.frames = {
+            wrapper: _frames(wrapper.stacked_obs, num_envs)
+            for wrapper in self.wrappers
+            if isinstance(wrapper, VecFrameStack)
+        }
 
     def __call__(
         self, observation: Mapping[str, NDArray], reward: NDArray, is_first: NDArray
     ) -> NDArray:
         given: Any = observation[self.alone] if self.alone else observation
+        for wrapper in self.wrappers:
+            if isinstance(wrapper, VecNormalize):
+                given = wrapper.normalize_obs(given)
+            elif isinstance(wrapper, VecFrameStack):
+                given = _stacked(self.frames[wrapper], given, is_first)
+            elif isinstance(wrapper, VecTransposeImage):
+                given = wrapper.transpose_observations(given)
+            elif isinstance(wrapper, VecExtractDictObs):
+                given = given[wrapper.key]
         actions, self.state = self.model.predict(given, self.state, is_first, self.deterministic)
         return actions
+
+
+_WRAPPERS = (
+    *(VecNormalize, VecFrameStack, VecTransposeImage, VecExtractDictObs),
+    *(VecMonitor, VecCheckNan, VecVideoRecorder),  # these leave observations as they are
+)
+_LOAD = "load it with them, as in PPO.load(path, env=VecNormalize.load(statistics, vec_env))"
+
+
+def _unwrapped(model: BaseAlgorithm) -> tuple[VecEnv | None, list[VecEnvWrapper]]:
+    """The env that a model was trained in, None where it is not known, and its wrappers, the
+    innermost first.
+
+    Raises:
+        ValueError: a model plays otherwise than it was trained without something that is not known
+            here.
+    """
+    wrappers: list[VecEnvWrapper] = []
+    env = model.get_env()
+    has_masks = "action_masks" in inspect.signature(model.predict).parameters
+    while isinstance(env, VecEnvWrapper):
+        if type(env) not in _WRAPPERS:
+            raise ValueError(
+                f"the model's env has the wrapper {type(env).__name__}, and what it makes of "
+                f"observations is not known; should be {', '.join(w.__name__ for w in _WRAPPERS)}. "
+                "If it leaves them as they are, load the model without an env, as by PPO.load(path)"
+            )
+        wrappers.insert(0, env)
+        env = env.venv
+    if wrappers and isinstance(wrappers[-1], VecTransposeImage):
+        wrappers.pop()  # `predict` does that itself
+    # Models that learn off policy keep the last observation there in any case.
+    normalised = getattr(model, "_last_original_obs", None) is not None
+    if normalised and not isinstance(model, OffPolicyAlgorithm) and not _normalises(wrappers):
+        raise ValueError(
+            "the model was trained under VecNormalize, and it is not given its statistics: " + _LOAD
+        )
+    if env is None and (has_masks or isinstance(model, OffPolicyAlgorithm)):
+        missing = "action_masks or wrappers" if has_masks else "wrappers such as VecNormalize"
+        logging.getLogger("zipf").warning(
+            f"the model is scored without {missing}, which its file does not have; if its env had "
+            f"any, {_LOAD}"
+        )
+    if env is not None and not getattr(env, "closed", False):  # its processes may have ended
+        if any(env.env_is_wrapped(NormalizeObservation)):
+            raise ValueError(
+                "the model's env normalises observations by Gymnasium's NormalizeObservation, with "
+                "other statistics in each env; should be VecNormalize around all of them"
+            )
+        if has_masks and env.has_attr("action_masks"):
+            raise ValueError(
+                "the model chooses among the actions that its env's action_masks allow, and a "
+                "policy is not given any; should be trained with use_masking=False"
+            )
+    return env, wrappers
+
+
+def _normalises(wrappers: list[VecEnvWrapper]) -> bool:
+    return any(isinstance(wrapper, VecNormalize) for wrapper in wrappers)
+
+
+def _unwritten(
+    declared: spaces.Space, expected: spaces.Space, wrappers: list[VecEnvWrapper]
+) -> spaces.Space:
+    """An env's space without what `VecNormalize` has written into it: what it makes of images."""
+    if not isinstance(declared, spaces.Dict) or not isinstance(expected, spaces.Dict):
+        return declared
+    own = dict(declared.spaces)
+    for wrapper in wrappers:
+        if isinstance(wrapper, VecNormalize) and wrapper.norm_obs:
+            for name in own.keys() & expected.keys() & set(wrapper.norm_obs_keys or ()):
+                if own[name].shape == expected[name].shape:
+                    own[name] = expected[name]
+    return spaces.Dict(own)
+
+
+def _frames(stack: StackedObservations[Any], num_envs: int) -> StackedObservations[Any]:
+    """A stack of frames of the same kind, empty, for `num_envs` envs."""
+    stack = copy.deepcopy(stack)
+    for one in getattr(stack, "sub_stacked_observations", {"": stack}).values():
+        one.stacked_obs = np.zeros((num_envs, *one.stacked_shape), one.stacked_obs.dtype)
+    return stack
+
+
+def _stacked(stack: StackedObservations[Any], observation: Any, is_first: NDArray) -> Any:
+    """What a stack of frames has after these observations."""
+    infos: list[dict[str, Any]] = [{} for _ in is_first]
+    for i in np.flatnonzero(is_first):  # the last frames of an episode, which nobody asks for
+        row = (
+            {k: v[i] for k, v in observation.items()}
+            if isinstance(observation, dict)
+            else observation[i]
+        )
+        infos[i]["terminal_observation"] = row
+    return stack.update(observation, is_first, infos)[0]
 
 
 def _same_space(declared: spaces.Space, expected: spaces.Space) -> bool:

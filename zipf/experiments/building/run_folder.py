@@ -320,7 +320,7 @@ def read_description(folder: Path) -> dict[str, Any]:
     except OSError as error:
         raise UserError(f"{folder!s:.200}: cannot be read: {error.strerror}") from None
     results.read_description(path)
-    return json.loads(path.read_text(encoding="utf-8"))
+    return json.loads(path.read_text(encoding="utf-8-sig"))
 
 
 def last_command(folder: Path) -> str:

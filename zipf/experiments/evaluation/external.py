@@ -242,7 +242,7 @@ def _recorded_levels(
         return None
     same = ("condition", "seed", "experiment", "split", "environment", "external")
     try:
-        there = json.loads(path.read_text(encoding="utf-8"))
+        there = json.loads(path.read_text(encoding="utf-8-sig"))
         if not there["external"]:
             raise UserError(ours)
         levels = there["levels"]

@@ -8,7 +8,6 @@ what is learned from agree, and nothing is ever changed back. Evaluations show t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -21,9 +20,9 @@ from torch import Tensor
 
 from zipf.agents.encoders import is_image
 from zipf.agents.unroll import Augmentation
-from zipf.compiled import compiled
 from zipf.envs.family import Symmetries
 from zipf.experiments.hooks.hook import Hook, Parts
+from zipf.experiments.hooks.kernels import change_images
 from zipf.options import Options
 from zipf.registry import Registry
 
@@ -144,7 +143,7 @@ class RandomAugmentation:
             scale, centre = draws[:, _SCALE], draws[:, _CENTRE]
             for name in self.images:
                 side = self.options.cutout
-                _change(flat[name], whole[:, _ORDER], whole[:, _SHIFT], scale, centre, side)
+                change_images(flat[name], whole[:, _ORDER], whole[:, _SHIFT], scale, centre, side)
         return shown
 
     def to_env(self, actions: NDArray[np.int64], draw: NDArray[Any]) -> NDArray[np.int64]:
@@ -199,53 +198,6 @@ def _mapped(
     """`table[symmetry, action]`; -1 stands for none before the first."""
     found = table[draw[:, _SYMMETRY].astype(np.int64), actions]
     return np.where(actions >= 0, found, -1)
-
-
-@compiled()
-def _source(pixel, size, scale):
-    """The source pixel, in a row of `size`, that `pixel` shows after scaling."""
-    source = math.floor((pixel + 0.5 - size / 2) / scale + size / 2)
-    return min(max(source, 0), size - 1)
-
-
-@compiled()
-def _change(image, orders, shifts, scales, centres, side):
-    """Changes images uint8 [N, H, W, C] in place."""
-    _, height, width, channels = image.shape
-    before = np.empty((height, width, channels), np.uint8)
-    columns = np.empty(width, np.int64)
-    for i in range(len(image)):
-        down, right = shifts[i]
-        if scales[i] != 1 and scales[i] != 0:  # 0 of no frame
-            before[:] = image[i]
-            for c in range(width):
-                columns[c] = _source(c - right, width, scales[i])
-            for r in range(height):
-                row = before[_source(r - down, height, scales[i])]
-                for c in range(width):
-                    image[i, r, c] = row[columns[c]]
-        elif down or right:
-            before[:] = image[i]
-            for r in range(height):
-                source, target = before[min(max(r - down, 0), height - 1)], image[i, r]
-                first, last = max(right, 0), width + min(right, 0)
-                target[first:last] = source[first - right : last - right]
-                for c in range(first):
-                    target[c] = source[0]
-                for c in range(last, width):
-                    target[c] = source[width - 1]
-        first, second, third = orders[i]
-        if channels >= 3 and (first != 0 or second != 1):  # a fourth channel is no colour
-            for r in range(height):
-                for c in range(width):
-                    pixel = image[i, r, c]
-                    pixel[0], pixel[1], pixel[2] = pixel[first], pixel[second], pixel[third]
-        if side:
-            top = int(centres[i, 0] * height) - side // 2
-            left = int(centres[i, 1] * width) - side // 2
-            for r in range(max(top, 0), min(top + side, height)):
-                for c in range(max(left, 0), min(left + side, width)):
-                    image[i, r, c] = 0
 
 
 AUGMENTATIONS: Registry[Augmentation | None] = Registry("augmentation")

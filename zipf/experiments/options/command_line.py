@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import difflib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from pathlib import PurePath
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from hydra._internal.utils import get_args_parser
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -24,7 +25,6 @@ from zipf.experiments.options.schema import (
     DEVICE_PATTERN,
     NAME_PATTERN,
     Config,
-    RowOptions,
     schema,
 )
 from zipf.experiments.records.descriptions import LINE_PATTERN
@@ -102,6 +102,18 @@ def _mistyped(known: list[str]) -> Iterator[str]:
         yield from _explain(error, values)
 
 
+def check_names(overrides: list[str]) -> None:
+    """Whether there are options and choices of these names.
+
+    Raises:
+        UserError: with one line for every one that there is not.
+    """
+    parsed = parse(overrides)
+    named = any(one.key_or_group == "experiment" for one in parsed)
+    if problems := _known(parsed if named else [*parsed, *parse(["experiment=demo"])])[1]:
+        raise UserError("\n".join(problems))
+
+
 def plugins_of(overrides: list[str]) -> list[str]:
     """The modules in the override `plugins=[...]`.
 
@@ -112,17 +124,30 @@ def plugins_of(overrides: list[str]) -> list[str]:
 
 
 def split(words: list[str]) -> argparse.Namespace:
-    """Hydra's flags and the overrides.
+    """Hydra's flags and the overrides, in any order; `flags` are all words of the flags.
 
     Raises:
-        UserError: a flag is none of Hydra's, or is shortened: `--experiment` is no rerun.
+        UserError: a flag is none of Hydra's, lacks its value, or is shortened: `--experiment` is no
+            rerun.
     """
     parser = get_args_parser()
     parser.allow_abbrev = False
+    parser.error = _refuse  # type: ignore[method-assign]
+    # It would take an override that follows it for what to show.
+    words = ["--info=all" if _is_bare_info(*pair) else pair[0] for pair in pairwise([*words, "-"])]
     arguments, unknown = parser.parse_known_intermixed_args(words)
     if unknown:
         raise UserError(without_dashes(unknown[0]))
+    arguments.flags = [word for word in words if word not in arguments.overrides]
     return arguments
+
+
+def _refuse(message: str) -> NoReturn:
+    raise UserError(message)
+
+
+def _is_bare_info(word: str, following: str) -> bool:
+    return word in ("--info", "-i") and ("=" in following or following.startswith("-"))
 
 
 def parse(overrides: list[str]) -> list[Override]:
@@ -303,14 +328,16 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
                 problems.append(f"{key}={value}: no such {key}; {hint}{own}")
         else:
             options.append(override)
-    if not any(override.key_or_group == "experiment" for override in overrides):
-        experiments = "|".join(choices("experiment"))
-        problems.append(f"experiment is not set; choose one: experiment={experiments}")
     if not any(text.startswith("experiment=") for text in known):
+        hints = _misspelt([override.key_or_group for override in options])
+        problems += [f"{key}: no such option; did you mean {hint}?" for key, hint in hints.items()]
+        asked = {override.key_or_group for override in overrides} | {*hints.values()}
+        if not asked & {"experiment", "sweep"}:
+            experiments = "|".join(choices("experiment"))
+            problems.append(f"experiment is not set; choose one: experiment={experiments}")
         return known, problems
     values = composed(*known).values
     accepted = list(flatten(values))
-    of_row = [f"row.{part}" for part in RowOptions.model_fields if f"row.{part}" not in accepted]
     parents = {name.rsplit(".", 1)[0] for name in accepted if "." in name}
     for override in options:
         key = override.key_or_group
@@ -318,8 +345,6 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
             problems.append(f"{override.input_line}: should be row.title=<what tables show>")
         elif key in accepted or key in parents or key.startswith(("hydra.", "hydra/")):
             known.append(str(override.input_line))
-        elif key in of_row:
-            known.append(f"++{override.input_line}")  # without a condition there is no row yet
         else:
             group = key.partition(".")[0]
             part = values.get(group)
@@ -330,9 +355,20 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
                 others = "|".join(one for one in choices(group) if one != chosen)
                 hint = f"{group}={chosen} has none; choose {group}={others}"
             else:
-                hint = nearest(key, [*accepted, *of_row, "sweep"])
+                hint = nearest(key, [*accepted, "sweep"])
             problems.append(f"{key}: no such option; {hint}")
     return known, problems
+
+
+def _misspelt(keys: Iterable[str]) -> dict[str, str]:
+    """Of options that are like one that there is in every experiment, that one."""
+    names = [*groups(), *Config.model_fields, "name", "sweep", "hydra"]
+    hints = {}
+    for key in keys:
+        name = key.partition(".")[0].partition("/")[0]
+        if name not in names and (close := difflib.get_close_matches(name, names, n=1)):
+            hints[key] = key.replace(name, close[0], 1)
+    return hints
 
 
 def _owners(option: str) -> list[str]:

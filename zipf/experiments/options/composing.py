@@ -7,6 +7,7 @@ with the defaults of its options class; a group that has a registry (`zipf.regis
 
 from __future__ import annotations
 
+import codecs
 import copy
 import re
 from collections.abc import Iterable, Iterator
@@ -127,14 +128,28 @@ def _resolved(search_path: str, *overrides: str) -> Composed:
             config["seed"] = int(seeds[-1].partition("=")[2])
         values = OmegaConf.to_container(config, resolve=True)
     except (HydraException, OmegaConfBaseException, YAMLError, ValueError, TypeError) as error:
-        raise UserError(message_of(error)) from None  # the last three: of files of the user's
+        # The last three are of files of the user's.
+        raise UserError(_unreadable() or message_of(error)) from None
     assert isinstance(values, dict)
     for group in ("experiment", "condition"):
         if isinstance(values[group], dict):
             raise UserError(
-                f"{_file_of(group, choices[group])}: should begin with '# @package _global_'"
+                _unreadable()
+                or f"{_file_of(group, choices[group])}: should begin with '# @package _global_'"
             )
     return Composed({str(k): v for k, v in values.items()}, choices, overrides)
+
+
+def _unreadable() -> str:
+    """What keeps Hydra from reading files of the user's, a line each."""
+    lines = []
+    for path in (one for folder in config_files.folders()[1:] for one in folder.glob("*/*.yaml")):
+        content = path.read_bytes()
+        if content.startswith(codecs.BOM_UTF8):
+            lines.append(f"{path}: begins with a byte-order mark; save it as UTF-8 without one")
+        elif "\ufffd" in content.decode(errors="replace"):
+            lines.append(f"{path}: is not UTF-8 text")
+    return "\n".join(sorted(lines))
 
 
 @cache

@@ -99,7 +99,9 @@ def _read(file: Path, _: int) -> tuple[Written, dict[str, str]]:
         whole = Written(lines.values(), places, Place(file, 1, lines.above(0)))
     except yaml.YAMLError as error:
         raise UserError(f"{file}: is not a configuration: {' '.join(str(error).split())}") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError:
+        raise UserError(f"{file}: is not UTF-8 text") from None
+    except OSError as error:
         raise UserError(f"{file}: cannot be read: {error}") from None
     return whole, {
         name: lines.above(place.line - 1) for name, place in places.items() if "." not in name
@@ -111,7 +113,7 @@ class _Lines:
 
     def __init__(self, file: Path):
         self.file = file
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")  # Windows programs begin it with a mark
         self.lines = text.splitlines()
         self._loader = _Loader(text)
         self.root = self._loader.get_single_node()

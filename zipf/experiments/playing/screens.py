@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -25,6 +24,7 @@ from PIL import Image
 from zipf.envs.keyboard import LEAVE
 from zipf.envs.window import open_display
 from zipf.errors import UserError
+from zipf.experiments.reporting.any_matplotlib import matplotlib
 
 
 @dataclass(frozen=True)

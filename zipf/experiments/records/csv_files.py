@@ -7,6 +7,7 @@ any other score. `csv` reads them in strict mode: pandas fills up short lines wi
 
 from __future__ import annotations
 
+import codecs
 import csv
 import gzip
 import zlib
@@ -82,6 +83,18 @@ def read_bytes(path: Path) -> bytes:
         raise UserError(f"{path.as_posix()}: cannot be read: {error.strerror}") from error
 
 
+def plain(path: Path, content: bytes) -> bytes:
+    """A text file's content as we write it: programs of Windows put a mark before it, and end its
+    lines with a carriage return, too.
+
+    Raises:
+        UserError: it is UTF-16, as those programs also write.
+    """
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise UserError(f"{path.as_posix()}: is UTF-16 text; should be UTF-8")
+    return content.removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n")
+
+
 def read_lines(path: Path) -> tuple[list[str], bool]:
     """The lines that end in a newline, without it, and whether there is a rest that does not; no
     lines where there is no file. Raises UserError: the file cannot be read."""
@@ -93,7 +106,7 @@ def read_lines(path: Path) -> tuple[list[str], bool]:
             content = gzip.decompress(content)
         except (OSError, EOFError, zlib.error) as error:
             raise UserError(f"{path.as_posix()}: is damaged ({error})") from None
-    complete, _, torn = content.rpartition(b"\n")
+    complete, _, torn = plain(path, content).rpartition(b"\n")
     text = complete.decode("utf-8", errors="replace")
     return (text.split("\n") if text else []), bool(torn)
 
@@ -107,7 +120,7 @@ def read_fields(path: Path, lines: list[str]) -> list[list[str]]:
         for fields in reader:
             if reader.line_num != len(found) + 1:
                 raise csv.Error("a quoted field does not end")
-            if "\r" in lines[len(found)].removesuffix("\r"):
+            if "\r" in lines[len(found)]:
                 raise csv.Error("a carriage return inside the line")
             if found and len(fields) != len(found[0]):
                 raise csv.Error(f"{len(fields)} fields where there are {len(found[0])} columns")

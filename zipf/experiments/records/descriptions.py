@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from zipf.errors import UserError
-from zipf.experiments.records.csv_files import read_bytes
+from zipf.experiments.records.csv_files import plain, read_bytes
 from zipf.experiments.records.wording import EXTERNAL_MARK
 from zipf.options import Positive
 from zipf.protocol import BASELINE_NAMES, KINDS, PAPER_KINDS
@@ -201,7 +201,7 @@ class LevelGroup:
 def read_description(path: Path) -> RunDescription:
     """The description in a `run.json`. Raises UserError: it cannot be read, or is none."""
     try:
-        return RunDescription.model_validate_json(read_bytes(path))
+        return RunDescription.model_validate_json(plain(path, read_bytes(path)))
     except ValidationError as error:
         problem = first_problem(error)
         raise UserError(f"{path.as_posix()}: not a run's description: {problem}") from error

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from zipf.errors import UserError
-from zipf.experiments.records.csv_files import read_fields, read_header, read_lines
+from zipf.experiments.records.csv_files import plain, read_fields, read_header, read_lines
 
 TABLES = ("metrics.csv", "evaluations.csv", "situations.csv")
 
@@ -26,6 +26,9 @@ class ResultTable:
         self.path = path
         self._columns: list[str] = []
         if kept:
+            content = path.read_bytes()
+            if (as_written := plain(path, content)) != content:
+                path.write_bytes(as_written)
             os.truncate(path, kept)
             self._columns = read_header(path)
         else:
@@ -72,7 +75,7 @@ def check_table(path: Path, update: int, length: int) -> None:
     if length == 0:
         return
     try:
-        content = path.read_bytes()[:length]
+        content = plain(path, path.read_bytes())[:length]
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}; {_remedy(update)}") from None
     if len(content) < length or not content.endswith(b"\n"):

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from zipf.errors import UserError
-from zipf.experiments.records.csv_files import read_bytes
+from zipf.experiments.records.csv_files import plain, read_bytes
 from zipf.experiments.records.descriptions import first_problem
 
 FOLDER = "videos"
@@ -69,7 +69,7 @@ def read(folder: Path) -> Videos | None:
     if not path.exists():
         return None
     try:
-        return Videos.model_validate_json(read_bytes(path))
+        return Videos.model_validate_json(plain(path, read_bytes(path)))
     except ValidationError as error:
         raise UserError(
             f"{path.as_posix()}: is damaged ({first_problem(error)}); videos= records them again"

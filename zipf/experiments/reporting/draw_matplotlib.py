@@ -12,8 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
+
+from zipf.experiments.reporting.any_matplotlib import matplotlib  # before any of its modules
+
+# isort: split
 from matplotlib import axes, axis
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -75,7 +78,9 @@ def draw(
     The same tables give the same bytes."""
     styles = line_styles([row for table in tables for row in table.rows])
     files: dict[str, list[Path]] = {}
-    with matplotlib.rc_context({**STYLE, "svg.hashsalt": "zipf"}):
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # nothing of the user's: some of it needs LaTeX, or other fonts
+        matplotlib.rcParams.update({**STYLE, "svg.hashsalt": "zipf"})
         for table in tables:
             for chart in charts(table, styles):
                 for kind, figure in pictures(chart):

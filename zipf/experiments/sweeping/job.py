@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -21,11 +22,12 @@ from typing import IO, Any, Literal
 from hydra.core.hydra_config import HydraConfig
 
 from zipf.experiments.records.wording import duration_text
-from zipf.experiments.training.signals import SWEEP_PIPE
+from zipf.experiments.training.signals import STOPPED, SWEEP_PIPE, Handler, give_back
 
 State = Literal["begun", "finished", "skipped", "failed", "stopped", "not begun"]
 POLL = 0.2  # seconds; ours
 REPORT_EVERY = 600  # seconds; ours: a job of an hour has few lines
+GPUS = "CUDA_VISIBLE_DEVICES"
 TRAIN = (sys.executable, "-m", "zipf.train")
 
 
@@ -106,15 +108,19 @@ class Jobs:
     Attributes:
         jobs: those to launch, in order.
         folder: the working directory of their commands.
+        gpus: the environment variable `GPUS` of their processes, where it is set; None: what the
+            launcher makes of it.
     """
 
     jobs: tuple[Job, ...]
     board: Board
     folder: str
+    gpus: dict[str, str] | None = None
 
     def __call__(self, _: Any) -> Outcome:
         job = self.jobs[HydraConfig.get().job.num]
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        main = threading.current_thread() is threading.main_thread()
+        if main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             # Ctrl-C reaches the job's process, too; this one waits for its end.
             signal.signal(signal.SIGINT, lambda number, frame: None)
         if self.board.stops:
@@ -130,6 +136,14 @@ class Jobs:
 
     def _train(self, job: Job) -> Outcome:
         began = time.monotonic()
+        requeue = _handlers_that_requeue()
+        asked: list[int] = []
+        for number in requeue:
+            signal.signal(number, lambda number, frame: asked.append(number))
+        environment = dict(os.environ)
+        if self.gpus is not None:
+            environment.pop(GPUS, None)
+            environment |= self.gpus
         reading, writing = os.pipe()
         with (
             os.fdopen(writing, "wb") as pipe,
@@ -139,7 +153,7 @@ class Jobs:
             process = subprocess.Popen(
                 [*TRAIN, *job.arguments],
                 cwd=self.folder,
-                env={**os.environ, SWEEP_PIPE: str(reading)},
+                env={**environment, SWEEP_PIPE: str(reading)},
                 pass_fds=(reading,),
                 stdin=subprocess.DEVNULL,
                 stdout=shown,
@@ -149,7 +163,7 @@ class Jobs:
             reported = began
             try:
                 while not _has_ended(process):
-                    if self.board.stops:
+                    if self.board.stops or asked:
                         pipe.close()
                     elif time.monotonic() - reported > REPORT_EVERY:
                         reported = time.monotonic()
@@ -158,9 +172,29 @@ class Jobs:
             finally:
                 process.kill()  # where waiting for it was interrupted
                 process.wait()
-            return _outcome(
+                give_back(requeue)
+            outcome = _outcome(
                 job, process.returncode, _lines(shown), _lines(errors), time.monotonic() - began
             )
+        if not asked or outcome.state != "stopped":
+            return outcome
+        where = outcome.text.partition(";")[0]
+        self.board.tell(job, Outcome("begun", f"{where}: its time is over, or its place is needed"))
+        try:
+            requeue[asked[0]](asked[0], None)  # ends this process, where the job is to begin again
+        except Exception as error:
+            return Outcome("stopped", " ".join(f"{outcome.text}; {error}".split()))
+        return outcome
+
+
+def _handlers_that_requeue() -> dict[int, Handler]:
+    """Submitit's handlers of the signals by which the time of a job is over, or its place needed:
+    they give the job back to the queue, or raise where that was too often. What a job does has to
+    be saved before.
+    """
+    handlers: dict[int, Any] = {one: signal.getsignal(one) for one in signal.valid_signals()}
+    name = "checkpoint_and_try_requeue"
+    return {one: own for one, own in handlers.items() if getattr(own, "__name__", "") == name}
 
 
 def _has_ended(process: subprocess.Popen[bytes]) -> bool:
@@ -174,10 +208,10 @@ def _has_ended(process: subprocess.Popen[bytes]) -> bool:
 def _outcome(job: Job, code: int, shown: list[str], errors: list[str], seconds: float) -> Outcome:
     if code == 0:
         return Outcome("finished", f"finished, {job.updates:,} updates, {duration_text(seconds)}")
-    if code in (128 + signal.SIGINT, 128 + signal.SIGTERM):
+    if code - 128 in STOPPED:
         said = [line for line in shown if line.startswith("stopped at ")]
         return Outcome("stopped", said[-1] if said else "stopped before it began")
-    if code in (-signal.SIGINT, -signal.SIGTERM):
+    if -code in STOPPED:
         return Outcome("stopped", "stopped before it began, or without a checkpoint")
     if code < 0:
         why = ", as happens where a machine runs out of RAM" if code == -signal.SIGKILL else ""

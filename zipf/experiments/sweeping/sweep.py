@@ -6,16 +6,19 @@ all the others have run. See `job.py` for what happens in a launcher's processes
 
 from __future__ import annotations
 
+import os
+import re
 import shlex
-import signal
 import threading
 import uuid
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import torch
 from hydra import initialize_config_dir
 from hydra._internal.callbacks import Callbacks
 from hydra.core.global_hydra import GlobalHydra
@@ -33,7 +36,8 @@ from zipf.experiments.options import composing
 from zipf.experiments.options.config_files import CONFIG_DIR, PRIMARY
 from zipf.experiments.options.runtime import TorchrunOptions
 from zipf.experiments.sweeping import sweeps
-from zipf.experiments.sweeping.job import POLL, Board, Job, Jobs, Outcome, State, failed
+from zipf.experiments.sweeping.job import GPUS, POLL, Board, Job, Jobs, Outcome, State, failed
+from zipf.experiments.training.signals import CLUSTER, give_back, take
 
 _COUNTED: tuple[State, ...] = ("finished", "skipped", "stopped", "not begun", "failed")
 
@@ -80,7 +84,8 @@ def run(overrides: Sequence[str], config_dir: str | None = None) -> int:
         root = sweep.jobs[0].config.run_root
         board = Board(Path(root).expanduser() / ".sweeps" / uuid.uuid4().hex)
         task = Jobs(waiting, board, str(Path.cwd()))
-        launch = _Launch(list(overrides), root, task)
+        wants_gpu = any(one.config.device == "auto" for one in sweep.jobs if not one.is_finished)
+        launch = _Launch(list(overrides), root, task, wants_gpu)
         for folder in (board.folder, *(Path(job.folder) for job in waiting)):
             run_folder.make(folder)
         for job in outcomes:
@@ -107,18 +112,17 @@ class _Launch:
         UserError: there is no such launcher, or it was given unknown options.
     """
 
-    def __init__(self, overrides: list[str], run_root: str, task: Jobs):
+    def __init__(self, overrides: list[str], run_root: str, task: Jobs, wants_gpu: bool):
         self.task = task
         self.outcomes: dict[Job, Outcome] = {}
         self._root = [f"run_root={composing.quoted(run_root)}"]
-        self._launcher = _launcher(overrides, self._root, task)
+        self._launcher = _launcher(overrides, self._root, task, wants_gpu)
         self._signals: list[int] = []
         self._ended = threading.Event()
 
     def run(self) -> int:
         """Returns, when all jobs have ended, the number of the signal that stopped them, or 0."""
-        before = {s: signal.signal(s, self._stop) for s in (signal.SIGINT, signal.SIGTERM)}
-        before[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        before = take(self._stop, _say)
         follower = threading.Thread(target=self._follow, daemon=True)
         follower.start()
         returned: Sequence[JobReturn] = ()
@@ -134,8 +138,7 @@ class _Launch:
         finally:
             self._ended.set()
             follower.join()
-            for number, handler in before.items():
-                signal.signal(number, handler)
+            give_back(before)
         for i, job in enumerate(self.task.jobs):
             outcome = self.task.board.outcome(job)
             if outcome is None or outcome.state == "begun":
@@ -157,8 +160,10 @@ class _Launch:
         return failed(why or "the launcher's process has gone")
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
+        if number in CLUSTER and self._signals:
+            return
         self._signals.append(number)
-        if len(self._signals) > 1:
+        if sum(one not in CLUSTER for one in self._signals) > 1:
             raise KeyboardInterrupt
         self.task.board.stop()
         _say("stopping: running jobs save checkpoints; a second signal stops at once")
@@ -177,7 +182,7 @@ class _Launch:
                 return
 
 
-def _launcher(overrides: list[str], run_root: list[str], task: Jobs) -> Launcher:
+def _launcher(overrides: list[str], run_root: list[str], task: Jobs, wants_gpu: bool) -> Launcher:
     words = [word for word in overrides if sweeps.for_hydra(word)]
     if chosen := [word for word in words if word.startswith(("hydra/sweeper", "hydra.sweeper"))]:
         raise UserError(f"{chosen[0]}: sweeps here are over lists of values; leave it out")
@@ -200,13 +205,35 @@ def _launcher(overrides: list[str], run_root: list[str], task: Jobs) -> Launcher
             )
             context = HydraContext(config_loader=hydra.config_loader, callbacks=Callbacks(config))
         options: Any = OmegaConf.to_container(config.hydra.launcher, resolve=True)
-        launcher = get_class(options.pop("_target_"))(**options)
+        kind = options.pop("_target_")
+        launcher = get_class(kind)(**options)
     except (HydraException, OmegaConfBaseException, TypeError) as error:
         raise UserError(composing.message_of(error)) from None
     finally:
         GlobalHydra.instance().hydra = backup
+    if kind.endswith(".submitit_launcher.LocalLauncher") and options["gpus_per_node"] is None:
+        # Submitit would hide all GPUs. With this they see what they would see without a launcher.
+        task = replace(task, gpus={GPUS: os.environ[GPUS]} if GPUS in os.environ else {})
+    elif wants_gpu and (option := _of_no_gpu(options)):
+        _say(
+            f"hydra.launcher.{option}={options[option]}: jobs are given no GPU, and device=auto is "
+            f"a CPU there; hydra.launcher.{option}=1 gives one"
+        )
     launcher.setup(hydra_context=context, task_function=task, config=config)
     return launcher
+
+
+def _of_no_gpu(options: Mapping[str, Any]) -> str | None:
+    """The option of a launcher by which jobs would be given GPUs, where they are given none; None
+    where they are, where a launcher gives none to anybody, and where this machine, on which the
+    jobs run, has none."""
+    asked = {name: value for name, value in options.items() if re.search("gpu|gres", name)}
+    others = str(options.get("additional_parameters"))
+    if not asked or any(asked.values()) or re.search("gpu|gres", others):
+        return None
+    if options.get("address") == "local" and not torch.cuda.is_available():
+        return None
+    return "num_gpus" if "num_gpus" in asked else "gpus_per_node"
 
 
 def _error(returned: JobReturn) -> str:

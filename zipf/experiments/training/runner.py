@@ -62,7 +62,7 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
             return 0
         stop = run.stop
         try:
-            with run, stop:
+            with stop, run:  # the end of a run is not cut short, either
                 if run.evaluation_is_due:
                     run.evaluate()
                 if run.is_new:

@@ -1,12 +1,24 @@
-"""What stops a run: Ctrl-C, SIGTERM, and the end of the sweep that it is a job of."""
+"""What stops a run: Ctrl-C, SIGTERM, what clusters send, and the end of the sweep that it is a job
+of."""
 
 from __future__ import annotations
 
 import os
 import select
 import signal
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Mapping
 from types import FrameType
+from typing import Any
+
+Handler = Callable[[int, FrameType | None], object]
+
+CLUSTER = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)
+"""Signals by which clusters say that the time of a job is over, or that its place is needed. The
+system sends the last one every second."""
+
+STOPPED = (signal.SIGINT, signal.SIGTERM, *CLUSTER)
+"""Signals that stop a run with a checkpoint."""
 
 SWEEP_PIPE = "ZIPF_SWEEP_PIPE"
 """The environment variable by which a sweep gives a job of its the reading end of a pipe. The job
@@ -18,9 +30,9 @@ class Stopped(Exception):
 
 
 class StopSignals:
-    """While this context is entered, SIGINT (Ctrl-C) and SIGTERM set `requested` to their number;
-    the second one raises KeyboardInterrupt at once. SIGHUP, of a terminal that is closed, does
-    nothing.
+    """While this context is entered, the signals of `take` set `requested` to the number of the
+    first one. A second SIGINT (Ctrl-C) or SIGTERM raises KeyboardInterrupt at once; those of
+    clusters do not, which are sent again and again.
 
     Args:
         say: told, at the first signal, what will happen.
@@ -29,6 +41,7 @@ class StopSignals:
     def __init__(self, say: Callable[[str], None]):
         self.say = say
         self._received = 0
+        self._asked = False
 
     @property
     def requested(self) -> int:
@@ -39,19 +52,45 @@ class StopSignals:
         return self._received
 
     def __enter__(self) -> StopSignals:
-        self._before = {s: signal.signal(s, self._stop) for s in (signal.SIGINT, signal.SIGTERM)}
-        self._before[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        self._before = take(self._stop, self.say)
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+        give_back(self._before)
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
-        if self._received:
+        if number in CLUSTER:
+            if not self._received:
+                self.say(f"stopping with a checkpoint: {signal.Signals(number).name}")
+        elif self._asked:
             raise KeyboardInterrupt
-        self._received = number
-        self.say("stopping with a checkpoint; a second signal stops at once")
+        else:
+            self._asked = True
+            self.say("stopping with a checkpoint; a second signal stops at once")
+        self._received = self._received or number
+
+
+def take(handler: Handler, say: Callable[[str], None]) -> dict[int, Any]:
+    """Lets a handler have SIGINT, SIGTERM and, where nobody else handles them, those of `CLUSTER`.
+    SIGHUP, of a terminal that is closed, does nothing. Python allows handlers in the main thread
+    alone; in another one this says that signals do not stop anything.
+
+    Returns what `give_back` needs.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        say("signals save no checkpoint here: this is not the main thread")
+        return {}
+    taken = [signal.SIGINT, signal.SIGTERM]
+    taken += [number for number in CLUSTER if signal.getsignal(number) is signal.SIG_DFL]
+    before: dict[int, Any] = {number: signal.signal(number, handler) for number in taken}
+    before[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    return before
+
+
+def give_back(before: Mapping[int, Any]) -> None:
+    """Restores the handlers that `take` has replaced."""
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def sweep_has_ended() -> bool:
