@@ -28,6 +28,7 @@ from zipf.envs.family import (
     questions,
     register,
     scripted,
+    sliceable,
     split,
     symmetries,
 )
