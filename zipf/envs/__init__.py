@@ -9,6 +9,7 @@ from zipf.envs.baselines import BaselineScore
 from zipf.envs.family import (
     SCRIPTED,
     EngineError,
+    EnvError,
     Family,
     Scripted,
     all_splits,
@@ -60,6 +61,7 @@ __all__ = [
     "Baseline",
     "BaselineScore",
     "EngineError",
+    "EnvError",
     "Family",
     "GymnasiumVectorEnv",
     "Mixture",

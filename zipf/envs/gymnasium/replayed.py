@@ -75,6 +75,9 @@ class ReplayedVectorEnv(ZipfVectorEnv):
         reports success."""
         return episode_return > 0
 
+    def _name_of(self, i: int) -> str:
+        return self.replayed_name
+
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         for i in np.flatnonzero(mask).tolist():
             self._begin_env(i, int(pcg64.next_double(self._streams[i]) * SEEDS))
@@ -111,6 +114,8 @@ class ReplayedVectorEnv(ZipfVectorEnv):
         for name, array in self._current.items():
             row = array[i : i + 1]
             row[0] = observation[name]
+            if array.dtype.kind == "f" and not np.isfinite(row).all():
+                raise self._not_finite(i, name, row)
             content.append(row.tobytes())
         digest = hashlib.blake2b(b"".join(content), digest_size=8).digest()
         self._digests[i] = int.from_bytes(digest, "little")

@@ -17,7 +17,16 @@ from zipf.envs.splits import Split
 from zipf.envs.vector import ZipfVectorEnv, rank_name
 from zipf.options import Options
 
-_ENV_OPTIONS = ("wrap", "codes", "success", "text_length", "vocabulary")
+_ENV_OPTIONS = (
+    "wrap",
+    "codes",
+    "image_axes",
+    "success",
+    "text_length",
+    "cut_texts",
+    "vocabulary",
+    "longest_episode",
+)
 
 
 def zipfian(
@@ -56,8 +65,8 @@ def zipfian(
         name: the family's; None: made from what the ids have in common, `minigrid` in the example.
         chance: measured chance by level name, without the family's, as `measure_chance` returns it.
         options: arguments of `gymnasium.make` for all environments.
-        envs: further arguments of `GymnasiumVectorEnv`: `wrap`, `codes`, `success`,
-            `text_length`, `vocabulary`.
+        envs: further arguments of `GymnasiumVectorEnv`: `wrap`, `codes`, `image_axes`, `success`,
+            `text_length`, `cut_texts`, `vocabulary`, `longest_episode`.
 
     Returns:
         The family, not registered.
