@@ -1,5 +1,6 @@
 """Environments of others that are not as they should be: read as they are, or refused in a line."""
 
+import copy
 import re
 import textwrap
 import warnings
@@ -11,11 +12,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from conftest import call
 from gymnasium import spaces
+from networks import compact
 
 import zipf.envs
-from zipf.agents.encoders import is_image
+from zipf.agents.encoders import Encoder, is_image
 from zipf.envs import GymnasiumVectorEnv, Mixture, family
 from zipf.evaluate import score
 from zipf.experiments.building import feasibility
@@ -57,7 +60,8 @@ class Faulty(gym.Env[Any, Any]):
         change: Any = lambda returned, step: returned,
         start: Any = lambda returned: returned,
     ) -> None:
-        self.observation_space = spaces.Box(-1, 1, (2,)) if space is None else space
+        space = spaces.Box(-1, 1, (2,)) if space is None else space
+        self.observation_space = copy.deepcopy(space)  # a space has a generator
         self.action_space = spaces.Discrete(3)
         self.change, self.start = change, start
 
@@ -477,3 +481,150 @@ def test_a_mixture_has_few_more_environments_than_it_plays() -> None:
     env.close()
     other.close()
     assert not ALIVE
+
+
+class Value:
+    """Its text is its place in memory."""
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        [np.full((3, 3), k) for k in range(5)],
+        [Value() for _ in range(5)],
+        [partial(int, k) for k in range(5)],
+        [{str(k), "a", "b"} for k in range(5)],
+        [f"{k}\n{k}" for k in range(5)],
+        [f"{k}" * 200 for k in range(5)],
+        ["a", "b", "c", "d", Value()],
+        [[k, np.ones(2)] for k in range(5)],
+    ],
+    ids=["arrays", "objects", "functions", "sets", "lines", "long", "mixed", "nested"],
+)
+def test_values_without_a_text_are_called_by_their_ranks(values: Any, tmp_path: Path) -> None:
+    made = faulty(over=values, order="reversed", space=spaces.Discrete(2))
+    assert made.levels[4:] == tuple(f"kind_{k}" for k in (4, 3, 2, 1, 0))
+    env = zipf.envs.make_vec("faulty/uniform", 20)
+    info = env.reset(seed=0)[1]
+    assert info["kind_name"].tolist() == [f"kind_{k}" for k in info["kind"]]
+    if not isinstance(values[0], np.ndarray):
+        return
+    assert train(tmp_path, "updates=1").returncode == 0
+    del family._FAMILIES["faulty"]
+    faulty(over=[one.copy() for one in values], order="reversed", space=spaces.Discrete(2))
+    ended = train(tmp_path)
+    assert "resumes at update 1" in ended.stdout, ended.stderr
+    reported = call("runs", module="zipf.report", folder=tmp_path)
+    assert reported.returncode == 0, reported.stderr
+
+
+def test_values_with_a_text_are_called_by_it() -> None:
+    values = [0.5, "a, b", (5, 5), np.int64(3), ["SF", "FG"]]
+    named = [f"kind_{one}" for one in ("0.5", "a, b", "(5, 5)", "3", "['SF', 'FG']")]
+    assert list(faulty(over=values).levels[4:]) == named
+
+
+NESTED = spaces.Dict(
+    arm=spaces.Dict(angle=spaces.Box(-1, 1, (2,)), on=spaces.Box(0, 1, (3,), np.bool_)),
+    pair=spaces.Tuple((spaces.Discrete(3), spaces.Discrete(4))),
+    keys=spaces.Box(-1, 1, (1,)),
+)
+
+
+def test_stable_baselines3_reads_nested_observations() -> None:
+    adapter = pytest.importorskip("zipf.adapters.stable_baselines3")
+    from stable_baselines3 import PPO
+
+    faulty(space=NESTED)
+    env = adapter.ZipfVecEnv(zipf.envs.make_vec("faulty/zipf_1", 2))
+    assert set(env.observation_space) == {"arm_angle", "arm_on", "keys_", "pair_0", "pair_1"}
+    model = PPO("MultiInputPolicy", env, n_steps=8, batch_size=8, n_epochs=1, device="cpu")
+    model.learn(16)
+    assert 0 <= score(adapter.policy(model), "faulty", episodes=4)["rare"] <= 5
+    observation = env.reset()
+    assert observation.keys() == env.observation_space.keys()
+    ended = next(info for _ in range(6) for info in [env.step([0, 0])[3][0]] if info)
+    assert ended["terminal_observation"].keys() == env.observation_space.keys()
+
+
+def test_normalising_leaves_the_batchs_own_spaces() -> None:
+    adapter = pytest.importorskip("zipf.adapters.stable_baselines3")
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    faulty(space=spaces.Dict(eye=spaces.Box(0, 255, (36, 36, 3), np.uint8)))
+    env = zipf.envs.make_vec("faulty/zipf_1", 2)
+    before = copy.deepcopy(env.single_observation_space), copy.deepcopy(env.observation_space)
+    wrapped = VecNormalize(adapter.ZipfVecEnv(env))
+    assert wrapped.observation_space != before[0]
+    assert (env.single_observation_space, env.observation_space) == before
+
+
+def test_torchscript_reads_nested_observations(tmp_path: Path) -> None:
+    from zipf.adapters import torchscript
+
+    class Reads(torch.nn.Module):
+        def forward(self, arm_angle: torch.Tensor, pair_0: torch.Tensor) -> torch.Tensor:
+            assert arm_angle.shape[1] == 2
+            return torch.stack([arm_angle[:, 0] * 0 + pair_0 * 0 + k for k in (0, 99, 0)], 1)
+
+    torch.jit.script(Reads()).save(tmp_path / "reads.pt")
+    faulty(space=NESTED)
+    assert score(torchscript.policy(tmp_path / "reads.pt"), "faulty", episodes=4)["rare"] == 5
+
+
+def test_names_that_are_the_same_with_underscores_are_refused() -> None:
+    from zipf.adapters.networks import with_underscores
+
+    with pytest.raises(ValueError, match=r"the observations 'a.b', 'a_b' would have the same name"):
+        with_underscores(["a.b", "a_b", "c"], r"\.")
+
+
+class Wide(zipf.envs.ZipfVectorEnv):
+    """A family's own batch with an odd part."""
+
+    def __init__(self, num_envs: int, space: spaces.Space, **options: Any) -> None:
+        super().__init__(
+            num_envs,
+            single_observation_space=spaces.Dict(part=space),
+            single_action_space=spaces.Discrete(2),
+            situation={},
+            **options,
+        )
+
+    def _begin(self, mask: Any, forced: Any) -> None: ...
+
+    def _advance(self, actions: Any, mask: Any) -> Any:
+        none = np.zeros(self.num_envs, np.bool_)
+        return np.zeros(self.num_envs), none, self._lengths >= 3, none
+
+    def _observe(self, out: Any, mask: Any) -> None: ...
+
+    def _situations(self) -> Any:
+        return {}
+
+    def _get_env_states(self) -> Any:
+        return {}
+
+    def _set_env_states(self, state: Any) -> None: ...
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.uint32, np.uint64, np.longdouble])
+def test_torchrl_names_dtypes_that_it_has_not(dtype: Any) -> None:
+    adapter = pytest.importorskip("zipf.adapters.torchrl")
+    env = Wide(2, spaces.Box(0, 9, (2,), dtype), autoreset_mode="Disabled")
+    with pytest.raises(ValueError, match=f"observation 'part' is {np.dtype(dtype)}, of which"):
+        adapter.torchrl_env(env)
+
+
+@pytest.mark.parametrize(
+    ("space", "message"),
+    [
+        (spaces.Box(0, 255, (4, 84, 84), np.uint8), "give an image as uint8"),
+        (spaces.Box(0, 255, (84, 84), np.uint8), "give an image as uint8"),
+        (spaces.Box(0, 1, (10, 10, 4), np.bool_), "give an image as uint8"),
+        (spaces.Box(0, 9, (2,), np.uint64), "which is uint64: give it as one of bool, uint8"),
+    ],
+)
+def test_agents_refuse_what_they_would_read_otherwise(space: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Encoder(spaces.Dict(part=space), compact())

@@ -225,7 +225,8 @@ def is_image(space: gym.Space) -> bool:
 def _check_readable(name: str, space: gym.Space) -> None:
     """Raises ValueError for a part whose numbers PyTorch has not, or that may be an image with
     other axes."""
-    if space.dtype is not None and space.dtype not in DTYPES:
+    numbers = gym.spaces.Box | gym.spaces.Discrete | gym.spaces.MultiDiscrete
+    if isinstance(space, numbers) and space.dtype not in DTYPES:
         raise ValueError(
             f"no encoder reads {name!r} of the observations, which is {space.dtype}: give it as "
             f"one of {', '.join(dtype.name for dtype in DTYPES)}"
