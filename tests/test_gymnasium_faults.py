@@ -628,3 +628,38 @@ def test_torchrl_names_dtypes_that_it_has_not(dtype: Any) -> None:
 def test_agents_refuse_what_they_would_read_otherwise(space: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Encoder(spaces.Dict(part=space), compact())
+
+
+@pytest.mark.parametrize(
+    ("space", "part"),
+    [
+        (spaces.Discrete(10**12), "'observation' is Discrete(1000000000000)"),
+        (spaces.Discrete(2**62), "'observation' is Discrete("),
+        (spaces.MultiDiscrete([3, 10**12]), "'observation' is MultiDiscrete("),
+    ],
+)
+def test_it_is_said_which_observation_has_too_many_codes(
+    space: Any, part: str, tmp_path: Path
+) -> None:
+    faulty(space=space)
+    one_line(train(tmp_path), part, "embeddings of so many codes take")
+
+
+def test_it_is_said_that_there_are_too_many_actions(tmp_path: Path) -> None:
+    def wrap(env: gym.Env) -> gym.Env:
+        return gym.wrappers.TransformAction(env, lambda action: action, spaces.Discrete(10**12))
+
+    faulty(wrap=wrap)
+    one_line(train(tmp_path), "Discrete(1000000000000) are too many actions")
+
+
+@pytest.mark.parametrize("id", ["zipf/Gridworld-v0", "zipf/Playroom-v0"])
+def test_make_vec_takes_gymnasiums_time_limit(id: str) -> None:
+    env = gym.make_vec(id, num_envs=2, max_episode_steps=3)
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(2, np.int64))[2:4] for _ in range(3)]
+    assert np.any(ends, (0, 1)).all()
+    gym.make_vec(id, num_envs=2, max_episode_steps=-1)
+    with pytest.raises(ValueError, match="max_episode_steps must be a whole number"):
+        gym.make_vec(id, max_episode_steps="3")
+    assert gym.spec(id).to_json()

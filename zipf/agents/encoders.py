@@ -84,8 +84,8 @@ class CodeEncoder(nn.Module):
 
     def __init__(self, parts: list[gym.Space], options: NetworkOptions):
         super().__init__()
-        counts, offsets = zip(*(_codes(space) for space in parts), strict=True)
-        offsets = np.concatenate(offsets)
+        counts = [number_of_codes(space) for space in parts]
+        offsets = np.concatenate([_offsets(space) for space in parts])
         self.size = options.code_size
         self.register_buffer("offsets", torch.tensor(offsets, dtype=torch.int32), persistent=False)
         self.embed = nn.Embedding(max(counts), options.code_channels)
@@ -96,14 +96,23 @@ class CodeEncoder(nn.Module):
         return self.mix(self.embed(codes).relu().flatten(1)).relu()
 
 
-def _codes(space: gym.Space) -> tuple[int, np.ndarray]:
-    """How many codes a part has, and the least code of each of its entries, int64 [entries]."""
+def number_of_codes(space: gym.Space) -> int:
+    """How many codes a part has that `is_codes`."""
     if isinstance(space, gym.spaces.Discrete):
-        return int(space.n), np.array([space.start])
+        return int(space.n)
     if isinstance(space, gym.spaces.MultiDiscrete):
-        return int(space.nvec.max()), space.start.reshape(-1)
+        return int(space.nvec.max())
     assert isinstance(space, gym.spaces.Box)
-    return int(space.high.max()) + 1, np.zeros(space.low.size, np.int64)
+    return int(space.high.max()) + 1
+
+
+def _offsets(space: gym.Space) -> np.ndarray:
+    """The least code of each entry of a part, int64 [entries]."""
+    if isinstance(space, gym.spaces.Discrete):
+        return np.array([space.start])
+    if isinstance(space, gym.spaces.MultiDiscrete):
+        return space.start.reshape(-1)
+    return np.zeros(math.prod(space.shape or ()), np.int64)
 
 
 class VectorEncoder(nn.Module):
