@@ -84,12 +84,12 @@ def gymnasium_env(pause: turns.Pause, env: Any, look: Callable[[], Any] | None =
         pause(64)
 
 
-def zipf_alone(pause: turns.Pause, level: str, **options: Any) -> None:
+def zipf_alone(pause: turns.Pause, id: str, **options: Any) -> None:
     import gymnasium as gym
 
     import zipf.envs  # noqa: F401  registers them
 
-    gymnasium_env(pause, gym.make(f"zipf/{level}", **options))
+    gymnasium_env(pause, gym.make(f"zipf/{id}", **options))
 
 
 def minigrid(pause: turns.Pause) -> None:
@@ -171,9 +171,9 @@ def batch(level: str, num_envs: int, steps: int, **options: Any) -> Entry:
     return Entry(name, None, lambda pause: zipf_batch(pause, level, num_envs, steps, **options))
 
 
-def alone(level: str, **options: Any) -> Entry:
-    name = f"zipf {level.partition('-')[0].lower()}, gym.make"
-    return Entry(name, None, lambda pause: zipf_alone(pause, level, **options))
+def alone(id: str, **options: Any) -> Entry:
+    name = f"zipf {id.partition('-')[0].lower()}, gym.make"
+    return Entry(name, None, lambda pause: zipf_alone(pause, id, **options))
 
 
 def three_dimensional(**options: Any) -> Iterator[Entry]:

@@ -53,7 +53,7 @@ def family(name: str) -> list[str]:
         ("Actions", code(str(batch.single_action_space))),
         ("Situation", _situation(batch.situation)),
         ("One env, a batch", f"{_path(single)}, {_path(of_a_level)}"),
-        ("Scripted players", ", ".join(code(one) for one in envs.SCRIPTED if getattr(found, one))),
+        ("Scripted policies", ", ".join(code(one) for one in envs.SCRIPTED if getattr(found, one))),
         ("Says what an episode asks for", _yes(found.goal is not None)),
         ("Tells what an episode achieved", _yes(batch.achieves)),
         ("Has symmetries", _yes(found.symmetries is not None)),

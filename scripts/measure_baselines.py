@@ -9,7 +9,7 @@ read, and `results/<family>_baselines.md`, which `make results` copies into the 
 exact is not measured. A scripted policy is measured where the family has it in `baselines` and
 `zipf.envs` has a function of the baseline's name that makes it, as `zipf.envs.expert` does.
 
-Every draw comes from fixed seeds. Images are of a few pixels: no player looks at them.
+Every draw comes from fixed seeds. Images are of a few pixels: no policy looks at them.
 """
 
 import argparse
@@ -73,7 +73,7 @@ def to_measure(family: str) -> Measured:
 
 
 def measurable(family: str) -> list[str]:
-    """The baselines of a family that have a player and are not known exactly."""
+    """The baselines of a family that have a policy and are not known exactly."""
     found = []
     for name in envs.find_family(family).baselines:
         if name == "chance" or hasattr(envs, name):
@@ -164,7 +164,7 @@ def page(family: str, found: Figures) -> str:
     meanings = " ".join(f"{one.title}: {one.meaning}." for one in known)
     text = (
         f"Mean returns of an episode ± standard error, measured at {commits}. {meanings} Scripted "
-        "players are no upper bound."
+        "policies are no upper bound."
     )
     if published:
         text += (

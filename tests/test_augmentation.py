@@ -13,7 +13,12 @@ from zipf.agents.hindsight import AchievedOptions
 from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.playroom.actions import ACTIONS, TURN_LEFT, TURN_RIGHT
 from zipf.envs.policies import Teacher
-from zipf.experiments.hooks.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.hooks.augmentation import (
+    UNCHANGED,
+    Draws,
+    RandomAugmentation,
+    RandomAugmentationOptions,
+)
 from zipf.experiments.hooks.labels import Labels
 from zipf.experiments.hooks.relabelling import Hindsight
 from zipf.experiments.training.collector import Collector
@@ -36,22 +41,28 @@ def random_images(n, shape=(6, 8, 3)):
     return np.random.default_rng(0).integers(1, 256, (n, *shape), dtype=np.uint8)
 
 
+def shown(augmentation, observation, draw):
+    """Observations {name: [N, ...]} as arrays, changed."""
+    parts = {name: torch.from_numpy(part) for name, part in observation.items()}
+    changed = augmentation(parts, torch.from_numpy(draw))
+    return {name: part.numpy() for name, part in changed.items()}
+
+
 @pytest.mark.parametrize("more", [{}, {"scale": [0.4, 2.5]}], ids=["as large", "scaled"])
 def test_images_are_changed_as_the_options_say(more):
-    """Each pixel by its definition; the envs outside of the mask as they were."""
+    """Each pixel by its definition, in a copy; a draw of zeros, which stands for no frame, and that
+    which changes nothing leave zeros and the image as they are."""
     n = 40
-    chosen = options(channels=True, shift=2, cutout=3, **more)
-    augmentation = Augmentation(chosen, IMAGE, n, seed=0)
-    augmentation.begin(everywhere(n))
-    before, mask = random_images(n), np.arange(n) % 4 > 0
-    image = before.copy()
-    augmentation.observe({"image": image}, mask)
-    state = augmentation.state_dict()
-    assert np.array_equal(image[~mask], before[~mask])
-    for i in np.flatnonzero(mask):
-        down, right = state["shift"][i]
-        top, left = (state["centre"][i] * (6, 8)).astype(int) - 1
-        scale = state["scale"][i]
+    chosen = options(channels=True, shift=2, **more)
+    augmentation = RandomAugmentation(chosen.model_copy(update={"cutout": 3}), IMAGE)
+    draw = augmentation.draw(np.random.default_rng(0), n)
+    order, shift = draw[:, 1:4].astype(int), draw[:, 4:6].astype(int)
+    before = random_images(n)
+    image = shown(augmentation, {"image": before}, draw)["image"]
+    assert np.array_equal(before, random_images(n))
+    for i in range(n):
+        (down, right), scale = shift[i], draw[i, 6]
+        top, left = (draw[i, 7:] * (6, 8)).astype(int) - 1
         for r, c, k in itertools.product(range(6), range(8), range(3)):
             if top <= r < top + 3 and left <= c < left + 3:
                 assert image[i, r, c, k] == 0
@@ -59,29 +70,52 @@ def test_images_are_changed_as_the_options_say(more):
                 # From the image's centre, so many pixels times the scale are seen before the shift.
                 row = np.clip(np.round((r - down - 2.5) / scale + 2.5), 0, 5).astype(int)
                 column = np.clip(np.round((c - right - 3.5) / scale + 3.5), 0, 7).astype(int)
-                assert image[i, r, c, k] == before[i, row, column, state["order"][i, k]]
-    assert len(np.unique(state["order"], axis=0)) == 6
-    assert set(state["shift"].ravel()) == {-2, -1, 0, 1, 2}
+                assert image[i, r, c, k] == before[i, row, column, order[i, k]]
+    assert len(np.unique(order, axis=0)) == 6
+    assert set(shift.ravel()) == {-2, -1, 0, 1, 2}
     least, largest = chosen.scale
-    assert least <= state["scale"].min() <= state["scale"].max() <= largest
-    assert (state["scale"] <= 1).mean() > 0.3  # on a logarithmic scale half of them
+    assert least <= draw[:, 6].min() <= draw[:, 6].max() <= largest
+    assert (draw[:, 6] <= 1).mean() > 0.3  # on a logarithmic scale half of them
+
+    augmentation = RandomAugmentation(chosen, IMAGE)
+    same = shown(augmentation, {"image": before}, UNCHANGED.repeat(n, 0))["image"]
+    assert np.array_equal(same, before)
+    nothing = {"image": np.zeros_like(before)}
+    assert not shown(augmentation, nothing, np.zeros_like(draw))["image"].any()
+
+
+def test_frames_of_an_unroll_are_changed_as_single_frames_are():
+    augmentation = RandomAugmentation(options(channels=True, shift=2), IMAGE)
+    draw = augmentation.draw(np.random.default_rng(0), 12)
+    images = random_images(12)
+    single = shown(augmentation, {"image": images}, draw)["image"]
+    unroll = {"image": torch.from_numpy(images).view(4, 3, 6, 8, 3).transpose(0, 1)}
+    together = augmentation(unroll, torch.from_numpy(draw).view(4, 3, 9).transpose(0, 1))
+    assert np.array_equal(together["image"].transpose(0, 1).reshape(12, 6, 8, 3).numpy(), single)
+
+
+def drawn(draws, n):
+    fields = {"draw": torch.zeros(n, 9, dtype=torch.float64)}
+    draws.show(fields)
+    return fields["draw"].numpy()
 
 
 def test_draws_last_for_an_episode():
-    augmentation = Augmentation(options(channels=True), IMAGE, 50, seed=0)
-    augmentation.begin(everywhere(50))
-    before = augmentation.state_dict()
-    some = np.arange(50) < 25
-    augmentation.begin(some)
-    after = augmentation.state_dict()
-    assert np.array_equal(after["order"][~some], before["order"][~some])
-    assert not np.array_equal(after["order"][some], before["order"][some])
-    other = Augmentation(options(channels=True), IMAGE, 50, seed=1)
-    del after["scale"]  # as before images were scaled
-    other.load_state_dict(after)
-    for one in (augmentation, other):
-        one.begin(everywhere(50))
-    assert np.array_equal(other.state_dict()["order"], augmentation.state_dict()["order"])
+    augmentation = RandomAugmentation(options(channels=True), IMAGE)
+    draws = Draws(augmentation, 50, seed=0)
+    draws.begin({}, torch.ones(50, dtype=torch.bool))
+    before = drawn(draws, 50)
+    some = torch.arange(50) < 25
+    draws.begin({}, some)
+    after = drawn(draws, 50)
+    assert np.array_equal(after[~some], before[~some])
+    assert not np.array_equal(after[some], before[some])
+    other = Draws(augmentation, 50, seed=1)
+    other.load_state_dict(draws.state_dict())
+    assert np.array_equal(drawn(other, 50), after)
+    for one in (draws, other):
+        one.begin({}, torch.ones(50, dtype=torch.bool))
+    assert np.array_equal(drawn(other, 50), drawn(draws, 50))
 
 
 @pytest.mark.parametrize("split", SPLITS, ids=lambda split: split.name)
@@ -192,60 +226,74 @@ def test_a_mirrored_playroom_is_turned_the_other_way():
     assert named["MOVE_LEFT_SLIGHTLY"] == "MOVE_RIGHT_SLIGHTLY"
 
 
-def test_the_collector_shows_and_acts_through_the_augmentation():
-    """A twin batch that is given the envs' actions shows, once augmented, what is in the unroll;
-    labels and final observations are the agent's, too; saved and loaded it goes on alike."""
+def augmented_agent(augmentation):
+    agent = build()[0]
+    agent.augmentation = augmentation
+    return agent
+
+
+def test_the_collector_shows_and_acts_through_the_augmentation(monkeypatch):
+    """A twin batch that is given the envs' actions shows what is in the unroll, and, once changed,
+    what the agent was given; labels and final observations are the agent's, too; saved and loaded
+    it goes on alike."""
     n, steps = 16, 40
     env = envs.make_vec("gridworld/uniform", n, max_steps=7)
     split = envs.split("gridworld")
-
-    def augmentation(seed):
-        chosen = options(symmetries=True, channels=True)
-        space, symmetries = env.single_observation_space, envs.symmetries(split, env)
-        return Augmentation(chosen, space, n, seed=seed, symmetries=symmetries)
-
-    first = augmentation(3)
-    collector = Collector(
-        env,
-        build()[0],
-        unroll_length=steps,
-        seed=0,
-        augmentation=first,
-        hooks=[Labels(Teacher("expert", split, env), 0.0, first)],
+    space, symmetries = env.single_observation_space, envs.symmetries(split, env)
+    chosen = options(symmetries=True, channels=True)
+    augmentation = RandomAugmentation(chosen, space, symmetries=symmetries)
+    agent, given, valued = augmented_agent(augmentation), [], []
+    act, value = agent.act, agent.value
+    monkeypatch.setattr(agent, "act", lambda inputs, *a: (given.append(inputs), act(inputs, *a))[1])
+    monkeypatch.setattr(
+        agent, "value", lambda inputs, m: (valued.append(inputs), value(inputs, m))[1]
     )
+    labels = Labels(Teacher("expert", split, env), 0.0, augmentation)
+    hooks = [Draws(augmentation, n, seed=3), labels]
+    collector = Collector(env, agent, unroll_length=steps, seed=0, hooks=hooks)
     twin = envs.make_vec("gridworld/uniform", n, max_steps=7)
-    shown, expert = augmentation(3), envs.expert("gridworld/uniform", twin)
+    draws, expert = Draws(augmentation, n, seed=3), envs.expert("gridworld/uniform", twin)
     observation, _ = twin.reset(seed=0)
-    shown.begin(everywhere(n))
-    unroll = collector.collect().steps
+    draws.begin({}, torch.ones(n, dtype=torch.bool))
+    unroll = collector.collect()
+    rows = unroll.steps
     for t in range(steps):
-        expected = {"image": observation["image"].copy()}
-        shown.observe(expected, everywhere(n))
-        assert np.array_equal(unroll["observation", "image"][t].numpy(), expected["image"])
-        assert np.array_equal(unroll["label"][t].numpy(), shown.from_envs(expert()))
-        actions = unroll["action"][t].numpy()
-        assert np.array_equal(shown.from_envs(shown.to_envs(actions)), actions)
-        observation, reward, terminated, truncated, _ = twin.step(shown.to_envs(actions))
-        assert np.array_equal(unroll["reward"][t].numpy(), reward)
-        shown.begin(terminated | truncated)
-    assert unroll["truncated"].any()
+        draw, image = drawn(draws, n), observation["image"].copy()
+        assert np.array_equal(rows["observation", "image"][t].numpy(), image)
+        assert np.array_equal(rows["draw"][t].numpy(), draw)
+        expected = shown(augmentation, {"image": image}, draw)["image"]
+        assert np.array_equal(given[t].observation["image"].numpy(), expected)
+        assert np.array_equal(rows["label"][t].numpy(), augmentation.to_agent(expert(), draw))
+        actions = rows["action"][t].numpy()
+        played = augmentation.to_env(actions, draw)
+        assert np.array_equal(augmentation.to_agent(played, draw), actions)
+        observation, reward, terminated, truncated, info = twin.step(played)
+        assert np.array_equal(rows["reward"][t].numpy(), reward)
+        if truncated.any():
+            final = {"image": info["final_obs"]["image"][truncated]}
+            expected = shown(augmentation, final, draw[truncated])["image"]
+            assert np.array_equal(valued.pop(0).observation["image"].numpy(), expected)
+        draws.begin({}, torch.from_numpy(terminated | truncated))
+    assert rows["truncated"].any()
+    seen = unroll.changed(augmentation).steps["observation", "image"]
+    assert torch.equal(seen[:-1], torch.stack([one.observation["image"] for one in given]))
 
     state = collector.state_dict()
     following = collector.collect().steps.clone()
     collector.load_state_dict(state)
-    assert torch.equal(
-        collector.collect().steps["observation", "image"], following["observation", "image"]
-    )
+    again = collector.collect().steps
+    for name in (("observation", "image"), "draw", "action"):
+        assert torch.equal(again[name], following[name])
 
 
 def test_what_cannot_be_augmented_is_refused():
     with pytest.raises(ValueError, match="declare no symmetries"):
-        Augmentation(options(symmetries=True), IMAGE, 2, seed=0)
+        RandomAugmentation(options(symmetries=True), IMAGE)
     codes = gym.spaces.Dict(codes=gym.spaces.MultiDiscrete([3, 3]))
     with pytest.raises(ValueError, match=r"shift: the observations have no image; choose 0"):
-        Augmentation(options(shift=1), codes, 2, seed=0)
+        RandomAugmentation(options(shift=1), codes)
     with pytest.raises(ValueError, match="changes nothing"):
-        Augmentation(options(), IMAGE, 2, seed=0)
+        RandomAugmentation(options(), IMAGE)
     with pytest.raises(ValueError, match="should not be larger"):
         options(scale=[2, 1])
 
@@ -257,7 +305,8 @@ def test_hindsight_relabels_what_the_augmentation_shows():
     split, env = envs.split("gridworld"), envs.make_vec("gridworld/uniform", n)
     chosen = options(symmetries=True, channels=True)
     space, symmetries = env.single_observation_space, envs.symmetries(split, env)
-    augmentation = Augmentation(chosen, space, n, seed=3, symmetries=symmetries)
+    augmentation = RandomAugmentation(chosen, space, symmetries=symmetries)
+    draws = Draws(augmentation, n, seed=3)
     relabelling = AchievedOptions(
         name="achieved", episodes=100, length=None, kept_per_goal=None, reward=1.0,
         advantage="none", policy_cost=1.0, value_cost=0.0, fade=None,
@@ -265,13 +314,12 @@ def test_hindsight_relabels_what_the_augmentation_shows():
     goal = envs.goal("gridworld/uniform", env)
     collector = Collector(
         env,
-        build()[0],
+        augmented_agent(augmentation),
         unroll_length=steps,
         seed=0,
-        augmentation=augmentation,
-        hooks=[Hindsight(relabelling, goal, env, seed=0, augmentation=augmentation)],
+        hooks=[draws, Hindsight(relabelling, goal, env, seed=0, draws=draws)],
     )
-    unroll = collector.collect()
+    unroll = collector.collect().changed(augmentation)
     episodes = unroll.episodes
     assert episodes is not None
     seen = unroll.steps["observation", "image"].numpy()

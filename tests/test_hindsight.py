@@ -31,7 +31,11 @@ from zipf.experiments.building import loading
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.hooks import relabelling
-from zipf.experiments.hooks.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.hooks.augmentation import (
+    Draws,
+    RandomAugmentation,
+    RandomAugmentationOptions,
+)
 from zipf.experiments.hooks.goal_memory import GoalMemory
 from zipf.experiments.hooks.labels import Labels
 from zipf.experiments.hooks.relabelling import RELABELLINGS, Hindsight
@@ -59,18 +63,14 @@ def impala_of(env):
 
 
 def collector_of(options=OPTIONS, seed=0, observation="tiles", augmentation=None):
-    worlds = {"observation": observation, "max_steps": 80}
-    env = envs.make_vec(LEVEL, ENVS, **worlds)
+    env = envs.make_vec(LEVEL, ENVS, observation=observation, max_steps=80)
+    agent, draws = impala_of(env), None
+    if augmentation is not None:
+        agent.augmentation, draws = augmentation, Draws(augmentation, ENVS, seed=3)
     goal = envs.goal(LEVEL, env)
-    hook = RELABELLINGS.build(options, goal, env, seed=seed, augmentation=augmentation)
-    return Collector(
-        env,
-        impala_of(env),
-        unroll_length=STEPS,
-        seed=seed,
-        hooks=[] if hook is None else [hook],
-        augmentation=augmentation,
-    )
+    relabelling = RELABELLINGS.build(options, goal, env, seed=seed, draws=draws)
+    hooks = [hook for hook in (draws, relabelling) if hook is not None]
+    return Collector(env, agent, unroll_length=STEPS, seed=seed, hooks=hooks)
 
 
 def episode_of(episodes, e):
@@ -214,30 +214,34 @@ def test_the_last_episodes_of_each_goal_are_kept_and_goals_are_drawn_alike():
     assert chisquare(counts, expected).pvalue > 1e-3
 
 
+def played(augmentation, fields):
+    """The envs' actions of an episode of the memory."""
+    return augmentation.to_env(fields["action"], fields["draw"])
+
+
 def test_kept_episodes_are_the_worlds_own_and_are_augmented_when_drawn():
     """What is kept is what an env shows that has the goal, under the kept actions; what is drawn
     is that under one of the symmetries, with the actions that belong to it."""
     env = envs.make_vec(LEVEL, ENVS, observation="tiles", max_steps=80)
     symmetries = envs.symmetries(envs.split("gridworld"), env)
-    augmentation = Augmentation(
+    augmentation = RandomAugmentation(
         RandomAugmentationOptions(
             name="random", symmetries=True, channels=False, shift=0, cutout=0
         ),
         env.single_observation_space,
-        ENVS,
-        seed=3,
         symmetries=symmetries,
     )
     options = OPTIONS.model_copy(update={"episodes": 20, "kept_per_goal": 2})
     collector = collector_of(options, augmentation=augmentation)
     kept, add = [], collector.hooks[-1]._memory.add
     collector.hooks[-1]._memory.add = lambda goal, one: (kept.append(one), add(goal, one))
-    drawn = collector.collect().episodes
+    drawn = collector.collect().changed(augmentation).episodes
     everywhere = envs.make_vec(LEVEL, 400, observation="tiles", max_steps=80)
     situations = {"map": np.repeat(np.arange(20), 20), "target": np.tile(np.arange(20), 20)}
-    for observation, fields in kept:
-        actions = fields["action"]
-        assert fields["previous_action"].tolist() == [-1, *actions[:-1]]
+    kept = [(observation, fields, played(augmentation, fields)) for observation, fields in kept]
+    for observation, fields, actions in kept:
+        before = fields["previous_action"]
+        assert augmentation.to_env(before, fields["draw"]).tolist() == [-1, *actions[:-1]]
         shown, _ = everywhere.reset(seed=0, options=situations)
         same = np.ones(400, np.bool_)
         for t, action in enumerate(actions):
@@ -253,16 +257,16 @@ def test_kept_episodes_are_the_worlds_own_and_are_augmented_when_drawn():
     for e in range(20):
         episode = episode_of(drawn, e)
         found = set()
-        for observation, fields in kept:
+        for observation, _, actions in kept:
             for k in range(symmetries.count):
-                if len(fields["action"]) != len(episode):
+                if len(actions) != len(episode):
                     continue
                 changed = {name: part.copy() for name, part in observation.items()}
                 rows = len(episode)
                 symmetries(changed, np.full(rows, k), np.ones(rows, np.bool_))
                 if (
                     all(np.array_equal(changed[n], episode["observation", n]) for n in changed)
-                    and inverse[k][fields["action"]].tolist() == episode["action"].tolist()
+                    and inverse[k][actions].tolist() == episode["action"].tolist()
                 ):
                     found.add(k)
         assert found

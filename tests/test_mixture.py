@@ -446,7 +446,7 @@ def test_mixtures_are_levels_of_mixtures() -> None:
     ("options", "message"),
     [
         ({"level_options": {"rare": 3}}, r"level_options\['rare'\] must be a mapping, got 3"),
-        ({"draw": "steps"}, "draw must be 'envs' or 'resets', got 'steps'"),
+        ({"draw": "steps"}, "draw must be 'worlds' or 'resets', got 'steps'"),
         ({"exponent": None}, "draw='resets' needs either exponent or probabilities"),
         ({"probabilities": [1, 1, 1, 1]}, "needs either exponent or probabilities"),
         ({"exponent": -1}, "exponent of Zipf's law must be finite and >= 0, got -1"),

@@ -64,6 +64,7 @@ def test_a_full_device_does_not_end_a_run_and_is_told_once(tmp_path: Path) -> No
     assert finished(tmp_path)
 
 
+@pytest.mark.slow  # two processes
 def test_a_report_is_written_whatever_becomes_of_its_output(tmp_path: Path) -> None:
     """Its dashes are no ASCII."""
     folder = str(PACKAGE / "results" / "demo")

@@ -136,6 +136,7 @@ def forgotten(monkeypatch):
 TRAIN = ("--config-dir", "my_configs", "plugins=[my_worlds]", "experiment=counting")
 
 
+@pytest.mark.slow  # four processes
 def test_a_family_of_ones_own_is_trained_resumed_scored_and_reported(folder, forgotten):
     first = run(*TRAIN, "condition=eager", "updates=2", folder=folder)
     assert first.returncode == 0, first.stderr

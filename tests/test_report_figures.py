@@ -319,6 +319,7 @@ def test_more_rows_than_styles(tmp_path: Path) -> None:
 CELLS = [f"300,uniform,{m},{t},10,5,5.0" for m in range(5) for t in range(5)]
 
 
+@pytest.mark.slow
 def test_figures_keep_their_text_inside(tmp_path: Path) -> None:
     names = ["impala_mlp,agent.learning_rate=0.001,network=w"]
     for condition in [*ROWS, *(f"condition{number}" for number in range(4)), *names]:
@@ -375,6 +376,7 @@ def test_situations_with_other_ranks(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("format", ["pdf", "svg"])
 def test_plots_in_vector_formats(tmp_path: Path, format: Literal["pdf", "svg"]) -> None:
     """The same bytes each time; they replace those of the earlier report, and it theirs."""

@@ -24,7 +24,11 @@ from zipf.envs.single import SingleEnv
 from zipf.envs.testing import check_vector_env
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
-from zipf.experiments.hooks.augmentation import Augmentation, RandomAugmentationOptions
+from zipf.experiments.hooks.augmentation import (
+    Draws,
+    RandomAugmentation,
+    RandomAugmentationOptions,
+)
 from zipf.experiments.hooks.relabelling import Hindsight
 from zipf.experiments.training.collector import Collector
 
@@ -278,7 +282,8 @@ def test_relabelled_questions_tell_where_the_named_object_is(kept, augmented):
         name="achieved", episodes=100, length=None, kept_per_goal=kept, reward=1.0,
         advantage="none", policy_cost=1.0, value_cost=0.0, fade=None, matching_cost=1.0,
     )  # fmt: skip
-    env, augmentation = Painted(20, level), None
+    env, draws = Painted(20, level), None
+    agent = classifier(env)
     if augmented:
         changes = RandomAugmentationOptions(
             name="random", symmetries=True, channels=False, shift=12, cutout=0, scale=[0.4, 1.4]
@@ -286,13 +291,14 @@ def test_relabelled_questions_tell_where_the_named_object_is(kept, augmented):
         space, symmetries = (
             env.single_observation_space, envs.symmetries(envs.split("playroom_find"), env)
         )  # fmt: skip
-        augmentation = Augmentation(changes, space, 20, seed=0, symmetries=symmetries)
+        agent.augmentation = RandomAugmentation(changes, space, symmetries=symmetries)
+        draws = Draws(agent.augmentation, 20, seed=0)
     goal = envs.goal(f"playroom/{level}", env)
-    hook = Hindsight(options, goal, env, seed=1, augmentation=augmentation)
-    collector = Collector(
-        env, classifier(env), unroll_length=10, seed=1, hooks=[hook], augmentation=augmentation
-    )
-    questions = collector.collect().episodes
+    hooks = [Hindsight(options, goal, env, seed=1, draws=draws)]
+    if draws is not None:
+        hooks.insert(0, draws)
+    collector = Collector(env, agent, unroll_length=10, seed=1, hooks=hooks)
+    questions = collector.collect().changed(agent.augmentation).episodes
     toys = FirstFrameVectorEnv(50, level)
     frames, _ = toys.reset(seed=0, options={"target": np.arange(50), "other": 0})
     rank_of = {words.tobytes(): rank for rank, words in enumerate(frames["instruction"])}

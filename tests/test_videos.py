@@ -153,7 +153,7 @@ def test_worlds_without_success_or_situation(
         setattr(env, attribute, value)
         return env
 
-    monkeypatch.setattr(recorder, "_worlds", without)
+    monkeypatch.setattr(recorder, "_envs", without)
     told = refusal(capsys, str(run), "videos=gif")
     assert f"the envs of {run.as_posix()} {message}" in told
     assert not (run / "videos").exists()

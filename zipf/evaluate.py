@@ -100,7 +100,7 @@ def _evaluate(arguments: list[str]) -> None:
 
 
 def _evaluate_script(options: EvaluateOptions) -> None:
-    """Scores the player of `policy=`. Raises UserError for options that do not go together."""
+    """Scores the policy of `policy=`. Raises UserError for options that do not go together."""
     from zipf import envs
     from zipf.experiments.building import run_folder
     from zipf.experiments.evaluation.trained import evaluate_scripted

@@ -41,7 +41,7 @@ from zipf.agents.hindsight import NO_HINDSIGHT, HindsightOptions
 from zipf.agents.memory import State
 from zipf.agents.network import Inputs
 from zipf.agents.network_options import NetworkOptions
-from zipf.agents.unroll import Needs, Unroll
+from zipf.agents.unroll import Augmentation, Needs, Unroll
 from zipf.options import Context, Options, name_of
 from zipf.registry import Registry
 
@@ -61,6 +61,7 @@ class AgentSpec:
         precision: "float32", or "bfloat16" for automatic mixed precision.
         weighted: whether the frames of unrolls have a `weight`.
         hindsight: options of hindsight; unless "none", unrolls have relabelled `episodes`.
+        augmentation: of what the agent sees in training; unless None, unrolls have a `draw`.
     """
 
     observation_space: gym.spaces.Dict
@@ -77,6 +78,7 @@ class AgentSpec:
     precision: Literal["float32", "bfloat16"] = "float32"
     weighted: bool = False
     hindsight: HindsightOptions = NO_HINDSIGHT
+    augmentation: Augmentation | None = None
 
     @property
     def torso(self) -> tuple[gym.spaces.Dict, gym.Space, NetworkOptions, Options]:
@@ -120,6 +122,8 @@ class Agent(ABC):
         answers_questions: whether it is a classifier, which answers a question about an episode's
             first frame and takes no other action.
         needs: what it needs of unrolls beyond what all have.
+        augmentation: that of `spec`. `act` and `value` are given observations that it has changed;
+            `update` has `Unroll.changed` for it.
 
     Raises:
         ValueError: options that do not go together, a line for each problem.
@@ -131,6 +135,7 @@ class Agent(ABC):
     averages_gradients: ClassVar[bool] = False
     answers_questions: ClassVar[bool] = False
     needs: Needs = Needs()
+    augmentation: Augmentation | None = None
 
     def __init__(self, options: Any, spec: AgentSpec):
         wrong = [*options.problems(spec.context), *unsupported(options.name, spec.context.chosen)]
@@ -139,6 +144,7 @@ class Agent(ABC):
         self.options = options
         self.spec = spec
         self.device = spec.device
+        self.augmentation = spec.augmentation
 
     def initial_memory(self, batch: int) -> State:
         """The memory before the first frame of `batch` envs, {name: [B, ...]}; empty for an agent
@@ -186,7 +192,7 @@ class Agent(ABC):
 
     @abstractmethod
     def update(self, unroll: Unroll) -> dict[str, float]:
-        """One update from an unroll; returns metrics to log.
+        """One update from an unroll in RAM, which the next one overwrites; returns metrics to log.
 
         Raises:
             FloatingPointError: learning has diverged; no weights were changed.

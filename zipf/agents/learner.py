@@ -40,6 +40,7 @@ from zipf.agents.averaging import average_gradients
 from zipf.agents.episodic import Dictionary, build_recorder
 from zipf.agents.memory import State
 from zipf.agents.network import Torso, autocast, frozen_copy
+from zipf.agents.unroll import Unroll
 from zipf.options import Options
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -146,8 +147,8 @@ class Learner(Agent):
     def initial_memory(self, batch: int) -> State:
         return self.network.memory.initial_state(batch)
 
-    def update(self, unroll: Any) -> dict[str, float]:
-        metrics, _ = self.learn(unroll)
+    def update(self, unroll: Unroll) -> dict[str, float]:
+        metrics, _ = self.learn(unroll.changed(self.augmentation).to(self.device))
         return metrics
 
     def learn(self, batch: Any) -> tuple[dict[str, float], dict[str, Tensor]]:

@@ -50,7 +50,7 @@ from zipf.agents.network_options import NetworkOptions
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.sequences import Sequences
 from zipf.agents.truncations import Finals
-from zipf.agents.unroll import Needs, Unroll, weighted
+from zipf.agents.unroll import Needs, Unroll, changed, weighted
 from zipf.options import Context, Options
 
 if TYPE_CHECKING:  # imported where learning begins: it brings TorchRL, which takes a second
@@ -233,6 +233,7 @@ class R2D2(Learner):
             burn_in=options.burn_in,
             final_observations=options.final_observations,
             weighted=spec.weighted,
+            draws=spec.augmentation.size if spec.augmentation else 0,
         )
         self.replay: Replay | None = None
 
@@ -311,7 +312,7 @@ class R2D2(Learner):
         metrics = dict.fromkeys(METRICS, float("nan"))
         if len(self.replay) >= self.options.replay_min:
             items, index, weights = self.replay.sample(self.batch_size)
-            replayed = Replayed(items.to(self.device), weights.to(self.device))
+            replayed = Replayed(self._seen(items), weights.to(self.device))
             metrics, kept = self.learn(replayed)
             self.replay.update_priorities(index, kept["priorities"].cpu())
         return metrics | {"replay_sequences": len(self.replay), "replay_inserted": inserted}
@@ -342,12 +343,22 @@ class R2D2(Learner):
         index = self.replay.insert(items)
         if self.options.fresh_priority == "error":
             with torch.no_grad():
-                _, errors, _ = self._losses(items.to(self.device))
+                _, errors, _ = self._losses(self._seen(items))
             self.replay.update_priorities(index, self._priorities(errors).cpu())
+
+    def _seen(self, items: TensorDict) -> TensorDict:
+        """Sequences [B] as the agent sees them, where it computes."""
+        if self.augmentation is not None:
+            items = items.clone(recurse=False)
+            for name in {"steps", "final"} & set(items.keys()):
+                items[name] = changed(items[name], self.augmentation)
+        return items.to(self.device)
 
     @torch.no_grad()
     def _advance(self, steps: TensorDict, memory: State) -> State:
         """The memory after steps [rows, E], from that before them."""
+        if self.augmentation is not None:
+            steps = changed(steps, self.augmentation)
         with self.autocast():
             _, memory = self.network(Inputs.of(steps.to(self.device)), memory)
         return memory

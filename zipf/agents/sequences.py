@@ -28,6 +28,7 @@ class Sequences:
         burn_in: rows of a sequence before its unroll.
         final_observations: K, for how many of these a sequence has room; 0: it has none.
         weighted: whether steps have a weight.
+        draws: D, how many numbers an augmentation draws for an episode.
     """
 
     def __init__(
@@ -39,6 +40,7 @@ class Sequences:
         burn_in: int,
         final_observations: int,
         weighted: bool,
+        draws: int = 0,
     ):
         self.observation_space = observation_space
         self.num_envs = num_envs
@@ -46,8 +48,10 @@ class Sequences:
         self.burn_in = burn_in
         self.final_observations = final_observations
         self.weighted = weighted
+        self.draws = draws
         self.rows = burn_in + unroll_length + 1
         self._fields = STEP | ({"weight": torch.float32} if weighted else {})
+        self._names = ["observation", *self._fields, *(["draw"] if draws else [])]
         self._prefix: TensorDict | None = None  # [burn_in, B], the rows before the next unroll
         self._prefix_memory: State = {}  # before them
 
@@ -65,7 +69,7 @@ class Sequences:
         if self.final_observations:
             assert unroll.final is not None
             item["final"] = unroll.final.cpu().transpose(0, 1)
-        steps = unroll.steps.select("observation", *self._fields)
+        steps = unroll.steps.select(*self._names)
         steps["reward"] = unroll.steps["reward"] + unroll.steps["bonus"]
         steps = steps.cpu()
         memory = unroll.memory
@@ -106,7 +110,7 @@ class Sequences:
         if self.weighted:
             episodes = episodes.clone(recurse=False)
             episodes["weight"] = episodes["mask"].float()
-        steps[burn_in : burn_in + rows] = episodes.select("observation", *self._fields).cpu()
+        steps[burn_in : burn_in + rows] = episodes.select(*self._names).cpu()
         steps["truncated"][burn_in : burn_in + rows] |= ~episodes["mask"].cpu()
         lengths = episodes["mask"].sum(0).cpu()
         for cut in range(cuts):
@@ -129,6 +133,8 @@ class Sequences:
         """Zeros [rows] in the place of these fields and an observation."""
         zeros = TensorDict({name: torch.zeros(rows, dtype=t) for name, t in fields.items()}, rows)
         zeros["observation"] = TensorDict(no_observations(self.observation_space, rows), rows)
+        if self.draws:
+            zeros["draw"] = torch.zeros(rows, self.draws, dtype=torch.float64)
         return zeros
 
     def carried(self) -> dict[str, Any]:

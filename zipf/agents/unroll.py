@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Protocol
 
 import gymnasium as gym
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -30,6 +32,46 @@ FINAL = {
     "is_first": torch.bool,
 }
 """The fields of an observation that an episode was cut at, beside the observation."""
+
+
+class Augmentation(Protocol):
+    """Changes what an agent sees of an episode, as numbers say that were drawn for it.
+
+    Attributes:
+        size: how many numbers, D. All zero, of rows that stand for no frame, they change nothing.
+    """
+
+    size: int
+
+    def draw(self, rng: np.random.Generator, n: int) -> NDArray[np.float64]:
+        """The numbers of `n` episodes, [n, D]."""
+        ...
+
+    def __call__(self, observation: Mapping[str, Tensor], draw: Tensor) -> dict[str, Tensor]:
+        """Changed copies of observations in RAM, {name: [*batch, ...]}, with their `draw`, float64
+        [*batch, D]."""
+        ...
+
+    def to_env(self, actions: NDArray[np.int64], draw: NDArray[Any]) -> NDArray[np.int64]:
+        """The envs' actions for those of an agent that sees them so, [N] -> [N]; -1 stays."""
+        ...
+
+    def to_agent(self, actions: NDArray[np.int64], draw: NDArray[Any]) -> NDArray[np.int64]:
+        """The agent's actions for those of the envs, [N] -> [N]; -1 stays."""
+        ...
+
+    def move(self, regions: NDArray[np.float32], draw: NDArray[Any]) -> NDArray[np.float32]:
+        """Where regions of the image are moved to, [N, 4] -> [N, 4] (top, left, bottom, right, in
+        sides of the image), but for symmetries, which change what regions stand for."""
+        ...
+
+
+def changed(steps: TensorDict, augmentation: Augmentation) -> TensorDict:
+    """Steps [...] with their observations as their `draw` changes them; all else is shared."""
+    observation = dict(steps["observation"].items())
+    seen = steps.clone(recurse=False)
+    seen["observation"] = TensorDict(augmentation(observation, steps["draw"]), steps.batch_size)
+    return seen
 
 
 def no_observations(space: gym.spaces.Dict, rows: int) -> dict[str, Tensor]:
@@ -75,7 +117,7 @@ class Unroll:
     """T steps of B envs, time-major; row T is the first row of the next unroll.
 
     `steps`, a TensorDict [T + 1, B], holds in row t
-        observation: {name: [T + 1, B, ...]} in the environment's dtypes
+        observation: {name: [T + 1, B, ...]} as the envs show it, in their dtypes
         previous_action: int64, the action that led here, -1 where an episode begins
         previous_reward: float32, the task reward that came with it, 0 where an episode begins
         is_first: bool, an episode begins here
@@ -86,9 +128,10 @@ class Unroll:
         truncated: bool, the episode was cut after the action
         label: int64, the teacher's action; only for agents with a `teacher`
         weight: float32, of the frame in the loss; only with `reweighting`
+        draw: float64 [T + 1, B, D], how the augmentation changes the observation; only with one
         truncation_value: float32, the behaviour's value of the observation it was cut at, else 0
         and what the agent's `act` returned beside the action (IMPALA: `logits` float32 [actions])
-    In row T only the first four are valid; the others are in row 0 of the next unroll.
+    In row T only the first four and `draw` are valid; the others are in row 0 of the next unroll.
 
     `memory` is the agent's memory before row 0, {name: [B, ...]}, and `late_memory` that before row
     T - burn_in, for agents that learn from the last `burn_in` rows and the next unroll together.
@@ -100,12 +143,13 @@ class Unroll:
         previous_action: int64, the action of that row
         previous_reward: float32, the task reward of that row
         is_first: bool, False
+        draw: float64 [K, B, D], that of the episode
 
     `episodes`, a TensorDict [L, E] with hindsight, holds episodes that ended in the unroll, or with
     a memory of goals earlier ones, relabelled with what they achieved; None where there are none.
     With a memory and a teacher some are as they were asked for, with its labels as `action`. Row 0
     is the first frame, or with `hindsight.length` the first of so many last ones:
-        observation, previous_action, previous_reward, action, reward, as in `steps`
+        observation, previous_action, previous_reward, action, reward, draw, as in `steps`
         mask: bool, False behind the end of an episode that is shorter than L
         is_first: bool, row 0 and behind the end
         terminated: bool, the last step
@@ -138,6 +182,17 @@ class Unroll:
         if state["episodes"]:
             episodes = TensorDict(state["episodes"], state["episodes"]["mask"].shape)
         return cls(steps, state["memory"], state["late_memory"], final, episodes)
+
+    def changed(self, augmentation: Augmentation | None) -> Unroll:
+        """The same as the agent sees it; None: there is no augmentation."""
+        if augmentation is None:
+            return self
+
+        def seen(part: TensorDict | None) -> TensorDict | None:
+            return None if part is None else changed(part, augmentation)
+
+        steps = changed(self.steps, augmentation)
+        return replace(self, steps=steps, final=seen(self.final), episodes=seen(self.episodes))
 
     def to(self, device: str) -> Unroll:
         """The same on another device."""

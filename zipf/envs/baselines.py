@@ -1,4 +1,4 @@
-"""Scores of the players of `zipf.protocol` on levels: exact, or measured and kept in files."""
+"""Scores of the policies of `zipf.protocol` on levels: exact, or measured and kept in files."""
 
 from __future__ import annotations
 

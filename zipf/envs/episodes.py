@@ -50,7 +50,7 @@ def measure(
     The same arguments give the same figure on every machine.
 
     Args:
-        player: `player(env)` plays a batch: called, it gives actions [N].
+        policy: `policy(env)` plays a batch: called, it gives actions [N].
         level: what `make_vec` takes.
         episodes: how many episodes, at least 1.
         seed: of the envs, and of random actions.

@@ -93,7 +93,7 @@ class Family:
         make: makes one env: `make(level=..., render_mode=..., **options)`; None: a batch of one.
         id: the Gymnasium id; None: the family is not registered with Gymnasium.
         check: raises ValueError for a name that is not a level; None: those in `levels` are.
-        baselines: scores of policies that do not learn, by the name that the player has in
+        baselines: scores of policies that do not learn, by the name that the policy has in
             `zipf.protocol.BASELINES`: "chance" is of uniformly random actions, "blind" the best
             that is known of policies that neither read what an episode asks for nor look,
             "generalist" and "expert" of scripted policies. Each is a function:
@@ -479,7 +479,7 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> BoundPolicy | No
         env: the envs.
 
     Raises:
-        ValueError: for an unknown player or level, or envs that the player cannot play.
+        ValueError: for an unknown policy or level, or envs that the policy cannot play.
     """
     _named("scripted policy", name, dict.fromkeys(SCRIPTED))
     found, _ = find_level(level)

@@ -22,7 +22,7 @@ class Mixture(ZipfVectorEnv):
     """`N` envs of several levels.
 
     - `draw="worlds"`: the envs are shared evenly among the levels, in contiguous blocks, for
-      good. World `i` of `reset(seed=s)` is that of its level's own batch seeded `s + i`.
+      good. Env `i` of `reset(seed=s)` is that of its level's own batch seeded `s + i`.
     - `draw="resets"`: at every reset an env draws its level, by one number of its random stream,
       and then the episode as the level does. The situation of an episode begins with the rank of
       its level (0 = most frequent), named `level` unless `rank` says otherwise.
@@ -83,7 +83,7 @@ class Mixture(ZipfVectorEnv):
         **options: Any,
     ) -> None:
         if draw not in ("worlds", "resets"):
-            raise ValueError(f"draw must be 'envs' or 'resets', got {draw!r}")
+            raise ValueError(f"draw must be 'worlds' or 'resets', got {draw!r}")
         if not mapping("levels", levels):
             raise ValueError("a mixture needs at least one level, got none")
         num_envs = whole("num_envs", num_envs, 1)

@@ -42,7 +42,7 @@ class Teacher:
     Called, it gives the actions, int64 [N], that it would take.
 
     Args:
-        name: which player, of `zipf.envs.SCRIPTED`.
+        name: which policy, of `zipf.envs.SCRIPTED`.
         split: the split.
         env: the envs.
 
@@ -53,7 +53,7 @@ class Teacher:
     def __init__(self, name: Scripted, split: Split, env: ZipfVectorEnv):
         self._env = env
         batches = {0: (split.train[0].name, env)}
-        if isinstance(env, Mixture):  # one player for all envs on an engine
+        if isinstance(env, Mixture):  # one policy for all envs on an engine
             firsts = np.unique(env.engines).tolist()
             batches = {k: (env.level_names[k], env.batches[k]) for k in firsts}
         self._policies: dict[int, BoundPolicy] = {}
@@ -73,7 +73,7 @@ class Teacher:
         return actions
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """What its players remember, by name."""
+        """What its policies remember, by name."""
         state: dict[str, NDArray[Any]] = {}
         for k, policy in self._policies.items():
             if isinstance(policy, Remembering):

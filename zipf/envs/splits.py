@@ -156,7 +156,7 @@ class Split:
                     "different names"
                 )
         if self.draw not in ("worlds", "resets"):
-            raise ValueError(f"draw must be 'envs' or 'resets', got {self.draw!r}")
+            raise ValueError(f"draw must be 'worlds' or 'resets', got {self.draw!r}")
         if self.spread not in ("seeds", "tasks"):
             raise ValueError(f"spread must be 'seeds' or 'tasks', got {self.spread!r}")
         given = set(mapping("episodes", self.episodes))

@@ -80,7 +80,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     - **Situations.** An episode is drawn at one or more frequency ranks (0 = most frequent), named
       and sized in `situation`. `info` holds the ranks of the running episodes, int64 [N] each, and
       the family's own entries (`_describe`), for instance instructions as text.
-    - **Own random streams.** World `i` after `reset(seed=s)` draws from
+    - **Own random streams.** Env `i` after `reset(seed=s)` draws from
       `numpy.random.default_rng(s + i)` and equals a single environment seeded `s + i`.
     - **Writing in place.** `reset(out=...)` and `step(actions, out=..., final_out=...)` write
       observations to the caller's C-contiguous arrays `[N, ...]`, with the dtypes and shapes of
@@ -216,7 +216,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         """Starts an episode in the envs of `mask`, drawing from `self._streams`.
 
-        World `i` draws from its own stream only: a rank by
+        Env `i` draws from its own stream only: a rank by
         `zipf.envs.pcg64.choice(self._streams[i], cdf)`, where `cdf` is
         `zipf.envs.pcg64.cumulative(probabilities)`, and a number in [0, 1) by
         `zipf.envs.pcg64.next_double(self._streams[i])`. Both work in numba kernels, too.

@@ -52,7 +52,7 @@ def _chance(level: str, maps: Maps, max_steps: int) -> BaselineScore:
 
 
 def mean_success(level: str, success: NDArray) -> BaselineScore:
-    """The score of a player on a level.
+    """The score of a policy on a level.
 
     Args:
         level: its name.

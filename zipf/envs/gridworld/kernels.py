@@ -1,6 +1,6 @@
 """The gridworld's rules and observations for a batch of envs, compiled.
 
-An env's state is one row of `worlds`, int64 [N, 4]: map, target, row, column. Its observation
+An env's state is one row of `envs`, int64 [N, 4]: map, target, row, column. Its observation
 depends on nothing else.
 """
 

@@ -18,7 +18,7 @@ from zipf.envs.vector import Observation, ZipfVectorEnv
 class GridworldVectorEnv(ZipfVectorEnv):
     """`N` envs of Zipf's Gridworld; see `GridworldEnv` for the task and its arguments.
 
-    World `i` of `reset(seed=s)` is a `GridworldEnv` of `reset(seed=s + i)`. Every episode takes
+    Env `i` of `reset(seed=s)` is a `GridworldEnv` of `reset(seed=s + i)`. Every episode takes
     two numbers from its env's random stream, for the map and for the target, forced or not.
     """
 

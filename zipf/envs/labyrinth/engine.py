@@ -29,7 +29,7 @@ def run(mask, commands, left, part, envs, over, timed_out, event, index):
         commands: float64 [N, 5], see `actions.commands`.
         left: int64 [N], frames of the step that are left; written.
         part: int64 [N], the part of a frame at which an env stopped; written.
-        envs: `Worlds`, written.
+        envs: `Envs`, written.
         over, timed_out: bool [N], set where the level or the clock ends the episode.
         event, index: int64 [N], what happened and to which item, zone, timer or widget, or how many
             points were won; written.

@@ -19,7 +19,7 @@ class Episode(ABC):
     map ends with `World.finish_map`; the clock goes on.
 
     Args:
-        env: empty.
+        world: empty.
         rng: for this episode's layout.
     """
 

@@ -37,7 +37,7 @@ def move(envs, i, turn, rise, strafe, forward):
     """Moves the player of env `i` by one frame.
 
     Args:
-        envs: `Worlds`, written.
+        envs: `Envs`, written.
         i: the env.
         turn, rise: of the view, to the left and upwards, radians.
         strafe, forward: 1, 0 or -1: to the right, forward.

@@ -145,7 +145,7 @@ def make_envs(num_envs: int) -> Envs:
     )
 
 
-def clear(envs: Envs, world: int) -> None:
+def clear(envs: Envs, i: int) -> None:
     """Empties an env for a new episode."""
     for name, value in (
         ("clock", 0), ("limit", 1), ("ending", -1), ("finishing", False), ("bodies", 0.0),
@@ -156,5 +156,5 @@ def clear(envs: Envs, world: int) -> None:
         ("inside", False), ("timers", -1), ("screen", 0.0), ("widgets", 0.0), ("watched", -1),
         ("instruction", 0),
     ):  # fmt: skip
-        getattr(envs, name)[world] = value
-    envs.combat.fighters[world] = 0
+        getattr(envs, name)[i] = value
+    envs.combat.fighters[i] = 0

@@ -120,16 +120,16 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
             self.episodes[i] = self._rules(world, self._generator(i))
             self._begin_map(i)
 
-    def _generator(self, world: int) -> np.random.Generator:
+    def _generator(self, i: int) -> np.random.Generator:
         """For the layout of an episode, then for each of its maps."""
-        self.maps[world] += 1
-        seed = int(self.seeds[world] * 2**53)
-        return np.random.default_rng([seed, int(self.maps[world])])
+        self.maps[i] += 1
+        seed = int(self.seeds[i] * 2**53)
+        return np.random.default_rng([seed, int(self.maps[i])])
 
-    def _begin_map(self, world: int) -> None:
-        episode = self.episodes[world]
+    def _begin_map(self, i: int) -> None:
+        episode = self.episodes[i]
         assert episode is not None
-        episode.begin_map(self._generator(world))
+        episode.begin_map(self._generator(i))
 
     def _advance(
         self, actions: NDArray[np.int64], mask: NDArray[np.bool_]
@@ -153,12 +153,12 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
                 self._tell(i, int(self._event[i]), int(self._index[i]))
         return self._rewards.copy(), over, timed_out, over
 
-    def _tell(self, world: int, event: int, index: int) -> None:
+    def _tell(self, i: int, event: int, index: int) -> None:
         """Tells an env's episode what has happened."""
-        episode = self.episodes[world]
+        episode = self.episodes[i]
         assert episode is not None
         if event == engine.MAP:
-            self._begin_map(world)
+            self._begin_map(i)
         elif event == engine.ITEM:
             episode.picked_up(index)
         elif event == engine.ZONE:

@@ -1,4 +1,4 @@
-"""One world, as the rules of a level see it."""
+"""The world of one env, as the rules of a level see it."""
 
 from __future__ import annotations
 
@@ -62,11 +62,11 @@ class Door(NamedTuple):
 
 
 class World:
-    """One world: what a level builds in it, and what its rules do.
+    """The three-dimensional world of one env: what a level builds in it, and what its rules do.
 
     Args:
-        worlds, scenery: of the batch, written.
-        number: the world's.
+        envs, scenery: of the batch, written.
+        number: the env's.
         rewards: float64 [N], of the running step.
     """
 

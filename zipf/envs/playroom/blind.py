@@ -11,7 +11,7 @@ from zipf.envs.playroom.falling import STILL_STEPS
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 _OF_OBJECTS = ("ranks", "objects", "orientation", "status", "still", "lifted")
-"""The arrays of `Worlds` that have an entry for each object."""
+"""The arrays of `Envs` that have an entry for each object."""
 
 
 class BlindExpert:

@@ -106,7 +106,7 @@ def simulate(mask, called, spaces, bodies, forces, agents, objects):
         spaces: addresses of the envs' spaces, int64 [N].
         bodies: addresses of the agent and the C objects, int64 [N, C + 1].
         forces: on the agents, float64 [N, 2], newtons.
-        agents, objects: of `Worlds`; places, and angles of objects, are written.
+        agents, objects: of `Envs`; places, and angles of objects, are written.
     """
     for i in range(mask.size):
         if not mask[i]:
@@ -131,9 +131,9 @@ def move_held(mask, called, bodies, hands, turned, drives, agents, objects):
 
     Args:
         mask, called, bodies: as in `simulate`.
-        hands: of `Worlds`.
+        hands: of `Envs`.
         turned, drives: of `Commands`.
-        agents, objects: of `Worlds`, read.
+        agents, objects: of `Envs`, read.
     """
     for i in range(mask.size):
         held = hands[i]

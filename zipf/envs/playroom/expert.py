@@ -73,7 +73,7 @@ class _Spot(NamedTuple):
 
 def require_playable(env: PlayroomVectorEnv, policy: str) -> None:
     """Raises ValueError if a scripted policy, named in the message, cannot play these envs."""
-    if not hasattr(env, "worlds"):
+    if not hasattr(env, "envs"):
         raise ValueError(
             f"the {policy} reads the state of a batch of one playroom level, "
             f"got {type(env).__name__}"

@@ -149,7 +149,7 @@ def pick(agent, env):
     """The object that an agent could grip, or -1.
 
     Args:
-        agent: a row of `Worlds.agents` or a pose that is tried out, float64 [6]; HOLD is written.
+        agent: a row of `Envs.agents` or a pose that is tried out, float64 [6]; HOLD is written.
         env: `World`, read.
     """
     ranks, furniture = env.ranks, env.furniture

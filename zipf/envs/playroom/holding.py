@@ -35,7 +35,7 @@ def find_room(agent, env, held, spot):
     """Finds where an object can be held, and pushes the agent back where there is too little room.
 
     Args:
-        agent: a row of `Worlds.agents`; its place and its pitch may be changed.
+        agent: a row of `Envs.agents`; its place and its pitch may be changed.
         env: `World`, read.
         held: the object.
         spot: float64 [3], written where there is room: the least and greatest distance of the
@@ -94,7 +94,7 @@ def keep_in_view(agent, height, distance):
     """Keeps the view from pointing too far below a held object.
 
     Args:
-        agent: a row of `Worlds.agents`; its pitch may be changed.
+        agent: a row of `Envs.agents`; its pitch may be changed.
         height, distance: of the object's middle, metres.
     """
     agent[PITCH] = max(agent[PITCH], math.atan2(height - EYE, distance) - STEEP)

@@ -23,7 +23,7 @@ def look(envs, wide, high, items, supports):
     A bounding box hides what is behind it.
 
     Args:
-        envs: `Worlds`, read.
+        envs: `Envs`, read.
         wide, high: tangents of half the horizontal and half the vertical field of view.
         items: bool [N, C], the objects in view, written.
         supports: bool [N, 2], bed and tray, written; False without furniture.

@@ -65,7 +65,7 @@ class Envs(NamedTuple):
 
 
 class Env(NamedTuple):
-    """One of the `Worlds`: where things are."""
+    """One of the `Envs`: where things are."""
 
     finding: bool
     furnished: bool
@@ -82,7 +82,7 @@ class Env(NamedTuple):
 def one_env(envs, i):
     """`World` number `i`, to be passed to functions that are called often.
 
-    Its arrays are views. Passing all of `Worlds` takes longer than such a function.
+    Its arrays are views. Passing all of `Envs` takes longer than such a function.
     """
     return Env(
         envs.finding, envs.furnished, envs.reach, envs.extents, envs.ranks[i],

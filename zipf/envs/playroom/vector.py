@@ -126,7 +126,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._view.begin(mask)
 
     def _furnish(self, i: int) -> None:
-        """Begins an episode in the physics of env `i`, from the poses in `worlds`."""
+        """Begins an episode in the physics of env `i`, from the poses in `envs`."""
         envs = self.envs
         room = self.rooms[i]
         if room is None:

@@ -149,7 +149,7 @@ def _pose(
     position, rotation, shadows,
 ):  # fmt: skip
     """Writes `camera`, `position`, `rotation` and `shadows`, arrays of `Scenes`, from arrays of
-    `Worlds`. `scale` is an array of `Scenes`, too."""
+    `Envs`. `scale` is an array of `Scenes`, too."""
     for i in range(mask.size):
         if not mask[i]:
             continue

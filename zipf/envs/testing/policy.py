@@ -36,7 +36,7 @@ def check_policy(
     in a second rollout, and leave the envs as they are.
 
     Args:
-        player: `player(env)` plays a batch: called, it gives actions int64 [N].
+        policy: `policy(env)` plays a batch: called, it gives actions int64 [N].
         make_vec: `make_vec(num_envs, autoreset_mode=...)` makes the batch.
         num_envs: size of the batch.
         steps: of a rollout.

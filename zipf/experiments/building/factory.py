@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from zipf import envs
 from zipf.agents.agent import Agent, AgentSpec, agents
 from zipf.agents.learner import Learner
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.hooks.augmentation import AUGMENTATIONS
 from zipf.experiments.options.schema import Config
 
 
@@ -19,23 +21,29 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
             is about, or there is no image encoder to compile.
     """
     assert config.precision != "auto"  # the schema has resolved it
-    spec = AgentSpec(
-        env.single_observation_space,
-        env.single_action_space,
-        config.network,
-        config.memory,
-        config.auxiliary,
-        config.critic,
-        config.episodic,
-        num_envs=config.num_envs,
-        unroll_length=config.collector.unroll_length,
-        seed=derive_seed(config.seed, "weights"),
-        device=config.torch_device,
-        precision=config.precision,
-        weighted=config.reweighting.name != "none",
-        hindsight=config.hindsight,
-    )
     try:
+        augmentation = AUGMENTATIONS.build(
+            config.augmentation,
+            env.single_observation_space,
+            symmetries=envs.symmetries(config.split, env),
+        )
+        spec = AgentSpec(
+            env.single_observation_space,
+            env.single_action_space,
+            config.network,
+            config.memory,
+            config.auxiliary,
+            config.critic,
+            config.episodic,
+            num_envs=config.num_envs,
+            unroll_length=config.collector.unroll_length,
+            seed=derive_seed(config.seed, "weights"),
+            device=config.torch_device,
+            precision=config.precision,
+            weighted=config.reweighting.name != "none",
+            hindsight=config.hindsight,
+            augmentation=augmentation,
+        )
         agent = agents()[config.agent.name](config.agent, spec)
         if config.compile:
             if not isinstance(agent, Learner):

@@ -266,7 +266,7 @@ def _try_to_build(config: Config) -> Iterator[str]:
     try:
         symmetries = envs.symmetries(split, env)
         space = env.single_observation_space
-        AUGMENTATIONS.build(config.augmentation, space, 1, seed=0, symmetries=symmetries)
+        AUGMENTATIONS.build(config.augmentation, space, symmetries=symmetries)
     except ValueError as error:
         yield str(error)
     if agent.needs.teacher and getattr(family, agent.needs.teacher) is None:

@@ -137,7 +137,7 @@ class RayRuntime(Runtime):
 
     name = "ray"
 
-    def rollouts(self, env: ZipfVectorEnv, agent: Agent, player: tuple[int, ...] = ()) -> RayActors:
+    def rollouts(self, env: ZipfVectorEnv, agent: Agent, stream: tuple[int, ...] = ()) -> RayActors:
         """See the base class."""
         assert isinstance(self.config.runtime, RayOptions)
         assert isinstance(agent, Learner)  # it has a `largest_lag`

@@ -1,8 +1,9 @@
 """Augmentation: random changes of what an agent sees in training, the same for a whole episode.
 
-The agent acts and learns in envs that look otherwise: nothing is changed afterwards, so that
-what it remembers, the policy that acted, and what it learns from always agree. Evaluations show the
-envs as they are.
+What changes is drawn when an episode begins, and is a column of unrolls, `draw`. Unrolls and
+replays have observations as the envs show them; they are changed where an agent reads them: when it
+acts, learns, and values the observation that an episode was cut at. So the policy that acted and
+what is learned from agree, and nothing is ever changed back. Evaluations show the envs as they are.
 """
 
 from __future__ import annotations
@@ -13,12 +14,16 @@ from typing import Annotated, Any, Literal
 
 import gymnasium as gym
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
+from torch import Tensor
 
 from zipf.agents.encoders import is_image
+from zipf.agents.unroll import Augmentation
 from zipf.compiled import compiled
 from zipf.envs.family import Symmetries
+from zipf.experiments.hooks.hook import Hook, Parts
 from zipf.options import Options
 from zipf.registry import Registry
 
@@ -57,30 +62,41 @@ class RandomAugmentationOptions(Options):
         return scale
 
 
-Draw = dict[str, NDArray]  # what was drawn for episodes, {name: [N, ...]}
+# Where a draw has what; whole numbers first.
+_SYMMETRY, _ORDER, _SHIFT, _SCALE, _CENTRE = 0, slice(1, 4), slice(4, 6), 6, slice(7, 9)
+UNCHANGED = np.array([[0, 0, 1, 2, 0, 0, 1.0, 0, 0]])
+"""The draw that changes nothing, float64 [1, 9]."""
+
+# What changes images, with the values that do not.
+_OF_IMAGES = {"channels": False, "shift": 0, "scale": [1, 1], "cutout": 0}
 
 
-class Augmentation:
-    """Draws changes of the episodes of N envs and makes them.
+class RandomAugmentation:
+    """Draws changes of episodes, and makes them.
+
+    A draw is float64 [9]: the symmetry's number; the order of the colours [3]; how far the image is
+    moved down and to the right, pixels [2]; its scale; the centre of the square, in sides of the
+    image [2].
+
+    Attributes:
+        size: 9.
 
     Args:
         options: what to draw.
         space: of the observations of one env.
-        num_envs: N.
-        seed: of the draws.
         symmetries: of these envs, where `options.symmetries`.
 
     Raises:
         ValueError: there is nothing to change, or no symmetries.
     """
 
+    size = 9
+
     def __init__(
         self,
         options: RandomAugmentationOptions,
         space: gym.spaces.Dict,
-        num_envs: int,
         *,
-        seed: int,
         symmetries: Symmetries | None = None,
     ):
         if options.symmetries and symmetries is None:
@@ -103,136 +119,102 @@ class Augmentation:
         self.options = options
         self.symmetries = symmetries if options.symmetries else None
         if self.symmetries is not None:
-            self._inverse = self.symmetries.actions.argsort(1)
-        self._rng = np.random.default_rng(seed)
-        self._change_images = bool(chosen)
-        self._drawn = _unchanged(num_envs)
+            self._actions = self.symmetries.actions
+            self._inverse = self._actions.argsort(1)
+        self._changes_images = bool(chosen)
 
-    def begin(self, mask: NDArray[np.bool_]) -> None:
-        """Draws anew for the envs of `mask` [N], in which an episode begins."""
-        for name, values in self._draw(int(mask.sum())).items():
-            self._drawn[name][mask] = values
-
-    def _draw(self, n: int) -> Draw:
-        """The changes of `n` episodes."""
-        o, drawn = self.options, _unchanged(n)
+    def draw(self, rng: np.random.Generator, n: int) -> NDArray[np.float64]:
+        o, drawn = self.options, UNCHANGED.repeat(n, 0)
         if self.symmetries is not None:
-            drawn["symmetry"] = self._rng.integers(self.symmetries.count, size=n)
+            drawn[:, _SYMMETRY] = rng.integers(self.symmetries.count, size=n)
         if o.channels:
-            drawn["order"] = self._rng.permuted(np.tile(np.arange(3), (n, 1)), axis=1)
+            drawn[:, _ORDER] = rng.permuted(np.tile(np.arange(3), (n, 1)), axis=1)
         if o.shift:
-            drawn["shift"] = self._rng.integers(-o.shift, o.shift + 1, size=(n, 2))
+            drawn[:, _SHIFT] = rng.integers(-o.shift, o.shift + 1, size=(n, 2))
         if o.scale != [1, 1]:
             least, largest = np.log(o.scale)
-            drawn["scale"] = np.exp(self._rng.uniform(least, largest, n))
+            drawn[:, _SCALE] = np.exp(rng.uniform(least, largest, n))
         if o.cutout:
-            drawn["centre"] = self._rng.random((n, 2))
+            drawn[:, _CENTRE] = rng.random((n, 2))
         return drawn
 
-    def observe(self, observation: dict[str, NDArray], mask: NDArray[np.bool_]) -> None:
-        """Changes the envs' observations `{name: [N, ...]}`, in place, where `mask` [N]."""
-        self._observe(observation, mask, **self._drawn)
-
-    def _observe(
-        self,
-        observation: dict[str, NDArray],
-        mask: NDArray[np.bool_],
-        symmetry: NDArray[np.int64],
-        order: NDArray[np.int64],
-        shift: NDArray[np.int64],
-        scale: NDArray[np.float64],
-        centre: NDArray[np.float64],
-    ) -> None:
+    def __call__(self, observation: Mapping[str, Tensor], draw: Tensor) -> dict[str, Tensor]:
+        shown = {
+            name: part.clone(memory_format=torch.contiguous_format)
+            for name, part in observation.items()
+        }
+        batch = draw.ndim - 1
+        flat = {name: part.flatten(0, batch - 1).numpy() for name, part in shown.items()}
+        draws = draw.reshape(-1, draw.shape[-1]).numpy()
         if self.symmetries is not None:
-            self.symmetries(observation, symmetry, mask)
-        if self._change_images:
+            everywhere = np.ones(len(draws), np.bool_)
+            self.symmetries(flat, draws[:, _SYMMETRY].astype(np.int64), everywhere)
+        if self._changes_images:
+            whole = draws[:, :_SCALE].astype(np.int64)
+            scale, centre = draws[:, _SCALE], draws[:, _CENTRE]
             for name in self.images:
-                _change(observation[name], mask, order, shift, scale, centre, self.options.cutout)
+                side = self.options.cutout
+                _change(flat[name], whole[:, _ORDER], whole[:, _SHIFT], scale, centre, side)
+        return shown
 
-    def observe_episode(self, observation: dict[str, NDArray], i: int) -> Draw:
-        """Changes the observations `{name: [frames, ...]}` of the running episode of one env, in
-        place; returns what was drawn for it."""
-        drawn = {name: values[i : i + 1] for name, values in self._drawn.items()}
-        self._change_frames(observation, drawn)
-        return drawn
+    def to_env(self, actions: NDArray[np.int64], draw: NDArray[Any]) -> NDArray[np.int64]:
+        return (
+            actions if self.symmetries is None else _mapped(self.symmetries.actions, actions, draw)
+        )
 
-    def actions_to_envs(self, fields: dict[str, NDArray], i: int) -> None:
-        """Makes the actions in the fields `{name: [frames]}` of the running episode of one env
-        those of the env, in place."""
-        if self.symmetries is not None:
-            _replace_actions(fields, self.symmetries.actions[self._drawn["symmetry"][i]])
+    def to_agent(self, actions: NDArray[np.int64], draw: NDArray[Any]) -> NDArray[np.int64]:
+        return actions if self.symmetries is None else _mapped(self._inverse, actions, draw)
 
-    def change_episode(self, observation: dict[str, NDArray], fields: dict[str, NDArray]) -> Draw:
-        """Changes an episode, as an env has it, by a draw of its own, in place: observations
-        `{name: [frames, ...]}`, and the actions in `fields` `{name: [frames]}`; returns the draw.
-        """
-        drawn = self._draw(1)
-        self._change_frames(observation, drawn)
-        if self.symmetries is not None:
-            _replace_actions(fields, self._inverse[drawn["symmetry"][0]])
-        return drawn
-
-    def move(self, regions: NDArray[np.float32], drawn: Draw) -> NDArray[np.float32]:
-        """Where the draw of an episode moves regions of its images to, [..., 4] -> [..., 4] (top,
-        left, bottom, right, in sides of the image). Sides on the image's border stay there, since
-        it is repeated. Symmetries are ignored here: they change what regions stand for."""
+    def move(self, regions: NDArray[np.float32], draw: NDArray[Any]) -> NDArray[np.float32]:
+        """Sides on the image's border stay there, since it is repeated."""
         height, width, _ = self._space[self.images[0]].shape or ()
-        down, right = drawn["shift"][0] / (height, width)
-        moved = (regions - 0.5) * drawn["scale"][0] + 0.5 + np.array([down, right, down, right])
+        down, right = (draw[:, _SHIFT] / (height, width)).T
+        by = np.stack([down, right, down, right], -1)
+        moved = (regions - 0.5) * draw[:, _SCALE, None] + 0.5 + by
         return np.where((regions > 0) & (regions < 1), moved, regions).astype(np.float32)
 
-    def _change_frames(self, observation: dict[str, NDArray], drawn: Draw) -> None:
-        """Changes all frames as one draw says."""
-        frames = len(next(iter(observation.values())))
-        repeated = {name: np.repeat(values, frames, axis=0) for name, values in drawn.items()}
-        self._observe(observation, np.ones(frames, np.bool_), **repeated)
 
-    def to_envs(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The envs' actions for those of the agent, [N] -> [N]."""
-        if self.symmetries is None:
-            return actions
-        return self.symmetries.actions[self._drawn["symmetry"], actions]
+class Draws(Hook):
+    """Draws what an augmentation changes in the episodes of N envs: the column `draw`.
 
-    def from_envs(self, actions: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The agent's actions for those of the envs, [N] -> [N]."""
-        if self.symmetries is None:
-            return actions
-        return self._inverse[self._drawn["symmetry"], actions]
+    Args:
+        augmentation: whose numbers are drawn.
+        num_envs: N.
+        seed: of the draws.
+    """
+
+    name = "augmentation"
+
+    def __init__(self, augmentation: Augmentation, num_envs: int, seed: int):
+        self.augmentation = augmentation
+        self.columns = {"draw": torch.empty(augmentation.size, dtype=torch.float64)}
+        self._rng = np.random.default_rng(seed)
+        self._drawn = np.zeros((num_envs, augmentation.size))
+
+    def begin(self, observation: Parts, mask: Tensor) -> None:
+        self._drawn[mask.numpy()] = self.draw(int(mask.sum()))
+
+    def show(self, fields: Parts) -> None:
+        fields["draw"].copy_(torch.from_numpy(self._drawn))
+
+    def draw(self, n: int) -> NDArray[np.float64]:
+        """The numbers of `n` episodes, [n, D]."""
+        return self.augmentation.draw(self._rng, n)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that later calls depend on."""
-        return {
-            "generator": self._rng.bit_generator.state,
-            **{name: drawn.copy() for name, drawn in self._drawn.items()},
-        }
+        return {"generator": self._rng.bit_generator.state, "draw": self._drawn.copy()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continues from `state_dict()`."""
         self._rng.bit_generator.state = state["generator"]
-        for name in state.keys() - {"generator"}:
-            self._drawn[name][:] = state[name]
+        self._drawn[:] = state["draw"]
 
 
-# What changes images, with the values that do not.
-_OF_IMAGES = {"channels": False, "shift": 0, "scale": [1, 1], "cutout": 0}
-
-
-def _unchanged(n: int) -> Draw:
-    """The draws that change nothing."""
-    return {
-        "symmetry": np.zeros(n, np.int64),
-        "order": np.tile(np.arange(3), (n, 1)),
-        "shift": np.zeros((n, 2), np.int64),
-        "scale": np.ones(n),
-        "centre": np.zeros((n, 2)),  # of the square, in sides of the image
-    }
-
-
-def _replace_actions(fields: dict[str, NDArray], table: NDArray[np.int64]) -> None:
-    """Replaces actions by those of a table, in place; -1 stands for none before the first."""
-    for name in ("action", "previous_action"):
-        taken = fields[name] >= 0
-        fields[name][taken] = table[fields[name][taken]]
+def _mapped(
+    table: NDArray[np.int64], actions: NDArray[np.int64], draw: NDArray[Any]
+) -> NDArray[np.int64]:
+    """`table[symmetry, action]`; -1 stands for none before the first."""
+    found = table[draw[:, _SYMMETRY].astype(np.int64), actions]
+    return np.where(actions >= 0, found, -1)
 
 
 @compiled()
@@ -243,16 +225,14 @@ def _source(pixel, size, scale):
 
 
 @compiled()
-def _change(image, mask, orders, shifts, scales, centres, side):
+def _change(image, orders, shifts, scales, centres, side):
     """Changes images uint8 [N, H, W, C] in place."""
     _, height, width, channels = image.shape
     before = np.empty((height, width, channels), np.uint8)
     columns = np.empty(width, np.int64)
     for i in range(len(image)):
-        if not mask[i]:
-            continue
         down, right = shifts[i]
-        if scales[i] != 1:
+        if scales[i] != 1 and scales[i] != 0:  # 0 of no frame
             before[:] = image[i]
             for c in range(width):
                 columns[c] = _source(c - right, width, scales[i])
@@ -286,9 +266,8 @@ def _change(image, mask, orders, shifts, scales, centres, side):
 
 
 AUGMENTATIONS: Registry[Augmentation | None] = Registry("augmentation")
-"""Each is built from its options, the space of the observations of one env, the number of envs,
-and by name `seed` and the envs' `symmetries`; it raises ValueError where there is nothing that it
-changes."""
+"""Each is built from its options, the space of the observations of one env, and by name the envs'
+`symmetries`; it raises ValueError where there is nothing that it changes."""
 
-AUGMENTATIONS.register(NoAugmentationOptions, lambda options, space, num_envs, **named: None)
-AUGMENTATIONS.register(RandomAugmentationOptions, Augmentation)
+AUGMENTATIONS.register(NoAugmentationOptions, lambda options, space, **named: None)
+AUGMENTATIONS.register(RandomAugmentationOptions, RandomAugmentation)

@@ -54,15 +54,20 @@ class Hook:
 
     Attributes:
         name: of its entry in a collector's saved state.
-        columns: fields that it adds to the steps of unrolls, by name.
+        columns: fields that it adds to the steps of unrolls, by name: an empty tensor of the shape
+            and dtype that a field has in one env.
     """
 
     name: ClassVar[str]
-    columns: ClassVar[Mapping[str, torch.dtype]] = {}
+    columns: Mapping[str, Tensor] = {}
 
     def begin(self, observation: Parts, mask: Tensor) -> None:
         """Episodes begin where `mask` [N], with these observations {name: [N, ...]}; at the start
         in all envs, and after `load_state_dict` in those that could not be restored."""
+
+    def show(self, fields: Parts) -> None:
+        """The envs have shown the observation of a row, whose fields {name: [N, ...]} may be
+        written to; called for every row, after `begin`."""
 
     def act(self, fields: Parts, generator: torch.Generator) -> None:
         """The agent has chosen the step's `action`, int64 [N], which may be replaced; draws are

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from numpy.typing import NDArray
 
-from zipf.experiments.hooks.augmentation import Augmentation
+from zipf.agents.unroll import Augmentation
 from zipf.experiments.hooks.hook import Hook, Parts
 
 
@@ -22,7 +22,6 @@ class Labels(Hook):
     """
 
     name = "teacher"
-    columns: ClassVar = {"label": torch.int64}
 
     def __init__(
         self,
@@ -33,11 +32,12 @@ class Labels(Hook):
         self.teacher: Any = teacher
         self.share = share
         self.augmentation = augmentation
+        self.columns = {"label": torch.empty((), dtype=torch.int64)}
 
     def act(self, fields: Parts, generator: torch.Generator) -> None:
         label = self.teacher()
         if self.augmentation is not None:
-            label = self.augmentation.from_envs(label)
+            label = self.augmentation.to_agent(label, fields["draw"].numpy())
         fields["label"][:] = torch.from_numpy(label)
         by_teacher = torch.rand(len(label), generator=generator) < self.share
         fields["action"][by_teacher] = fields["label"][by_teacher]

@@ -15,7 +15,7 @@ from zipf.agents.hindsight import AchievedOptions, NoHindsightOptions
 from zipf.agents.unroll import Unroll
 from zipf.envs.goals import Goal
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.hooks.augmentation import Augmentation, Draw
+from zipf.experiments.hooks.augmentation import Draws
 from zipf.experiments.hooks.goal_memory import Episode, GoalMemory, Parts
 from zipf.experiments.hooks.hook import Hook, Row, arrays
 from zipf.experiments.hooks.hook import Parts as Tensors
@@ -39,7 +39,7 @@ class Hindsight(Hook):
         env: the envs; told to report what episodes achieve.
         clip: makes rewards those that are learned from; None: they are the same.
         seed: of the draws among more episodes than are asked for.
-        augmentation: what the agent sees of the envs; `add` is told what they show.
+        draws: of the augmentation; kept episodes are drawn anew whenever they are learned from.
         teacher: whether fields have a teacher's actions as `label`. The memory then also keeps
             every episode for the goal that it was asked for, with these in the place of the
             actions taken; those that achieved another goal are kept and drawn apart from them.
@@ -59,7 +59,7 @@ class Hindsight(Hook):
         *,
         clip: Callable[[NDArray[Any]], NDArray[Any]] | None = None,
         seed: int,
-        augmentation: Augmentation | None = None,
+        draws: Draws | None = None,
         teacher: bool = False,
     ):
         if goal is None:
@@ -71,7 +71,7 @@ class Hindsight(Hook):
         reward = np.array([options.reward])
         self.reward = float((reward if clip is None else clip(reward))[0])
         self._teacher = teacher
-        self.augmentation = augmentation
+        self._draws = draws
         # Another stream than that of the agent's actions, which stay as they are.
         own = np.random.SeedSequence([seed, 1]).generate_state(1)
         self._generator = torch.Generator().manual_seed(int(own[0]))
@@ -81,8 +81,14 @@ class Hindsight(Hook):
         self._rows = options.length or _FIRST_ROWS
         like = {name: (part.shape[1:], part.dtype) for name, part in env.allocate().items()}
         self._observation = self._zeros(like)
-        fields = {**_FIELDS, **({"label": np.dtype(np.int64)} if teacher else {})}
-        self._fields = self._zeros({name: ((), dtype) for name, dtype in fields.items()})
+        fields: dict[str, tuple[tuple[int, ...], Any]] = {
+            name: ((), dtype) for name, dtype in _FIELDS.items()
+        }
+        if teacher:
+            fields["label"] = (), np.dtype(np.int64)
+        if draws is not None:
+            fields["draw"] = (draws.augmentation.size,), np.dtype(np.float64)
+        self._fields = self._zeros(fields)
         self._memory = GoalMemory(options.kept_per_goal) if options.kept_per_goal else None
         self._chosen: list[Episode] = []
         self._candidates = 0
@@ -108,7 +114,7 @@ class Hindsight(Hook):
 
         Args:
             observation: of this step, {name: [N, ...]}.
-            fields: those of an unroll's row, {name: [N]}.
+            fields: those of an unroll's row, {name: [N, ...]}.
             ended: the envs whose episodes end with this step, bool [N].
             final_info: the outcome of these; needed where there are any.
         """
@@ -153,7 +159,7 @@ class Hindsight(Hook):
         chosen, self._chosen, self._candidates = self._chosen, [], 0
         if self._memory is not None:
             kept = self._memory.draw(self.options.episodes, self._generator)
-            chosen = [self._changed(episode) for episode in kept]
+            chosen = [self._drawn_anew(episode) for episode in kept]
         if not chosen:
             return None
         lengths = torch.tensor([len(fields["reward"]) for _, fields in chosen])
@@ -204,8 +210,7 @@ class Hindsight(Hook):
             self._memory.load_state_dict(state["kept"])
 
     def _relabelled(self, i: int, goal: NDArray[Any]) -> Episode:
-        """The episode of an env that has just ended, as if it had been asked for this goal; as the
-        agent saw it, or, for the memory, as the env showed it."""
+        """The episode of an env that has just ended, as if it had been asked for this goal."""
         observation, fields = self._episode(i)
         everywhere = np.ones(len(fields["reward"]), np.bool_)
         self.goal.write(observation, np.repeat(goal[None], len(everywhere), axis=0), everywhere)
@@ -214,12 +219,7 @@ class Hindsight(Hook):
             fields["achieved"] = everywhere
         fields.pop("label", None)
         if self._memory is None:
-            drawn = None
-            if self.augmentation is not None:
-                drawn = self.augmentation.observe_episode(observation, i)
-            self._point(fields, drawn)
-        elif self.augmentation is not None:
-            self.augmentation.actions_to_envs(fields, i)
+            self._point(fields)
         return observation, fields
 
     def _labelled(self, i: int, succeeded: bool) -> Episode:
@@ -229,8 +229,6 @@ class Hindsight(Hook):
         if self.options.matching_cost:
             fields["achieved"] = np.full(len(fields["reward"]), succeeded)
         fields["action"] = fields.pop("label")
-        if self.augmentation is not None:
-            self.augmentation.actions_to_envs(fields, i)
         return observation, fields
 
     def _episode(self, i: int) -> Episode:
@@ -241,22 +239,25 @@ class Hindsight(Hook):
         fields = {name: part[rows, i] for name, part in self._fields.items()}
         return observation, fields
 
-    def _changed(self, episode: Episode) -> Episode:
-        """A copy of an episode of the memory, augmented anew."""
-        observation, fields = ({name: part.copy() for name, part in p.items()} for p in episode)
-        drawn = None
-        if self.augmentation is not None:
-            drawn = self.augmentation.change_episode(observation, fields)
-        self._point(fields, drawn)
+    def _drawn_anew(self, episode: Episode) -> Episode:
+        """An episode of the memory for the agent to see as another draw changes it."""
+        observation, fields = episode[0], dict(episode[1])
+        if self._draws is not None:
+            change, before = self._draws.augmentation, fields["draw"]
+            fields["draw"] = self._draws.draw(1).repeat(len(before), 0)
+            for name in ("previous_action", "action"):
+                played = change.to_env(fields[name], before)
+                fields[name] = change.to_agent(played, fields["draw"])
+        self._point(fields)
         return observation, fields
 
-    def _point(self, fields: Parts, drawn: Draw | None) -> None:
-        """Adds the regions of the image that the actions point at, where they do, as the draw of
-        the augmentation has moved them."""
+    def _point(self, fields: Parts) -> None:
+        """Adds the regions of the image that the actions point at, where they do, as the
+        augmentation has moved them."""
         if self._regions is not None:
             fields["region"] = self._regions[fields["action"]]
-            if self.augmentation is not None and drawn is not None:
-                fields["region"] = self.augmentation.move(fields["region"], drawn)
+            if self._draws is not None:
+                fields["region"] = self._draws.augmentation.move(fields["region"], fields["draw"])
 
     def _grow(self, rows: int) -> None:
         """Makes room for longer episodes; no frame has been overwritten yet."""

@@ -8,7 +8,7 @@ drawn by another law than they are. Auxiliary losses are not weighted.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -140,7 +140,6 @@ class Reweighting(Hook):
     """
 
     name = "reweighting"
-    columns: ClassVar = {"weight": torch.float32}
 
     def __init__(
         self,
@@ -151,6 +150,7 @@ class Reweighting(Hook):
         if goal is None:
             raise ValueError("these envs do not say what an episode asks for")
         self.goal = goal
+        self.columns = {"weight": torch.empty((), dtype=torch.float32)}
         self.goals = GoalWeights(options, num_envs)
         self._asked: list[NDArray[np.int64]] = []  # the counters of each row of the unroll
 

@@ -150,8 +150,8 @@ def means_inside(run: Run, levels: LevelGroup, window: Window) -> pd.DataFrame:
 
 def seed_means(row: Row, levels: LevelGroup, window: Window) -> dict[int, float]:
     """A row's scores by seed: what the table would have of that seed alone. Without the seeds that
-    have no score in the window. Across seeds the table takes their median; across tasks it takes
-    that of each level first, so that its score can be outside of these."""
+    have no score in the window. Across seeds the table takes their median. Across tasks it takes
+    the median of each level first, so the row's score can be below or above those of all seeds."""
     scores = {run.description.seed: _score([run], levels, window) for run in row.runs}
     return {seed: float(score["score"]) for seed, score in scores.items() if score["seeds"]}
 

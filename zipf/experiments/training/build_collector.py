@@ -9,7 +9,7 @@ from zipf.agents.agent import Agent
 from zipf.envs.policies import Teacher
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.seeds import derive_seed
-from zipf.experiments.hooks.augmentation import AUGMENTATIONS, Augmentation
+from zipf.experiments.hooks.augmentation import Draws
 from zipf.experiments.hooks.exploration import BONUSES
 from zipf.experiments.hooks.hook import Hook
 from zipf.experiments.hooks.labels import Labels
@@ -26,33 +26,21 @@ def build_collector(
     """What collects for an agent in these envs.
 
     Args:
-        player: numbers which of several collectors of a run it is, a learner's or an actor's: each
+        stream: numbers which of several collectors of a run it is, a learner's or an actor's: each
             draws for itself.
     """
-    augmentation = AUGMENTATIONS.build(
-        config.augmentation,
-        env.single_observation_space,
-        env.num_envs,
-        seed=derive_seed(config.seed, "augmentation", *stream),
-        symmetries=envs.symmetries(config.split, env),
-    )
     return Collector(
         env,
         agent,
         unroll_length=config.collector.unroll_length,
         seed=derive_seed(config.seed, "training", *stream),
-        hooks=list(_hooks(config, env, agent, stream, augmentation)),
-        augmentation=augmentation,
+        hooks=list(_hooks(config, env, agent, stream)),
         lag=config.lag,
     )
 
 
 def _hooks(
-    config: Config,
-    env: ZipfVectorEnv,
-    agent: Agent,
-    stream: tuple[int, ...],
-    augmentation: Augmentation | None,
+    config: Config, env: ZipfVectorEnv, agent: Agent, stream: tuple[int, ...]
 ) -> Iterator[Hook]:
     """The hooks in their order: what changes rewards comes before what keeps them."""
     clips = config.collector.reward_clipping == "soft_asymmetric"
@@ -60,9 +48,14 @@ def _hooks(
         yield SoftAsymmetric()
     if not config.collector.bootstrap_at_time_limit:
         yield TimeLimitsEnd()
-    needs = agent.needs
+    needs, draws = agent.needs, None
+    if agent.augmentation is not None:
+        seed = derive_seed(config.seed, "augmentation", *stream)
+        draws = Draws(agent.augmentation, env.num_envs, seed)
+        yield draws
     if needs.teacher:
-        yield Labels(Teacher(needs.teacher, config.split, env), needs.teacher_share, augmentation)
+        teacher = Teacher(needs.teacher, config.split, env)
+        yield Labels(teacher, needs.teacher_share, agent.augmentation)
     goal = envs.family_of_split(config.environment.split).make_goal(env)
     chosen = (
         BONUSES.build(
@@ -77,7 +70,7 @@ def _hooks(
             env,
             clip=soft_asymmetric if clips else None,
             seed=derive_seed(config.seed, "training", *stream),
-            augmentation=augmentation,
+            draws=draws,
             teacher=needs.teacher is not None,
         ),
     )

@@ -15,11 +15,10 @@ from torch import Tensor
 
 from zipf.agents.agent import Agent
 from zipf.agents.network import Inputs
-from zipf.agents.unroll import Unroll
+from zipf.agents.unroll import Unroll, changed
 from zipf.envs.mixture import Mixture
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.checkpoint import arrays
-from zipf.experiments.hooks.augmentation import Augmentation
 from zipf.experiments.hooks.hook import Hook, Row
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.training.unroll_buffers import CARRIED, UnrollBuffers
@@ -34,7 +33,8 @@ class Abandoned(Exception):
 class Collector:
     """Fills one unroll after another without dropping a frame.
 
-    The environment writes its observations straight into an unroll, unless they are augmented.
+    The environment writes its observations straight into an unroll; what an augmentation changes in
+    them is a column of it, `draw`.
     There are 1 + `lag` unrolls, used in turn: an agent that keeps frames for longer copies them.
     They are in RAM: pinned, if the agent computes on a CUDA device.
 
@@ -48,7 +48,6 @@ class Collector:
         unroll_length: T.
         seed: of the envs and of the agent's actions.
         hooks: what else happens around a step, in this order.
-        augmentation: changes what the agent sees of the envs, and means by its actions.
         lag: for how many further calls of `collect` an unroll stays valid.
 
     Raises:
@@ -63,7 +62,6 @@ class Collector:
         unroll_length: int,
         seed: int,
         hooks: Sequence[Hook] = (),
-        augmentation: Augmentation | None = None,
         lag: int = 0,
     ):
         burn_in = agent.needs.burn_in
@@ -75,7 +73,6 @@ class Collector:
         self.agent = agent
         self.unroll_length = unroll_length
         self.device = agent.device
-        self.augmentation = augmentation
         self.visits = Visits(tuple(env.situation))
         self.hooks: list[Hook] = [self.visits, *hooks]
         self.seconds = {"environment": 0.0, "inference": 0.0}
@@ -83,19 +80,15 @@ class Collector:
         self._generator = torch.Generator().manual_seed(seed)
         self._memory = agent.initial_memory(env.num_envs)
         self._abandoned = Event()
-        columns = {name: dtype for hook in self.hooks for name, dtype in hook.columns.items()}
+        columns = {name: like for hook in self.hooks for name, like in hook.columns.items()}
         finals, pinned = agent.needs.final_observations, self.device.startswith("cuda")
         self._buffers = [
             UnrollBuffers(env, unroll_length + 1, finals, columns, pinned) for _ in range(1 + lag)
         ]
         self._final = env.allocate()
         self._final_tensors = tensors(self._final)
-        # What the envs show before and after a step; unrolls have it, but for an augmentation.
-        self._raw = [env.allocate(), env.allocate()] if augmentation else None
-        everywhere = np.ones(env.num_envs, np.bool_)
-        env.reset(seed=seed, out=self._shown(self._buffers[-1], -1))
-        self._begin(self._buffers[-1], -1, everywhere)
-        self._augment(self._buffers[-1], -1, everywhere)
+        env.reset(seed=seed, out=self._buffers[-1].observation_row(-1))
+        self._show(self._buffers[-1], -1, np.ones(env.num_envs, np.bool_))
 
     def collect(self) -> Unroll:
         """Plays T steps in every env.
@@ -148,7 +141,7 @@ class Collector:
     def state_dict(self) -> dict[str, Any]:
         """Everything that the next unroll depends on."""
         fields = self._buffers[-1].fields
-        state = {
+        return {
             "environment": self.env.get_state(),
             "memory": dict(self._memory),
             "generator": self._generator.get_state(),
@@ -156,15 +149,12 @@ class Collector:
             "episodes": dict(self._episodes),
             **{hook.name: hook.state_dict() for hook in self.hooks},
         }
-        if self.augmentation:
-            state["augmentation"] = self.augmentation.state_dict()
-        return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
         buffers = self._buffers[-1]
         restarted = self.env.set_state(arrays(state["environment"]))
-        self.env.observations(out=self._shown(buffers, -1))
+        self.env.observations(out=buffers.observation_row(-1))
         self._memory = {k: v.to(self.device) for k, v in state["memory"].items()}
         self._generator.set_state(state["generator"])
         self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
@@ -176,15 +166,15 @@ class Collector:
             buffers.fields[name][-1][restarted] = value
         for hook in self.hooks:
             hook.load_state_dict(arrays(state.get(hook.name, {})))
-        self._begin(buffers, -1, restarted)
-        if self.augmentation:
-            self.augmentation.load_state_dict(state["augmentation"])
-        self._augment(buffers, -1, restarted)
+        self._show(buffers, -1, restarted)
 
     def _step(self, buffers: UnrollBuffers, t: int) -> None:
         start = perf_counter()
         fields, row = buffers.fields, buffers.rows[t]
-        inputs = Inputs.of(buffers.inputs[t].to(self.device, non_blocking=True))
+        seen, augmentation = buffers.inputs[t], self.agent.augmentation
+        if augmentation is not None:
+            seen = changed(seen, augmentation)
+        inputs = Inputs.of(seen.to(self.device, non_blocking=True))
         action, self._memory, behaviour = self.agent.act(inputs, self._memory, self._generator)
         for name, value in behaviour.items():
             buffers.write(name, t, value)
@@ -193,15 +183,12 @@ class Collector:
         for hook in self.hooks:
             hook.act(row, self._generator)
 
-        before = self._shown(buffers, t)
-        if self._raw:
-            self._raw.reverse()
-        following = self._shown(buffers, t + 1)
-        action_of_envs = fields["action"][t]
-        if self.augmentation:
-            action_of_envs = self.augmentation.to_envs(action_of_envs)
+        following = buffers.observation_row(t + 1)
+        played = fields["action"][t]
+        if augmentation is not None:
+            played = augmentation.to_env(played, fields["draw"][t])
         _, reward, terminated, truncated, info = self.env.step(
-            action_of_envs, out=following, final_out=self._final
+            played, out=following, final_out=self._final
         )
         ended = terminated | truncated
         any_ended = bool(ended.any())
@@ -215,7 +202,7 @@ class Collector:
         if any_ended:
             self._record(outcome, ended)
         step = Row(
-            tensors(before),
+            tensors(buffers.observation_row(t)),
             row,
             torch.from_numpy(reward),
             tensors(following),
@@ -226,11 +213,7 @@ class Collector:
         )
         for hook in self.hooks:
             hook.step(step)
-        if any_ended:
-            self._begin(buffers, t + 1, ended)
-        if self.augmentation:
-            self.augmentation.observe(self._final, ended)
-        self._augment(buffers, t + 1, ended)
+        self._show(buffers, t + 1, ended)
         stepped = perf_counter()
 
         fields["truncation_value"][t] = 0.0
@@ -238,32 +221,20 @@ class Collector:
         if truncated.any() and buffers.final is not None:
             buffers.keep_final(t, truncated, self._final, reward)
         elif truncated.any():
-            values = self._value_at_truncation(
-                fields["action"][t], reward.astype(np.float32), truncated
+            fields["truncation_value"][t, truncated] = self._value_at_truncation(
+                buffers, t, reward.astype(np.float32), truncated
             )
-            fields["truncation_value"][t, truncated] = values
         self.seconds["inference"] += acted - start + perf_counter() - stepped
         self.seconds["environment"] += stepped - acted
 
-    def _shown(self, buffers: UnrollBuffers, t: int) -> dict[str, NDArray]:
-        """Where the envs' own observations are written that belong to row t."""
-        return buffers.observation_row(t) if self._raw is None else self._raw[-1]
-
-    def _begin(self, buffers: UnrollBuffers, t: int, mask: NDArray[np.bool_]) -> None:
-        """Episodes begin in row t, where `mask` [N]."""
-        observation, begins = tensors(self._shown(buffers, t)), torch.from_numpy(mask)
+    def _show(self, buffers: UnrollBuffers, t: int, begins: NDArray[np.bool_]) -> None:
+        """Row t is there; episodes begin in it where `begins` [N]."""
+        if begins.any():
+            observation = tensors(buffers.observation_row(t))
+            for hook in self.hooks:
+                hook.begin(observation, torch.from_numpy(begins))
         for hook in self.hooks:
-            hook.begin(observation, begins)
-
-    def _augment(self, buffers: UnrollBuffers, t: int, begins: NDArray[np.bool_]) -> None:
-        """Writes row t as the agent sees it; where `begins` [N] the augmentation is another."""
-        if self.augmentation is None or self._raw is None:
-            return
-        self.augmentation.begin(begins)
-        observation = buffers.observation_row(t)
-        for name, part in self._raw[-1].items():
-            observation[name][:] = part
-        self.augmentation.observe(observation, np.ones(len(begins), np.bool_))
+            hook.show(buffers.rows[t])
 
     def _record(self, final_info: dict[str, NDArray], ended: NDArray[np.bool_]) -> None:
         """Keeps the outcomes of the episodes that ended, for `episode_metrics`."""
@@ -282,15 +253,18 @@ class Collector:
                     self._episodes[f"{name}/{level}"].append(value)
 
     def _value_at_truncation(
-        self, action: NDArray, reward: NDArray, truncated: NDArray[np.bool_]
+        self, buffers: UnrollBuffers, t: int, reward: NDArray, truncated: NDArray[np.bool_]
     ) -> NDArray:
         def send(array: NDArray) -> Tensor:
-            return torch.from_numpy(array[truncated]).to(self.device)
+            return torch.from_numpy(array[truncated])
 
+        observation = {name: send(part) for name, part in self._final.items()}
+        if self.agent.augmentation is not None:
+            observation = self.agent.augmentation(observation, send(buffers.fields["draw"][t]))
         inputs = Inputs(
-            {name: send(part) for name, part in self._final.items()},
-            send(action),
-            send(reward),
+            {name: part.to(self.device) for name, part in observation.items()},
+            send(buffers.fields["action"][t]).to(self.device),
+            send(reward).to(self.device),
             torch.zeros(int(truncated.sum()), dtype=torch.bool, device=self.device),
         )
         rows = torch.from_numpy(truncated).to(self.device)

@@ -256,7 +256,7 @@ class Run:
                 if self.config.learning_rate_decay:
                     assert isinstance(self.agent, Learner)
                     self.agent.scale_learning_rates(self.config.learning_rate_factor(self.update))
-                metrics = self.agent.update(unroll.to(self.device))
+                metrics = self.agent.update(unroll)
                 if self.device.startswith("cuda"):  # to measure the time, and because the unroll
                     torch.cuda.synchronize(self.device)  # is overwritten by the next
                 return metrics

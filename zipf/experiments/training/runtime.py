@@ -31,7 +31,7 @@ class OnlyLearner:
     Attributes:
         rank: its number among the learners.
         is_first: whether it writes, shows and evaluates.
-        player: what tells the seeds of its envs from those of other learners.
+        stream: what tells the seeds of its envs from those of other learners.
     """
 
     rank = 0
@@ -111,7 +111,7 @@ class Runtime:
         """What collects for the agent.
 
         Args:
-            player: see `build_collector`.
+            stream: see `build_collector`.
         """
         collector = build_collector(self.config, env, agent, stream)
         if self.config.lag == 0:

@@ -35,7 +35,7 @@ class UnrollBuffers:
         env: ZipfVectorEnv,
         rows: int,
         finals: int,
-        further: Mapping[str, torch.dtype],
+        further: Mapping[str, Tensor],
         pinned: bool,
     ):
         self.pinned = pinned
@@ -43,15 +43,18 @@ class UnrollBuffers:
         self.steps = TensorDict(batch_size=shape)
         self.steps["observation"] = self._observations(env, rows)
         self.observation = {name: part.numpy() for name, part in self.steps["observation"].items()}
-        self.final = self._finals(env, finals) if finals else None
+        self.final = self._finals(env, finals, further) if finals else None
         self.fields: dict[str, NDArray[Any]] = {}
         more = {"bonus": torch.float32, "truncation_value": torch.float32}
-        for name, dtype in {**STEP, **more, **further}.items():
+        for name, dtype in {**STEP, **more}.items():
             self.steps[name] = self._tensor(torch.zeros(shape, dtype=dtype))
+        for name, like in further.items():
+            self.steps[name] = self._tensor(torch.zeros(*shape, *like.shape, dtype=like.dtype))
+        for name in {**STEP, **more, **further}:
             self.fields[name] = self.steps[name].numpy()
         self.fields["previous_action"][:] = -1
         self.fields["is_first"][:] = True
-        self.inputs = self.steps.select("observation", *CARRIED)
+        self.inputs = self.steps.select("observation", *CARRIED, *({"draw"} & further.keys()))
         self.rows = [{name: self.steps[name][t] for name in self.fields} for t in range(rows)]
 
     def observation_row(self, t: int) -> dict[str, NDArray]:
@@ -85,6 +88,8 @@ class UnrollBuffers:
         self.final["step"].numpy()[places] = t
         self.final["previous_action"].numpy()[places] = self.fields["action"][t, envs]
         self.final["previous_reward"].numpy()[places] = reward[envs]
+        if "draw" in self.fields:
+            self.final["draw"].numpy()[places] = self.fields["draw"][t, envs]
 
     def write(self, name: str, t: int, value: Tensor) -> None:
         """Writes what the behaviour policy adds to row t, [N, ...]; the copy from a CUDA device is
@@ -102,11 +107,14 @@ class UnrollBuffers:
         }
         return TensorDict(zeros, (rows, env.num_envs))
 
-    def _finals(self, env: ZipfVectorEnv, count: int) -> TensorDict:
+    def _finals(self, env: ZipfVectorEnv, count: int, further: Mapping[str, Tensor]) -> TensorDict:
         shape = count, env.num_envs
         final = TensorDict(batch_size=shape)
         for name, dtype in FINAL.items():
             final[name] = self._tensor(torch.zeros(shape, dtype=dtype))
+        if "draw" in further:
+            like = further["draw"]
+            final["draw"] = self._tensor(torch.zeros(*shape, *like.shape, dtype=like.dtype))
         final["observation"] = self._observations(env, count)
         return final
 

@@ -71,7 +71,7 @@ class Combat(NamedTuple):
     fighters: NDArray[np.int64]
     """[N]: how many there are; 0: there is no combat, and the rest has no meaning."""
     bodies: NDArray[np.float64]
-    """[N, FIGHTERS, 8], as `Worlds.bodies`, of which row 0 is a copy."""
+    """[N, FIGHTERS, 8], as `Envs.bodies`, of which row 0 is a copy."""
     status: NDArray[np.int64]
     """[N, FIGHTERS, columns]."""
     minds: NDArray[np.float64]
@@ -122,13 +122,13 @@ def make_combat(num_envs: int, grid: int) -> Combat:
     )
 
 
-def clear_combat(combat: Combat, world: int) -> None:
+def clear_combat(combat: Combat, i: int) -> None:
     """Ends the combat of an env."""
     for name, value in (
         ("fighters", 0), ("bodies", 0.0), ("status", 0), ("minds", 0.0), ("fields", -1),
         ("spawn_count", 0), ("kinds", NOTHING), ("until", -1), ("written", 0), ("points", 0),
     ):  # fmt: skip
-        getattr(combat, name)[world] = value
-    combat.shots[world, :, SHOOTER] = -1
-    combat.traces[world, :, TRACE_FRAME] = -(10**6)
-    combat.flashes[world, :, FLASH_FRAME] = -(10**6)
+        getattr(combat, name)[i] = value
+    combat.shots[i, :, SHOOTER] = -1
+    combat.traces[i, :, TRACE_FRAME] = -(10**6)
+    combat.flashes[i, :, FLASH_FRAME] = -(10**6)

@@ -98,7 +98,7 @@ def show_supplies(mask, combat, meshes, shape, colours):
 
     Args:
         mask: bool [N].
-        combat: of `Worlds`.
+        combat: of `Envs`.
         meshes: int32, numbers of SUPPLY_MESHES.
         shape, colours: of `Scenery` and `Scenes`, written.
     """
@@ -118,7 +118,7 @@ def pose(mask, items, clock, combat, meshes, pictures):
     Args:
         mask: bool [N].
         items: how many instances come before those of the actors.
-        clock, combat: of `Worlds`.
+        clock, combat: of `Envs`.
         meshes: int32, numbers of ACTOR_MESHES.
         pictures: `Pictures`, written.
     """

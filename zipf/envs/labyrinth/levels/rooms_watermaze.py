@@ -31,9 +31,10 @@ class Watermaze(Episode):
     """Goal: reach the hidden platform as often as possible; it stays where it is.
 
     Layout: a large round room with blue water. Eight different pictures hang on the wall.
-    Rules: the platform is invisible until the player steps on it. Then it rises and holds it, for
-    about two seconds and five points; after that a new map begins, at one of eight places along
-    the wall, looking anywhere.
+    Rules: the platform is invisible until the player steps on it. Then the platform rises and holds
+    the player for about two seconds, which pays five points. After that a new map begins: the
+    player is put at one of eight places along the wall, facing a random way. Only the time limit
+    ends the episode.
     Rewards: +1, five times for each visit of the platform.
     Approximated: points come every 0.4 s (the original's timer is irregular), and the player is
     held at once.
