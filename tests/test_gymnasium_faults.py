@@ -19,7 +19,7 @@ from networks import compact
 
 import zipf.envs
 from zipf.agents.encoders import Encoder, is_image
-from zipf.envs import GymnasiumVectorEnv, Mixture, family
+from zipf.envs import GymnasiumVectorEnv, Mixture, family, floors
 from zipf.evaluate import score
 from zipf.experiments.building import feasibility
 from zipf.experiments.options import config_files
@@ -285,6 +285,9 @@ def test_an_episode_that_never_ends_ends_an_evaluation(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=said):
         zipf.envs.measure_chance("faulty/rare", episodes=3)
     one_line(train(tmp_path), "'Endless-v0'", said)
+    arena = floors.Arena("faulty/uniform", rows=2)
+    with pytest.raises(ValueError, match=said):
+        floors.play(["actions 1"], arena, episodes=2)
 
 
 def test_no_episode_that_a_declared_limit_allows_is_too_long() -> None:

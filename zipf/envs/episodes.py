@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from zipf.envs.arguments import whole
 from zipf.envs.baselines import BaselineScore
-from zipf.envs.family import BoundPolicy, EnvError, make_vec
+from zipf.envs.family import BoundPolicy, make_vec
 from zipf.envs.splits import Level, SplitLevel
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
@@ -118,8 +118,7 @@ def play_episodes(
         observation, rewards, terminated, truncated, info = env.step(actions, out=out)
         reward = rewards.astype(np.float32)
         is_first = terminated | truncated
-        if env._lengths.max() > env.longest_episode:
-            _check_lengths(env, playing < episodes)
+        env.check_lengths(playing < episodes)
         if not is_first.any():
             watch(episodes - unfinished)
             continue
@@ -134,15 +133,3 @@ def play_episodes(
         started += new
         watch(episodes - unfinished)
     return {name: records[name] for name in names}
-
-
-def _check_lengths(env: ZipfVectorEnv, counted: NDArray[np.bool_]) -> None:
-    """Raises EnvError where a counted episode is too long. The mean over those that have ended
-    would be another score."""
-    endless = np.flatnonzero(counted & (env._lengths > env.longest_episode))
-    if endless.size:
-        raise EnvError(
-            f"{env._name_of(int(endless[0]))}: an episode has not ended after "
-            f"{env.longest_episode} steps, so there is no score: give the environment a time "
-            "limit, or longest_episode=... a larger number"
-        )

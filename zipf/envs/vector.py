@@ -455,6 +455,26 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             raise ValueError("these envs do not tell what an episode has achieved")
         self._reports_achieved = True
 
+    def check_lengths(self, counted: NDArray[np.bool_] | None = None) -> None:
+        """For whoever plays episodes to their end.
+
+        Raises:
+            EnvError: the running episode of one of the envs `counted` (bool [N]; None: all) is
+                longer than `longest_episode`. A mean over those that have ended would be of other
+                episodes.
+        """
+        if self._lengths.max() <= self.longest_episode:
+            return
+        endless = self._lengths > self.longest_episode
+        if counted is not None:
+            endless &= counted
+        if endless.any():
+            raise EnvError(
+                f"{self._name_of(int(endless.argmax()))}: an episode has not ended after "
+                f"{self.longest_episode} steps, so there is no score: give the environment a time "
+                "limit, or longest_episode=... a larger number"
+            )
+
     def observations(self, out: Observation | None = None) -> Observation:
         """The current observations, written as by `step`; for use after `set_state`."""
         observation = self._writable(out, "out")

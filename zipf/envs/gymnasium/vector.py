@@ -276,7 +276,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
             returned = env.reset(seed=seed)
         except Exception as error:
             raise self._raised("reset", error) from error
-        if not isinstance(returned, tuple) or len(returned) != 2:
+        if not isinstance(returned, tuple | list) or len(returned) != 2:
             raise EnvError(
                 f"{self.id}: reset must return (observation, info), got {short(returned)}"
             )
@@ -311,7 +311,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         *_, last = traceback.extract_tb(error.__traceback__)
         where = f"{Path(last.filename).name}, line {last.lineno}"
         line = f"{self.id}: {method} raised {type(error).__name__} in {where}: {text}"
-        if method == "reset" and isinstance(error, TypeError) and "argument" in text:
+        if method == "reset" and isinstance(error, TypeError) and " argument" in text:
             line += "; it must be reset(self, *, seed=None, options=None)"
         if method == "step" and isinstance(error, ValueError) and "unpack" in text:
             line += "; it must return (observation, reward, terminated, truncated, info)"
@@ -345,7 +345,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
             plain = value.item() if hasattr(value, "item") else value
         except (ValueError, RuntimeError):  # of several entries
             plain = None
-        if not isinstance(plain, int) or plain not in (0, 1):
+        if not isinstance(plain, int | float) or plain not in (0, 1):
             raise EnvError(f"{self.id}: {name} must be True or False, got {short(value)}")
         return bool(plain)
 
