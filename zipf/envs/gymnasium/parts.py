@@ -104,6 +104,10 @@ class Part:
         return self.given.shape or ()
 
     @cached_property
+    def _is_reshaped(self) -> bool:
+        return self.words is None and self.shape != self.space.shape
+
+    @cached_property
     def bounds(self) -> tuple[Any, Any] | None:
         """The least and the greatest whole number that the environment may give, scalars or of the
         space's shape. None: of floats."""
@@ -165,7 +169,7 @@ class Part:
             value = value - self.start
         if self.order is not None:
             value = value.transpose(self.order)
-        if self.shape != self.space.shape:
+        if self._is_reshaped:
             value = value.reshape(self.space.shape or ())
         return value if self.scale == 1 else value * self.scale
 

@@ -99,6 +99,8 @@ class ReplayedVectorEnv(ZipfVectorEnv):
             _, reward[i], terminated[i], truncated[i], _ = outcome
             if self.reports_success and (outcome.terminated or outcome.truncated):
                 success[i] = self._succeeded(float(self._returns[i]) + outcome.reward, outcome)
+        # Here, too: nobody may ask for the last observation of an episode.
+        self._check_finite(self._current, mask)
         return reward, terminated, truncated, success
 
     def _step_env(self, i: int, action: int) -> Outcome:
@@ -114,8 +116,6 @@ class ReplayedVectorEnv(ZipfVectorEnv):
         for name, array in self._current.items():
             row = array[i : i + 1]
             row[0] = observation[name]
-            if array.dtype.kind == "f" and not np.isfinite(row).all():
-                raise self._not_finite(i, name, row)
             content.append(row.tobytes())
         digest = hashlib.blake2b(b"".join(content), digest_size=8).digest()
         self._digests[i] = int.from_bytes(digest, "little")

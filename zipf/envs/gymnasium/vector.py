@@ -24,6 +24,7 @@ Success = Callable[[float, bool, dict[str, Any]], bool]
 """Whether an episode was a success: `success(episode_return, terminated, last_info)`."""
 
 _REPORTED = ("is_success", "success")
+_SEVERAL = (tuple, list)
 _TIME_LIMITS = (
     "max_episode_steps",
     "_max_episode_steps",
@@ -276,7 +277,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
             returned = env.reset(seed=seed)
         except Exception as error:
             raise self._raised("reset", error) from error
-        if not isinstance(returned, tuple | list) or len(returned) != 2:
+        if not isinstance(returned, _SEVERAL) or len(returned) != 2:
             raise EnvError(
                 f"{self.id}: reset must return (observation, info), got {short(returned)}"
             )
@@ -289,8 +290,8 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
             returned = env.step(action)
         except Exception as error:
             raise self._raised("step", error) from error
-        if not isinstance(returned, tuple | list) or len(returned) != 5:
-            count = f" of {len(returned)} values" if isinstance(returned, tuple | list) else ""
+        if not isinstance(returned, _SEVERAL) or len(returned) != 5:
+            count = f" of {len(returned)} values" if isinstance(returned, _SEVERAL) else ""
             raise EnvError(
                 f"{self.id}: step must return (observation, reward, terminated, truncated, info), "
                 f"got {type(returned).__name__}{count}"
@@ -318,7 +319,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         return EnvError(line)
 
     def _check_info(self, method: str, info: Any) -> None:
-        if not isinstance(info, Mapping):
+        if type(info) is not dict and not isinstance(info, Mapping):
             raise EnvError(f"{self.id}: info of {method} must be a dict, got {short(info)}")
 
     def _number(self, reward: Any) -> float:
