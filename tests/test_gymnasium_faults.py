@@ -431,6 +431,7 @@ def test_texts_are_tried_when_a_batch_is_made() -> None:
         GymnasiumVectorEnv(1, "Faulty-v0", wrap=Wordy, text_length=5)
 
 
+@pytest.mark.slow
 def test_a_run_that_a_text_was_too_long_for_goes_on_when_texts_are_cut(tmp_path: Path) -> None:
     wrap = partial(Wordy, rare=101)
     faulty(wrap=wrap, text_length=5)
