@@ -6,10 +6,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from zipf.envs.baselines import BaselineScore
+from zipf.envs.errors import EngineError, EnvError
 from zipf.envs.family import (
     SCRIPTED,
-    EngineError,
-    EnvError,
     Family,
     Scripted,
     all_splits,

@@ -43,14 +43,6 @@ SCRIPTED: tuple[Scripted, ...] = get_args(Scripted)
 """The fields of a `Family` that are scripted policies."""
 
 
-class EngineError(RuntimeError):
-    """An engine that is not ours cannot be started, or goes wrong; says what it needs."""
-
-
-class EnvError(EngineError, ValueError):
-    """An environment returns what it must not; says which one it is and what is accepted."""
-
-
 class NoOptions(Options):
     """A family without constructor options."""
 

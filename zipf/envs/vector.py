@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from zipf.envs import pcg64
 from zipf.envs.arguments import mapping, reset_options, whole
-from zipf.envs.family import EnvError
+from zipf.envs.errors import EnvError
 
 Observation = dict[str, NDArray[Any]]
 Info = dict[str, Any]

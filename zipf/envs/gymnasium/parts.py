@@ -13,7 +13,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import whole
-from zipf.envs.family import EnvError
+from zipf.envs.errors import EnvError
 
 SMALLEST_SIDE = 7  # ours: of an image; MiniGrid's are 7 x 7
 MOST_CHANNELS = 16  # ours: of an image whose axes are not given

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import mapping, whole
-from zipf.envs.family import EnvError
+from zipf.envs.errors import EnvError
 from zipf.envs.gymnasium.parts import Reading, Words, parts_of, short
 from zipf.envs.gymnasium.replayed import Outcome, ReplayedVectorEnv
 from zipf.envs.vector import Observation, ZipfVectorEnv
