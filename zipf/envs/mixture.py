@@ -298,9 +298,9 @@ class Mixture(ZipfVectorEnv):
                     continue
             yield self.batches[k], part
 
-    def _name_of(self, i: int) -> str:
+    def name_of(self, i: int) -> str:
         level = self.level_names[self.levels_of_envs[i]]
-        name = self.batches[self.levels_of_envs[i]]._name_of(i)
+        name = self.batches[self.levels_of_envs[i]].name_of(i)
         return name if level in name else f"{name}, level {level}"
 
     def _leave(self, envs: list[int]) -> None:

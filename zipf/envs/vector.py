@@ -298,7 +298,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _leave(self, envs: list[int]) -> None:
         """In a mixture: these envs go on to other levels. Most families have nothing to free."""
 
-    def _name_of(self, i: int) -> str:
+    def name_of(self, i: int) -> str:
         """What env `i` is called in errors."""
         return type(self).__name__
 
@@ -470,7 +470,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             endless &= counted
         if endless.any():
             raise EnvError(
-                f"{self._name_of(int(endless.argmax()))}: an episode has not ended after "
+                f"{self.name_of(int(endless.argmax()))}: an episode has not ended after "
                 f"{self.longest_episode} steps, so there is no score: give the environment a time "
                 "limit, or longest_episode=... a larger number"
             )
@@ -569,7 +569,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         """The error for a part of the observation of env `i`."""
         wrong = values[~np.isfinite(values)].flat[0]
         return EnvError(
-            f"{self._name_of(i)}: observation {name!r} has the value {wrong} after step "
+            f"{self.name_of(i)}: observation {name!r} has the value {wrong} after step "
             f"{self._lengths[i]} of an episode: observations must be finite"
         )
 

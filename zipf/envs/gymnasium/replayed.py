@@ -75,7 +75,7 @@ class ReplayedVectorEnv(ZipfVectorEnv):
         reports success."""
         return episode_return > 0
 
-    def _name_of(self, i: int) -> str:
+    def name_of(self, i: int) -> str:
         return self.replayed_name
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:

@@ -178,7 +178,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         self._idle = _Idle(None if render_mode else max(num_envs, LEAST_IDLE))
         self._idle.put(self, first)
 
-    def _name_of(self, i: int) -> str:
+    def name_of(self, i: int) -> str:
         return self.replayed_name + (f" with {short(self.options)}" if self.options else "")
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:

@@ -339,14 +339,14 @@ def _too_many_codes(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
             size = number_of_codes(space) * config.network.code_channels * each
             if size > free:
                 yield (
-                    f"environment: observation {name!r} is {space!s:.100}: embeddings of so "
+                    f"{env.name_of(0)}: observation {name!r} is {space!s:.100}: embeddings of so "
                     f"many codes take {in_words(size)}, and {in_words(free)} of RAM are free; give "
                     "a quantity as a Box, and of codes fewer"
                 )
     size = int(env.single_action_space.n) * config.memory.size * each
     if size > free:
         yield (
-            f"environment: {env.single_action_space} are too many actions: their weights take "
+            f"{env.name_of(0)}: {env.single_action_space} are too many actions: their weights take "
             f"{in_words(size)}, and {in_words(free)} of RAM are free"
         )
 
