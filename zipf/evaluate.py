@@ -8,13 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import zipf
-from zipf.errors import EXPECTED, UserError, tell
+from zipf.errors import UserError
 from zipf.experiments.evaluation.evaluator import Policy
 from zipf.experiments.evaluation.external import record
 from zipf.experiments.evaluation.policies import trained
 from zipf.experiments.evaluation.scoring import Evaluation, env_options, score
-from zipf.output import keep_going
+from zipf.output import run_command
 
 if TYPE_CHECKING:
     from zipf.experiments.evaluation.evaluator import Result, Watch
@@ -53,21 +52,8 @@ The scores of a run are also written to its folder, as evaluation-<update>-seed<
 
 def main() -> None:
     """The command."""
-    keep_going()
-    arguments = sys.argv[1:]
-    if not arguments or {"-h", "--help"} & set(arguments):
-        print(USAGE)
-        sys.exit(0 if arguments else 2)
-    if "--version" in arguments:
-        print(f"zipf {zipf.__version__}")
-        return
-    try:
-        _evaluate(arguments)
-    except KeyboardInterrupt:
-        sys.exit(130)
-    except EXPECTED as error:
-        tell(error)
-        sys.exit(2)
+    if code := run_command(USAGE, _evaluate):
+        sys.exit(code)
 
 
 def _evaluate(arguments: list[str]) -> None:
@@ -125,7 +111,6 @@ def _evaluate_script(options: EvaluateOptions) -> None:
 
 @contextmanager
 def _progress() -> Iterator[Watch]:
-    """Shows on a terminal how many episodes have ended."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     columns = BarColumn(), MofNCompleteColumn(), TextColumn("episodes")

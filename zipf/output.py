@@ -1,11 +1,38 @@
-"""Standard output and standard error that cannot end a program."""
+"""What commands share: output that cannot end a program, help, version and exit codes."""
 
 from __future__ import annotations
 
 import errno
 import io
 import sys
+from collections.abc import Callable, Sequence
 from typing import Any, TextIO
+
+import zipf
+from zipf.errors import EXPECTED, tell
+
+
+def run_command(
+    usage: str, work: Callable[[list[str]], None], arguments: Sequence[str] | None = None
+) -> int:
+    """Prints usage or version where the arguments, those of the process if None, ask for them, else
+    does the work; errors that users can mend are lines on standard error. Returns the exit code."""
+    keep_going()
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or {"-h", "--help"} & set(words):
+        print(usage)
+        return 0 if words else 2
+    if "--version" in words:
+        print(f"zipf {zipf.__version__}")
+        return 0
+    try:
+        work(words)
+    except EXPECTED as error:
+        tell(error)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
 
 
 def keep_going() -> None:
@@ -35,12 +62,8 @@ def _stream(stream: TextIO, name: str | None) -> TextIO:
 
 
 class _Droppable(io.FileIO):
-    """A file that may stop to take what is written to it.
-
-    Args:
-        descriptor: of the open file.
-        name: to name it by, once, on standard error, where it fails in an unusual way.
-    """
+    """A file that may stop to take what is written to it. Where that fails in an unusual way, it is
+    named once, on standard error."""
 
     def __init__(self, descriptor: int, name: str | None):
         super().__init__(descriptor, "w", closefd=False)

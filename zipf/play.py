@@ -5,11 +5,9 @@ from __future__ import annotations
 import signal
 import sys
 
-import zipf
-from zipf.errors import EXPECTED, tell
 from zipf.experiments.options.command_line import read_options
 from zipf.experiments.playing.playing import PlayOptions, play
-from zipf.output import keep_going
+from zipf.output import run_command
 
 __all__ = ["main"]
 
@@ -51,23 +49,13 @@ Options:
 
 def main() -> None:
     """The command."""
-    keep_going()
-    arguments = sys.argv[1:]
-    if not arguments or {"-h", "--help"} & set(arguments):
-        print(USAGE)
-        sys.exit(0 if arguments else 2)
-    if "--version" in arguments:
-        print(f"zipf {zipf.__version__}")
-        return
+    sys.exit(run_command(USAGE, _play))
+
+
+def _play(arguments: list[str]) -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):  # leave a terminal and a recording in order
         signal.signal(number, _exit)
-    try:
-        play(read_options(PlayOptions, arguments), lambda line: print(line, flush=True))
-    except KeyboardInterrupt:
-        sys.exit(130)
-    except EXPECTED as error:
-        tell(error)
-        sys.exit(2)
+    play(read_options(PlayOptions, arguments), lambda line: print(line, flush=True))
 
 
 def _exit(number: int, frame: object) -> None:

@@ -42,26 +42,16 @@ class Registry(Generic[Part]):
         return MappingProxyType(self._options)
 
     def register(self, options: type[Options], build: Callable[..., Part]) -> None:
-        """Adds a choice, under the name in its options.
-
-        Args:
-            options: their class, with a field `name: Literal["..."]`.
-            build: makes the part from the options and what else the group's parts are made from.
-
-        Raises:
-            ValueError: the options have no name, or the name is taken.
-        """
+        """Adds a choice, under the name in its options, a class with a field `name:
+        Literal["..."]`. `build` makes the part from the options and what else the group's parts are
+        made from. Raises ValueError: the options have no name, or the name is taken."""
         name = name_of(options)
         if name in self._options:
             raise ValueError(f"{self.group} {name!r} is already registered: {self._options[name]}")
         self._options[name], self._builds[name] = options, build
 
     def build(self, options: Any, *others: Any, **named: Any) -> Part:
-        """The part that the options name.
-
-        Raises:
-            ValueError: it does not fit what it is made from.
-        """
+        """The part that the options name. Raises ValueError: it does not fit the others."""
         return self._builds[options.name](options, *others, **named)
 
     def builds(self) -> Mapping[str, Callable[..., Part]]:

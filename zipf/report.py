@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-import zipf
-from zipf.errors import EXPECTED, UserError, tell
+from zipf.errors import UserError
 from zipf.experiments.records.wording import PlotFormat, VideoFormat
 from zipf.options import Options
-from zipf.output import keep_going
+from zipf.output import run_command
 
 if TYPE_CHECKING:
     from zipf.experiments.reporting.claims import ClaimLine
@@ -191,11 +190,8 @@ def report(
 
 
 def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str]:
-    """The Markdown files in these folders, but for those that the report writes itself.
-
-    Raises:
-        UserError: one cannot be read.
-    """
+    """The Markdown files in these folders, but for those that the report writes itself. Raises
+    UserError: one cannot be read."""
     own = {path.resolve() for path in written}
     found = (path for folder in folders for path in sorted(Path(folder).glob("*.md")))
     texts = []
@@ -231,10 +227,7 @@ def _remove_earlier_plots(folder: Path) -> None:
 
 
 def _command(
-    folders: Sequence[str | Path],
-    output: str | Path | None,
-    window: str | None,
-    record: str | Path,
+    folders: Sequence[str | Path], output: str | Path | None, window: str | None, record: str | Path
 ) -> str:
     arguments = [Path(folder).as_posix() for folder in folders]
     if output is not None:
@@ -247,22 +240,7 @@ def _command(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
-    keep_going()
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    if not words or {"-h", "--help"} & set(words):
-        print(USAGE)
-        return 0 if words else 2
-    if "--version" in words:
-        print(f"zipf {zipf.__version__}")
-        return 0
-    try:
-        _report(words)
-    except EXPECTED as error:
-        tell(error)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    return 0
+    return run_command(USAGE, _report, arguments)
 
 
 def _report(words: list[str]) -> None:

@@ -10,13 +10,5 @@ from zipf.agents.supervised import Supervised
 from zipf.agents.vmpo import VMPO
 
 __all__ = [
-    "R2D2",
-    "VMPO",
-    "Agent",
-    "AgentSpec",
-    "Imitation",
-    "Impala",
-    "Supervised",
-    "agents",
-    "register",
-]
+    "R2D2", "VMPO", "Agent", "AgentSpec", "Imitation", "Impala", "Supervised", "agents", "register",
+]  # fmt: skip

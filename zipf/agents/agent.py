@@ -230,11 +230,8 @@ def register(agent: AnyAgent) -> AnyAgent:
 
 
 def unsupported(name: str, chosen: Mapping[str, Any]) -> Iterator[str]:
-    """One line for each choice that the agent of this name does not support.
-
-    Args:
-        chosen: options by the names of their groups.
-    """
+    """One line for each choice, by the name of its group, that the agent of this name does not
+    support."""
     for group, lacking in LACKING.items():
         plain = "scalar" if group == "critic" else "none"
         choice = chosen[group].name if group in chosen else plain

@@ -31,10 +31,7 @@ def leave() -> None:
 def average(tensor: Tensor) -> Tensor:
     """The mean of a tensor over learners, of its shape, dtype and device; all of them call this in
     the same order, and the result is the same in all, bit for bit.
-
-    Raises:
-        ConnectionError: another learner has ended.
-    """
+    Raises ConnectionError: another learner has ended."""
     if _group is None:
         return tensor
     mean = tensor.clone(memory_format=torch.contiguous_format)
@@ -46,16 +43,12 @@ def average(tensor: Tensor) -> Tensor:
 
 
 def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
-    """Replaces the gradients of an agent's parameters by their means over learners. Call it after
-    `backward()` and before the gradients are read, for example to clip their norm.
+    """Replaces the gradients of an agent's parameters, all that are learned and in the same order
+    in all learners, by their means over learners. Call it after `backward()` and before the
+    gradients are read, for example to clip their norm.
 
-    Where a parameter has a gradient in only some learners, zeros stand for it in the others.
-
-    Args:
-        parameters: all that are learned, in the same order in all learners.
-
-    Raises:
-        ConnectionError: another learner has ended.
+    Where a parameter has a gradient in only some learners, zeros stand for it in the others. Raises
+    ConnectionError: another learner has ended.
     """
     if _group is None:
         return

@@ -24,11 +24,10 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.options import Options
+from zipf.options import Options, Positive
 from zipf.registry import Registry
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Risk = Literal["neutral", "averse", "seeking"]
 Level = Annotated[float, Field(gt=0, le=1)]
 
@@ -101,7 +100,6 @@ class Scalar(Critic):
     size = 1
 
     def mean(self, outputs: Tensor) -> Tensor:
-        """The mean of the returns: float32 [..., size] -> [...]."""
         return outputs.squeeze(-1)
 
     def loss(self, outputs: Tensor, targets: Tensor) -> Tensor:
@@ -123,16 +121,12 @@ class Distribution(Critic):
         raise NotImplementedError
 
     def mean(self, outputs: Tensor) -> Tensor:
-        """The mean of the returns: float32 [..., size] -> [...]."""
         returns, probabilities = self.atoms(outputs)
         return (returns * probabilities).sum(-1)
 
     def value(self, outputs: Tensor) -> Tensor:
-        """The risk measure of the returns: [..., size] -> [...].
-
-        `neutral`: the mean. `averse` and `seeking`: the mean of the lowest and of the highest
-        `risk_level` of the returns (CVaR, Rockafellar and Uryasev 2000).
-        """
+        """`neutral`: the mean. `averse` and `seeking`: the mean of the lowest and of the highest
+        `risk_level` of the returns (CVaR, Rockafellar and Uryasev 2000)."""
         if self.risk == "neutral":
             return self.mean(outputs)
         returns, probabilities = self.atoms(outputs)
@@ -142,14 +136,10 @@ class Distribution(Critic):
 
 
 def cvar(returns: Tensor, probabilities: Tensor, level: float) -> Tensor:
-    """The mean of the lowest `level` of a distribution, [..., n], [..., n] -> [...].
+    """The mean of the lowest `level` of a distribution, 0 < level <= 1, [..., n], [..., n] ->
+    [...], from ascending returns and their probabilities, which sum to 1.
 
     A return at the boundary counts with the part of its probability that lies below `level`.
-
-    Args:
-        returns: ascending.
-        probabilities: of the returns; they sum to 1.
-        level: greater than 0, at most 1; with 1 it is the mean.
     """
     below = (probabilities.cumsum(-1) - probabilities).clamp(min=0)
     counted = torch.minimum(probabilities, (level - below).clamp(min=0))
@@ -235,7 +225,6 @@ class Quantile(Distribution):
         return outputs.sort(-1).values, torch.full_like(outputs, 1 / self.size)
 
     def mean(self, outputs: Tensor) -> Tensor:
-        """The mean of the quantiles: [..., size] -> [...]."""
         return outputs.mean(-1)
 
     def loss(self, outputs: Tensor, targets: Tensor) -> Tensor:

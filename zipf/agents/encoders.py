@@ -285,17 +285,14 @@ class Encoder(nn.Module):
     """Encodes every part of a dictionary observation and concatenates ("flatten+concat").
 
     With `remember_instruction` False texts are left out of the result: the images' network reads
-    them.
+    them. Raises ValueError: a part is of a kind that no encoder reads, or there is no image for a
+    network that reads images by an instruction.
 
     Attributes:
         encoders: for each of `names`, the parts it reads, an encoder of [N, ...] -> [N, its size].
         texts: the names of the parts that are texts.
         remembers_texts: whether the result has them; images are read by them all the same.
         size: of the result.
-
-    Raises:
-        ValueError: a part is of a kind that no encoder reads, or there is no image for a network
-            that reads images by an instruction.
     """
 
     def __init__(self, space: gym.spaces.Dict, options: NetworkOptions):

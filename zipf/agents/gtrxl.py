@@ -19,16 +19,13 @@ the state are those of older weights; for an actor-critic, of the update before 
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
-from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.options import Options
-
-Size = Annotated[int, Field(ge=1)]
+from zipf.options import NotNegative, Options, Size
 
 
 class GTrXLOptions(Options):
@@ -44,15 +41,12 @@ class GTrXLOptions(Options):
     heads: Size
     memory_length: Size
     mlp_size: Size
-    gate_bias: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    gate_bias: NotNegative
 
 
 class GTrXLMemory(nn.Module):
     """The memory: layers of gated attention over the frames of the episode.
-
-    Raises:
-        ValueError: the heads do not divide the size.
-    """
+    Raises ValueError: the heads do not divide the size."""
 
     def __init__(self, inputs: int, options: GTrXLOptions):
         super().__init__()
@@ -85,9 +79,7 @@ class GTrXLMemory(nn.Module):
         self, inputs: Tensor, is_first: Tensor, state: dict[str, Tensor]
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """`[T, B, inputs]`, `[T, B]` -> `[T, B, size]` and the state after the last frame.
-
-        Gradients do not reach the state, neither before nor after.
-        """
+        Gradients do not reach the state, neither before nor after."""
         steps = len(inputs)
         time = torch.arange(steps, device=is_first.device)
         begins = torch.where(is_first, time[:, None], -state["length"]).cummax(0).values
@@ -143,9 +135,7 @@ class Layer(nn.Module):
         self, stream: Tensor, memory: Tensor, distances: Tensor, unseen: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Attention over memory and stream (Dai et al. 2019, section 3.3):
-
-        score = (q . k + q . r + u . k + v . r) / sqrt(size / heads), r of the distance
-        """
+        score = (q . k + q . r + u . k + v . r) / sqrt(size / heads), r of the distance"""
         head_size = stream.shape[-1] // self.heads
         projected = self.project(stream).unflatten(-1, (self.heads, -1)).transpose(1, 2)
         query, latest = projected.split([head_size, 2 * head_size], -1)
@@ -183,9 +173,7 @@ class Gate(nn.Module):
 
 def sinusoids(distances: int, size: int) -> Tensor:
     """Sines and cosines of the distances (Vaswani et al. 2017), the furthest first.
-
-    Returns float32 [distances, size], rows for the distances `distances` - 1, ..., 1, 0.
-    """
+    Returns float32 [distances, size], rows for the distances `distances` - 1, ..., 1, 0."""
     frequencies = 10_000.0 ** -(torch.arange(0, size, 2) / size)
     angles = torch.arange(distances - 1, -1, -1)[:, None] * frequencies
     return torch.cat([angles.sin(), angles.cos()], -1)[:, :size]

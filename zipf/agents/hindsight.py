@@ -26,9 +26,7 @@ from torch import Tensor
 
 from zipf.agents.encoders import Encoder
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast
-from zipf.options import Context, Options
-
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+from zipf.options import Context, NotNegative, Options, Size
 
 
 class NoHindsightOptions(Options):
@@ -50,14 +48,14 @@ class AchievedOptions(Options):
     """
 
     name: Literal["achieved"]
-    episodes: Annotated[int, Field(ge=1)]
-    length: Annotated[int, Field(ge=1)] | None
-    kept_per_goal: Annotated[int, Field(ge=1)] | None
+    episodes: Size
+    length: Size | None
+    kept_per_goal: Size | None
     reward: Annotated[float, Field(allow_inf_nan=False)]
     advantage: Literal["positive", "none"]
     policy_cost: NotNegative
     value_cost: NotNegative
-    fade: Annotated[int, Field(ge=1)] | None
+    fade: Size | None
     matching_cost: NotNegative = 0.0
 
     def problems(self, context: Context) -> Iterator[str]:
@@ -85,15 +83,13 @@ def hindsight_loss(
     updates: int,
     precision: Literal["float32", "bfloat16"] = "float32",
 ) -> tuple[Tensor | float, dict[str, Tensor]]:
-    """The loss of relabelled episodes [L, E], as `Unroll.episodes` has them, and metrics.
+    """The loss of relabelled episodes [L, E], as `Unroll.episodes` has them, and metrics, after so
+    many updates.
 
     The memory is unrolled from before each episode's first row. Without such an episode, or once
     the costs are 0, the loss is 0, `hindsight_episodes` too, and the other metrics are NaN; without
-    hindsight there are no metrics.
-    The contrastive loss of a matcher, which does not fade, is added (`matching_loss`).
-
-    Args:
-        updates: made before this one.
+    hindsight there are no metrics. The contrastive loss of a matcher, which does not fade, is added
+    (`matching_loss`).
     """
     if isinstance(options, NoHindsightOptions):
         return 0.0, {}

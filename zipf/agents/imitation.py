@@ -17,12 +17,10 @@ reinforcement learning.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Any, Literal
 
-import gymnasium as gym
 import torch
 import torch.nn.functional as F
-from pydantic import Field
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -31,10 +29,9 @@ from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary
 from zipf.agents.hindsight import NoHindsightOptions, matching_loss
 from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
-from zipf.agents.network import Inputs, Torso, head, in_full, sampled
-from zipf.agents.network_options import NetworkOptions
+from zipf.agents.network import Inputs, Torso, in_full, sampled
 from zipf.agents.unroll import Needs, Unroll, weighted
-from zipf.options import Options
+from zipf.options import Share
 
 
 class ImitationOptions(LearnerOptions):
@@ -46,22 +43,15 @@ class ImitationOptions(LearnerOptions):
 
     name: Literal["imitation"]
     teacher: Literal["expert", "generalist"]
-    teacher_share: Annotated[float, Field(ge=0, le=1)]
+    teacher_share: Share
 
 
 class Policy(Torso):
     """The network of an agent that acts, with a head for the policy alone."""
 
-    def __init__(
-        self,
-        observation_space: gym.spaces.Dict,
-        action_space: gym.Space,
-        network: NetworkOptions,
-        memory: Options,
-        episodic: EpisodicOptions = NO_EPISODIC,
-    ):
-        super().__init__(observation_space, action_space, network, memory)
-        self.policy = head(self.memory.size, network.head_size, self.actions)
+    def __init__(self, *torso: Any, episodic: EpisodicOptions = NO_EPISODIC):
+        super().__init__(*torso)
+        self.policy = self.make_head(self.actions)
         self.dictionary = build_dictionary(self.memory.size, self.actions, episodic)
 
     def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, Tensor, State]:
@@ -88,7 +78,7 @@ class Imitation(Learner):
         self.needs = Needs(teacher=options.teacher, teacher_share=options.teacher_share)
 
     def make_network(self) -> Policy:
-        return Policy(*self.spec.torso, self.spec.episodic)
+        return Policy(*self.spec.torso, episodic=self.spec.episodic)
 
     @torch.no_grad()
     def act(

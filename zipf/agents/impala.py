@@ -17,10 +17,9 @@ state that is reached, so that states with varied returns are avoided (averse) o
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import torch
-from pydantic import Field
 from torch import Tensor
 
 from zipf.agents.agent import register
@@ -30,22 +29,20 @@ from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, sampled
 from zipf.agents.returns import vtrace
 from zipf.agents.unroll import Unroll, weighted
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+from zipf.options import NotNegative, Positive, Share
 
 
 class ImpalaOptions(LearnerOptions):
     """The options; `configs/agent.yaml` has the sources of their values."""
 
     name: Literal["impala"]
-    discount: Annotated[float, Field(ge=0, le=1)]
+    discount: Share
     baseline_cost: NotNegative
     entropy_cost: NotNegative
     clip_rho: Positive
     clip_pg_rho: Positive
     clip_c: Positive
-    trace_lambda: Annotated[float, Field(ge=0, le=1)]
+    trace_lambda: Share
 
 
 @register
@@ -69,11 +66,8 @@ class Impala(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Samples an action in each of B envs, in training and evaluation alike.
-
-        Returns actions int64 [B], the memory after this frame, and the behaviour policy's `logits`
-        float32 [B, actions], which `update` needs.
-        """
+        """Samples an action, in training and evaluation alike; `logits` float32 [B, actions] are
+        for `update`."""
         with self.autocast():
             outputs = self.actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
@@ -81,7 +75,6 @@ class Impala(Learner):
 
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
-        """V of each of B envs, float32 [B]."""
         with self.autocast():
             return self.actor(inputs.unsqueeze(), memory).value[0]
 

@@ -18,12 +18,7 @@ from zipf.agents.network_options import (
 
 class InstructedNet(nn.Module):
     """The base of networks that read an image by an instruction: strided convolutions, then a dense
-    layer, as `ShallowNet`: uint8 [N, H, W, C], [N, instruction size] -> [N, F].
-
-    Attributes:
-        convolutions: without padding; a ReLU follows each.
-        grid: channels, rows and columns after the last.
-    """
+    layer, as `ShallowNet`: uint8 [N, H, W, C], [N, instruction size] -> [N, F]."""
 
     def __init__(self, shape: tuple[int, ...], options: ShallowOptions):
         super().__init__()
@@ -33,7 +28,7 @@ class InstructedNet(nn.Module):
             seen = torch.zeros(1, shape[2], *shape[:2])
             for convolution in self.convolutions:
                 seen = convolution(seen)
-        self.grid = seen.shape[1:]
+        self.grid = seen.shape[1:]  # channels, rows and columns after the last
         self.size = options.size
         self.centred = options.normalise
 
@@ -103,12 +98,9 @@ class Matcher(nn.Module):
     convolutions find, is the place's own, whatever is asked for. Images and texts that meet in
     cosines: Radford et al. 2021; a map of them as the policy's input: Jiang and Lu 2024 (COPL,
     arXiv 2408.01942). `zipf.agents.hindsight` has a loss for it.
-
-    Attributes:
-        centres: of the places, float32 [P, 2]: down and to the right, in sides of the image.
     """
 
-    centres: Tensor
+    centres: Tensor  # of the places, float32 [P, 2]: down and to the right, in sides of the image
 
     def __init__(self, shape: tuple[int, ...], options: MatchingOptions, instruction: int):
         super().__init__()

@@ -41,9 +41,8 @@ from zipf.agents.episodic import Dictionary, build_recorder
 from zipf.agents.memory import State
 from zipf.agents.network import Torso, autocast, frozen_copy
 from zipf.agents.unroll import Unroll
-from zipf.options import Options
+from zipf.options import Options, Positive
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 
@@ -99,11 +98,7 @@ class Learner(Agent):
             torch.manual_seed(spec.seed)
             self.network = self.make_network()
             self.auxiliary = build_auxiliary(
-                spec.auxiliary,
-                spec.observation_space,
-                spec.network,
-                self.network,
-                spec.seed,
+                spec.auxiliary, spec.observation_space, spec.network, self.network, spec.seed
             )
         self.recorder = build_recorder(
             spec.episodic,
@@ -153,10 +148,7 @@ class Learner(Agent):
 
     def learn(self, batch: Any) -> tuple[dict[str, float], dict[str, Tensor]]:
         """One optimiser step on the loss of a batch; returns metrics, and what the loss kept.
-
-        Raises:
-            FloatingPointError: learning has diverged; no weights were changed.
-        """
+        Raises FloatingPointError: learning has diverged; no weights were changed."""
         loss, metrics, kept = self.loss(batch)
         norm = self._descend(loss)
         self.updates += 1
@@ -206,16 +198,12 @@ class Learner(Agent):
         self.recorder.carry(carried)
 
     def begin_with(self, weights: Mapping[str, Mapping[str, Tensor]]) -> None:
-        """Loads parts of another agent's network; called before any other method.
+        """Loads parts of another agent's network, before any other method is called: from a state
+        dictionary for each, by its name in both networks (`Torso.parts`), such as `encoder` or
+        `memory`.
 
         All attributes that are a `Torso` load them, and the auxiliary loss follows their encoder.
-
-        Args:
-            weights: a state dictionary for each part to take, by the part's name in both networks
-                (`Torso.parts`), such as `encoder` or `memory`.
-
-        Raises:
-            ValueError: the network has no such part, or one of another shape.
+        Raises ValueError: the network has no such part, or one of another shape.
         """
         for network in self._torsos():
             parts = network.parts()
@@ -234,11 +222,8 @@ class Learner(Agent):
         return self.network.fixed_parts()
 
     def scale_learning_rates(self, factor: float) -> None:
-        """Sets the learning rates of all optimisers, for the updates that follow.
-
-        Args:
-            factor: of the learning rates that they were built with; from 0 to 1.
-        """
+        """Sets the learning rates of all optimisers, for the updates that follow, to this factor, 0
+        to 1, of those that they were built with."""
         for optimiser in self.optimisers.values():
             for group in optimiser.param_groups:
                 group["lr"] = factor * group.setdefault("initial_lr", group["lr"])
@@ -251,10 +236,7 @@ class Learner(Agent):
 
     def load_weights(self, weights: Mapping[str, Tensor]) -> None:
         """From now on the agent acts as the one that `weights` are from.
-
-        Raises:
-            RuntimeError: they do not fit its network.
-        """
+        Raises RuntimeError: they do not fit its network."""
         self.actor.load_state_dict(weights)
 
     def separate_acting(self) -> None:
@@ -274,10 +256,7 @@ class Learner(Agent):
 
     def compile(self) -> None:
         """Compiles the image encoders of all attributes that are a `Torso` (`torch.compile`).
-
-        Raises:
-            ValueError: there are none.
-        """
+        Raises ValueError: there are none."""
         self._is_compiled = True
         if sum(network.encoder.compile_images() for network in self._torsos()) == 0:
             raise ValueError(
@@ -301,7 +280,6 @@ def adam(options: LearnerOptions) -> dict[str, Any]:
 
 
 def _parameters(optimisers: Iterable[torch.optim.Optimizer]) -> list[nn.Parameter]:
-    """All parameters of optimisers, in their order."""
     return [
         parameter
         for optimiser in optimisers

@@ -7,14 +7,13 @@ The state is a dictionary of tensors `[B, ...]`, zeros at the start.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Protocol
+from typing import Literal, Protocol
 
 import torch
-from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.gtrxl import GTrXLMemory, GTrXLOptions
-from zipf.options import Options
+from zipf.options import Options, Size
 from zipf.registry import Registry
 
 State = dict[str, Tensor]
@@ -40,16 +39,16 @@ class MLPOptions(Options):
     """No memory: the current frame only."""
 
     name: Literal["mlp"]
-    size: Annotated[int, Field(ge=1)]
-    layers: Annotated[int, Field(ge=1)]
+    size: Size
+    layers: Size
 
 
 class LSTMOptions(Options):
     """Hochreiter and Schmidhuber 1997."""
 
     name: Literal["lstm"]
-    size: Annotated[int, Field(ge=1)]
-    layers: Annotated[int, Field(ge=1)]
+    size: Size
+    layers: Size
 
 
 class MLPMemory(nn.Module):
@@ -64,11 +63,9 @@ class MLPMemory(nn.Module):
         self.layers = nn.Sequential(*layers)
 
     def initial_state(self, batch: int) -> State:
-        """The state before the first frame."""
         return {}
 
     def forward(self, inputs: Tensor, is_first: Tensor, state: State) -> tuple[Tensor, State]:
-        """`[T, B, inputs]` -> `[T, B, size]`."""
         return self.layers(inputs), state
 
 
@@ -102,7 +99,6 @@ class LSTMMemory(nn.Module):
         return state
 
     def forward(self, inputs: Tensor, is_first: Tensor, state: State) -> tuple[Tensor, State]:
-        """`[T, B, inputs]`, `[T, B]` -> `[T, B, size]` and the state after the last frame."""
         hidden, cell = state["hidden"], state["cell"]
         rows = []
         for gates, begins in zip(self.input_gates(inputs), is_first.unsqueeze(-1), strict=True):

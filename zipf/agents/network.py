@@ -130,8 +130,13 @@ class Torso(nn.Module):
         if action_space.start != 0:
             raise ValueError(f"the action space is {action_space}; actions should count from 0")
         self.actions = int(action_space.n)
+        self.head_size = network.head_size
         self.encoder = Encoder(observation_space, network)
         self.memory = MEMORIES.build(memory, self.encoder.size + self.actions + 1)
+
+    def make_head(self, outputs: int) -> nn.Module:
+        """A head that reads the memory's outputs."""
+        return head(self.memory.size, self.head_size, outputs)
 
     def parts(self) -> dict[str, nn.Module]:
         """What another network can begin with: children, such as `memory`, and parts of the
@@ -191,8 +196,8 @@ class ActorCritic(Torso):
     ):
         super().__init__(observation_space, action_space, network, memory)
         self.critic = CRITICS.build(critic)
-        self.policy = head(self.memory.size, network.head_size, self.actions)
-        self.baseline = head(self.memory.size, network.head_size, self.critic.size)
+        self.policy = self.make_head(self.actions)
+        self.baseline = self.make_head(self.critic.size)
         self.dictionary = build_dictionary(self.memory.size, self.actions, episodic)
 
     def forward(self, inputs: Inputs, state: State) -> Outputs:

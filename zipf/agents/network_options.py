@@ -6,9 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from zipf.options import Options
-
-Size = Annotated[int, Field(ge=1)]
+from zipf.options import Options, Size
 
 
 class NetworkOptions(Options):

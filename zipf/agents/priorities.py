@@ -70,18 +70,15 @@ def _find(nodes, first_leaf, mass):
 
 
 class PrioritySampler(Sampler):
-    """Draws slots of a ring in proportion to priority^exponent, one from each of `batch_size`
-    equal parts of the sum (Schaul et al. 2016, appendix B.2.1); its random numbers are its own.
+    """Draws slots of a ring in proportion to priority^exponent, one from each of `batch_size` equal
+    parts of the sum (Schaul et al. 2016, appendix B.2.1); its random numbers are its own.
 
-    Item number k, from 0 on, is in slot k mod `slots`, and its priority in leaf k mod `capacity` of
-    the tree: draws do not depend on how much larger the ring is.
+    At most the latest `capacity` items can be drawn. Item number k, from 0 on, is in slot k mod
+    `slots`, and its priority in leaf k mod `capacity` of the tree: draws do not depend on how much
+    larger the ring is.
 
     New items get the largest priority so far. An importance weight is (n P)^-exponent divided by
     the largest of its batch, with n the number of items and P the probability of the draw.
-
-    Args:
-        slots: of the ring.
-        capacity: how many of the latest items can be drawn, at most `slots`.
     """
 
     def __init__(
@@ -142,11 +139,7 @@ class PrioritySampler(Sampler):
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Continues from `state_dict()`.
-
-        Raises:
-            OSError: it is of a sampler of another capacity.
-        """
+        """Continues from `state_dict()`. Raises OSError: it is of a sampler of another capacity."""
         leaves = state_dict["leaves"].numpy()
         if len(leaves) != self.capacity:  # versions before had one for each slot
             raise OSError(

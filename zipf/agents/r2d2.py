@@ -34,7 +34,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-import gymnasium as gym
 import torch
 from pydantic import Field
 from tensordict import TensorDict
@@ -45,21 +44,15 @@ from zipf.agents.critics import CRITICS, SCALAR
 from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.learner import Learner, LearnerOptions, Loss, adam
 from zipf.agents.memory import State
-from zipf.agents.network import Inputs, Torso, frozen_copy, head, in_full
-from zipf.agents.network_options import NetworkOptions
+from zipf.agents.network import Inputs, Torso, frozen_copy, in_full
 from zipf.agents.returns import lambda_returns, rescale, unrescale
 from zipf.agents.sequences import Sequences
 from zipf.agents.truncations import Finals
 from zipf.agents.unroll import Needs, Unroll, changed, weighted
-from zipf.options import Context, Options
+from zipf.options import Context, NotNegative, Options, Positive, Share, Size
 
 if TYPE_CHECKING:  # imported where learning begins: it brings TorchRL, which takes a second
     from zipf.agents.replay import Replay
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0, le=1)]
-PositiveInt = Annotated[int, Field(ge=1)]
 
 LADDER = 7.0  # alpha of Horgan et al. 2018
 
@@ -73,14 +66,14 @@ class R2D2Options(LearnerOptions):
     weight_decay: NotNegative
     discount: Share
     trace_lambda: Share
-    target_period: PositiveInt
+    target_period: Size
     epsilon: Share
     epsilon_ladder: bool
     burn_in: Annotated[int, Field(ge=0)]
     final_observations: Annotated[int, Field(ge=0)]
     samples_per_insert: Positive
-    replay_capacity: PositiveInt
-    replay_min: PositiveInt
+    replay_capacity: Size
+    replay_min: Size
     storage: Literal["ram", "memmap"]
     priority_exponent: NotNegative
     importance_exponent: NotNegative
@@ -150,18 +143,11 @@ class DuelingQ(Torso):
 
     value_heads = ("value", "advantage")
 
-    def __init__(
-        self,
-        observation_space: gym.spaces.Dict,
-        action_space: gym.Space,
-        network: NetworkOptions,
-        memory: Options,
-        critic: Options = SCALAR,
-    ):
-        super().__init__(observation_space, action_space, network, memory)
+    def __init__(self, *torso: Any, critic: Options = SCALAR):
+        super().__init__(*torso)
         self.critic = CRITICS.build(critic)
-        self.value = head(self.memory.size, network.head_size, self.critic.size)
-        self.advantage = head(self.memory.size, network.head_size, self.critic.size * self.actions)
+        self.value = self.make_head(self.critic.size)
+        self.advantage = self.make_head(self.critic.size * self.actions)
 
     def outputs(self, inputs: Inputs, state: State) -> tuple[Tensor, State]:
         """What the critic reads, float32 [T, B, actions, critic.size], and the memory's state after
@@ -196,10 +182,7 @@ class R2D2(Learner):
 
     With `fresh_priority=error` a sequence enters replay with the priority of its errors, as if it
     had just been learned from; with `largest` it has the largest priority so far, which saves that
-    pass and draws every sequence soon.
-
-    Raises:
-        ValueError: options that do not go together.
+    pass and draws every sequence soon. Raises ValueError: options that do not go together.
     """
 
     Options = R2D2Options
@@ -238,7 +221,7 @@ class R2D2(Learner):
         self.replay: Replay | None = None
 
     def make_network(self) -> DuelingQ:
-        return DuelingQ(*self.spec.torso, self.spec.critic)
+        return DuelingQ(*self.spec.torso, critic=self.spec.critic)
 
     def make_optimiser(self, parameters: list[nn.Parameter]) -> torch.optim.Optimizer:
         decay = self.options.weight_decay
@@ -248,13 +231,11 @@ class R2D2(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """The greedy action in each of B envs; in training, env i of `num_envs` takes a random
-        one with probability `epsilon`, or with the ladder (Horgan et al. 2018)
-        epsilon^(1 + 7 k / (num_envs - 1)), k a place of its own in 0 .. num_envs - 1.
+        """The greedy action in each of B envs; in training, env i of `num_envs` takes a random one
+        with probability `epsilon`, or with the ladder (Horgan et al. 2018) epsilon^(1 + 7 k /
+        (num_envs - 1)), k a place of its own in 0 .. num_envs - 1.
 
         The generator is the CPU's whatever the device, so that a run can move between devices.
-
-        Returns actions int64 [B], the memory after this frame, and an empty dictionary.
         """
         with self.autocast():
             q, memory = self.actor(inputs.unsqueeze(), memory)
@@ -266,11 +247,8 @@ class R2D2(Learner):
         return action, memory, {}
 
     def begin_learning(self, folder: Path | None = None, every: int = 0) -> list[str]:
-        """Makes the replay; the lines to show give its size.
-
-        Raises:
-            ValueError: it does not fit into RAM or onto the disk, or there is no folder for it.
-        """
+        """Makes the replay; the lines to show give its size. Raises ValueError: it does not fit
+        into RAM or onto the disk, or there is no folder for it."""
         from zipf.agents.free_space import in_words
         from zipf.agents.replay import Replay
 
@@ -301,11 +279,8 @@ class R2D2(Learner):
         """Puts an unroll into replay and takes one optimiser step on a batch from there.
 
         Returns the loss and other metrics; all but those of the replay are NaN where no step was
-        taken.
-
-        Raises:
-            FloatingPointError: learning has diverged; no weights were changed.
-            OSError: the replay's files do not fit onto the disk.
+        taken. Raises FloatingPointError: learning has diverged; no weights were changed. Raises
+        OSError: the replay's files do not fit onto the disk.
         """
         assert self.replay is not None, "begin_learning() comes first"
         inserted = self._insert(unroll)
@@ -338,7 +313,6 @@ class R2D2(Learner):
         return inserted
 
     def _store(self, items: TensorDict) -> None:
-        """Puts sequences [N] into replay."""
         assert self.replay is not None
         index = self.replay.insert(items)
         if self.options.fresh_priority == "error":
@@ -379,7 +353,6 @@ class R2D2(Learner):
         return Loss(loss, metrics, {"priorities": priorities})
 
     def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
-        """Lets the target network follow."""
         super().after_step(batch, kept)
         if self.updates % self.options.target_period == 0:
             self.target.load_state_dict(self.network.state_dict())
@@ -444,10 +417,7 @@ class R2D2(Learner):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`; without the replay where `begin_learning` was not called.
-
-        Raises:
-            OSError: the files of the replay are missing, or are not those of this state.
-        """
+        Raises OSError: the files of the replay are missing, or are not those of this state."""
         super().load_state_dict(state | {"updates": state["steps"]})
         if self.replay is None:
             return
@@ -455,7 +425,6 @@ class R2D2(Learner):
         self.replay.load_state_dict(state["replay"])
 
     def carried(self) -> dict[str, Any]:
-        """The burn-in of the next sequences of these envs."""
         return self.sequences.carried()
 
     def carry(self, carried: dict[str, Any]) -> None:

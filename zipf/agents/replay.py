@@ -32,6 +32,7 @@ class Replay:
     a run that is killed at any time resumes from there. A file holds numbers and nothing else, one
     for each part of an item. Every item has its number and is hashed as it is inserted; the state
     has the hashes, and loading checks every item that can be drawn, which reads all files once.
+    Raises ValueError: the items do not fit into RAM or onto the disk; nothing is allocated yet.
 
     Args:
         item: an example of an item, a TensorDict without batch axes.
@@ -39,9 +40,6 @@ class Replay:
         folder: where the items are kept; None for RAM.
         spare: items that are inserted between two checkpoints, at most.
         seed: of the draws.
-
-    Raises:
-        ValueError: the items do not fit into RAM or onto the disk; nothing is allocated yet.
     """
 
     def __init__(
@@ -81,9 +79,7 @@ class Replay:
         """Adds items [N], N <= capacity, with the largest priority so far; they replace the oldest.
 
         Returns their slots, int64 [N].
-
-        Raises:
-            OSError: the files, which the first call makes, do not fit onto the disk.
+        Raises OSError: the files, which the first call makes, do not fit onto the disk.
         """
         if self._buffer is None:
             self._open(self.capacity + self.spare, new=True)
@@ -128,10 +124,7 @@ class Replay:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`.
-
-        Raises:
-            OSError: the files on disk are missing or damaged, or are not those of this state.
-        """
+        Raises OSError: the files on disk are missing or damaged, or are not those of this state."""
         self._buffer = None
         if not state:
             return

@@ -8,6 +8,7 @@ episodes were truncated at.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -18,40 +19,23 @@ from zipf.agents.memory import State
 from zipf.agents.unroll import FINAL, STEP, Unroll, no_observations
 
 
+@dataclass(eq=False)
 class Sequences:
-    """Cuts what a collector gives into sequences, and keeps the burn-in of the next ones.
+    """Cuts what a collector gives into sequences, and keeps the burn-in of the next ones."""
 
-    Args:
-        observation_space: of one env.
-        num_envs: B, the envs of an unroll.
-        unroll_length: T.
-        burn_in: rows of a sequence before its unroll.
-        final_observations: K, for how many of these a sequence has room; 0: it has none.
-        weighted: whether steps have a weight.
-        draws: D, how many numbers an augmentation draws for an episode.
-    """
+    observation_space: gym.spaces.Dict  # of one env
+    _: KW_ONLY
+    num_envs: int  # B, the envs of an unroll
+    unroll_length: int  # T
+    burn_in: int  # rows of a sequence before its unroll
+    final_observations: int  # K, for how many of these a sequence has room; 0: it has none
+    weighted: bool  # whether steps have a weight
+    draws: int = 0  # D, how many numbers an augmentation draws for an episode
 
-    def __init__(
-        self,
-        observation_space: gym.spaces.Dict,
-        *,
-        num_envs: int,
-        unroll_length: int,
-        burn_in: int,
-        final_observations: int,
-        weighted: bool,
-        draws: int = 0,
-    ):
-        self.observation_space = observation_space
-        self.num_envs = num_envs
-        self.unroll_length = unroll_length
-        self.burn_in = burn_in
-        self.final_observations = final_observations
-        self.weighted = weighted
-        self.draws = draws
-        self.rows = burn_in + unroll_length + 1
-        self._fields = STEP | ({"weight": torch.float32} if weighted else {})
-        self._names = ["observation", *self._fields, *(["draw"] if draws else [])]
+    def __post_init__(self) -> None:
+        self.rows = self.burn_in + self.unroll_length + 1
+        self._fields = STEP | ({"weight": torch.float32} if self.weighted else {})
+        self._names = ["observation", *self._fields, *(["draw"] if self.draws else [])]
         self._prefix: TensorDict | None = None  # [burn_in, B], the rows before the next unroll
         self._prefix_memory: State = {}  # before them
 
@@ -93,11 +77,7 @@ class Sequences:
 
         The rows before an episode's first and behind its last are empty: an episode begins and is
         truncated in each of them, at an observation that is not there, so that they have no error.
-
-        Args:
-            episodes: see `Unroll`.
-            memory: before the first frame of E envs.
-            advance: from steps [rows, E] and the memory before them, that after them.
+        `advance` gives the memory after steps [rows, E] from that before them.
         """
         rows, count = episodes.shape
         length, burn_in = self.unroll_length, self.burn_in

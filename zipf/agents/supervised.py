@@ -18,9 +18,8 @@ answered, the other object where the answer was wrong. Their mean cross-entropy 
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-import gymnasium as gym
 import torch
 import torch.nn.functional as F
 from tensordict import TensorDict
@@ -30,10 +29,8 @@ from zipf.agents.agent import register
 from zipf.agents.hindsight import NoHindsightOptions, matching_loss
 from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
-from zipf.agents.network import Inputs, Torso, head, in_full
-from zipf.agents.network_options import NetworkOptions
+from zipf.agents.network import Inputs, Torso, in_full
 from zipf.agents.unroll import Unroll, weighted
-from zipf.options import Options
 
 
 class SupervisedOptions(LearnerOptions):
@@ -45,15 +42,9 @@ class SupervisedOptions(LearnerOptions):
 class Classifier(Torso):
     """The network of an agent that acts, with one head for the two answers."""
 
-    def __init__(
-        self,
-        observation_space: gym.spaces.Dict,
-        action_space: gym.Space,
-        network: NetworkOptions,
-        memory: Options,
-    ):
-        super().__init__(observation_space, action_space, network, memory)
-        self.answer = head(self.memory.size, network.head_size, self.actions)
+    def __init__(self, *torso: Any):
+        super().__init__(*torso)
+        self.answer = self.make_head(self.actions)
 
     def forward(self, inputs: Inputs, state: State) -> Tensor:
         """Logits of the answers, float32 [T, B, 2]."""
@@ -65,10 +56,7 @@ class Classifier(Torso):
 @register
 class Supervised(Learner):
     """The classifier, as an agent: answers batches of questions and learns from unrolls of them.
-
-    Raises:
-        ValueError: there are not two answers.
-    """
+    Raises ValueError: there are not two answers."""
 
     Options = SupervisedOptions
     supports = frozenset({"hindsight", "reweighting"})

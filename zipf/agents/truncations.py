@@ -10,14 +10,11 @@ from zipf.agents.network import Inputs
 
 
 class Finals:
-    """Observations that episodes were cut at, as rows of the sequences that they belong to.
+    """Observations that episodes were cut at, [K, B] as `Unroll` has them, as rows of the sequences
+    of T + 1 rows that they belong to.
 
     Each stands behind the row before the cut, where the memory is that of its episode; the row
     behind it begins another episode, and nothing of it remains.
-
-    Args:
-        final: [K, B], see `Unroll`.
-        rows: T + 1, of the sequences.
     """
 
     def __init__(self, final: TensorDict, rows: int):

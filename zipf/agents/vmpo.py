@@ -33,17 +33,10 @@ from zipf.agents.agent import AgentSpec, register
 from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
-from zipf.agents.network import (
-    ActorCritic,
-    Inputs,
-    action_log_probability,
-    frozen_copy,
-    sampled,
-)
+from zipf.agents.network import ActorCritic, Inputs, action_log_probability, frozen_copy, sampled
 from zipf.agents.returns import bootstrapped_returns
 from zipf.agents.unroll import Unroll, weighted
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+from zipf.options import Positive, Share, Size
 
 SMALLEST_DUAL = 1e-8  # Song et al. 2020
 
@@ -53,8 +46,8 @@ class VMPOOptions(LearnerOptions):
 
     name: Literal["vmpo"]
     dual_learning_rate: Positive
-    discount: Annotated[float, Field(ge=0, le=1)]
-    target_period: Annotated[int, Field(ge=1)]
+    discount: Share
+    target_period: Size
     top_fraction: Annotated[float, Field(gt=0, le=1)]
     epsilon_eta: Positive
     epsilon_alpha: Positive
@@ -95,12 +88,8 @@ class VMPO(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Samples an action of the target policy in each of B envs, in training and evaluation
-        alike.
-
-        Returns actions int64 [B], the memory after this frame, and the target policy's `logits`
-        float32 [B, actions], which `update` needs.
-        """
+        """Samples an action of the target policy, in training and evaluation alike; its `logits`
+        float32 [B, actions] are for `update`."""
         with self.autocast():
             outputs = self.actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
@@ -108,7 +97,7 @@ class VMPO(Learner):
 
     @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
-        """The target network's V of each of B envs, float32 [B]; the memory is the target's."""
+        """The target network's V, float32 [B]; the memory is the target's."""
         with self.autocast():
             return self.actor(inputs.unsqueeze(), memory).value[0]
 

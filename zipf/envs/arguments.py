@@ -21,10 +21,7 @@ AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
     """An argument that has to be a whole number, as an int.
-
-    Raises:
-        ValueError: it is none, or not in `least .. most`.
-    """
+    Raises ValueError: it is none, or not in `least .. most`."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise ValueError(f"{name} must be a whole number, got {value!r}")
     if value < least:
@@ -36,11 +33,7 @@ def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
 
 def checked(options: type[AnyOptions], given: Mapping[str, Any]) -> AnyOptions:
     """Constructor options as their class has them. Sequences are taken for lists, and NumPy's
-    numbers for Python's.
-
-    Raises:
-        ValueError: with a line for each mistake.
-    """
+    numbers for Python's. Raises ValueError with a line for each mistake."""
     try:
         return options(**{name: _plain(value) for name, value in given.items()})
     except ValidationError as error:
@@ -79,10 +72,7 @@ def _explained(problem: Any, options: type[Options], given: Mapping[str, Any]) -
 
 def mapping(name: str, value: Any) -> Mapping[str, Any]:
     """An argument that has to be a mapping; an empty one for None.
-
-    Raises:
-        ValueError: it is something else.
-    """
+    Raises ValueError: it is something else."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):
@@ -93,10 +83,7 @@ def mapping(name: str, value: Any) -> Mapping[str, Any]:
 def own_engine(family: str) -> Callable[[Any], Any]:
     """A check of the option `backend`, which had other values than "own" before the original
     engines became a plugin: `family` of `examples/original_engines`. It returns its argument.
-
-    Raises:
-        ValueError: it is not "own".
-    """
+    Raises ValueError: it is not "own"."""
 
     def check(backend: Any) -> Any:
         if backend != "own":
@@ -119,10 +106,7 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> ValueError:
 
 def reset_options(value: Any, known: Collection[str]) -> Mapping[str, Any]:
     """The options of `reset`, which may have these names; an empty mapping for None.
-
-    Raises:
-        ValueError: it is no mapping, or has other names.
-    """
+    Raises ValueError: it is no mapping, or has other names."""
     options = mapping("options", value)
     if unknown := options.keys() - set(known):
         raise ValueError(
@@ -132,14 +116,8 @@ def reset_options(value: Any, known: Collection[str]) -> Mapping[str, Any]:
 
 
 def single_action(action: Any, count: int) -> int:
-    """The action of one env as an int; whether it is in range is not checked.
-
-    Args:
-        count: how many actions there are, for the message.
-
-    Raises:
-        TypeError: it is no integer.
-    """
+    """The action of one env as an int; whether it is one of `count`, which the message names, is
+    not checked. Raises TypeError: it is no integer."""
     try:
         return operator.index(action)
     except TypeError:

@@ -48,6 +48,7 @@ def measure(
     """Plays a level with the actions of a scripted policy.
 
     The same arguments give the same figure on every machine.
+    Raises ValueError: no episodes, no envs, an unknown level, or options out of range.
 
     Args:
         policy: `policy(env)` plays a batch: called, it gives actions [N].
@@ -56,9 +57,6 @@ def measure(
         seed: of the envs, and of random actions.
         num_envs: envs played at a time; more of them take more RAM and less time.
         options: constructor options of the level.
-
-    Raises:
-        ValueError: no episodes, no envs, an unknown level, or options out of range.
     """
     episodes = whole("episodes", episodes, 1)
     num_envs = whole("num_envs", num_envs, 1)
@@ -82,7 +80,10 @@ def play_episodes(
 
     The first `episodes` episodes to start are counted, however long they are: of many envs played
     at a time those with short episodes finish more of them, and counting the first to end would
-    count short ones too often.
+    count short ones too often. Returns by name, an array [episodes] in the order in which the
+    episodes started: the situation's ranks, `success` (where the envs report it), `return` and
+    `length`. Raises ValueError: the batch has another autoreset mode; EnvError: a counted episode
+    is longer than `env.longest_episode`.
 
     Args:
         env: the batch, which resets envs in the step that ends their episodes.
@@ -93,14 +94,6 @@ def play_episodes(
         seed: of the envs.
         watch: called after every step with the number of counted episodes that have ended; what it
             raises ends the playing.
-
-    Returns:
-        By name, an array [episodes] in the order in which the episodes started: the situation's
-        ranks, `success` (where the envs report it), `return` and `length`.
-
-    Raises:
-        ValueError: the batch has another autoreset mode.
-        EnvError: a counted episode is longer than `env.longest_episode`.
     """
     if env.autoreset_mode is not AutoresetMode.SAME_STEP:
         raise ValueError(f"autoreset_mode must be SAME_STEP, got {env.autoreset_mode.name}")

@@ -46,19 +46,12 @@ SEARCHED = 1_000_000
 
 @dataclass(frozen=True)
 class Floor:
-    """A policy that neither reads nor looks, and its score.
+    """A policy that neither reads nor looks, and its score."""
 
-    Attributes:
-        policy: its text.
-        score: mean return.
-        error: standard error of the score.
-        episodes: how many it was measured over.
-    """
-
-    policy: str
-    score: float
-    error: float
-    episodes: int
+    policy: str  # its text
+    score: float  # mean return
+    error: float  # standard error of the score
+    episodes: int  # how many it was measured over
 
 
 @dataclass
@@ -87,10 +80,7 @@ class Arena:
 
     def returns(self, policies: Sequence[str], seeds: Sequence[int]) -> NDArray[np.float64]:
         """The return of the episode of each seed, [policies, seeds].
-
-        Raises:
-            ValueError: a text is no policy of these envs.
-        """
+        Raises ValueError: a text is no policy of these envs."""
         found = np.zeros((len(policies), len(seeds)))
         drawn = [k for k, text in enumerate(policies) if text not in (self.own or {})]
         pairs = [(k, j) for k in drawn for j in range(len(seeds))]
@@ -133,10 +123,7 @@ def play(
     policies: Sequence[str], arena: Arena, *, episodes: int = 2000, first: int = 0
 ) -> list[Floor]:
     """Measures policies on the episodes of the seeds from `first` on.
-
-    Raises:
-        ValueError: a text is no policy of these envs, or fewer than two episodes.
-    """
+    Raises ValueError: a text is no policy of these envs, or fewer than two episodes."""
     if episodes < 2:
         raise ValueError(f"episodes must be at least 2, got {episodes}")
     returns = arena.returns(policies, range(first, first + episodes))
@@ -176,8 +163,6 @@ def exceeds(found: Floor, known: float, margin: float) -> bool:
 
 
 class _Search:
-    """One search: every policy that was tried, with its returns."""
-
     def __init__(self, arena: Arena, seconds: float, episodes: int, seed: int) -> None:
         self.arena = arena
         self.rng = np.random.default_rng(seed)
@@ -199,7 +184,6 @@ class _Search:
         return self._halved()
 
     def _used(self) -> float:
-        """The share of the time that has passed."""
         passed = time.monotonic() - self.began
         return passed / self.seconds if self.seconds else math.inf
 
@@ -207,7 +191,6 @@ class _Search:
         return self.rng.integers(SEARCHED, 2 * SEARCHED, size=count).tolist()
 
     def _try(self, texts: Sequence[str], share: float = SHARES[2]) -> None:
-        """Plays policies, until this share of the time has passed."""
         new = [text for text in dict.fromkeys(texts) if text not in self.tried]
         for first in range(0, len(new), self.batch):
             if self._used() > share:
@@ -336,7 +319,6 @@ def _runs(text: str) -> list[tuple[int, int]]:
 
 
 def _shortened(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The first `LONGEST` actions."""
     kept: list[tuple[int, int]] = []
     left = LONGEST
     for action, steps in runs:

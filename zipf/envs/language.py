@@ -16,6 +16,7 @@ class Vocabulary:
         vocabulary.encode("lift a duck")  # array([1, 2, 3, 0])
 
     A word's code is its place in `words`, counted from 1; 0 is padding.
+    Raises ValueError for a word that is there twice, or is none (empty, or with white space).
 
     Args:
         words: in an order that never changes, since trained networks depend on it.
@@ -23,9 +24,6 @@ class Vocabulary:
 
     Attributes:
         size: how many codes there are, padding included.
-
-    Raises:
-        ValueError: for a word that is there twice, or is none (empty, or with white space).
     """
 
     def __init__(self, words: Iterable[str], length: int) -> None:
@@ -41,10 +39,7 @@ class Vocabulary:
 
     def encode(self, text: str) -> NDArray[np.int64]:
         """Codes of the words of a text, int64 [length], 0 behind the last one.
-
-        Raises:
-            ValueError: for an unknown word, or more words than `length`.
-        """
+        Raises ValueError for an unknown word, or more words than `length`."""
         words = text.split()
         if unknown := [word for word in words if word not in self._codes]:
             raise ValueError(f"unknown word {', '.join(map(repr, unknown))} in {text!r}")
@@ -56,10 +51,7 @@ class Vocabulary:
 
     def decode(self, codes: ArrayLike) -> str:
         """The text that was encoded, its words one space apart.
-
-        Raises:
-            ValueError: for a code out of range.
-        """
+        Raises ValueError for a code out of range."""
         codes = np.asarray(codes)
         if (codes < 0).any() or (codes >= self.size).any():
             raise ValueError(f"codes must be in 0 .. {self.size - 1}, got {codes.tolist()}")

@@ -23,9 +23,7 @@ _SIXTY_FOUR, _SIXTY_THREE = np.uint64(64), np.uint64(63)
 
 def stream(seed: int | None) -> NDArray[np.uint64]:
     """The stream of `numpy.random.default_rng(seed)` at its beginning: uint64 [4].
-
-    `None` takes entropy from the operating system.
-    """
+    `None` takes entropy from the operating system."""
     state = np.random.PCG64(seed).state["state"]
     words = [state["state"] >> 64, state["state"] & _LOW_64, state["inc"] >> 64]
     return np.array([*words, state["inc"] & _LOW_64], dtype=np.uint64)

@@ -18,12 +18,9 @@ if TYPE_CHECKING:
 
 
 class Remembering:
-    """The base of scripted policies that remember something of their episodes.
+    """The base of scripted policies that remember something of their episodes."""
 
-    Attributes:
-        remembered: names of the attributes, arrays [N, ...], that its next actions depend on.
-    """
-
+    # names of the attributes, arrays [N, ...], that its next actions depend on
     remembered: ClassVar[tuple[str, ...]]
 
     def get_state(self) -> dict[str, NDArray[Any]]:
@@ -37,18 +34,9 @@ class Remembering:
 
 
 class Teacher:
-    """A scripted policy of the envs that `zipf.envs.make_train` makes of a split.
-
-    Called, it gives the actions, int64 [N], that it would take.
-
-    Args:
-        name: which policy, of `zipf.envs.SCRIPTED`.
-        split: the split.
-        env: the envs.
-
-    Raises:
-        ValueError: a train level has no such policy.
-    """
+    """A scripted policy, of `zipf.envs.SCRIPTED`, of the envs that `zipf.envs.make_train` makes of
+    a split. Called, it gives the actions, int64 [N], that it would take. Raises ValueError: a train
+    level has no such policy."""
 
     def __init__(self, name: Scripted, split: Split, env: ZipfVectorEnv):
         self._env = env

@@ -10,15 +10,8 @@ from numpy.typing import NDArray
 
 
 def open_display(instead: str = "") -> Any:
-    """pygame, with its display opened.
-
-    Args:
-        instead: what to do without a display, to end the error message with.
-
-    Raises:
-        ImportError: if pygame is not installed.
-        RuntimeError: if there is no display to open a window on.
-    """
+    """pygame, with its display opened. Raises ImportError if pygame is not installed, and
+    RuntimeError if there is no display; the message ends with what to do `instead`."""
     try:
         import pygame
     except ImportError as error:

@@ -22,12 +22,6 @@ from zipf.agents.auxiliary.base import (
 )
 
 __all__ = [
-    "AUXILIARIES",
-    "NO_AUXILIARY",
-    "Auxiliary",
-    "AuxiliaryOptions",
-    "build_auxiliary",
-    "byol",
-    "reconstruction",
-    "sample",
-]
+    "AUXILIARIES", "NO_AUXILIARY", "Auxiliary", "AuxiliaryOptions", "build_auxiliary", "byol",
+    "reconstruction", "sample",
+]  # fmt: skip

@@ -14,17 +14,18 @@ To add one, derive from `Auxiliary` and register its options with a function tha
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-import gymnasium as gym
 import torch
+from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.encoders import Encoder
-from zipf.agents.network import Inputs, Torso
-from zipf.agents.network_options import NetworkOptions
+from zipf.agents.network import Inputs
 from zipf.options import Options
 from zipf.registry import Registry
+
+Fraction = Annotated[float, Field(gt=0, le=1)]
 
 
 class AuxiliaryOptions(Options):
@@ -57,11 +58,8 @@ class Auxiliary(nn.Module):
     def forward(self, inputs: Inputs, core: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """The weighted loss of an unroll, float32 [], and metrics to log, [] each.
 
-        The loss is a mean over time and batch, as all losses here (`zipf.agents.agent`).
-
-        Args:
-            inputs: of T + 1 steps of B envs.
-            core: the memory's output there, [T + 1, B, size].
+        The loss is a mean over time and batch, as all losses here (`zipf.agents.agent`), from
+        `inputs` of T + 1 steps of B envs and the memory's output there, `core` [T + 1, B, size].
         """
         return torch.zeros((), device=core.device), {}
 
@@ -96,30 +94,11 @@ def sample(n: int, fraction: float, generator: torch.Generator) -> Tensor:
 
 
 AUXILIARIES: Registry[Auxiliary] = Registry("auxiliary")
-"""Each is built from its options and the arguments of `build_auxiliary` after them, in that order;
+"""Each is built from its options, the space of an agent's observations, the options of its encoder,
+its encoder and memory (a `Torso`), which stay its own, and the seed of what the loss draws;
 it raises ValueError where the observations lack what the loss needs."""
 
-
-def build_auxiliary(
-    options: AuxiliaryOptions,
-    space: gym.spaces.Dict,
-    network: NetworkOptions,
-    torso: Torso,
-    seed: int,
-) -> Auxiliary:
-    """The auxiliary loss that the options name, for an agent.
-
-    Args:
-        space: of its observations.
-        network: options of its encoder.
-        torso: its encoder and memory, which stay its own.
-        seed: of what the loss draws at random.
-
-    Raises:
-        ValueError: the observations lack what the loss needs.
-    """
-    return AUXILIARIES.build(options, space, network, torso, seed)
-
+build_auxiliary = AUXILIARIES.build
 
 AUXILIARIES.register(
     NoAuxiliaryOptions, lambda options, space, network, torso, seed: Auxiliary(seed)

@@ -18,23 +18,19 @@ import torch.nn.functional as F
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, sample
+from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, Fraction, sample
 from zipf.agents.encoders import Encoder, has_image
 from zipf.agents.network import Inputs, Torso, frozen_copy, head
 from zipf.agents.network_options import NetworkOptions
-
-Size = Annotated[int, Field(ge=1)]
-Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(gt=0, le=1)]
-Rate = Annotated[float, Field(ge=0, le=1)]
+from zipf.options import NotNegative, Share, Size
 
 
 class BYOLSizes(AuxiliaryOptions):
     """Options of all forms; they learn from a random `fraction` of the envs."""
 
-    weight: Weight
+    weight: NotNegative
     fraction: Fraction
-    target_rate: Rate
+    target_rate: Share
     forward_hidden: Size
     projection_hidden: Size
     prediction_hidden: Size
@@ -87,12 +83,7 @@ class BYOL(Auxiliary):
     """
 
     def __init__(
-        self,
-        encoder: Encoder,
-        core_size: int,
-        actions: int,
-        options: AnyBYOLOptions,
-        seed: int,
+        self, encoder: Encoder, core_size: int, actions: int, options: AnyBYOLOptions, seed: int
     ):
         super().__init__(seed)
         o = self.options = options
@@ -175,7 +166,6 @@ class BYOL(Auxiliary):
         )
 
     def begin_with(self, encoder: Encoder) -> None:
-        """The target encoder is a copy of the agent's."""
         self.target_encoder.load_state_dict(encoder.state_dict())
 
     @torch.no_grad()
@@ -249,9 +239,7 @@ class HorizonMap(nn.Module):
 
     def forward(self, core: Tensor, actions: Tensor) -> Iterator[Tensor]:
         """`[T, B, core]`, one-hot `[T, B, actions]` -> `[T - k + 1, B, features]` for each k.
-
-        Row t is k steps after row t of `core`; k goes from 1 to the horizon or to T.
-        """
+        Row t is k steps after row t of `core`; k goes from 1 to the horizon or to T."""
         state = self.begin(core).tanh()
         for k in range(min(self.horizon, len(core))):
             state = state[: len(core) - k]
@@ -308,10 +296,7 @@ def build(
     seed: int,
 ) -> BYOL:
     """The loss for an agent; the arguments are those of `build_auxiliary`.
-
-    Raises:
-        ValueError: a form that shifts images, for observations without one.
-    """
+    Raises ValueError: a form that shifts images, for observations without one."""
     if not isinstance(options, BYOLOptions) and not has_image(space):
         raise ValueError(
             f"auxiliary={options.name} needs an image named 'image', and the observations here "

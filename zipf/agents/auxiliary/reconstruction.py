@@ -6,15 +6,14 @@ words, and neither weights nor sizes. The decoder of an image mirrors the networ
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import gymnasium as gym
 import torch
 import torch.nn.functional as F
-from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, sample
+from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, Fraction, sample
 from zipf.agents.averaging import average
 from zipf.agents.encoders import has_image, is_text, vocabulary
 from zipf.agents.image_networks import ResidualBlock, largest_patch
@@ -25,16 +24,14 @@ from zipf.agents.network_options import (
     ResNetOptions,
     ShallowOptions,
 )
-
-Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(gt=0, le=1)]
+from zipf.options import NotNegative
 
 
 class VisionOptions(AuxiliaryOptions):
     """Reconstructs the image, in a random `fraction` of the frames."""
 
     name: Literal["vision"]
-    vision_weight: Weight
+    vision_weight: NotNegative
     fraction: Fraction
 
 
@@ -42,7 +39,7 @@ class LanguageOptions(AuxiliaryOptions):
     """Reconstructs the instruction, in a random `fraction` of the frames."""
 
     name: Literal["language"]
-    language_weight: Weight
+    language_weight: NotNegative
     fraction: Fraction
 
 
@@ -50,8 +47,8 @@ class VisionLanguageOptions(AuxiliaryOptions):
     """Reconstructs image and instruction, in a random `fraction` of the frames."""
 
     name: Literal["vision_language"]
-    vision_weight: Weight
-    language_weight: Weight
+    vision_weight: NotNegative
+    language_weight: NotNegative
     fraction: Fraction
 
 
@@ -122,17 +119,13 @@ class Reconstruction(Auxiliary):
 
 def image_cross_entropy(logits: Tensor, image: Tensor) -> Tensor:
     """Mean sigmoid cross-entropy of channels in [0, 1]: [N, H, W, C] and uint8 [N, H, W, C] -> [].
-
-    Its minimum is not 0 but the entropy of the values between black and white.
-    """
+    Its minimum is not 0 but the entropy of the values between black and white."""
     return F.binary_cross_entropy_with_logits(logits.float(), image / 255.0)
 
 
 def word_cross_entropy(logits: Tensor, instruction: Tensor) -> Tensor:
     """Mean cross-entropy of the words: [N, L, vocabulary] and integers [N, L] -> [].
-
-    0 is padding, which does not count.
-    """
+    0 is padding, which does not count."""
     words = instruction.flatten().long()
     total = F.cross_entropy(logits.flatten(0, 1).float(), words, ignore_index=0, reduction="sum")
     return total / (words != 0).sum().clamp(min=1)
@@ -260,11 +253,8 @@ def build(
     torso: Torso,
     seed: int,
 ) -> Reconstruction:
-    """The loss for an agent; the arguments are those of `build_auxiliary`.
-
-    Raises:
-        ValueError: the observations have no image, or no instruction where that is reconstructed.
-    """
+    """The loss for an agent; the arguments are those of `build_auxiliary`. Raises ValueError: the
+    observations have no image, or no instruction where that is reconstructed."""
     missing = set()
     if not isinstance(options, LanguageOptions) and not has_image(space):
         missing.add("image")

@@ -24,13 +24,6 @@ from zipf.agents.episodic.options import (
 from zipf.agents.episodic.recorder import Recorder
 
 __all__ = [
-    "NO_EPISODIC",
-    "Dictionary",
-    "DictionaryOptions",
-    "EpisodicOptions",
-    "MemOptions",
-    "NoEpisodicOptions",
-    "Recorder",
-    "build_dictionary",
-    "build_recorder",
-]
+    "NO_EPISODIC", "Dictionary", "DictionaryOptions", "EpisodicOptions", "MemOptions",
+    "NoEpisodicOptions", "Recorder", "build_dictionary", "build_recorder",
+]  # fmt: skip

@@ -33,19 +33,13 @@ _QUERIES = 1024  # looked up at a time: their distances fit the processor's cach
 
 
 class Dictionary(nn.Module):
-    """The rows, and what reads them. All of it is in `state_dict()`.
+    """The rows, and what reads them. All of it is in `state_dict()`."""
 
-    Attributes:
-        keys: float32 [capacity, key_size], of unit length.
-        values: float32 [capacity, value size].
-        priorities: float64 [capacity], of two rows the lower one makes place first; -inf: no row.
-        filled: int64 [], how many rows there are; they come first.
-    """
-
-    keys: Tensor
-    values: Tensor
+    keys: Tensor  # float32 [capacity, key_size], of unit length
+    values: Tensor  # float32 [capacity, value size]
+    # float64 [capacity], of two rows the lower one makes place first; -inf: no row
     priorities: Tensor
-    filled: Tensor
+    filled: Tensor  # int64 [], how many rows there are; they come first
 
     def __init__(self, core_size: int, actions: int, options: DictionarySizes):
         super().__init__()
@@ -73,11 +67,8 @@ class Dictionary(nn.Module):
 
     def read(self, query: Tensor) -> tuple[Tensor, Tensor]:
         """The weighted mean of the nearest rows' values, float32 [N, value size], and the nearness
-        of the nearest row, [N, 1]; zeros where there are no rows.
-
-        Args:
-            query: float32 [N, key_size], of unit length.
-        """
+        of the nearest row, [N, 1], to queries float32 [N, key_size] of unit length; zeros without
+        rows."""
         filled = int(self.filled)
         if filled == 0:
             zeros = query.new_zeros(len(query), self.values.shape[1] + 1)
@@ -96,14 +87,10 @@ class Dictionary(nn.Module):
 
     @torch.no_grad()
     def write(self, cores: Tensor, values: Tensor, priorities: Tensor) -> None:
-        """Keeps the `capacity` rows of the highest priority among those here and new ones.
+        """Keeps the `capacity` rows of the highest priority among those here and new ones, with
+        values float32 [N, value size] and keys made from `cores`, float32 [N, size].
 
         Of equal priorities those here stay, and of new ones the first come in.
-
-        Args:
-            cores: float32 [N, size], from which the keys are made.
-            values: float32 [N, value size].
-            priorities: float64 [N].
         """
         best = priorities.argsort(descending=True, stable=True)[: self.options.capacity]
         places = self.priorities.argsort(stable=True)[: len(best)]

@@ -41,12 +41,7 @@ from torch import Tensor
 
 from zipf.agents.encoders import Encoder, has_image
 from zipf.agents.episodic.dictionary import Dictionary
-from zipf.agents.episodic.options import (
-    DictionaryOptions,
-    EpisodicOptions,
-    MemOptions,
-    NoEpisodicOptions,
-)
+from zipf.agents.episodic.options import DictionaryOptions, MemOptions, NoEpisodicOptions
 from zipf.agents.episodic.recorder import DictionaryRecorder, Recorder, Rows
 from zipf.agents.unroll import no_observations
 from zipf.registry import Registry
@@ -57,10 +52,7 @@ BLOCK = 8
 
 class MemRecorder(DictionaryRecorder):
     """Rows stay in the familiarity buffer first; see `DictionaryRecorder` for the arguments.
-
-    Raises:
-        ValueError: the observations have no image.
-    """
+    Raises ValueError: the observations have no image."""
 
     options: MemOptions
     cores: Tensor
@@ -73,12 +65,12 @@ class MemRecorder(DictionaryRecorder):
 
     def __init__(
         self,
+        options: MemOptions,
+        space: gym.spaces.Dict,
         envs: int,
         core_size: int,
         actions: int,
-        options: MemOptions,
         seed: int,
-        space: gym.spaces.Dict,
     ):
         if not has_image(space):
             raise ValueError(
@@ -86,7 +78,7 @@ class MemRecorder(DictionaryRecorder):
                 f"have only {', '.join(sorted(space))}; episodic=dictionary reads whatever the "
                 "network does"
             )
-        super().__init__(envs, core_size, actions, options, seed, no_observations(space, envs))
+        super().__init__(options, envs, core_size, actions, seed, no_observations(space, envs))
         size = options.familiarity_capacity
         value_size = core_size + 2 * actions * options.outcome
         self.register_buffer("cores", torch.zeros(size, core_size))
@@ -199,12 +191,8 @@ def _blocks(size: int, device: torch.device) -> Tensor:
 
 def augment(image: Tensor, noise: float, cutout: float, generator: torch.Generator) -> Tensor:
     """Gaussian noise, and a grey square cut out at random (DeVries and Taylor 2017), whose centre
-    is anywhere in the image. uint8 [N, H, W, C].
-
-    Args:
-        noise: its standard deviation, as a share of the range of pixels.
-        cutout: the square's sides, as a share of the image's.
-    """
+    is anywhere in the image, uint8 [N, H, W, C]. `noise` is its standard deviation, as a share of
+    the range of pixels, `cutout` the square's sides, as a share of the image's."""
     n, height, width, _ = image.shape
     normal = torch.randn(image.shape, generator=generator).to(image.device)
     noisy = (image + 255 * noise * normal).round().clamp(0, 255).to(torch.uint8)
@@ -218,42 +206,14 @@ def augment(image: Tensor, noise: float, cutout: float, generator: torch.Generat
     return noisy.masked_fill((rows[:, :, None] & columns[:, None, :]).unsqueeze(-1), 128)
 
 
-def build_recorder(
-    options: EpisodicOptions,
-    space: gym.spaces.Dict,
-    envs: int,
-    core_size: int,
-    actions: int,
-    seed: int,
-) -> Recorder:
-    """The recorder that the options name.
-
-    Args:
-        space: of observations.
-        envs: B of the unrolls.
-        core_size: of the memory's outputs.
-        actions: how many there are.
-        seed: of its draws.
-
-    Raises:
-        ValueError: the observations lack what it needs.
-    """
-    return RECORDERS.build(options, space, envs, core_size, actions, seed)
-
-
 RECORDERS: Registry[Recorder] = Registry("episodic")
-"""Each is built from its options and the further arguments of `build_recorder`, in that order."""
+"""Each is built from its options, the space of observations, B of the unrolls, the size of the
+memory's outputs, the number of actions, and the seed of its draws; it raises ValueError where the
+observations lack what it needs."""
+build_recorder = RECORDERS.build
 
 RECORDERS.register(NoEpisodicOptions, lambda options, *others: Recorder())
 RECORDERS.register(
-    DictionaryOptions,
-    lambda options, space, envs, core_size, actions, seed: DictionaryRecorder(
-        envs, core_size, actions, options, seed
-    ),
+    DictionaryOptions, lambda options, space, *others: DictionaryRecorder(options, *others)
 )
-RECORDERS.register(
-    MemOptions,
-    lambda options, space, envs, core_size, actions, seed: MemRecorder(
-        envs, core_size, actions, options, seed, space
-    ),
-)
+RECORDERS.register(MemOptions, MemRecorder)

@@ -6,13 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from zipf.options import Options
+from zipf.options import NotNegative, Options, Positive, Share
 
 Size = Annotated[int, Field(ge=1, le=2**16)]  # ours: as the sizes of networks
 Rows = Annotated[int, Field(ge=1, le=2**20)]  # ours: a gigabyte of the compact network's values
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
 class NoEpisodicOptions(Options):
@@ -36,7 +33,7 @@ class DictionarySizes(Options):
     key_size: Size
     kernel_delta: Positive
     outcome: bool
-    discount: Fraction
+    discount: Share
 
 
 class DictionaryOptions(DictionarySizes):
@@ -61,7 +58,7 @@ class MemOptions(DictionarySizes):
     weight: NotNegative
     temperature: Positive
     noise: NotNegative
-    cutout: Fraction
+    cutout: Share
     loss_momentum: Annotated[float, Field(ge=0, lt=1)]
     longer: NotNegative
 

@@ -38,24 +38,16 @@ class Recorder(nn.Module):
     """The recorder of agents without episodic memory: it records nothing, and its loss is 0."""
 
     def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
-        """The weighted loss of an update, float32 [], and metrics to log, [] each.
-
-        Args:
-            encoder: the agent's; gradients reach it.
-        """
+        """The weighted loss of an update, float32 [], and metrics, [] each; its gradients reach
+        `encoder`."""
         return torch.zeros(()), {}
 
     def record(
         self, dictionary: Dictionary | None, steps: TensorDict, core: Tensor, action: Tensor
     ) -> None:
-        """Follows an optimiser step: writes the rows of the unroll's episodes that have ended.
-
-        Args:
-            dictionary: the agent's.
-            steps: of the unroll, [T + 1, B].
-            core: the memory's outputs there, [T + 1, B, size].
-            action: int64 [T + 1, B], what was done, or what a teacher says should have been.
-        """
+        """Follows an optimiser step: writes the rows of the unroll's episodes that have ended, from
+        its steps [T + 1, B], the memory's outputs there, [T + 1, B, size], and actions int64 [T +
+        1, B]: what was done, or what a teacher says should have been."""
 
     def carried(self) -> dict[str, Tensor]:
         """A copy of what is kept of the episodes that the envs are in."""
@@ -67,16 +59,9 @@ class Recorder(nn.Module):
 
 
 class DictionaryRecorder(Recorder):
-    """Draws a row of every episode and writes it when the episode ends.
-
-    Args:
-        envs: B of the unrolls.
-        core_size: of the memory's outputs.
-        actions: how many there are.
-        options: of the dictionary.
-        seed: of the draws; with the number of updates, which is saved, all of them follow from it.
-        observations: {name: zeros [B, ...]}, the parts of observations that rows have.
-    """
+    """Draws a row of every episode and writes it when the episode ends. All draws follow from the
+    seed and the number of updates, which is saved. `observations` {name: zeros [B, ...]} are the
+    parts of observations that rows have."""
 
     updates: Tensor
     age: Tensor
@@ -87,10 +72,10 @@ class DictionaryRecorder(Recorder):
 
     def __init__(
         self,
+        options: DictionarySizes,
         envs: int,
         core_size: int,
         actions: int,
-        options: DictionarySizes,
         seed: int,
         observations: dict[str, Tensor] | None = None,
     ):
@@ -109,14 +94,12 @@ class DictionaryRecorder(Recorder):
         self._register("observation", observations or {})
 
     def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
-        """No loss."""
         return torch.zeros((), device=self.core.device), {}
 
     @torch.no_grad()
     def record(
         self, dictionary: Dictionary | None, steps: TensorDict, core: Tensor, action: Tensor
     ) -> None:
-        """Writes the rows of the episodes that have ended, in the order in which they did."""
         assert dictionary is not None
         device = self.core.device
         length, envs = len(core) - 1, core.shape[1]
@@ -149,12 +132,10 @@ class DictionaryRecorder(Recorder):
         self.updates += 1
 
     def carried(self) -> dict[str, Tensor]:
-        """A copy of what is kept of the episodes that the envs are in, [B, ...] each."""
         return {name: getattr(self, name).clone() for name in self._of_episodes()}
 
     def carry(self, carried: dict[str, Tensor]) -> None:
-        """Goes on with other envs; the age of an episode says whether the rest is in use."""
-        if not carried:
+        if not carried:  # the age of an episode says whether the rest is in use
             self.age.zero_()
         for name, value in carried.items():
             getattr(self, name).copy_(value)
@@ -205,12 +186,7 @@ class DictionaryRecorder(Recorder):
 
 
 def pick(before: Tensor, unroll: Tensor, source: Tensor, env: Tensor) -> Tensor:
-    """`unroll[source, world]`, or `before[world]` where `source` is -1.
-
-    Args:
-        before: [B, ...].
-        unroll: [T + 1, B, ...].
-        source, env: int64 [N].
-    """
+    """`unroll[source, env]` of unroll [T + 1, B, ...], or `before[env]` [B, ...] where `source` is
+    -1."""
     inside = (source >= 0).view(-1, *[1] * (before.ndim - 1))
     return torch.where(inside, unroll[source.clamp(min=0), env], before[env])

@@ -19,28 +19,21 @@ SURVIVAL = 1e-20  # ours: less of an episode is left than a sum of probabilities
 
 @dataclass(frozen=True)
 class RandomPolicy:
-    """What uniformly random actions lead to, for each map.
+    """What uniformly random actions lead to, for each map."""
 
-    Attributes:
-        success: float64 [maps, objects], the probability that an episode ends at that object,
-            which is the probability of success where it is the target.
-        timeout: float64 [maps], the probability that the step limit ends the episode.
-        length: float64 [maps], the mean number of steps of an episode.
-    """
-
+    # float64 [maps, objects], the probability that an episode ends at that object, which is the
+    # probability of success where it is the target
     success: NDArray[np.float64]
+    # float64 [maps], the probability that the step limit ends the episode
     timeout: NDArray[np.float64]
-    length: NDArray[np.float64]
+    length: NDArray[np.float64]  # float64 [maps], the mean number of steps of an episode
 
 
 def chance(level: str, **options: Any) -> BaselineScore:
-    """The score of uniformly random actions on a level, exact, also by map and by target.
+    """The score of uniformly random actions on a level with these options of `GridworldOptions`,
+    exact, also by map and by target.
 
     On the released maps 0.0324 (`zipf_2`), 0.0477 (`uniform`) and 0.0859 (`rare`).
-
-    Args:
-        level: its name.
-        options: of `GridworldOptions`.
     """
     chosen = checked(GridworldOptions, options)
     return _chance(level, maps_of(level.removeprefix("gridworld/"), chosen), chosen.max_steps)
@@ -52,12 +45,8 @@ def _chance(level: str, maps: Maps, max_steps: int) -> BaselineScore:
 
 
 def mean_success(level: str, success: NDArray) -> BaselineScore:
-    """The score of a policy on a level.
-
-    Args:
-        level: its name.
-        success: [maps, objects], the probability of success where that object is the target.
-    """
+    """The score of a policy on a level, from the probability of success where an object is the
+    target, [maps, objects]."""
     distribution = of_level(level.removeprefix("gridworld/"))
     num_maps, num_objects = success.shape
     by_map, by_target = success @ distribution(num_objects), distribution(num_maps) @ success

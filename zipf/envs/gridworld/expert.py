@@ -19,9 +19,7 @@ class Expert:
     """Plays all envs of a batch from their state: `Expert(env)()` is actions, int64 [N].
 
     It succeeds wherever the target can be reached in `max_steps`, as on all released maps.
-
-    Raises:
-        ValueError: the batch is not one of a single gridworld level.
+    Raises ValueError: the batch is not one of a single gridworld level.
     """
 
     def __init__(self, env: GridworldVectorEnv) -> None:
@@ -44,12 +42,8 @@ def require_gridworld(env: object, policy: str) -> None:
 
 
 def score(level: str, **options: Any) -> BaselineScore:
-    """The expert's score on a level, exact, also by map and by target.
-
-    Args:
-        level: its name.
-        options: of `GridworldOptions`.
-    """
+    """The expert's score on a level with these options of `GridworldOptions`, exact, also by map
+    and by target."""
     chosen = checked(GridworldOptions, options)
     maps = maps_of(level.removeprefix("gridworld/"), chosen)
     return mean_success(level, reached(maps, chosen.max_steps).astype(np.float64))
@@ -73,9 +67,7 @@ def reached(maps: Maps, max_steps: int) -> NDArray[np.bool_]:
 @lru_cache(maxsize=16)
 def shortest_ways(maps: Maps) -> NDArray[np.int64]:
     """The action to take in each cell, by map and target: int64 [maps, objects, cells].
-
-    Cells are flat indices. From those that no way leads from, any action.
-    """
+    Cells are flat indices. From those that no way leads from, any action."""
     num_maps, height, width = maps.boards.shape
     leads_to = destinations(maps)
     objects = maps.cells[:, :-1, 0] * width + maps.cells[:, :-1, 1]

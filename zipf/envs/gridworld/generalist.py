@@ -11,8 +11,7 @@ from zipf.envs.gridworld.sprites import FLOOR, WALL
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.envs.policies import Remembering
 
-UNSEEN = 255
-"""What is known of a cell that has not been in view; no cell code."""
+UNSEEN = 255  # what is known of a cell that has not been in view; no cell code
 
 _MOVES = np.array(MOVES)
 _FAR = 1 << 30
@@ -37,6 +36,7 @@ class Generalist(Remembering):
     where the agent stood, at every step at which it was asked. Where it was not asked from the
     first step of an episode on, its memory begins when it was. Asked again before the envs have
     moved, it gives the same actions.
+    Raises ValueError: the batch is not one of a single gridworld level.
 
     Args:
         env: the batch.
@@ -44,9 +44,6 @@ class Generalist(Remembering):
             of the step: the same in a batch of any size. The stream is left as it is.
         memory: False: it knows what is in view now and nothing else, and moves to a random
             neighbouring cell until it sees a way to the cued object.
-
-    Raises:
-        ValueError: the batch is not one of a single gridworld level.
     """
 
     remembered = ("_known", "_visits", "_episodes", "_streams", "_lengths")
@@ -133,14 +130,13 @@ def _hashes(streams, lengths, seed):
 
 @compiled()
 def _choose(places, cues, known, visits, ties, actions):
-    """Chooses actions from what is known of the envs, and from nothing else.
+    """Chooses actions int64 [N] from what is known of the envs, and from nothing else.
 
     Args:
         places: row and column of the agents in `known`, int64 [N, 2].
         cues: codes of the objects to find, uint8 [N].
         known, visits: see `_look`.
         ties: random numbers, uint64 [N].
-        actions: int64 [N], written.
     """
     rows, columns = known.shape[1:]
     steps = np.empty((rows, columns), np.int32)
@@ -167,9 +163,7 @@ def _is_open(known, row, column, down, right):
 @compiled()
 def _way(known, row, column, cue, steps, queue):
     """The first move of the shortest known way to the cued object, or -1 if none is known.
-
-    A breadth-first search from the object on; `steps` and `queue` are overwritten.
-    """
+    A breadth-first search from the object on; `steps` and `queue` are overwritten."""
     goal_row = goal_column = -1
     rows, columns = known.shape
     for r in range(rows):

@@ -31,12 +31,8 @@ class Cue(Goal):
 
 
 def cues(codes: NDArray[np.uint8], observation: str) -> NDArray[np.uint8]:
-    """The goals, as `Cue` reads them, of episodes that ask for objects of these cell codes.
-
-    Args:
-        codes: [N].
-        observation: the level's option, "image" or "tiles".
-    """
+    """The goals, as `Cue` reads them, of episodes that ask for objects of these cell codes [N]; in
+    "image" or "tiles", the level's option."""
     if observation == "tiles":
         return codes[:, None].copy()
     return SPRITES[1, codes].reshape(len(codes), -1)

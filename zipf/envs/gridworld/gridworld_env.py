@@ -113,11 +113,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
     action_space: spaces.Discrete
 
     def __init__(
-        self,
-        level: str = "zipf_2",
-        *,
-        render_mode: str | None = None,
-        **options: Any,
+        self, level: str = "zipf_2", *, render_mode: str | None = None, **options: Any
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(
@@ -139,17 +135,10 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts an episode.
-
-        Args:
-            seed: restarts the random stream.
-            options: `map` and `target` force these ranks. Both are drawn all the same and then
-                replaced, so that the episodes that follow do not depend on it.
-
-        Raises:
-            ValueError: for a seed that is no whole number >= 0, unknown options or ranks out of
-                range; nothing has happened then.
-        """
+        """Starts an episode; `options` may force the ranks `map` and `target`. Both are drawn all
+        the same and then replaced, so that the episodes that follow do not depend on it. Raises
+        ValueError for a seed that is no whole number >= 0, unknown options or ranks out of range;
+        nothing has happened then."""
         if self._closed:
             raise ClosedEnvironmentError("reset() of an environment that was closed")
         if seed is not None:
@@ -173,13 +162,8 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
         return self._observe(), {**self._ranks}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Moves the agent one cell.
-
-        Raises:
-            ValueError: if the action is not in 0 .. 7.
-            TypeError: if it is no integer.
-            ResetNeeded: if no episode is running.
-        """
+        """Moves the agent one cell. Raises ValueError if the action is not in 0 .. 7, TypeError if
+        it is no integer, and ResetNeeded if no episode is running."""
         if self._closed:
             raise ClosedEnvironmentError("step() of an environment that was closed")
         if not self._running:
@@ -200,10 +184,7 @@ class GridworldEnv(gym.Env[dict[str, Any], Any]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """The current frame, uint8 [height, width, 3], with `render_mode="rgb_array"`.
-
-        Raises:
-            ResetNeeded: before the first episode.
-        """
+        Raises ResetNeeded: before the first episode."""
         if self._env[0, 0] < 0:
             raise ResetNeeded("render() needs an episode: call reset() first")
         return self._frame() if self.render_mode == "rgb_array" else None

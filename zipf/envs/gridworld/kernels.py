@@ -31,9 +31,7 @@ STRIPES[..., :_STRIPE] = SPRITES.reshape(2, NUM_CODES, CELL, _STRIPE)
 
 def _copier(size: int) -> Any:
     """A compiled function that copies `size` bytes between two addresses in one load and store.
-
-    Numba compiles a copy of 27 bytes to a loop or a call; a vector of 32 takes two instructions.
-    """
+    Numba compiles a copy of 27 bytes to a loop or a call; a vector of 32 takes two instructions."""
 
     def copy(typingctx: Any, destination: Any, source: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -75,16 +73,8 @@ def begin(mask, forced, map_cdf, target_cdf, cells, streams, envs):
 
 @compiled(references=False)
 def move_one(env, action, codes, cells):
-    """Steps one environment.
-
-    Args:
-        env: its state, int64 [4], written.
-        action: in 0 .. 7.
-        codes, cells: of `Maps`.
-
-    Returns:
-        Whether the agent touches the target, and whether it touches any object.
-    """
+    """Steps one environment, whose state int64 [4] is written, by an action in 0 .. 7. Returns
+    whether the agent touches the target, and whether it touches any object."""
     map, row, column = env[MAP], env[ROW] + PAD, env[COLUMN] + PAD
     down, right = _MOVES[action, 0], _MOVES[action, 1]
     blocked = codes[map, row + down, column + right] == WALL
@@ -104,14 +94,11 @@ def move_one(env, action, codes, cells):
 
 @compiled()
 def move(mask, actions, codes, cells, max_steps, lengths, envs, reward, terminated, truncated):
-    """Steps the envs of `mask`.
+    """Steps the envs of `mask`, whose state is written.
 
     Args:
-        mask, actions: bool [N] and int64 [N].
-        codes, cells: of `Maps`.
         max_steps: the length at which an episode is truncated.
         lengths: of the episodes with this step, int64 [N].
-        envs: the state, written.
         reward, terminated, truncated: float64, bool, bool [N], written.
     """
     for i in range(len(envs)):
@@ -124,15 +111,8 @@ def move(mask, actions, codes, cells, max_steps, lengths, envs, reward, terminat
 
 @compiled()
 def draw_tiles(mask, envs, codes, cells, tiles, cue):
-    """Writes the observations of the envs of `mask` as cell codes.
-
-    Args:
-        mask: bool [N].
-        envs: the state.
-        codes, cells: of `Maps`.
-        tiles: the agent's view, uint8 [N, 7, 7], written.
-        cue: the code of the target, uint8 [N, 1], written.
-    """
+    """Writes the observations of the envs of `mask` as cell codes: the agent's view uint8 [N, 7, 7]
+    to `tiles`, the code of the target uint8 [N, 1] to `cue`."""
     for i in range(len(envs)):
         if not mask[i]:
             continue

@@ -12,8 +12,7 @@ from zipf.envs.gridworld import GridworldOptions, kernels
 from zipf.envs.gridworld.maps import MOVES, VIEW, Maps, build_maps, fresh_from
 from zipf.envs.gridworld.sprites import CELL, NUM_CODES
 
-FRESH = "fresh"
-"""The level of the fresh maps, all situations of which are equally likely."""
+FRESH = "fresh"  # the level of the fresh maps, all situations of which are equally likely
 
 OBSERVATIONS: dict[str, dict[str, tuple[int, ...]]] = {
     "image": {"image": (VIEW * CELL, VIEW * CELL, 3)},
@@ -23,14 +22,8 @@ OBSERVATIONS: dict[str, dict[str, tuple[int, ...]]] = {
 
 
 def distribution(name: str) -> Distribution:
-    """What the ranks of maps and of targets are drawn from, each by itself, on the level of a name.
-
-    Args:
-        name: without its family.
-
-    Raises:
-        ValueError: there is no such level.
-    """
+    """What the ranks of maps and of targets are drawn from, each by itself, on the level of a name
+    without its family. Raises ValueError: there is no such level."""
     if name == FRESH:
         return distributions.uniform
     try:
@@ -52,30 +45,20 @@ def maps_of(name: str, options: GridworldOptions) -> Maps:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """A level with its constructor options, checked and resolved.
+    """A level with its constructor options, checked and resolved."""
 
-    Attributes:
-        name: the level's name without its family.
-        maps: the maps.
-        map_cdf, target_cdf: cumulated probabilities of the ranks, float64 [maps], [objects].
-        max_steps: after how many steps an episode is truncated.
-        observation: "image" or "tiles".
-    """
-
-    name: str
+    name: str  # the level's name without its family
     maps: Maps
+    # map_cdf, target_cdf: cumulated probabilities of the ranks, float64 [maps], [objects]
     map_cdf: NDArray[np.float64]
     target_cdf: NDArray[np.float64]
-    max_steps: int
-    observation: str
+    max_steps: int  # after how many steps an episode is truncated
+    observation: str  # "image" or "tiles"
 
     @classmethod
     def make(cls, name: str, options: GridworldOptions) -> "Level":
         """Resolves the arguments of an environment.
-
-        Raises:
-            ValueError: for an unknown level, or sizes that make no map.
-        """
+        Raises ValueError for an unknown level, or sizes that make no map."""
         if not isinstance(name, str):
             raise ValueError(f"level must be a level's name, got {name!r}")
         name = name.removeprefix("gridworld/")
@@ -113,10 +96,7 @@ class Level:
         )
 
     def observe(
-        self,
-        out: dict[str, NDArray[np.uint8]],
-        mask: NDArray[np.bool_],
-        envs: NDArray[np.int64],
+        self, out: dict[str, NDArray[np.uint8]], mask: NDArray[np.bool_], envs: NDArray[np.int64]
     ) -> None:
         """Writes what is seen in the envs of `mask` to their rows of `out`."""
         codes, cells = self.maps.codes, self.maps.cells

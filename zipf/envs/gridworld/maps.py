@@ -35,21 +35,18 @@ Cell = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class Maps:
-    """The maps of a level. Arrays are read-only and shared between environments.
+    """The maps of a level. Arrays are read-only and shared between environments."""
 
-    Attributes:
-        num_maps, num_rooms, room_size, num_objects, first: the arguments of `build_maps`.
-        codes: uint8 [maps, rows + 6, columns + 6], cell codes (`sprites.py`) without the agent,
-            with three cells of floor around the board so that every view is a slice.
-        cells: int64 [maps, objects + 1, 2], (row, column) on the board of each object in order
-            of frequency rank, and last the agent's start.
-    """
-
+    # num_maps, num_rooms, room_size, num_objects, first: the arguments of `build_maps`
     num_maps: int
     num_rooms: tuple[int, int]
     room_size: tuple[int, int]
     num_objects: int
+    # uint8 [maps, rows + 6, columns + 6], cell codes (`sprites.py`) without the agent, with three
+    # cells of floor around the board so that every view is a slice
     codes: NDArray[np.uint8]
+    # int64 [maps, objects + 1, 2], (row, column) on the board of each object in order of frequency
+    # rank, and last the agent's start
     cells: NDArray[np.int64]
     first: int = 0
 
@@ -101,10 +98,7 @@ def build_maps(
 ) -> Maps:
     """Builds `num_maps` maps from map `first` on, of `num_rooms` rooms (rows, columns) of
     `room_size` cells.
-
-    Raises:
-        ValueError: sizes out of range, or a map has fewer places than objects.
-    """
+    Raises ValueError: sizes out of range, or a map has fewer places than objects."""
     _check_sizes(num_maps, num_rooms, room_size, num_objects)
     height, width = (n * (size + 1) + 1 for n, size in zip(num_rooms, room_size, strict=True))
     codes = np.zeros((num_maps, height + 2 * PAD, width + 2 * PAD), dtype=np.uint8)
@@ -144,9 +138,7 @@ def fresh_from(num_maps: int) -> int:
 
 def _link_rooms(num_rooms: tuple[int, int], rng: np.random.Generator) -> dict[Room, list[Room]]:
     """The neighbours that a door joins each room to, in the order in which doors were added.
-
-    Every room can be reached. A door between two rooms is in the lists of both.
-    """
+    Every room can be reached. A door between two rooms is in the lists of both."""
     rooms = [(row, column) for row in range(num_rooms[0]) for column in range(num_rooms[1])]
     links: dict[Room, list[Room]] = {room: [] for room in rooms}
 

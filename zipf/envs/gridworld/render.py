@@ -23,16 +23,13 @@ _SPRITES = _SPRITES.repeat(_SCALE, axis=2).repeat(_SCALE, axis=3)
 def frame(maps: Maps, map: int, target: int, row: int, column: int) -> NDArray[np.uint8]:
     """The whole map of one env, with the cue above it.
 
-    The agent's view is bright and outlined in white, the rest is darker. The cue and the target
-    on the map are outlined in amber.
+    The agent's view is bright and outlined in white, the rest is darker. The cue and the target on
+    the map are outlined in amber. Returns uint8 [height, width, 3], 27 pixels a cell.
 
     Args:
         maps: the level's maps.
         map, target: the situation.
         row, column: where the agent is on the board.
-
-    Returns:
-        uint8 [height, width, 3], 27 pixels a cell.
     """
     board = maps.boards[map].copy()
     goal_row, goal_column = maps.cells[map, target].tolist()

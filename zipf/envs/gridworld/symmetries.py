@@ -22,9 +22,6 @@ class Symmetries:
     own mirror images. The board turns about the agent while the cue stays in its corner. What the
     cue hid remains unknown: where it would come into view there is floor, and another cell is
     hidden instead. With tiles there are the 8 of the board.
-
-    Args:
-        observations, actions: spaces of one env.
     """
 
     def __init__(self, observations: gym.spaces.Dict, actions: gym.Space):

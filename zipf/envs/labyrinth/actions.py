@@ -55,8 +55,7 @@ IMPALA = (
     Action("fire", fire=1),
 )
 
-TABLES = {15: EXTENDED, 9: IMPALA}
-"""The action tables by their number of actions."""
+TABLES = {15: EXTENDED, 9: IMPALA}  # the action tables by their number of actions
 
 
 def commands(num_actions: int) -> np.ndarray:

@@ -41,13 +41,7 @@ _KNOWN = (*MIXTURES, "zipf<exponent>", *LEVELS)
 
 def law(name: str) -> tuple[str, NDArray[np.float64]] | None:
     """The order of a level that draws tasks, and the probability of every rank; None for a task.
-
-    Args:
-        name: with or without `labyrinth/` before it.
-
-    Raises:
-        ValueError: there is no such level.
-    """
+    The level's name may have `labyrinth/` before it. Raises ValueError: there is no such level."""
     if not isinstance(name, str):
         raise ValueError(f"level must be a name, got {name!r}: expected one of {', '.join(_KNOWN)}")
     name = name.removeprefix("labyrinth/")
@@ -76,15 +70,9 @@ def check(name: str) -> None:
 def make_vec(
     num_envs: int, level: str = "explore_goal_locations_small", **options: Any
 ) -> ZipfVectorEnv:
-    """`num_envs` envs of a level: of one task, or of tasks drawn at every reset.
-
-    Args:
-        num_envs: number of envs N.
-        level: with or without `labyrinth/` before it.
-        options: of `LabyrinthVectorEnv`, which all tasks have.
-
-    Raises:
-        ValueError: for an unknown level, or options out of range.
+    """`num_envs` envs of a level, with or without `labyrinth/` before it: of one task, or of tasks
+    drawn at every reset. The options are those of `LabyrinthVectorEnv`, which all tasks have.
+    Raises ValueError for an unknown level, or options out of range.
     """
     from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
     from zipf.envs.mixture import Mixture
@@ -127,7 +115,6 @@ def mean_of_tasks(name: str) -> Callable[..., BaselineScore | None]:
 
 
 def _tasks(order: str) -> list[str]:
-    """The tasks in an order, most frequent first."""
     return list(LEVELS)[:: -1 if order == "reversed" else 1]
 
 

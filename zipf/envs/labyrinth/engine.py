@@ -14,8 +14,7 @@ from zipf.envs.labyrinth.state import TOUCH_X, TOUCH_Y, TOUCH_Z, X, Y, Z
 NOTHING, MAP, ITEM, ZONE, TIMER, POINT = range(6)
 """Kinds of events: a new map begins, an item was touched, a zone entered, a timer went off, the
 player has won or lost a point in combat."""
-LOOKED, LOOKED_AWAY = 6, 7
-"""Events of a screen: the gaze has entered a widget, or has left it."""
+LOOKED, LOOKED_AWAY = 6, 7  # events of a screen: the gaze has entered a widget, or has left it
 
 _MOVING, _TOUCHING = 0, 1
 

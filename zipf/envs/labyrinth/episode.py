@@ -16,12 +16,11 @@ class Episode(ABC):
     """The rules of a level, for one episode of one env.
 
     The constructor builds what stays for the episode, then `begin_map` what a map begins with. A
-    map ends with `World.finish_map`; the clock goes on.
-
-    Args:
-        world: empty.
-        rng: for this episode's layout.
+    map ends with `World.finish_map`; the clock goes on. `rng` is for this episode's layout.
     """
+
+    def __init_subclass__(cls) -> None:
+        cls.__doc__ = cls.__doc__ or cls.__mro__[1].__doc__  # of a variant: that of what it varies
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         self.world = world

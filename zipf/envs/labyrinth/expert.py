@@ -18,17 +18,12 @@ _BACK, _ASIDE = 6, 4  # steps back, then aside, with which it does
 
 
 class Expert(Remembering):
-    """Plays a batch with the fifteen actions by reading the state of its envs.
+    """Plays a batch with the fifteen actions by reading the state of its envs: an env's episode
+    says what to do, `Episode.act`, also where a task is drawn at every reset.
 
-    Of an episode it remembers where it was in the last steps at which it was asked, in levels
-    where it can get stuck (`Episode.aside`).
-
-    Args:
-        env: the batch, also one that draws a task at every reset; an env's episode says what to
-            do, `Episode.act`.
-
-    Raises:
-        ValueError: the batch has another number of actions than fifteen, or is of another family.
+    Of an episode it remembers where it was in the last steps at which it was asked, in levels where
+    it can get stuck (`Episode.aside`). Raises ValueError: the batch has another number of actions
+    than fifteen, or is of another family.
     """
 
     remembered = ("_trail", "_freeing", "_seeds", "_lengths")
@@ -80,11 +75,7 @@ class Expert(Remembering):
 
 
 def batch_of(env: LabyrinthVectorEnv | Mixture, player: str) -> LabyrinthVectorEnv:
-    """The envs that a scripted policy reads.
-
-    Raises:
-        ValueError: it cannot play them.
-    """
+    """The envs that a scripted policy reads. Raises ValueError: it cannot play them."""
     batch = env.batches[0] if isinstance(env, Mixture) else env  # they share their envs
     if not isinstance(batch, LabyrinthVectorEnv):
         raise ValueError(

@@ -6,8 +6,7 @@ from zipf.compiled import compiled
 from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.state import PITCH, YAW, X, Y, Z
 
-NOWHERE = -1.0
-"""Both coordinates of a gaze that does not meet the plane of the screen."""
+NOWHERE = -1.0  # both coordinates of a gaze that does not meet the plane of the screen
 _GRAZING = 0.01
 
 

@@ -29,14 +29,9 @@ class Generalist(Remembering):
     image and not behind something else (`in_view.py`). Of a map's walls what was seen stays
     remembered as long as the map does.
 
-    It may be asked in envs in which another policy acts. It then remembers what was in view at
-    every step at which it was asked.
-
-    Args:
-        env: the batch, also one that draws a task at every reset.
-
-    Raises:
-        ValueError: the batch has another number of actions than fifteen, or is of another family.
+    It may be asked in envs in which another policy acts, also where a task is drawn at every reset.
+    It then remembers what was in view at every step at which it was asked. Raises ValueError: the
+    batch has another number of actions than fifteen, or is of another family.
     """
 
     remembered = (
@@ -106,7 +101,6 @@ class Generalist(Remembering):
         self._poses[i] = x, y, yaw
 
     def _look(self, i: int) -> None:
-        """Adds what is in view now."""
         envs, memory = self.env.envs, self.memory
         body, now = envs.bodies[i], int(envs.clock[i])
         seen_at, opaque = self._seen_at[i], envs.opaque[i]

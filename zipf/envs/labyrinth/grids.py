@@ -38,12 +38,7 @@ def random_path(
 
     A walk to random unvisited neighbours, which goes back where there is none, and ends as soon as
     the goal is a neighbour.
-
-    Returns:
-        The cells from `start` to `goal`, both included.
-
-    Raises:
-        ValueError: there is no path.
+    Returns the cells from `start` to `goal`, both included. Raises ValueError: there is no path.
     """
     visited = solid.copy()
     path = [start]

@@ -8,8 +8,7 @@ from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.state import CELL, PITCH, YAW, X, Y, Z
 from zipf.envs.labyrinth.terrain import height_at
 
-NEVER = -1
-"""Stands for the frame at which a cell was seen last, where it never was."""
+NEVER = -1  # stands for the frame at which a cell was seen last, where it never was
 RAYS = 96
 """Directions, across the view, in which cells are looked for: as many as the paper's images have
 columns."""
@@ -18,12 +17,8 @@ _TALL = 40.0  # of what is looked for above the ground of a terrain
 
 @compiled(error_model="numpy")
 def is_ahead(body, x, y, z, wide, high):
-    """Whether a point is in the image of a player: not beside, above or below it.
-
-    Args:
-        body: the player's.
-        x, y, z: the point, units.
-        wide, high: tangents of half the field of view across and upwards.
+    """Whether the point x, y, z, units, is in the image of the player with this body: not beside,
+    above or below it. `wide` and `high` are tangents of half the field of view across and upwards.
     """
     ahead_x, ahead_y, up = x - body[X], y - body[Y], z - (body[Z] + EYE)
     cos, sin = math.cos(body[YAW]), math.sin(body[YAW])
@@ -35,13 +30,9 @@ def is_ahead(body, x, y, z, wide, high):
 
 @compiled(error_model="numpy")
 def see_cells(solid, body, wide, high, now, seen_at):
-    """Marks the cells of a text map that are in view, walls included.
-
-    Args:
-        solid: bool [rows, columns], what hides what is behind it.
-        body, wide, high: see `is_ahead`. Where the horizon is not in view no cell is.
-        now: the frame.
-        seen_at: int64 [rows, columns] at least, written: `now` where a cell is in view.
+    """Marks the cells of a text map that are in view, walls included: `seen_at` of a cell, int64
+    [rows, columns] at least, becomes `now`, the frame. `solid` bool [rows, columns] hides what is
+    behind it; for body, wide and high see `is_ahead`. Where the horizon is not in view no cell is.
     """
     if math.tan(abs(body[PITCH])) > high:
         return
@@ -172,13 +163,8 @@ def _is_behind_a_hill(heights, size, x, y, eye, to_x, to_y, to_z):
 @compiled(error_model="numpy")
 def nearest_unseen(solid, seen_at, row, column):
     """The cell that was never seen to which the way from a cell is shortest, or, where there is
-    none, the one that was seen last the longest time ago.
-
-    Args:
-        solid: bool [rows, columns].
-        seen_at: int64 [rows, columns].
-        row, column: where the way begins.
-    """
+    none, the one that was seen last the longest time ago; `solid` and `seen_at` are [rows,
+    columns]."""
     rows, columns = solid.shape
     queue = [(row, column)]
     found = solid.copy()

@@ -18,41 +18,28 @@ _THERE = 60.0  # units from a spot at which it is reached
 
 @dataclass(frozen=True)
 class Memory:
-    """What the generalist remembers of N envs.
+    """What the generalist remembers of N envs."""
 
-    Attributes:
-        wide, high: tangents of half the field of view across and upwards.
-        seen_at: int64 [N, QUADS, QUADS], the frame at which a cell was seen last, or NEVER.
-        known: bool [N, ITEMS], items seen since they last appeared, or the map began.
-        ever: bool [N, ITEMS], items seen in the episode.
-        turned: float64 [N], how far it has turned to the right, looking around, radians.
-        turns: int64 [N], how often it has looked around, or points of a tour that were reached.
-        walks: bool [N], whether it walks to a spot to look around from.
-        still: int64 [N], steps in which it has hardly moved.
-        freeing: int64 [N], steps left of leaving a place where it was stuck.
-    """
-
+    # wide, high: tangents of half the field of view across and upwards
     wide: float
     high: float
+    # int64 [N, QUADS, QUADS], the frame at which a cell was seen last, or NEVER
     seen_at: NDArray[np.int64]
+    # bool [N, ITEMS], items seen since they last appeared, or the map began
     known: NDArray[np.bool_]
-    ever: NDArray[np.bool_]
+    ever: NDArray[np.bool_]  # bool [N, ITEMS], items seen in the episode
+    # float64 [N], how far it has turned to the right, looking around, radians
     turned: NDArray[np.float64]
+    # int64 [N], how often it has looked around, or points of a tour that were reached
     turns: NDArray[np.int64]
-    walks: NDArray[np.bool_]
-    still: NDArray[np.int64]
-    freeing: NDArray[np.int64]
+    walks: NDArray[np.bool_]  # bool [N], whether it walks to a spot to look around from
+    still: NDArray[np.int64]  # int64 [N], steps in which it has hardly moved
+    freeing: NDArray[np.int64]  # int64 [N], steps left of leaving a place where it was stuck
 
 
 class Knowledge:
     """What a scripted policy knows of one env, in addition to the rules of its level, the
-    instruction, where it is itself and what it has taken: what has been in view.
-
-    Args:
-        memory: of the batch, written by what looks around.
-        env: the env.
-        number: the env's.
-    """
+    instruction, where it is itself and what it has taken: what has been in view."""
 
     def __init__(self, memory: Memory, world: World, number: int) -> None:
         self._memory = memory
@@ -80,13 +67,8 @@ class Knowledge:
 
     def explore(self, solid: NDArray[np.bool_], *, size: float, margin: float = MARGIN) -> int:
         """The action that leads to the nearest cell that was not seen yet; where there is none, to
-        the one that was seen last the longest time ago.
-
-        Args:
-            solid: bool [rows, columns]; what was not seen of it does not count.
-            size: of a cell, units.
-            margin: see `Ways`.
-        """
+        the one that was seen last the longest time ago. What was not seen of `solid` does not
+        count."""
         upright = self._towards(0.0)
         if upright is not None:
             return upright
@@ -105,13 +87,9 @@ class Knowledge:
         walk: Callable[[Point], int] | None = None,
         pitches: Sequence[float] = (0.0,),
     ) -> int:
-        """The action that looks around: a full turn at each pitch, then another at the next spot.
-
-        Args:
-            spots: to look around from, one after another and then again.
-            walk: the action that leads to a spot; None: in a straight line.
-            pitches: of the view, radians.
-        """
+        """The action that looks around: a full turn at each pitch, radians, then another at the
+        next of the spots, again and again. `walk` is the action that leads to a spot; None: in a
+        straight line."""
         memory, i = self._memory, self._i
         if memory.turned[i] >= 2 * math.pi:
             memory.turned[i] = 0.0

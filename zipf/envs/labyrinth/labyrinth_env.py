@@ -97,18 +97,10 @@ class LabyrinthEnv(SingleEnv):
     `zipf/Labyrinth-v0`, by `import zipf.envs`, or in one go
     `gymnasium.make("zipf.envs:zipf/Labyrinth-v0", level="rooms_watermaze")`. With
     `gymnasium.make_vec` the same id gives `LabyrinthVectorEnv`, which steps many envs at once.
-
-    Raises:
-        ValueError: for an unknown level, engine or number of actions, or sizes below 1.
     """
 
     metadata = LabyrinthVectorEnv.metadata
 
-    def __init__(
-        self,
-        level: str = "explore_goal_locations_small",
-        *,
-        render_mode: str | None = None,
-        **options: Any,
-    ) -> None:
-        super().__init__(make_vec, level=level, render_mode=render_mode, **options)
+    def __init__(self, level: str = "explore_goal_locations_small", **options: Any) -> None:
+        """Raises ValueError for an unknown level, engine or number of actions, or sizes below 1."""
+        super().__init__(make_vec, level=level, **options)

@@ -14,18 +14,12 @@ from zipf.envs.labyrinth.world import World
 
 @dataclass(frozen=True)
 class Layout:
-    """A text map.
+    """A text map."""
 
-    Attributes:
-        solid: bool [rows, columns], rows to the north, with a solid border.
-        starts: cells that the player may start in.
-        slots: cells of objects, from the north-west on as one reads.
-        region: [rows, columns], the letter of each cell's region; empty in corridors.
-    """
-
-    solid: NDArray[np.bool_]
-    starts: tuple[Cell, ...]
-    slots: tuple[Cell, ...]
+    solid: NDArray[np.bool_]  # bool [rows, columns], rows to the north, with a solid border
+    starts: tuple[Cell, ...]  # cells that the player may start in
+    slots: tuple[Cell, ...]  # cells of objects, from the north-west on as one reads
+    # [rows, columns], the letter of each cell's region; empty in corridors
     region: NDArray[np.str_]
 
     @property
@@ -40,12 +34,10 @@ class Layout:
 
 
 def read(cells: str, regions: str = "") -> Layout:
-    """A layout of two texts.
+    """A layout of two texts, rows from the north on, one a word.
 
-    Args:
-        cells: rows from the north on, one a word: `*` is a wall, `P` a start, `O` a slot; what is
-            missing is a wall.
-        regions: likewise, letters of regions; `.` is none.
+    In `cells` `*` is a wall, as is what is missing, `P` a start, `O` a slot; `regions` has letters
+    of regions; `.` is none.
     """
     rows, letters = cells.split(), regions.split()
     high, wide = len(rows) + 2, max(map(len, rows)) + 2
@@ -65,12 +57,9 @@ def read(cells: str, regions: str = "") -> Layout:
 
 @dataclass(frozen=True)
 class Theme:
-    """What a layout looks like.
+    """What a layout looks like."""
 
-    Attributes:
-        floors, walls: names of textures by region; corridors have their own.
-    """
-
+    # floors, walls: names of textures by region; corridors have their own
     floors: dict[str, str]
     walls: dict[str, str]
 

@@ -19,8 +19,7 @@ WHITE: Colour = (255, 255, 255)
 _Y, _X = np.mgrid[0:SIZE, 0:SIZE]
 PICTURES = 80
 """How many pictures there are for walls."""
-STYLES = 5
-"""Each has four floors and four walls: two colours, normal and bright."""
+STYLES = 5  # each has four floors and four walls: two colours, normal and bright
 
 _FLOORS: tuple[tuple[Colour, ...], ...] = (
     ((210, 146, 26), (246, 218, 105), (54, 88, 109), (110, 148, 169)),

@@ -16,44 +16,33 @@ from zipf.envs.labyrinth.grids import STEPS, Cell
 
 @dataclass(frozen=True)
 class MazeOptions:
-    """What a maze is made of; sizes are in cells.
+    """What a maze is made of; sizes are in cells."""
 
-    Attributes:
-        rows, columns: of the maze, odd.
-        rooms: how many are placed at most.
-        smallest, largest: side of a room, odd.
-        spawns, objects: how many cells of each kind a room has, as far as they fit.
-        extra: probability of a further connection where two parts touch.
-        doors: whether connections are doors.
-    """
-
+    # rows, columns: of the maze, odd
     rows: int
     columns: int
-    rooms: int
+    rooms: int  # how many are placed at most
+    # smallest, largest: side of a room, odd
     smallest: int
     largest: int
+    # spawns, objects: how many cells of each kind a room has, as far as they fit
     spawns: int = 5
     objects: int = 4
-    extra: float = 0.0
-    doors: bool = False
+    extra: float = 0.0  # probability of a further connection where two parts touch
+    doors: bool = False  # whether connections are doors
 
 
 @dataclass(frozen=True)
 class Maze:
-    """A maze; rows grow to the north, columns to the east.
+    """A maze; rows grow to the north, columns to the east."""
 
-    Attributes:
-        solid: bool [rows, columns].
-        room: int64 [rows, columns], the number of the room that a cell belongs to; -1: none.
-        spawns, objects: cells, by room.
-        doors: cells with a door.
-    """
-
-    solid: NDArray[np.bool_]
+    solid: NDArray[np.bool_]  # bool [rows, columns]
+    # int64 [rows, columns], the number of the room that a cell belongs to; -1: none
     room: NDArray[np.int64]
+    # spawns, objects: cells, by room
     spawns: list[list[Cell]]
     objects: list[list[Cell]]
-    doors: list[Cell]
+    doors: list[Cell]  # cells with a door
 
     @property
     def text(self) -> str:
@@ -94,9 +83,7 @@ def random_maze(rng: np.random.Generator, options: MazeOptions) -> Maze:
 
 def _place_rooms(rng: np.random.Generator, options: MazeOptions) -> list[tuple[int, int, int, int]]:
     """South-west corner, height and width of each room, in a random order.
-
-    Sizes are drawn on a lattice of every other cell, so that walls stay between rooms.
-    """
+    Sizes are drawn on a lattice of every other cell, so that walls stay between rooms."""
     high, wide = (options.rows - 1) // 2, (options.columns - 1) // 2
     least, most = (options.smallest - 1) // 2, (options.largest - 1) // 2
     middle = (least + most) // 2

@@ -11,23 +11,19 @@ from zipf.compiled import compiled
 from zipf.envs.labyrinth.state import CELL, PITCH, VX, VY, VZ, YAW, X, Y, Z
 from zipf.envs.labyrinth.terrain import height_at
 
-FRAME = 0.016
-"""Seconds of physics."""
+FRAME = 0.016  # seconds of physics
 RUN = 320.0
 ACCELERATION, IN_AIR = 10.0, 1.0
 FRICTION, STOP_SPEED = 6.0, 100.0
 GRAVITY = 800.0
 WIDE = 15.0
 """Half the width of the player's box."""
-BELOW, ABOVE = 24.0, 32.0
-"""Distances from the player's point down to the soles and up to the crown."""
-EYE = 26.0
-"""Height of the eye above the player's point."""
+BELOW, ABOVE = 24.0, 32.0  # distances from the player's point down to the soles and up to the crown
+EYE = 26.0  # height of the eye above the player's point
 STEP_UP = 18.0
 STEEPEST = math.sqrt(1.0 / 0.7**2 - 1.0)
 """Slope that can be climbed: where the unit normal is 0.7 high."""
-RISE = 12.0
-"""Speed of a rising platform that holds the player, units per frame."""
+RISE = 12.0  # speed of a rising platform that holds the player, units per frame
 _MOST_PITCH = math.radians(89.0)
 _SKIN = 1e-6
 
@@ -37,8 +33,6 @@ def move(envs, i, turn, rise, strafe, forward):
     """Moves the player of env `i` by one frame.
 
     Args:
-        envs: `Envs`, written.
-        i: the env.
         turn, rise: of the view, to the left and upwards, radians.
         strafe, forward: 1, 0 or -1: to the right, forward.
     """
@@ -83,14 +77,8 @@ def move(envs, i, turn, rise, strafe, forward):
 
 @compiled(error_model="numpy")
 def turn_and_run(body, turn, rise, strafe, forward, acceleration, friction):
-    """Turns a body, float64 [8], and changes its velocity over the ground.
-
-    Args:
-        body: written.
-        turn, rise, strafe, forward: see `move`.
-        acceleration: ACCELERATION or IN_AIR.
-        friction: whether the ground slows it.
-    """
+    """Turns a body, float64 [8], as `move` does, and changes its velocity over the ground: with
+    ACCELERATION or IN_AIR, and by friction if that slows it."""
     body[YAW] = (body[YAW] + turn) % (2 * math.pi)
     body[PITCH] = min(max(body[PITCH] + rise, -_MOST_PITCH), _MOST_PITCH)
     if friction:
@@ -226,5 +214,4 @@ def _reach(envs, i, axis, wanted):
 
 @compiled(error_model="numpy")
 def _cell(coordinate):
-    """The row or column of a coordinate."""
     return math.floor(coordinate / CELL)

@@ -22,8 +22,7 @@ _HSL = {
     "purple": (270, 100, 50), "magenta": (300, 100, 50), "pink": (330, 100, 50),
 }  # fmt: skip
 """Hue in degrees, saturation and lightness in percent."""
-NOISE = 1.0
-"""Standard deviation of what is added to each channel of an object's colours."""
+NOISE = 1.0  # standard deviation of what is added to each channel of an object's colours
 SHADE = 0.72
 """Light of the accent parts of an object of one colour, so that its parts can be told apart."""
 

@@ -20,8 +20,7 @@ _ELLIPSE, _BOX, _TRIANGLE, _DOME, _RING = range(5)
 _MAIN, _ACCENT, _DARK, _LIGHT, _SECOND, _SKY, _GROUND = range(7)
 """Colours of a picture; of the first four a shape has one. Main shapes are patterned with the
 second colour."""
-_SMALLER = 1.12
-"""How many times smaller the thing in a picture is than the picture."""
+_SMALLER = 1.12  # how many times smaller the thing in a picture is than the picture
 
 # Of each thing its shapes, of which later ones cover earlier ones: kind (ellipse, box, triangle,
 # dome or ring) and paint (main, accent, dark or light), x and y of the middle, half width and half
@@ -59,8 +58,7 @@ _HUES: tuple[tuple[float, float, float], ...] = (
     (0.07, 0.3, 0.35),
 )  # fmt: skip
 """Hue, saturation and value of the main colours."""
-_PATTERNS = 5
-"""Plain, striped, chequered, spotted, and two halves."""
+_PATTERNS = 5  # plain, striped, chequered, spotted, and two halves
 THINGS = tuple(line.partition(":")[0] for line in _THINGS.strip().splitlines())
 COUNT = len(THINGS) * len(_HUES) * _PATTERNS * 2
 """How many pictures there are."""
@@ -96,8 +94,7 @@ class _Plan(NamedTuple):
     scene: bool
     turn: float
     """Of the thing, radians."""
-    slope: float
-    """Of the pattern, radians."""
+    slope: float  # of the pattern, radians
     mirrored: bool
 
 
@@ -125,12 +122,7 @@ def _plan(number: int) -> _Plan:
 
 
 def draw(number: int, size: int) -> NDArray[np.uint8]:
-    """A picture, RGBA uint8 [size, size, 4].
-
-    Args:
-        number: from 0 to `COUNT` - 1.
-        size: height and width, pixels.
-    """
+    """Picture number 0 to `COUNT` - 1, RGBA uint8 [size, size, 4]."""
     picture = np.full((size, size, 4), 255, np.uint8)
     _paint(picture, *_plan(number))
     return picture

@@ -16,12 +16,9 @@ from zipf.envs.labyrinth.mover import EYE
 from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Envs, X, Y, Z
 from zipf.envs.render3d import MeshAtlas, Renderer, Scenes, load_meshes, pack_textures
 
-METRES = 0.01
-"""Metres of the renderer in one unit."""
-FIELD_OF_VIEW = 90.0
-"""Horizontal, degrees (DeepMind Lab)."""
-LARGE = 288, 384
-"""Height and width of the views for people to watch."""
+METRES = 0.01  # metres of the renderer in one unit
+FIELD_OF_VIEW = 90.0  # horizontal, degrees (DeepMind Lab)
+LARGE = 288, 384  # height and width of the views for people to watch
 WALLS, FLATS, OVERLAYS = 768, 288, view.BARS
 """Capacities of each env. The most are those of a skymaze of 10 x 10 nodes that all connect: 280
 platforms, 760 sides."""
@@ -29,12 +26,7 @@ SCREEN_PIXELS = 128
 """Height and width of an env's screen: twice what is seen of it in a view of 96 x 72."""
 BOB, TURN = 4.0, 2.05
 """How far an item that is not static rises and sinks, units, and seconds of a turn."""
-SIDES = (
-    (0, 1, (1, 1, 1, 0)),
-    (1, 0, (0, 1, 1, 1)),
-    (0, -1, (0, 0, 0, 1)),
-    (-1, 0, (1, 0, 0, 0)),
-)
+SIDES = ((0, 1, (1, 1, 1, 0)), (1, 0, (0, 1, 1, 1)), (0, -1, (0, 0, 0, 1)), (-1, 0, (1, 0, 0, 0)))
 """East, north, west and south side of a solid cell: rows and columns to the cell from which it is
 seen, and its ends x0, y0, x1, y1 from the solid cell's south-west corner."""
 _FLOATS = 24.0  # of a player's point above the floor that an item stands on
@@ -64,13 +56,7 @@ def _combat_meshes() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 
 class Scenery:
-    """The scenes of N envs.
-
-    Attributes:
-        scenes: in metres.
-        shape: int32 [N, ITEMS], the mesh of an item; -1: it is not shown even if it is there.
-        spins: bool [N, ITEMS], whether an item bobs and turns.
-    """
+    """The scenes of N envs, in metres."""
 
     def __init__(self, envs: Envs, width: int, height: int) -> None:
         n = len(envs.clock)
@@ -80,6 +66,7 @@ class Scenery:
             grid=(GRID, GRID), overlays=OVERLAYS, terrain=(QUADS, QUADS),
             screen=(SCREEN_PIXELS, SCREEN_PIXELS),
         )  # fmt: skip
+        # The mesh of each item; -1: it is not shown even if it is there. Whether it bobs and turns.
         self.shape = np.full((n, ITEMS), -1, np.int32)
         self.spins = np.zeros((n, ITEMS), np.bool_)
         self.renderer = _renderer(height, width)
@@ -115,7 +102,6 @@ class Scenery:
         return {**self.__dict__, "_large": None}
 
     def _update(self, mask: NDArray[np.bool_]) -> None:
-        """Copies the poses of players and items to the scenes of the envs of `mask`."""
         scenes, envs = self.scenes, self.envs
         actors, supplies = _combat_meshes()
         fights = envs.combat.fighters.any()
@@ -142,13 +128,10 @@ class Scenery:
         """Adds walls with a texture each and returns the first one's number.
 
         Args:
-            env: the env.
             ends: [walls, 4], x0, y0, x1, y1 in units; see `Scenes`.
             heights: bottom and top, units.
             textures, faces: [walls].
-            flags: of all of them.
             repeat: units per repeat of the texture; 0: once over the wall.
-            tint: of all of them.
         """
         scenes = self.scenes
         first = int(scenes.wall_count[world])
@@ -167,17 +150,12 @@ class Scenery:
 
 
 def faces(solid: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
-    """The walls of a text map: a face wherever a free cell has a solid neighbour.
+    """The walls of a text map, bool [rows, columns] with a solid border: a face wherever a free
+    cell has a solid neighbour. Arrays are read-only:
 
-    Args:
-        solid: bool [rows, columns], with a solid border.
-
-    Returns:
-        ends: float64 [walls, 4], units.
-        cells: int64 [walls, 2], row and column of the free cell.
-        numbers: int64 [walls], the face of the solid cell, see `Scenes.wall_face`.
-
-        Arrays are read-only.
+    - the ends, float64 [walls, 4], units
+    - the free cell, int64 [walls, 2], row and column
+    - the face of the solid cell, int64 [walls], see `Scenes.wall_face`
     """
     return _faces(solid.shape[0], solid.tobytes())
 

@@ -21,10 +21,6 @@ class Screen:
     """The screen of an env: white, without widgets.
 
     What is shown is painted at once into the image that the renderer samples, at events only.
-
-    Args:
-        envs, scenery: of the batch, written.
-        number: the env's.
     """
 
     def __init__(self, envs: Envs, scenery: Scenery, number: int) -> None:

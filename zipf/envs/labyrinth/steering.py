@@ -20,8 +20,7 @@ NAMES = {action.name: number for number, action in enumerate(EXTENDED)}
 SMALL = 10 * 4 * DEGREES_PER_PIXEL
 LARGE = 60 * 4 * DEGREES_PER_PIXEL
 """Degrees that a step of four frames turns."""
-MARGIN = WIDE + 3.0
-"""How far from walls the player's point stays, units."""
+MARGIN = WIDE + 3.0  # how far from walls the player's point stays, units
 
 _FORWARD = NAMES["forward"]
 BACKWARD = NAMES["backward"]
@@ -31,9 +30,7 @@ WAIT = NAMES["fire"]
 
 def walk_to(world: World, x: float, y: float, *, slowly: bool = False) -> int:
     """The action that walks to a point in a straight line.
-
-    `slowly` turns on the spot until the point is ahead, to keep to a narrow way.
-    """
+    `slowly` turns on the spot until the point is ahead, to keep to a narrow way."""
     own_x, own_y, yaw, _ = world.player
     off = bearing(yaw, math.atan2(y - own_y, x - own_x))
     if abs(off) > (30.0 if slowly else 75.0):
@@ -80,15 +77,8 @@ def bearing(yaw: float, direction: float) -> float:
 
 
 class Ways:
-    """Shortest ways through a grid to some cells.
-
-    Args:
-        solid: bool [rows, columns].
-        cells: where ways lead to.
-        origin: x and y of the grid's south-west corner.
-        size: of a cell.
-        margin: how far from solid cells the player's point stays.
-    """
+    """Shortest ways through a grid to some cells, from which the player's point stays `margin` away
+    from solid ones. The grid has cells of this size and its south-west corner at `origin`."""
 
     def __init__(
         self,
@@ -181,14 +171,11 @@ def _is_clear(solid, x, y, to_x, to_y, margin):
 
 
 class Field(Ways):
-    """Shortest ways over an open floor, around obstacles, to one point.
+    """Shortest ways to the point `goal` over an open floor, between the corners `low` and `high`,
+    around obstacles.
 
-    Args:
-        low, high: corners of the floor that the player's point may be on.
-        goal: x and y.
-        obstacles: points to keep away from.
-        away: how far, along x or y; what is touched is a box.
-        walls: further rectangles to keep out of, x0, y0, x1, y1.
+    The player's point keeps `away`, along x or y, from obstacles, as what is touched is a box, and
+    out of `walls`, further rectangles x0, y0, x1, y1.
     """
 
     SIZE = 20.0

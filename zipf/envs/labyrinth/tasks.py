@@ -53,23 +53,16 @@ class Context:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What a rule may look at.
+    """What a rule may look at."""
 
-    Attributes:
-        attribute: the one whose value is asked for.
-        values: what it is drawn from.
-        groups: the objects drawn so far, by group; the last one is the object's own.
-        rng: draws.
-    """
-
-    attribute: str
-    values: Sequence[str]
+    attribute: str  # the one whose value is asked for
+    values: Sequence[str]  # what it is drawn from
+    # the objects drawn so far, by group; the last one is the object's own
     groups: list[list[Object]]
     rng: np.random.Generator
 
 
-Rule = Callable[[Drawing], str]
-"""Picks the value of an attribute."""
+Rule = Callable[[Drawing], str]  # picks the value of an attribute
 Group = Mapping[str, Rule]
 """The rules of a group's objects, by attribute. Other regions are ANY_REGION, others random."""
 
@@ -118,14 +111,7 @@ _DEFAULTS: Group = {name: random for name in ATTRIBUTES} | {"region": literal(AN
 def draw_objects(
     context: Context, groups: Sequence[Group], sizes: Sequence[int], rng: np.random.Generator
 ) -> list[list[Object]]:
-    """The objects of a task by group.
-
-    Args:
-        context: what attributes are drawn from.
-        groups: the rules.
-        sizes: how many objects a group has.
-        rng: draws.
-    """
+    """The objects of a task by group, as the rules and the sizes of the groups say."""
     drawn: list[list[Object]] = []
     for rules, size in zip(groups, sizes, strict=True):
         drawn.append([])
@@ -147,13 +133,7 @@ def counts(
     """Sizes of groups that sum to `total`.
 
     Each group has `least` at first. The groups are visited in one random order, again and again,
-    and each gets a random share of what is left.
-
-    Args:
-        total: of all groups.
-        least: of each group.
-        rng: draws.
-        most: of each group; None: any.
+    and each gets a random share of what is left, up to `most` (None: any).
     """
     sizes = list(least)
     limits = [total if limit is None else limit for limit in most or [None] * len(sizes)]
@@ -181,13 +161,7 @@ def counts_up_to(highest: int, least: Sequence[int], rng: np.random.Generator) -
 def place_anywhere(
     objects: Sequence[Object], regions: Sequence[str], rng: np.random.Generator
 ) -> list[int | None]:
-    """Any slots.
-
-    Args:
-        objects: in the order of their groups.
-        regions: of the slots.
-        rng: draws.
-    """
+    """Any slots, whose regions these are, for objects in the order of their groups."""
     return rng.permutation(len(regions)).tolist()[: len(objects)]
 
 
@@ -213,14 +187,9 @@ def place_in_regions(
 
 @dataclass
 class Judge:
-    """What taking an object is worth: a goal `right`, any other `wrong`. Either ends the task.
+    """What taking an object is worth: a goal `right`, any other `wrong`. Either ends the task."""
 
-    Attributes:
-        goals: numbers of the objects that are right and still there.
-        right, wrong: rewards.
-    """
-
-    goals: set[int]
+    goals: set[int]  # numbers of the objects that are right and still there
     right: int
     wrong: int
 
@@ -230,23 +199,13 @@ class Judge:
 
 
 def balanced(goal: int, others: int, right: int = 10) -> Judge:
-    """A judge by whom choices at random are worth about nothing.
-
-    Args:
-        goal: number of the only goal.
-        others: how many other objects there are.
-        right: reward of the goal.
-    """
+    """A judge by whom choices at random are worth about nothing: there is one goal, worth `right`,
+    and so many other objects."""
     return Judge({goal}, right, -math.floor(right / others + 0.5))
 
 
 class CountingJudge(Judge):
-    """Each goal is worth 1, the last one 10 more. It ends the task, and so does any other object.
-
-    Args:
-        goals: numbers of the goals.
-        others: how many other objects there are.
-    """
+    """Each goal is worth 1, the last one 10 more; it and any other object end the task."""
 
     LAST = 10
 

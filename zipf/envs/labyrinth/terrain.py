@@ -16,10 +16,8 @@ from zipf.compiled import compiled
 from zipf.envs.labyrinth.grids import distances
 from zipf.envs.labyrinth.state import QUADS
 
-WALKABLE = 0.7
-"""Least height of a unit normal that can be walked on."""
-BORDER = 48.0
-"""Distance of things from the edge, units."""
+WALKABLE = 0.7  # least height of a unit normal that can be walked on
+BORDER = 48.0  # distance of things from the edge, units
 _STARTS = 10
 
 
@@ -37,20 +35,15 @@ class Prop:
 
 @dataclass(frozen=True)
 class Terrain:
-    """A terrain, in units.
+    """A terrain, in units."""
 
-    Attributes:
-        size: of a quad.
-        heights: float64 [QUADS + 1, QUADS + 1], at the corners of quads, rows to the north.
-        walkable: bool [QUADS, QUADS], quads that are flat enough and not under a solid prop.
-        props: plants and rocks.
-        mushrooms, starts: x and y, all of which can be reached from each other.
-    """
-
-    size: float
+    size: float  # of a quad
+    # float64 [QUADS + 1, QUADS + 1], at the corners of quads, rows to the north
     heights: NDArray[np.float64]
+    # bool [QUADS, QUADS], quads that are flat enough and not under a solid prop
     walkable: NDArray[np.bool_]
-    props: tuple[Prop, ...]
+    props: tuple[Prop, ...]  # plants and rocks
+    # mushrooms, starts: x and y, all of which can be reached from each other
     mushrooms: tuple[tuple[float, float], ...]
     starts: tuple[tuple[float, float], ...]
 
@@ -76,13 +69,8 @@ def height_at(heights, size, x, y):
 
 @lru_cache(maxsize=256)
 def make_terrain(seed: int, side: float, mushrooms: tuple[int, int]) -> Terrain:
-    """Draws a terrain; the same arguments give the same one.
-
-    Args:
-        seed: of the draws.
-        side: of the terrain, units.
-        mushrooms: least and most of them.
-    """
+    """Draws a terrain with a side of so many units and this least and most number of mushrooms; the
+    same arguments give the same one."""
     rng = np.random.default_rng([seed, round(side), *mushrooms])
     size = side / QUADS
     heights = _heights(rng, size)

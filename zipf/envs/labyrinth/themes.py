@@ -10,14 +10,8 @@ from zipf.envs.labyrinth.world import World
 
 
 def build_maze(world: World, maze: Maze, rng: np.random.Generator, *, alike: bool = True) -> None:
-    """Builds a maze with pictures on its walls.
-
-    Args:
-        env: empty.
-        maze: the maze.
-        rng: draws the look of the rooms and the pictures.
-        alike: whether all rooms have the same look; corridors always have.
-    """
+    """Builds a maze with pictures on its walls in an empty env. If `alike`, all rooms have the same
+    look; corridors always have."""
     rooms = int(maze.room.max()) + 1
     drawn = rng.integers(0, 4 * materials.STYLES, (2, 1 if alike else rooms))
     of_room = np.zeros(rooms, np.int64) if alike else np.arange(rooms)

@@ -16,8 +16,7 @@ from zipf.envs.labyrinth.scenery import METRES, Scenery, atlas
 from zipf.envs.labyrinth.state import CELL, ITEMS, QUADS, YAW, Envs, X, Y
 from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH
 
-SIZE = 288
-"""Height and width of a map, pixels."""
+SIZE = 288  # height and width of a map, pixels
 _FINE = 2  # a map is drawn this much larger and then reduced, against jagged lines
 _NOTHING = (36, 40, 50)
 _SOLID = (62, 68, 82)
@@ -118,10 +117,7 @@ class _Page:
         left, top = self.at(x, y)
         for size, colour in ((11.0 * _FINE, (0, 0, 0)), (8.5 * _FINE, fill)):
             corners = [
-                (
-                    left + far * size * math.cos(yaw + turn),
-                    top - far * size * math.sin(yaw + turn),
-                )
+                (left + far * size * math.cos(yaw + turn), top - far * size * math.sin(yaw + turn))
                 for far, turn in ((1.0, 0.0), (0.85, 2.5), (0.3, math.pi), (0.85, -2.5))
             ]
             self.pen.polygon(corners, colour)
@@ -230,7 +226,6 @@ def _draw_items(page: _Page, envs: Envs, scenery: Scenery, world: int) -> None:
 
 
 def _mixed(texture: int, tint: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """The mean colour of a tinted texture."""
     mixed: NDArray[np.float64] = materials.mean_colours()[texture] * tint / 255
     return mixed
 

@@ -94,7 +94,6 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         return tuple(np.hstack(pair) for pair in zip(views, maps, strict=True))
 
     def _frames(self, level: Level) -> int:
-        """Frames of an episode of a level."""
         if self.max_steps is None:
             return level.frames
         return min(level.frames, self.max_steps * self.action_repeat)
@@ -109,7 +108,6 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self._start(mask)
 
     def _start(self, mask: NDArray[np.bool_]) -> None:
-        """Begins the episodes of the envs of `mask` from their seeds."""
         for i in np.flatnonzero(mask).tolist():
             clear(self.envs, i)
             self._scenery.clear(i)
@@ -154,7 +152,6 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         return self._rewards.copy(), over, timed_out, over
 
     def _tell(self, i: int, event: int, index: int) -> None:
-        """Tells an env's episode what has happened."""
         episode = self.episodes[i]
         assert episode is not None
         if event == engine.MAP:
@@ -211,7 +208,6 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self._replay(state["seeded"], state["lengths"])
 
     def _replay(self, begun: NDArray[np.bool_], lengths: NDArray[np.int64]) -> None:
-        """Replays the episodes of the envs of `begun`."""
         self._start(begun)
         for t in range(int(lengths.max(where=begun, initial=0))):
             self._play(begun & (lengths > t), self._actions[:, t].astype(np.int64))

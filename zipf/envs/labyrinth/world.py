@@ -37,17 +37,12 @@ from zipf.envs.render3d import FACES_DOWN, SCREEN, SEE_THROUGH, TWO_SIDED
 
 Point = tuple[float, float, float]
 
-END_DELAY = 12
-"""Frames from the event that closes an episode to its end (0.2 s)."""
-PUSH, PUSHED_FRAMES = 400.0, 10
-"""Speed after a teleport, and frames without friction."""
-DEEP = 40.0
-"""Height of a platform's sides, units."""
-DOOR, LIP = 2.0, 8.0
-"""Thickness of a door, and what is seen of an open one, units."""
+END_DELAY = 12  # frames from the event that closes an episode to its end (0.2 s)
+PUSH, PUSHED_FRAMES = 400.0, 10  # speed after a teleport, and frames without friction
+DEEP = 40.0  # height of a platform's sides, units
+DOOR, LIP = 2.0, 8.0  # thickness of a door, and what is seen of an open one, units
 
-BARS = "bars"
-"""The texture of doors that are seen through."""
+BARS = "bars"  # the texture of doors that are seen through
 
 
 class Door(NamedTuple):
@@ -62,13 +57,8 @@ class Door(NamedTuple):
 
 
 class World:
-    """The three-dimensional world of one env: what a level builds in it, and what its rules do.
-
-    Args:
-        envs, scenery: of the batch, written.
-        number: the env's.
-        rewards: float64 [N], of the running step.
-    """
+    """The three-dimensional world of one env, whose arrays are written: what a level builds in it,
+    and what its rules do. `rewards`, float64 [N], are those of the running step."""
 
     def __init__(
         self, envs: Envs, scenery: Scenery, number: int, rewards: NDArray[np.float64]
@@ -100,13 +90,12 @@ class World:
         floors: NDArray[np.int64] | str,
         walls: NDArray[np.int64] | None,
     ) -> None:
-        """Builds walls and floors of a text map, roofless.
+        """Builds walls and floors of a text map, roofless, bool [rows, columns] with rows to the
+        north and a solid border.
 
-        Args:
-            solid: bool [rows, columns], rows to the north, with a solid border.
-            floors, walls: int64 [rows, columns], the textures of a cell's floor and of the walls
-                around it; used where a cell is not solid. A name is the floor of all cells, and
-                without textures walls are invisible.
+        `floors` and `walls`, int64 [rows, columns], are the textures of a cell's floor and of the
+        walls around it, where it is not solid. A name is the floor of all cells, and without
+        textures walls are invisible.
         """
         i, envs, scenery = self._number, self._envs, self._scenery
         rows, columns = solid.shape
@@ -138,11 +127,8 @@ class World:
     ) -> None:
         """Builds platforms of one cell each in the sky; between them are invisible walls.
 
-        Args:
-            heights: [rows, columns], of the platforms' tops, units.
-            there: bool [rows, columns], where platforms are.
-            textures: of the tops, by height in multiples of `unit`.
-            unit: of height, units.
+        `there` bool [rows, columns] says where, `heights` of that shape how high their tops are, in
+        units, and `textures` how these look at each multiple of `unit`.
         """
         i, envs, scenery = self._number, self._envs, self._scenery
         rows, columns = there.shape
@@ -177,14 +163,8 @@ class World:
         tint: materials.Colour = materials.WHITE,
         repeat: float = CELL,
     ) -> int:
-        """Adds an upright solid block and returns its number as a box.
-
-        Args:
-            low, high: its lowest and highest corner.
-            texture: of its sides; None: it is invisible.
-            tint: of its sides.
-            repeat: units per repeat of the texture.
-        """
+        """Adds an upright solid block between two corners and returns its number as a box.
+        Without a texture it is invisible; `repeat` is the units per repeat of the texture."""
         i = self._number
         box = int(self._envs.box_count[i])
         self._envs.box_count[i] += 1
@@ -211,14 +191,8 @@ class World:
         repeat: float = CELL,
         open_sides: str = "",
     ) -> None:
-        """Adds the walls of a rectangular room.
-
-        Args:
-            low, high: its corners.
-            height: of the walls.
-            texture, tint, repeat: of the walls.
-            open_sides: of "east", "north", "west" and "south", those without a wall.
-        """
+        """Adds the walls of a rectangular room between two corners, but for its open sides, of
+        "east", "north", "west" and "south"."""
         (x0, y0), (x1, y1) = low, high
         thick = 40.0
         for side, ends in (
@@ -234,13 +208,8 @@ class World:
     def add_ring(
         self, apothem: float, sides: int, height: float, texture: str, *, tint: materials.Colour
     ) -> None:
-        """Adds the walls of a regular room around the origin.
-
-        Args:
-            apothem: distance of the walls' middles from the origin.
-            sides: how many walls; the first is in the east.
-            height, texture, tint: of the walls.
-        """
+        """Adds the walls of a regular room around the origin, the first of which is in the east;
+        their middles are `apothem` from the origin."""
         i = self._number
         angles = 2 * math.pi * np.arange(sides) / sides
         self._envs.plane_count[i] = sides
@@ -259,14 +228,8 @@ class World:
     def add_picture(
         self, distance: float, angle: float, height: float, size: float, texture: int
     ) -> None:
-        """Hangs a picture that faces the origin.
-
-        Args:
-            distance, angle: of its middle from the origin, units and radians.
-            height: of its middle above the floor.
-            size: of its sides.
-            texture: its number.
-        """
+        """Hangs a square picture that faces the origin; its middle is at this distance, angle
+        (radians) and height above the floor."""
         middle = distance * np.array([math.cos(angle), math.sin(angle)])
         along = size / 2 * np.array([-math.sin(angle), math.cos(angle)])
         ends = np.array([[*(middle - along), *(middle + along)]])
@@ -276,13 +239,7 @@ class World:
         )
 
     def add_screen(self, distance: float, height: float, side: float) -> Screen:
-        """Adds a white square screen that faces the origin from the north.
-
-        Args:
-            distance: of its middle from the origin, units.
-            height: of its middle.
-            side: of the screen.
-        """
+        """Adds a white square screen that faces the origin from the north."""
         self._envs.screen[self._number] = 0.0, distance, height, side
         self.add_picture(distance, math.pi / 2, height, side, SCREEN)
         return Screen(self._envs, self._scenery, self._number)
@@ -313,13 +270,8 @@ class World:
         tint: materials.Colour,
         sky: tuple[materials.Colour, materials.Colour],
     ) -> None:
-        """Builds a terrain, with invisible walls at its edges.
-
-        Args:
-            terrain: its heights.
-            texture, tint: of the ground.
-            sky: colours at the horizon and overhead.
-        """
+        """Builds a terrain, with invisible walls at its edges; the sky has colours at the horizon
+        and overhead."""
         i, envs, scenes = self._number, self._envs, self._scenery.scenes
         envs.quad[i] = terrain.size
         envs.heights[i] = terrain.heights
@@ -385,9 +337,7 @@ class World:
         """Adds an item that is nowhere yet, and returns its number.
 
         Args:
-            mesh: its shape.
             colours: main and accent colour.
-            scale: of the mesh.
             spins: whether it bobs and turns.
             seen_only: whether nothing happens when it is touched.
             pattern: one of `patterns.PATTERNS`, which mixes the two colours; solid: the mesh has
@@ -417,13 +367,8 @@ class World:
         texture: str = "panel",
         tint: materials.Colour = materials.WHITE,
     ) -> int:
-        """Adds an open door in the middle of a cell, and returns its number.
-
-        Args:
-            cell: of the text map.
-            eastwards: whether it is walked through to the east or west, else to the north or south.
-            texture, tint: of the door.
-        """
+        """Adds an open door in the middle of a cell, and returns its number. It is walked through
+        to the east or west if `eastwards`, else to the north or south."""
         i, scenery = self._number, self._scenery
         door = int(self._envs.box_count[i])
         self._envs.box_count[i] += 1
@@ -522,12 +467,8 @@ class World:
     def show_square(
         self, place: tuple[float, float, float, float], colour: materials.Colour | None
     ) -> None:
-        """Draws a rectangle over the view, or removes it.
-
-        Args:
-            place: left, top, right and bottom, as shares of the image's width and height.
-            colour: of the rectangle; None: there is none.
-        """
+        """Draws a rectangle over the view, or removes it. Its place is left, top, right and bottom,
+        as shares of the image's width and height."""
         i, scenes = self._number, self._scenery.scenes
         scenes.overlay_count[i] = colour is not None
         scenes.overlays[i, 0] = place

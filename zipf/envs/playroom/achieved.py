@@ -7,8 +7,7 @@ from zipf.envs.playroom.judgement import APPROACH_DISTANCE, nearest_within
 from zipf.envs.playroom.levels import LIFT, NEAR, ON
 from zipf.envs.playroom.state import FLOOR, ON_BED, Envs, X, Y
 
-Achievement = tuple[int, int]
-"""Which of the env's objects, and the task that was done with it."""
+Achievement = tuple[int, int]  # which of the env's objects, and the task that was done with it
 
 
 def achieved(envs: Envs, i: int) -> Achievement | None:

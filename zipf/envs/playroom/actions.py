@@ -61,8 +61,7 @@ _ACTIONS: list[tuple[str, dict[str, float]]] = [
     ("PUSH_AWAY_MID", {"push": 0.5}),
 ]
 
-ACTIONS = tuple(name for name, _ in _ACTIONS)
-"""The names of the actions in their order."""
+ACTIONS = tuple(name for name, _ in _ACTIONS)  # the names of the actions in their order
 
 NOOP, FORWARD, BACKWARD, RIGHT, LEFT, TURN_RIGHT, TURN_LEFT, LOOK_DOWN, LOOK_UP = range(9)
 TURN_RIGHT_MID, TURN_LEFT_MID, TURN_RIGHT_SLIGHTLY, TURN_LEFT_SLIGHTLY = range(13, 17)

@@ -17,15 +17,8 @@ _OF_OBJECTS = ("ranks", "objects", "orientation", "status", "still", "lifted")
 class BlindExpert:
     """Solves the episodes of `env` as if another instruction had been given: any toy of the room as
     the target, and any task of the level. Where that did not end the episode, it goes on with
-    another toy or task, until all have been tried.
-
-    Args:
-        env: asked at every step from the first of an episode on.
-        seed: of the order of toys and tasks.
-
-    Raises:
-        ValueError: as for `Expert`.
-    """
+    another toy or task, until all have been tried, in an order drawn from the seed. It is to be
+    asked at every step from the first of an episode on. Raises ValueError: as for `Expert`."""
 
     def __init__(self, env: PlayroomVectorEnv, seed: int = 0) -> None:
         require_playable(env, "blind expert")

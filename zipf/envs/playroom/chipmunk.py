@@ -23,15 +23,9 @@ from zipf.envs.render3d.lanes import written
 
 _STEP, _SET_FORCE, _POSITION, _ANGLE, _VELOCITY, _MOVE, _SET_VELOCITY, _SET_SPIN = range(8)
 _NAMES = (
-    "cpSpaceStep",
-    "cpBodySetForce",
-    "cpBodyGetPosition",
-    "cpBodyGetAngle",
-    "cpBodyGetVelocity",
-    "cpBodySetPosition",
-    "cpBodySetVelocity",
-    "cpBodySetAngularVelocity",
-)
+    "cpSpaceStep", "cpBodySetForce", "cpBodyGetPosition", "cpBodyGetAngle", "cpBodyGetVelocity",
+    "cpBodySetPosition", "cpBodySetVelocity", "cpBodySetAngularVelocity",
+)  # fmt: skip
 
 
 def address(pointer: Any) -> int:
@@ -98,15 +92,14 @@ def _angle(typingctx: Any, function: Any, body: Any) -> Any:
 
 @compiled(references=False)
 def simulate(mask, called, spaces, bodies, forces, agents, objects):
-    """Simulates the frames of one action in the envs of `mask`.
+    """Simulates the frames of one action in the envs of `mask`; places, and angles of objects, are
+    written.
 
     Args:
-        mask: bool [N].
         called: of `functions()`.
         spaces: addresses of the envs' spaces, int64 [N].
         bodies: addresses of the agent and the C objects, int64 [N, C + 1].
         forces: on the agents, float64 [N, 2], newtons.
-        agents, objects: of `Envs`; places, and angles of objects, are written.
     """
     for i in range(mask.size):
         if not mask[i]:
@@ -127,13 +120,8 @@ def simulate(mask, called, spaces, bodies, forces, agents, objects):
 def move_held(mask, called, bodies, hands, turned, drives, agents, objects):
     """Puts held objects, and the agents that hold or have just released one, where they are.
 
-    A held object moves with the agent and by a velocity of its own.
-
-    Args:
-        mask, called, bodies: as in `simulate`.
-        hands: of `Envs`.
-        turned, drives: of `Commands`.
-        agents, objects: of `Envs`, read.
+    A held object moves with the agent and by a velocity of its own. Arguments are as in `simulate`,
+    and fields of `Commands`.
     """
     for i in range(mask.size):
         held = hands[i]

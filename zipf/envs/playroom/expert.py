@@ -50,30 +50,25 @@ _HOLD_ERROR = 0.07  # of the hand's distance: half of what a push changes, and a
 
 
 class _Spot(NamedTuple):
-    """Where a toy is let go.
+    """Where a toy is let go."""
 
-    Attributes:
-        x, y, top: the place, metres; `top` is that of what it comes to lie on.
-        pose, size: of the support.
-        inset: of the place from the support's edge; negative outside.
-        closest: of the agent to it.
-        radius, height: of the toy.
-    """
-
+    # x, y, top: the place, metres; `top` is that of what it comes to lie on
     x: float
     y: float
     top: float
+    # pose, size: of the support
     pose: NDArray[np.float64]
     size: NDArray[np.float64]
-    inset: float
-    closest: float
+    inset: float  # of the place from the support's edge; negative outside
+    closest: float  # of the agent to it
+    # radius, height: of the toy
     radius: float
     height: float
 
 
 def require_playable(env: PlayroomVectorEnv, policy: str) -> None:
     """Raises ValueError if a scripted policy, named in the message, cannot play these envs."""
-    if not hasattr(env, "envs"):
+    if not hasattr(env, "rooms"):
         raise ValueError(
             f"the {policy} reads the state of a batch of one playroom level, "
             f"got {type(env).__name__}"
@@ -91,9 +86,7 @@ class Expert:
 
     It may take over at any step: it keeps no more than the ways that it found last in each env,
     which it follows as long as nothing that they depend on has moved.
-
-    Raises:
-        ValueError: the batch is of another family, or its episodes are questions.
+    Raises ValueError: the batch is of another family, or its episodes are questions.
     """
 
     def __init__(self, env: PlayroomVectorEnv) -> None:
@@ -264,7 +257,6 @@ class Expert:
         return found[1]
 
     def _poses(self, i: int) -> bytes:
-        """What there is beside the agent, and where."""
         w = self.envs
         arrays = (w.ranks, w.hands, w.objects, w.orientation, w.furniture)
         return b"".join(array[i].tobytes() for array in arrays)
@@ -298,9 +290,7 @@ def _aim(agent, item, extent):
 @compiled()
 def _can_aim(agent, env):
     """Whether the target can be gripped from here; turns the view of `agent` to it.
-
-    The view need not be turned more precisely than it can be.
-    """
+    The view need not be turned more precisely than it can be."""
     _aim(agent, env.objects[0], env.extents[env.ranks[0]])
     yaw, pitch = agent[YAW], agent[PITCH]
     if pitch < hand.LOWEST + _AIM_PITCH or hand.pick(agent, env) != 0:
@@ -316,7 +306,6 @@ def _can_aim(agent, env):
 
 @compiled()
 def _centre(row, column):
-    """x and y of a cell."""
     return (column + 0.5) * _CELL - ROOM / 2, (row + 0.5) * _CELL - ROOM / 2
 
 
@@ -369,9 +358,7 @@ def around(item, distance):
 @compiled()
 def _is_blocked(x, y, env, pushing):
     """Whether the agent would touch something at (x, y), or approach the wrong object.
-
-    With `pushing` it may touch objects that it can push aside.
-    """
+    With `pushing` it may touch objects that it can push aside."""
     margin = AGENT_RADIUS + 0.03
     if max(abs(x), abs(y)) > ROOM / 2 - margin:
         return True
@@ -394,9 +381,7 @@ def _is_blocked(x, y, env, pushing):
 @compiled()
 def _blocked(envs, i, pushing):
     """The cells that the agent of env `i` keeps out of: bool [rows, columns].
-
-    With `pushing` the way may lead through objects.
-    """
+    With `pushing` the way may lead through objects."""
     env = one_env(envs, i)
     blocked = np.zeros((_CELLS, _CELLS), np.bool_)
     for row in range(_CELLS):

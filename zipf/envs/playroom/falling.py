@@ -11,21 +11,14 @@ from zipf.envs.playroom.state import AIR, ANGLE, BASE, FLOOR, HELD, ON_BED, VZ, 
 GRAVITY = 9.8
 LIFT_HEIGHT = 0.15
 """An object is lifted from this far above where it was gripped, metres."""
-STILL_STEPS = 2
-"""An object is at rest after so many actions without motion, 0.27 s."""
-STILL_MOTION = 0.01
-"""An object that moves less than this counts as motionless, metres per action."""
+STILL_STEPS = 2  # an object is at rest after so many actions without motion, 0.27 s
+STILL_MOTION = 0.01  # an object that moves less than this counts as motionless, metres per action
 
 
 @compiled(references=False)
 def fall(envs, i, before):
-    """Updates heights, orientations and the status of the objects of env `i`.
-
-    Args:
-        envs: `objects`, `orientation`, `status`, `still` and `lifted` are written.
-        i: the env.
-        before: the objects' x, y before the physics of this step, float64 [C, 2].
-    """
+    """Updates heights, orientations and the status of the objects of env `i`, whose x, y `before`
+    the physics of this step are float64 [C, 2]."""
     status, still = envs.status[i], envs.still[i]
     for j in range(status.size):
         item = envs.objects[i, j]
@@ -95,7 +88,6 @@ def _stand_up(frame, angle):
 
 @compiled(references=False)
 def _normalise(frame, c):
-    """Scales a column to length 1."""
     norm = math.sqrt(frame[0, c] ** 2 + frame[1, c] ** 2 + frame[2, c] ** 2)
     for r in range(3):
         frame[r, c] /= norm

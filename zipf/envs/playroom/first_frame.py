@@ -28,16 +28,11 @@ class FirstFrameVectorEnv(PlayroomVectorEnv):
     reward is 1 if that is right, and the episode ends. Where both objects are the same, either
     answer is right, as in the paper. An answer achieves what names the object on that side.
     Episodes are drawn as `PlayroomVectorEnv` draws them.
-
-    Raises:
-        ValueError: the level has no two sides to tell apart.
+    Raises ValueError: the level has no two sides to tell apart.
     """
 
     def __init__(
-        self,
-        num_envs: int = 1,
-        level: str = "supervised/find_shape_zipf3",
-        **options: Any,
+        self, num_envs: int = 1, level: str = "supervised/find_shape_zipf3", **options: Any
     ):
         super().__init__(num_envs, level, **options)
         if not self.level.finding:
@@ -118,10 +113,7 @@ class FirstFrames:
 
 def questions(split: Split) -> Split:
     """A split of finding levels whose episodes are questions about their first frame.
-
-    Raises:
-        ValueError: a level does not show two objects, left and right.
-    """
+    Raises ValueError: a level does not show two objects, left and right."""
     for one in split.all_levels:
         if not levels.by_name(one.name).finding:
             raise ValueError(

@@ -20,22 +20,15 @@ from zipf.envs.playroom.view import FIELD_OF_VIEW
 from zipf.envs.policies import Remembering
 
 # Ours.
-_NOWHERE = 1000.0
-"""Coordinates of what has not been seen, metres: it is in nobody's way."""
-_PITCHES = (
-    (FIRST_PITCH, math.radians(-55)),
-    (math.radians(-10), math.radians(-40)),
-)
+_NOWHERE = 1000.0  # coordinates of what has not been seen, metres: it is in nobody's way
+_PITCHES = ((FIRST_PITCH, math.radians(-55)), (math.radians(-10), math.radians(-40)))
 """Views, radians, at which the room is searched by turns, first with an empty hand, then with a toy
 in it: at lower views the toy would be so low that the bed and other toys were in its way."""
 _SPOTS = np.array([(x, y) for x in (-1.0, 1.0) for y in (-1.0, 1.0)])
 """Places from which the room is searched again, metres."""
-_THERE = 0.4
-"""Distance at which a spot is reached, metres."""
-_TOUCH = 0.02
-"""How near the agent comes to the bed when it bumps into it, metres."""
-_WALK = 60
-"""Steps after which it is given up."""
+_THERE = 0.4  # distance at which a spot is reached, metres
+_TOUCH = 0.02  # how near the agent comes to the bed when it bumps into it, metres
+_WALK = 60  # steps after which it is given up
 
 
 class Generalist(Remembering):
@@ -54,14 +47,11 @@ class Generalist(Remembering):
 
     It may be asked in envs in which another policy acts. It then remembers what was in view at
     every step at which it was asked, and how far the agent turned. Where it was not asked from the
-    first step of an episode on, its memory begins when it was.
+    first step of an episode on, its memory begins when it was. Raises ValueError: the envs are of
+    another engine, or have other actions: their episodes are questions.
 
     Args:
         env: the batch.
-
-    Raises:
-        ValueError: the envs are of another engine, or have other actions: their episodes are
-            questions.
     """
 
     remembered = (

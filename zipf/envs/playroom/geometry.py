@@ -7,12 +7,8 @@ from zipf.compiled import compiled
 
 @compiled(references=False)
 def rectangle_gap(pose, size, x, y):
-    """The distance of the point (x, y) from a rectangle, 0 inside.
-
-    Args:
-        pose: x, y, angle of the rectangle.
-        size: its half length and half width.
-    """
+    """The distance of the point (x, y) from a rectangle, 0 inside: `pose` is its x, y and angle,
+    `size` its half length and half width."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = x - pose[0], y - pose[1]
     out_x = max(abs(cos * dx + sin * dy) - size[0], 0.0)
@@ -47,12 +43,8 @@ def _corner_gap(one, one_size, two, two_size):
 
 @compiled(references=False)
 def half_width(frame, extent, x, y, z):
-    """Half the width of a rotated box along the unit vector (x, y, z).
-
-    Args:
-        frame: the box's rotation matrix, [3, 3].
-        extent: its size before the rotation, [3].
-    """
+    """Half the width along the unit vector (x, y, z) of a box with the rotation matrix `frame` and
+    the size `extent` before the rotation, [3]."""
     total = 0.0
     for c in range(3):
         along = frame[0, c] * x + frame[1, c] * y + frame[2, c] * z

@@ -54,8 +54,7 @@ from zipf.envs.playroom.state import (
 )
 
 # Ours.
-ACCELERATION = 12.5
-"""The agent's acceleration, m/s^2: with the damping it moves at 2.7 m/s at most."""
+ACCELERATION = 12.5  # the agent's acceleration, m/s^2: with the damping it moves at 2.7 m/s at most
 TURN_RATE = math.radians(120)
 LOOK_RATE = math.radians(90)
 LOWEST, HIGHEST = math.radians(-75), math.radians(60)
@@ -75,14 +74,7 @@ _COAST = FRAME * sum(math.exp(-DAMPING * FRAME * k) for k in range(FRAMES))
 
 @compiled()
 def control(mask, actions, envs, commands):
-    """Applies the actions of the envs of `mask`, and tells the physics what to do.
-
-    Args:
-        mask: bool [N].
-        actions: int64 [N].
-        envs: read and written.
-        commands: written.
-    """
+    """Applies the actions int64 [N] of the envs of `mask`, and tells the physics what to do."""
     pose, turned = np.empty(6), np.empty((3, 3))
     for i in range(mask.size):
         if not mask[i]:
@@ -146,12 +138,8 @@ def _layer(status, height):
 
 @compiled()
 def pick(agent, env):
-    """The object that an agent could grip, or -1.
-
-    Args:
-        agent: a row of `Envs.agents` or a pose that is tried out, float64 [6]; HOLD is written.
-        env: `World`, read.
-    """
+    """The object that an agent could grip, or -1. `agent` is a row of `Envs.agents` or a pose that
+    is tried out, float64 [6], whose HOLD is written."""
     ranks, furniture = env.ranks, env.furniture
     objects, orientation = env.objects, env.orientation
     direction = np.empty(3)
@@ -263,12 +251,8 @@ def _reach_out(agent, item, spot, drive):
 def keep_in_hand(envs, i, start):
     """After the physics, puts the held object of env `i` back in front of the agent.
 
-    Other objects may have stopped it on its way, but do not push it aside.
-
-    Args:
-        envs: read and written.
-        i: the env.
-        start: the agent's x, y before the physics, float64 [2], where there was room.
+    Other objects may have stopped it on its way, but do not push it aside. `start` is the agent's
+    x, y before the physics, where there was room.
     """
     held = envs.hands[i]
     agent, item, spot = envs.agents[i], envs.objects[i, held], envs.spots[i]

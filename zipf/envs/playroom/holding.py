@@ -15,8 +15,7 @@ from zipf.envs.playroom.geometry import half_width, rectangle_gap
 from zipf.envs.playroom.state import AX, AY, HOLD, PITCH, YAW, X, Y, Z
 
 # Ours.
-CLEARANCE = 0.05
-"""Between the body and a held object, metres."""
+CLEARANCE = 0.05  # between the body and a held object, metres
 SLACK = math.radians(20)
 """How far below the middle of the view a wall may push the middle of a held object. The view
 reaches 30 degrees up and down."""
@@ -33,17 +32,15 @@ _EXACT = 1e-6
 @compiled()
 def find_room(agent, env, held, spot):
     """Finds where an object can be held, and pushes the agent back where there is too little room.
+    Returns whether there is room. If not, the agent's place is as it was.
 
     Args:
         agent: a row of `Envs.agents`; its place and its pitch may be changed.
-        env: `World`, read.
+        env: `Env`, read.
         held: the object.
         spot: float64 [3], written where there is room: the least and greatest distance of the
             object's middle from the agent's on the floor plane, and the height of its lowest
             point, metres.
-
-    Returns:
-        Whether there is room. If not, the agent's place is as it was.
     """
     item = env.objects[held]
     floor = floor_of_hand(env.furnished, env.furniture, item)
@@ -91,12 +88,8 @@ def _find_room(agent, env, held, floor, spot):
 
 @compiled()
 def keep_in_view(agent, height, distance):
-    """Keeps the view from pointing too far below a held object.
-
-    Args:
-        agent: a row of `Envs.agents`; its pitch may be changed.
-        height, distance: of the object's middle, metres.
-    """
+    """Keeps the view of an agent, whose pitch may be changed, from pointing too far below a held
+    object whose middle is at this height and distance, metres."""
     agent[PITCH] = max(agent[PITCH], math.atan2(height - EYE, distance) - STEEP)
 
 

@@ -18,12 +18,9 @@ _INNER = 0.7
 
 @compiled()
 def look(envs, wide, high, items, supports):
-    """Says what is in view of the agents.
-
-    A bounding box hides what is behind it.
+    """Says what is in view of the agents. A bounding box hides what is behind it.
 
     Args:
-        envs: `Envs`, read.
         wide, high: tangents of half the horizontal and half the vertical field of view.
         items: bool [N, C], the objects in view, written.
         supports: bool [N, 2], bed and tray, written; False without furniture.

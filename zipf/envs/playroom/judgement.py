@@ -16,13 +16,11 @@ APPROACH_DISTANCE = 0.7
 
 @compiled(references=False)
 def settle(mask, start, before, envs, reward, terminated, success):
-    """After the physics, objects are held or fall, and episodes are judged.
+    """After the physics, objects are held or fall, and the episodes of `mask` are judged.
 
     Args:
-        mask: the envs concerned, bool [N].
         start: the agents' x, y before the physics of this step, float64 [N, 2].
         before: the objects' x, y before the physics of this step, float64 [N, C, 2].
-        envs: read and written.
         reward, terminated, success: float64, bool, bool [N], written.
     """
     for i in range(mask.size):
@@ -40,9 +38,7 @@ def settle(mask, start, before, envs, reward, terminated, success):
 @compiled(references=False)
 def _judge(envs, i):
     """1 if the task was done, 0 if it was done with the wrong object or place, -1 if neither.
-
-    An object counts as the target if it is of the target's rank.
-    """
+    An object counts as the target if it is of the target's rank."""
     ranks = envs.ranks[i]
     if envs.finding:
         return _judge_approach(ranks, envs.agents[i], envs.objects[i])
@@ -57,9 +53,7 @@ def _judge(envs, i):
 @compiled(references=False)
 def _judge_approach(ranks, agent, objects):
     """1 if the agent has come near the target, 0 if near another object, -1 if near none.
-
-    The nearest object counts: an agent that walks between two comes near both in one step.
-    """
+    The nearest object counts: an agent that walks between two comes near both in one step."""
     nearest = nearest_within(APPROACH_DISTANCE, agent, objects)
     if nearest < 0:
         return -1

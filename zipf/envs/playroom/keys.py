@@ -41,8 +41,5 @@ KEYS = Keys(
         _spin("u", "BACKWARD"),
         Binding(("x",), "wait", (NOOP, GRAB, NOOP, GRAB)),
     ),
-    (
-        Toggle("space", "grip", (NOOP, GRAB, NOOP, GRAB)),
-        Toggle("tab", "fine"),
-    ),
+    (Toggle("space", "grip", (NOOP, GRAB, NOOP, GRAB)), Toggle("tab", "fine")),
 )

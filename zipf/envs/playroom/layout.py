@@ -28,8 +28,7 @@ PALETTE = np.array(
 )
 """The colours of objects: Carvalho et al. 2021."""
 
-FIRST_PITCH = math.radians(-25)
-"""Objects on the floor are in view. Ours."""
+FIRST_PITCH = math.radians(-25)  # Objects on the floor are in view. Ours.
 FIRST_YAW = math.radians(30)
 """How far to either side of the objects' middle the agent may look at first. Ours."""
 PASSAGE = 0.55
@@ -44,15 +43,13 @@ _MAX_TRIES = 10_000
 def draw_situations(mask, forced, probabilities, tasks, streams, envs):
     """Draws ranks, task and the seed of everything else for the episodes of `mask`.
 
-    Every episode takes the same number of draws from its env's stream, forced or not. Objects
-    are drawn with replacement in `supervised/` levels, without it in the others.
+    Every episode takes the same number of draws from its env's stream, forced or not. Objects are
+    drawn with replacement in `supervised/` levels, without it in the others.
 
     Args:
-        mask: the envs that begin an episode, bool [N].
         forced: int64 [ranks of the situation, N], -1 where a rank is drawn.
         probabilities: of an object's rank, float64 [50].
         tasks: the tasks to draw from uniformly, int64 [any]; empty where there is no choice.
-        streams: the envs' random streams, uint64 [N, 4], advanced.
         envs: `ranks`, `task` and `scenery` are written.
     """
     replacement = envs.finding
@@ -122,10 +119,7 @@ def lay_out(mask, envs):
     """Places agent, objects and furniture of the episodes of `mask`, and paints them.
 
     Nothing overlaps, the agent can reach everything, and no place is near both bed and tray. Draws
-    from `worlds.scenery`.
-
-    Returns:
-        Whether there was room for everything.
+    from `envs.scenery`. Returns whether there was room for everything.
     """
     fits = True
     for i in range(mask.size):

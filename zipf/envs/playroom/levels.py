@@ -47,22 +47,15 @@ VOCABULARY = Vocabulary(
 
 @dataclass(frozen=True)
 class Level:
-    """What a level draws an episode from.
+    """What a level draws an episode from."""
 
-    Attributes:
-        name: without its family.
-        probabilities: of the ranks of objects, float64 [50].
-        others: objects beside the target.
-        tasks: those drawn from, each as likely as the others; empty in `supervised/` levels,
-            where the task is to approach.
-        furnished: whether there are a bed and a tray.
-    """
-
-    name: str
-    probabilities: NDArray[np.float64]
-    others: int
+    name: str  # without its family
+    probabilities: NDArray[np.float64]  # of the ranks of objects, float64 [50]
+    others: int  # objects beside the target
+    # those drawn from, each as likely as the others; empty in `supervised/` levels, where the task
+    # is to approach
     tasks: tuple[int, ...]
-    furnished: bool
+    furnished: bool  # whether there are a bed and a tray
 
     @property
     def finding(self) -> bool:
@@ -128,15 +121,9 @@ LEVELS = _levels()
 
 
 def by_name(name: str, frequent_exponent: float = 0.0) -> Level:
-    """The level of this name, with or without `playroom/` before it.
-
-    Args:
-        name: one of `LEVELS`.
-        frequent_exponent: of Zipf's law over the ten most frequent objects in `*_frequent` levels.
-
-    Raises:
-        ValueError: there is none; names the nearest.
-    """
+    """The level of this name, with or without `playroom/` before it; the exponent is that of Zipf's
+    law over the ten most frequent objects in `*_frequent` levels. Raises ValueError: there is none;
+    names the nearest."""
     if not isinstance(name, str):
         raise ValueError(f"level must be a name, got {name!r}: expected one of {', '.join(LEVELS)}")
     name = name.removeprefix("playroom/")

@@ -125,18 +125,10 @@ class PlayroomEnv(SingleEnv):
     `zipf/Playroom-v0`, by `import zipf.envs`, or in one go
     `gymnasium.make("zipf.envs:zipf/Playroom-v0", level="lift/lift_shape_zipf3")`. With
     `gymnasium.make_vec` the same id gives `PlayroomVectorEnv`, which steps many envs at once.
-
-    Raises:
-        ValueError: for an option of the wrong type or out of range.
     """
 
     metadata = PlayroomVectorEnv.metadata
 
-    def __init__(
-        self,
-        level: str = "lift/lift_shape_zipf3",
-        *,
-        render_mode: str | None = None,
-        **options: Any,
-    ) -> None:
-        super().__init__(PlayroomVectorEnv, level=level, render_mode=render_mode, **options)
+    def __init__(self, level: str = "lift/lift_shape_zipf3", **options: Any) -> None:
+        """Raises ValueError for an option of the wrong type or out of range."""
+        super().__init__(PlayroomVectorEnv, level=level, **options)

@@ -56,10 +56,6 @@ class Room:
 
     Every episode has a new space, so that it does not depend on the episodes before it. Bodies and
     shapes are used again, because making them takes longer than everything else in a reset.
-
-    Args:
-        num_objects: how many objects an episode has.
-        furnished: whether there are a bed and a tray.
     """
 
     def __init__(self, num_objects: int, furnished: bool) -> None:
@@ -100,13 +96,8 @@ class Room:
         objects: Sequence[Sequence[float]],
         furniture: Sequence[Sequence[float]],
     ) -> None:
-        """Begins an episode.
-
-        Args:
-            agent: x and y of the agent.
-            objects: (x, y, angle, length, width) of each object.
-            furniture: (x, y, angle) of bed and tray; empty without them.
-        """
+        """Begins an episode with the agent at (x, y), objects (x, y, angle, length, width) and, if
+        there are any, bed and tray (x, y, angle)."""
         if self.shapes:
             self.space.remove(*self.shapes, self._disc, *self._fixed)
             # Without shapes: what is left of the correction of overlaps is used up.

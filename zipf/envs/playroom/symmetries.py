@@ -11,11 +11,7 @@ _SIDEWAYS = ("strafe", "turn", "spin_right", "spin_forward")
 
 
 class Symmetries:
-    """Shows rooms in a mirror. Instructions name no sides.
-
-    Args:
-        observations, actions: spaces of one env, a room or a question about its first frame.
-    """
+    """Shows rooms or questions about their first frame in a mirror. Instructions name no sides."""
 
     count = 2
 

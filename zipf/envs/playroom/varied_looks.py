@@ -35,10 +35,8 @@ VARIED_FLOORS = np.array(
 )
 LOWEST_SUN, HIGHEST_SUN = 0.45, 0.95
 """Sines of the sun's elevation. The plain room's is 0.8."""
-DIMMEST = 0.75
-"""Share of the plain room's light."""
-WARMTH = 0.2
-"""Share of blue that the warmest light lacks, and of red that the coldest lacks."""
+DIMMEST = 0.75  # share of the plain room's light
+WARMTH = 0.2  # share of blue that the warmest light lacks, and of red that the coldest lacks
 SMALLEST = 0.85
 """Share of a toy's size. No toy is larger than its size, so that none is drawn into a wall."""
 

@@ -106,7 +106,6 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._start(mask, self._streams)
 
     def _start(self, mask: NDArray[np.bool_], streams: NDArray[np.uint64]) -> None:
-        """Begins the episodes of the envs of `mask`, drawing from `streams`, uint64 [N, 4]."""
         level, envs = self.level, self.envs
         tasks = np.array(level.tasks, np.int64)
         layout.draw_situations(mask, self._forced, level.probabilities, tasks, streams, envs)
@@ -195,7 +194,6 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         )
 
     def _room(self, i: int) -> Room:
-        """The room of an episode that has begun."""
         room = self.rooms[i]
         assert room is not None
         return room
@@ -267,7 +265,6 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         self._replay(state["seeded"], state["lengths"])
 
     def _replay(self, begun: NDArray[np.bool_], lengths: NDArray[np.int64]) -> None:
-        """Replays the episodes of the envs of `begun`."""
         self._start(begun, self._began.copy())
         for t in range(int(lengths.max(where=begun, initial=0))):
             self._play(begun & (lengths > t), self._actions[:, t].astype(np.int64))

@@ -21,12 +21,9 @@ FIELD_OF_VIEW = 75.0
 _DARKNESS = 0.55
 _INNER = 0.6
 """Share of an object's footprint."""
-_SOFTNESS = 0.07
-"""How far a shadow reaches beyond an object on the floor, metres."""
-_SPREAD = 0.25
-"""How much farther for every metre of height."""
-_FAINT = 0.5
-"""Height at which half of the darkness is left, metres."""
+_SOFTNESS = 0.07  # how far a shadow reaches beyond an object on the floor, metres
+_SPREAD = 0.25  # how much farther for every metre of height
+_FAINT = 0.5  # height at which half of the darkness is left, metres
 _FURNITURE_SOFTNESS = (0.2, 0.09)
 """Widths of the soft edges of bed's and tray's shadows on each side of the edge, metres."""
 
@@ -41,14 +38,8 @@ def extents_of(names: tuple[str, ...]) -> NDArray[np.float64]:
 
 
 class View:
-    """Draws the images of a batch of playrooms.
-
-    Args:
-        names: the objects' names by rank.
-        envs: the state of the envs, read again by every method.
-        width, height: of the agent's image, pixels.
-        varied: whether every episode has its own looks, see `varied_looks.py`.
-    """
+    """Draws the images of a batch of playrooms, whose state every method reads again. `names` are
+    the objects' by rank; with `varied` every episode has its own looks, see `varied_looks.py`."""
 
     def __init__(
         self, names: tuple[str, ...], envs: Envs, width: int, height: int, *, varied: bool
@@ -69,9 +60,7 @@ class View:
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
         """Reads or draws what stays the same for an episode, in the envs of `mask`.
-
-        Varied looks are drawn from `worlds.scenery`, after everything else of the episode.
-        """
+        Varied looks are drawn from `envs.scenery`, after everything else of the episode."""
         envs, scenes = self.envs, self.scenes
         count = envs.ranks.shape[1]
         scenes.mesh[mask, :count] = self.meshes[envs.ranks[mask]]
@@ -117,7 +106,6 @@ class View:
         return {**self.__dict__, "_large": None}
 
     def _update(self, mask: NDArray[np.bool_]) -> None:
-        """Copies the poses of cameras and objects to the scenes of the envs of `mask`."""
         envs, scenes = self.envs, self.scenes
         _pose(
             mask, envs.agents, envs.objects, envs.orientation, envs.ranks, envs.extents,
@@ -175,9 +163,7 @@ def _pose(
 @compiled(references=False)
 def _shade(shadow, item, middle, frame, size, furnished, furniture):
     """Writes a row of `Scenes.shadows`: the shadow of an object on what is below.
-
-    `middle` is the height of the object's centre, and `size` that at which it is drawn, metres.
-    """
+    `middle` is the height of the object's centre, and `size` that at which it is drawn, metres."""
     top = 0.0
     if furnished:
         for k in range(2):

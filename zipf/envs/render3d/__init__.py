@@ -7,14 +7,6 @@ from zipf.envs.render3d.renderer import Renderer
 from zipf.envs.render3d.scene import FACES_DOWN, SCREEN, SEE_THROUGH, TWO_SIDED, Scenes
 
 __all__ = [
-    "FACES_DOWN",
-    "SCREEN",
-    "SEE_THROUGH",
-    "TWO_SIDED",
-    "MeshAtlas",
-    "Renderer",
-    "Scenes",
-    "load_meshes",
-    "pack_textures",
-    "textures",
-]
+    "FACES_DOWN", "SCREEN", "SEE_THROUGH", "TWO_SIDED", "MeshAtlas", "Renderer", "Scenes",
+    "load_meshes", "pack_textures", "textures",
+]  # fmt: skip

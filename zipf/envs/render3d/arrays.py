@@ -82,27 +82,20 @@ class SceneArrays(NamedTuple):
 class Meshes(NamedTuple):
     """A `MeshAtlas` as `prepare_meshes` lays it out. Lines end with LANES unused numbers."""
 
-    vertices: Any
-    """float32 [3, V + LANES]: lines x, y, z."""
-    triangles: Any
-    """int32 [T, 3]: vertices, counted from the first of their mesh."""
+    vertices: Any  # float32 [3, V + LANES]: lines x, y, z
+    triangles: Any  # int32 [T, 3]: vertices, counted from the first of their mesh
     planes: Any
     """float32 [4, T + LANES]: unit normals, and their products with a point of the plane."""
-    parts: Any
-    """uint8 [T]: which colour."""
-    first_vertex: Any
-    """int32 [meshes + 1]."""
-    first_triangle: Any
-    """int32 [meshes + 1]."""
-    balls: Any
-    """float32 [meshes, 4]: centre and radius of a ball that contains the mesh."""
+    parts: Any  # uint8 [T]: which colour
+    first_vertex: Any  # int32 [meshes + 1]
+    first_triangle: Any  # int32 [meshes + 1]
+    balls: Any  # float32 [meshes, 4]: centre and radius of a ball that contains the mesh
 
 
 class Assets(NamedTuple):
     """Textures and meshes, the same for all envs."""
 
-    texels: Any
-    """uint32 [K, 64 * 128], see `pack_textures`."""
+    texels: Any  # uint32 [K, 64 * 128], see `pack_textures`
     meshes: Meshes
     fixed_colours: Any
     """uint8 [4, 3]: of the parts of meshes from 2 on."""
@@ -111,19 +104,15 @@ class Assets(NamedTuple):
 class ImageBuffers(NamedTuple):
     """An image in the making. Lines end with LANES unused pixels."""
 
-    colour: Any
-    """uint32 [H, stride]: 0x00BBGGRR."""
-    depth: Any
-    """float32 [H, stride]: 1/t, 0 where nothing has been drawn."""
+    colour: Any  # uint32 [H, stride]: 0x00BBGGRR
+    depth: Any  # float32 [H, stride]: 1/t, 0 where nothing has been drawn
 
 
 class EnvBuffers(NamedTuple):
     """Written by `draw`."""
 
-    frame: Any
-    """float64 [3, 3]: see `Projection`."""
-    palette: Any
-    """float32 [6, 3]: colours of the parts of a mesh in the light of the lamp."""
+    frame: Any  # float64 [3, 3]: see `Projection`
+    palette: Any  # float32 [6, 3]: colours of the parts of a mesh in the light of the lamp
 
 
 class SpanBuffers(NamedTuple):
@@ -137,50 +126,34 @@ class SpanBuffers(NamedTuple):
 class MeshBuffers(NamedTuple):
     """Written by `draw_instance`, for meshes of up to V vertices and T triangles."""
 
-    seen: Any
-    """float32 [6, V + LANES]: vertices as `vertex_block` writes them."""
-    lit: Any
-    """float32 [T + LANES]: light on the triangles, 0 on those that face away."""
-    front: Any
-    """int32 [T + 1]: the triangles that face the eye."""
+    seen: Any  # float32 [6, V + LANES]: vertices as `vertex_block` writes them
+    lit: Any  # float32 [T + LANES]: light on the triangles, 0 on those that face away
+    front: Any  # int32 [T + 1]: the triangles that face the eye
     axis: Any
     """int32 [T + LANES]: with a pattern, the axis that a triangle faces most: 0 x, 1 y, 2 z."""
-    area: Any
-    """float32 [T + LANES]: with a pattern, texels in a pixel divided by depth**3."""
-    matrix: Any
-    """float32 [3, 4]: takes vertices to the eye's frame."""
-    vectors: Any
-    """float32 [6, 3]: points and directions in the eye's and the mesh's frames."""
-    corners: Any
-    """float32 [3, 4]: see `draw_cut_triangle`."""
+    area: Any  # float32 [T + LANES]: with a pattern, texels in a pixel divided by depth**3
+    matrix: Any  # float32 [3, 4]: takes vertices to the eye's frame
+    vectors: Any  # float32 [6, 3]: points and directions in the eye's and the mesh's frames
+    corners: Any  # float32 [3, 4]: see `draw_cut_triangle`
 
 
 class GridBuffers(NamedTuple):
     """Written by `look_around`."""
 
-    faces: Any
-    """bool [rows * columns * 4]: the faces of cells that are visible."""
-    spans: Any
-    """float64 [4, rows * columns + 2]."""
+    faces: Any  # bool [rows * columns * 4]: the faces of cells that are visible
+    spans: Any  # float64 [4, rows * columns + 2]
 
 
 class TerrainBuffers(NamedTuple):
     """Written by `draw_terrain`, for terrains of R x C cells; W is C + 1 + LANES."""
 
-    line: Any
-    """float32 [3, W]: columns' numbers, zeros, and the heights of one line of corners."""
-    seen: Any
-    """float32 [6, 2 W]: two lines of corners as `vertex_block` writes them."""
-    kinds: Any
-    """int32 [C + LANES]: of the cells of a row, as `cell_block` writes them."""
-    shown: Any
-    """int32 [C + 1]: the columns of cells that may be visible."""
-    light: Any
-    """float32 [2 R C]: light on each triangle."""
-    area: Any
-    """float32 [2 R C]: texels in a pixel, divided by depth**3, of each triangle."""
-    corners: Any
-    """float32 [3, 4]: see `draw_cut_triangle`."""
+    line: Any  # float32 [3, W]: columns' numbers, zeros, and the heights of one line of corners
+    seen: Any  # float32 [6, 2 W]: two lines of corners as `vertex_block` writes them
+    kinds: Any  # int32 [C + LANES]: of the cells of a row, as `cell_block` writes them
+    shown: Any  # int32 [C + 1]: the columns of cells that may be visible
+    light: Any  # float32 [2 R C]: light on each triangle
+    area: Any  # float32 [2 R C]: texels in a pixel, divided by depth**3, of each triangle
+    corners: Any  # float32 [3, 4]: see `draw_cut_triangle`
 
 
 class Buffers(NamedTuple):
@@ -197,10 +170,8 @@ class Buffers(NamedTuple):
 class Lens(NamedTuple):
     """The projection of a renderer, the same for all envs."""
 
-    focal: Any
-    """Focal length in pixels."""
-    tilts: Any
-    """float64 [H]: angles of the image's rows above the middle of the view, radians."""
+    focal: Any  # focal length in pixels
+    tilts: Any  # float64 [H]: angles of the image's rows above the middle of the view, radians
 
 
 class View(NamedTuple):
@@ -227,8 +198,7 @@ class View(NamedTuple):
 class Sector(NamedTuple):
     """The directions that a view can show, seen from above."""
 
-    narrow: Any
-    """Whether they span less than half a turn; if not, the rest is meaningless."""
+    narrow: Any  # whether they span less than half a turn; if not, the rest is meaningless
     left_x: Any
     left_y: Any
     right_x: Any
@@ -239,8 +209,7 @@ class Sector(NamedTuple):
 class Projection(NamedTuple):
     """Where the points of triangles appear in the image of one env."""
 
-    frame: Any
-    """float64 [3, 3]: right, up and forward, as rows."""
+    frame: Any  # float64 [3, 3]: right, up and forward, as rows
     focal: Any
     middle_x: Any
     middle_y: Any

@@ -15,8 +15,7 @@ FIXED_COLOURS = np.array(
 )
 """Colours of the parts of meshes from part 2 on: dark, light, wood, green."""
 
-_LINE = 2 * SIZE
-"""Texels in a line of a texture and of its smaller versions together."""
+_LINE = 2 * SIZE  # texels in a line of a texture and of its smaller versions together
 
 
 def pack_textures(textures: NDArray[np.uint8]) -> NDArray[np.uint32]:

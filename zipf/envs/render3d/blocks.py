@@ -16,17 +16,7 @@ from llvmlite import ir
 from numba.extending import intrinsic as _intrinsic
 
 from zipf.compiled import compiled
-from zipf.envs.render3d.lanes import (
-    ADDRESS,
-    BYTE,
-    F32,
-    FLOAT,
-    I32,
-    INT,
-    LANES,
-    Code,
-    written,
-)
+from zipf.envs.render3d.lanes import ADDRESS, BYTE, F32, FLOAT, I32, INT, LANES, Code, written
 
 intrinsic: Any = _intrinsic  # its annotations do not say that it returns a function
 
@@ -240,9 +230,7 @@ def light_block(
     typingctx, normals, line, lit, eye_x, eye_y, eye_z, sun_x, sun_y, sun_z, base, slope
 ):  # fmt: skip
     """Writes the light on 16 triangles, 0 on those that face away from the eye.
-
-    `normals` has the lines x, y, z and distance from the origin, `line` bytes apart.
-    """
+    `normals` has the lines x, y, z and distance from the origin, `line` bytes apart."""
 
     def write(builder, normals, line, lit, eye_x, eye_y, eye_z, sun_x, sun_y, sun_z, base, slope):
         code = Code(builder)

@@ -29,13 +29,7 @@ from zipf.envs.render3d.arrays import (
     named_buffers,
     named_scenes,
 )
-from zipf.envs.render3d.blocks import (
-    STREAMED,
-    address,
-    end_stream,
-    pack_block,
-    stream_block,
-)
+from zipf.envs.render3d.blocks import STREAMED, address, end_stream, pack_block, stream_block
 from zipf.envs.render3d.flats import draw_flat
 from zipf.envs.render3d.instances import draw_instance
 from zipf.envs.render3d.lanes import LANES
@@ -183,9 +177,7 @@ def _draw_sky(sky, pitch, tilts, image):
 @compiled(references=False, error_model="numpy")
 def _write_image(colour, out, i, streamed):
     """Writes the colour buffer to image `i` of `out`, uint8 [N, H, W, 3].
-
-    If `streamed` is set, past the caches, where the lines of the image allow it.
-    """
+    If `streamed` is set, past the caches, where the lines of the image allow it."""
     height, width = out.shape[1], out.shape[2]
     streamed &= address(out) % STREAMED == 0 and 3 * width % STREAMED == 0
     for y in range(height):

@@ -134,9 +134,7 @@ def draw_instance(
 @compiled(references=False, error_model="numpy", fastmath=True)
 def _paint(palette, part, light, pattern, triangle):
     """The colour 0x00BBGGRR of a part of a mesh in a light of 0 .. 1.
-
-    With a pattern, the number of the triangle for `pattern_block`, if the part has the pattern.
-    """
+    With a pattern, the number of the triangle for `pattern_block`, if the part has the pattern."""
     if pattern >= 0 and part < 2:
         return np.int32(triangle - (1 << 31))
     red, green, blue = palette[part, 0], palette[part, 1], palette[part, 2]
@@ -176,16 +174,8 @@ def _bounds(seen, vertex_count, canvas):
 
 @compiled(references=False, error_model="numpy", fastmath=True)
 def _draw_pattern(texels, bounds, rotation, offset, palette, projection, canvas, buffers):
-    """Paints the pixels that hold numbers of triangles.
-
-    Args:
-        texels: address of the pattern's.
-        bounds: first and last column and row of these pixels.
-        rotation, offset: of the mesh, from the eye.
-        palette: of the mesh; the pattern mixes its first two colours.
-        projection, canvas: `Projection`, `Canvas`.
-        buffers: `MeshBuffers`.
-    """
+    """Paints the pixels that hold numbers of triangles. The pattern, whose address is `texels`,
+    mixes the first two colours of `palette`; `offset` is the mesh's from the eye."""
     left, right, top, bottom = bounds
     frame, focal = projection.frame, projection.focal
     # In texels along the mesh's axes: the eye, and the rays of the first pixel and per pixel.

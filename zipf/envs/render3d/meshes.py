@@ -15,10 +15,8 @@ class MeshAtlas:
     lowest point at z = 0. It consists of closed surfaces, which may intersect.
     """
 
-    names: tuple[str, ...]
-    """Of each mesh."""
-    vertices: np.ndarray
-    """float32 [V, 3], metres."""
+    names: tuple[str, ...]  # of each mesh
+    vertices: np.ndarray  # float32 [V, 3], metres
     triangles: np.ndarray
     """int32 [T, 3]: indices into `vertices`, counter-clockwise seen from outside."""
     parts: np.ndarray
@@ -26,10 +24,8 @@ class MeshAtlas:
     and 5 green."""
     first_vertex: np.ndarray
     """int32 [meshes + 1]: mesh i owns the vertices first_vertex[i] : first_vertex[i + 1]."""
-    first_triangle: np.ndarray
-    """int32 [meshes + 1]: likewise for `triangles` and `parts`."""
-    extent: np.ndarray
-    """float32 [meshes, 3]: size of the bounding box along x, y and z, metres."""
+    first_triangle: np.ndarray  # int32 [meshes + 1]: likewise for `triangles` and `parts`
+    extent: np.ndarray  # float32 [meshes, 3]: size of the bounding box along x, y and z, metres
 
     def index(self, name: str) -> int:
         """The number of the mesh of that name. Raises KeyError for an unknown name."""
@@ -40,14 +36,8 @@ class MeshAtlas:
 
 
 def load_meshes(path: Path | None = None) -> MeshAtlas:
-    """An atlas: a file that the script wrote, loaded once. Arrays are read-only.
-
-    Args:
-        path: of the file; None for the 50 toys by rank, then the bed and the tray.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-    """
+    """An atlas: a file that the script wrote (None: the 50 toys by rank, then the bed and the
+    tray), loaded once. Arrays are read-only. Raises FileNotFoundError if there is no such file."""
     return _load(path or Path(__file__).with_name("meshes.npz"))
 
 

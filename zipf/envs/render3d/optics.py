@@ -12,20 +12,15 @@ FAR = 4000.0
 GROW = 0.0005
 """Walls and flats are drawn this many metres larger on every side, so that there is no gap where
 two of them meet."""
-OPAQUE = -(1 << 31)
-"""Combined with a texel by a bitwise or, this makes it opaque."""
+OPAQUE = -(1 << 31)  # combined with a texel by a bitwise or, this makes it opaque
 
-SUN = (0.36, 0.48, 0.8)
-"""Direction of the light, unless a scene has another."""
+SUN = (0.36, 0.48, 0.8)  # direction of the light, unless a scene has another
 SURFACE_DARK, SURFACE_SUN = 0.62, 0.38
 """Light on walls and flats: on the side away from the sun, and how much the sun adds."""
-MESH_DARK, MESH_SUN = 0.34, 0.66
-"""The same for meshes and terrains."""
-FADE = 14.0
-"""Distance at which half of the light is left, metres."""
+MESH_DARK, MESH_SUN = 0.34, 0.66  # the same for meshes and terrains
+FADE = 14.0  # distance at which half of the light is left, metres
 
-PATTERN = 0.32
-"""After how many metres a pattern on a mesh repeats."""
+PATTERN = 0.32  # after how many metres a pattern on a mesh repeats
 
 SHADOW_DEPTH = 0.005
 """A shadow lies on everything whose height differs from its own by no more than this, metres."""

@@ -18,7 +18,8 @@ from zipf.envs.render3d.textures import SIZE
 class Renderer:
     """Draws the views of the cameras of `Scenes`.
 
-    The pixels of a scene do not depend on the other envs or the mask.
+    The pixels of a scene do not depend on the other envs or the mask. Raises ValueError for sizes
+    below 1, a field of view outside 1 .. 170 and textures of another shape or dtype.
 
     Args:
         meshes: the atlas that the scenes' instances index.
@@ -26,10 +27,6 @@ class Renderer:
             several renderers may share.
         width, height: of the images, in pixels.
         fov: the horizontal field of view, in degrees.
-
-    Raises:
-        ValueError: for sizes below 1, a field of view outside 1 .. 170 and textures of
-            another shape or dtype.
     """
 
     def __init__(
@@ -70,16 +67,10 @@ class Renderer:
     def render(
         self, scenes: Scenes, out: NDArray[np.uint8], mask: NDArray[np.bool_] | None = None
     ) -> None:
-        """Writes the views to `out`, uint8 [N, height, width, 3], C-contiguous.
-
-        Args:
-            scenes: read. The textures in `tiles` must exist; this is not checked.
-            out: written.
-            mask: bool [N], the envs to draw; the other rows of `out` are left as they are.
-
-        Raises:
-            ValueError: for an `out` or a `mask` of another shape, dtype or layout, and for scenes
-                with textures or meshes that do not exist.
+        """Writes the views to `out`, uint8 [N, height, width, 3], C-contiguous, but for the envs
+        that are not in `mask`, bool [N]. The textures in `tiles` must exist; this is not checked.
+        Raises ValueError for an `out` or a `mask` of another shape, dtype or layout, and for scenes
+        with textures or meshes that do not exist.
         """
         n = scenes.num_envs
         shape = (n, self.height, self.width, 3)

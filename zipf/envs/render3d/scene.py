@@ -11,14 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from zipf.envs.render3d.optics import UNIT_SUN
 
-TWO_SIDED = 1
-"""A wall or flat that is visible from both sides."""
-SEE_THROUGH = 2
-"""A wall or flat whose texels with an alpha below 128 are holes."""
-FACES_DOWN = 4
-"""A flat that is visible from below: a ceiling."""
-SCREEN = -2
-"""The texture of a wall that shows its env's `Scenes.screen`."""
+TWO_SIDED = 1  # a wall or flat that is visible from both sides
+SEE_THROUGH = 2  # a wall or flat whose texels with an alpha below 128 are holes
+FACES_DOWN = 4  # a flat that is visible from below: a ceiling
+SCREEN = -2  # the texture of a wall that shows its env's `Scenes.screen`
 
 
 class Scenes:
@@ -181,9 +177,7 @@ class Scenes:
         face: int = -1,
     ) -> int:
         """Adds a wall along `ends` (x0, y0, x1, y1) and returns its index.
-
-        Raises ValueError if the env's walls are at their capacity.
-        """
+        Raises ValueError if the env's walls are at their capacity."""
         index = _take(self.wall_count, i, self.walls.shape[1], "walls")
         self.walls[i, index, :4] = ends
         self.walls[i, index, 4:] = heights
@@ -237,18 +231,12 @@ class Scenes:
         repeat: float = 0.0,
         tint: ArrayLike = 255,
     ) -> None:
-        """Sets an env's terrain.
+        """Sets an env's terrain, whose cells have this size and whose south-west corner this x, y,
+        metres.
 
-        Args:
-            env: the env.
-            corner: x, y of the south-west corner.
-            size: of a cell, metres.
-            heights: [rows + 1, columns + 1], metres.
-            textures: of the cells, one for all or [rows, columns].
-            repeat, tint: see `terrain` and `terrain_tint`.
-
-        Raises:
-            ValueError: for other shapes and a size that is not positive.
+        `heights` are [rows + 1, columns + 1], metres, `textures` those of the cells, one for all or
+        [rows, columns]; for the rest see `terrain` and `terrain_tint`. Raises ValueError for other
+        shapes and a size that is not positive.
         """
         if heights.shape != self.heights.shape[1:]:
             raise ValueError(f"heights must be {self.heights.shape[1:]}, not {heights.shape}")

@@ -14,16 +14,10 @@ from zipf.envs.render3d.spans import narrow
 
 @compiled(references=False, error_model="numpy", fastmath=True)
 def draw_shadow(shadow, view, projection, image, width):
-    """Darkens the pixels that show a point in a shadow.
+    """Darkens the pixels that show a point in a shadow, a row of `Scenes.shadows`.
 
     The depth buffer tells which do: on a horizontal plane the depth is the same along a row, so a
-    pixel of another depth shows something above or below the plane.
-
-    Args:
-        shadow: a row of `Scenes.shadows`.
-        view, projection: `View`, `Projection`.
-        image: `ImageBuffers`; colours are written.
-        width: of the image, pixels.
+    pixel of another depth shows something above or below the plane. Colours of `image` are written.
     """
     up = shadow[2] - view.z
     darkness = shadow[7]

@@ -9,9 +9,10 @@ from zipf.envs.render3d.spans import narrow
 def look_around(solid, x, y, left_x, left_y, right_x, right_y, seen, spans):
     """Marks the faces of solid cells that are visible from a point, between two directions.
 
-    For each of the four axis directions, cells are visited in columns of growing distance. The
-    rays that have not been blocked are kept as spans of slopes. In every column a span is split
-    where its rays enter different cells, and the parts that meet no solid cell are kept.
+    For each of the four axis directions, cells are visited in columns of growing distance. The rays
+    that have not been blocked are kept as spans of slopes. In every column a span is split where
+    its rays enter different cells, and the parts that meet no solid cell are kept.
+    Returns False, with nothing marked, if the point is in a solid cell or outside the grid.
 
     Args:
         solid: bool [rows, columns].
@@ -19,9 +20,6 @@ def look_around(solid, x, y, left_x, left_y, right_x, right_y, seen, spans):
         left_x, left_y, right_x, right_y: the directions, less than half a turn apart.
         seen: bool [rows * columns * 4], written; see `Scenes.wall_face`.
         spans: float64 [4, .], overwritten.
-
-    Returns:
-        False, with nothing marked, if the point is in a solid cell or outside the grid.
     """
     rows, columns = solid.shape
     own_row, own_column = floor(y), floor(x)

@@ -149,9 +149,7 @@ def index(name: str) -> int:
 @cache
 def stack() -> NDArray[np.uint8]:
     """All textures in the order of `NAMES`, uint8 [K, 64, 64, 4]; alpha 0 marks holes.
-
-    Computed once; the array is read-only.
-    """
+    Computed once; the array is read-only."""
     painted = [paint(colour, 16 * i) for i, (paint, colour) in enumerate(_TEXTURES.values())]
     stacked = np.stack(painted)
     stacked.flags.writeable = False

@@ -13,9 +13,7 @@ _EDGE = np.float32(1e-4)  # pixels, so that rounding leaves no gap between neigh
 @compiled(references=False, error_model="numpy", fastmath=True)
 def draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, grow, canvas):
     """Fills a triangle given in pixels and 1/t (float32), unless it is seen from its back.
-
-    It is made larger by `grow` pixels (float32) on every side, and by _EDGE in any case.
-    """
+    It is made larger by `grow` pixels (float32) on every side, and by _EDGE in any case."""
     left = max(ceil(min(ax, bx, cx)), 0)
     right = min(floor(max(ax, bx, cx)), canvas.width - 1)
     top = max(ceil(min(ay, by, cy)), 0)

@@ -26,16 +26,8 @@ from zipf.envs.render3d.spans import narrow_rows
 def draw_wall(
     place, looks, repeat, tint, screen, sun, lamp, view, sector, texels, image, span, width
 ):  # fmt: skip
-    """Draws one wall.
-
-    Args:
-        place, looks, repeat, tint: rows of `Walls`.
-        screen, sun, lamp: of the wall's env.
-        view, sector: `View`, `Sector`.
-        texels: of `Assets`.
-        image, span: `ImageBuffers` and `SpanBuffers`, written.
-        width: of the image, pixels.
-    """
+    """Draws one wall, of the rows of `Walls`, in the sector `Sector`; for the other arguments see
+    `flats.draw_flat`."""
     colour, depth, low, high = image.colour, image.depth, span.low, span.high
     texture, flags = looks[0], looks[1]
     x0, y0, x1, y1 = place[0], place[1], place[2], place[3]

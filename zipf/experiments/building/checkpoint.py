@@ -26,9 +26,7 @@ def save(path: Path, state: dict[str, Any]) -> None:
     """Writes nested dictionaries and lists of tensors, arrays, numbers and strings.
 
     The file at `path` is the old one or the new one, never something between.
-
-    Raises:
-        UserError: the disk is full or cannot be written; the old file is as it was.
+    Raises UserError: the disk is full or cannot be written; the old file is as it was.
     """
     temporary = path.with_name(path.name + ".new")
     try:
@@ -51,10 +49,7 @@ def save(path: Path, state: dict[str, Any]) -> None:
 
 def load(path: Path) -> dict[str, Any]:
     """Reads what `save` wrote; arrays come back as tensors on the CPU.
-
-    Raises:
-        UserError: the file is missing or is not, to the last bit, what was written.
-    """
+    Raises UserError: the file is missing or is not, to the last bit, what was written."""
     try:
         with open(path, "rb") as file:
             header = file.read(len(_header(hashlib.sha256())))

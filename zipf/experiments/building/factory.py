@@ -13,13 +13,10 @@ from zipf.experiments.options.schema import Config
 
 
 def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
-    """The agent that the configuration names, for these envs, with weights from its seed; its
-    image encoders are compiled with `compile=true`.
-
-    Raises:
-        UserError: the network cannot read these observations, they lack what the auxiliary loss
-            is about, or there is no image encoder to compile.
-    """
+    """The agent that the configuration names, for these envs, with weights from its seed; its image
+    encoders are compiled with `compile=true`.
+    Raises UserError: the network cannot read these observations, they lack what the auxiliary loss
+    is about, or there is no image encoder to compile."""
     assert config.precision != "auto"  # the schema has resolved it
     try:
         augmentation = AUGMENTATIONS.build(

@@ -9,10 +9,7 @@ from zipf.experiments.options.schema import Config
 
 def load(overrides: list[str]) -> Config:
     """The configuration of these overrides, checked.
-
-    Raises:
-        UserError: with one line for every unknown, mistyped or impossible option.
-    """
+    Raises UserError with one line for every unknown, mistyped or impossible option."""
     config = read(overrides)
     check(config)
     return config
@@ -28,11 +25,8 @@ def check(config: Config) -> None:
 
 def read(overrides: list[str]) -> Config:
     """The configuration of these overrides; whether they fit each other is left to `check`.
-
-    Raises:
-        UserError: with one line for every unknown or mistyped option; where there are any, also
-            for those that do not fit each other.
-    """
+    Raises UserError with one line for every unknown or mistyped option; where there are any, also
+    for those that do not fit each other."""
     try:
         return command_line.read(overrides)
     except command_line.Mistakes as error:

@@ -12,11 +12,8 @@ from zipf.errors import UserError
 
 @contextmanager
 def enough_ram(smaller: str) -> Iterator[None]:
-    """Turns Python's, NumPy's and PyTorch's errors into a `UserError`.
-
-    Args:
-        smaller: what would need less.
-    """
+    """Turns Python's, NumPy's and PyTorch's errors into a `UserError`; `smaller` says what would
+    need less."""
     try:
         yield
     except MemoryError as error:

@@ -33,11 +33,8 @@ from zipf.experiments.records.result_table import TABLES, check_table, ends_at, 
 
 def find_checkpoint(config: Config) -> dict[str, Any] | None:
     """The state to resume from, or None for a new run, as `config.resume` allows.
-
-    Raises:
-        UserError: there is none and `must`; there is one and `never`; it is damaged or was made
-            with other options.
-    """
+    Raises UserError: there is none and `must`; there is one and `never`; it is damaged or was made
+    with other options."""
     path = config.folder / "checkpoint.pt"
     if not path.exists():
         if config.resume == "must":
@@ -74,9 +71,7 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
 
 def is_finished(config: Config) -> bool:
     """Whether a run has nothing left to do, by its files alone: no envs or networks are made.
-
-    False also where something is wrong, such as a damaged file: the run itself will tell.
-    """
+    False also where something is wrong, such as a damaged file: the run itself will tell."""
     folder = config.folder
     try:
         if config.resume == "never" or not ends_at(folder / "evaluations.csv", config.updates):
@@ -96,11 +91,7 @@ def is_finished(config: Config) -> bool:
 
 def agent_file(folder: Path) -> Path:
     """The file that a run's agent is loaded from: its checkpoint or, where there is none, its
-    weights.
-
-    Raises:
-        UserError: it has neither.
-    """
+    weights. Raises UserError: it has neither."""
     for name in ("checkpoint.pt", "weights.pt"):
         if (folder / name).is_file():
             return folder / name
@@ -142,15 +133,12 @@ def write_description(
     *,
     pretrained: dict[str, Any] | None = None,
 ) -> None:
-    """Writes `config.yaml` and `run.json`: what is run, how and with what.
+    """Writes `config.yaml` and `run.json`: what is run, how and with what, and with which run's
+    weights a new one began (`pretrained`).
 
     A resumed run keeps the description of how it began; how it went on is added to `resumed`.
-
-    Args:
-        pretrained: the run whose weights a new run began with.
-
-    Raises:
-        UserError: the folder cannot be written, or a resumed run's description is gone or damaged.
+    Raises UserError: the folder cannot be written, or a resumed run's description is gone or
+    damaged.
     """
     split = config.split
     how: dict[str, Any] = {
@@ -210,14 +198,9 @@ def describe_levels(
     chance_episodes: int = 0,
     kinds: Collection[str] | None = None,
 ) -> list[dict[str, Any]]:
-    """The levels of a run, each with its weight and the scores of those baselines that are known,
-    as `LevelDescription` reads them.
-
-    Args:
-        options: constructor options of the levels.
-        chance_episodes: measure chance over so many episodes where it is not known; 0: do not.
-        kinds: of levels; None: all that the split has.
-    """
+    """The levels of a run, of these kinds (None: all), each with its weight and the scores of those
+    baselines that are known, as `LevelDescription` reads them. Where chance is not known it is
+    measured over `chance_episodes`, if any."""
     described = []
     for kind in split.kinds if kinds is None else kinds:
         for level in split.levels(kind):
@@ -282,10 +265,7 @@ def make(folder: Path) -> None:
 @contextmanager
 def lock(folder: Path) -> Iterator[None]:
     """Holds a run's folder against other processes, until this one ends, however it ends.
-
-    Raises:
-        UserError: another process is training there, or the folder cannot be written.
-    """
+    Raises UserError: another process is training there, or the folder cannot be written."""
     make(folder)
     try:
         file = open(folder / "lock", "a")  # noqa: SIM115
@@ -299,15 +279,12 @@ def lock(folder: Path) -> Iterator[None]:
 
 
 def read_config(folder: Path, plugins: Collection[str] = ()) -> Config:
-    """The configuration that a run was started with.
+    """The configuration that a run was started with, while these plugins are loaded. Those that the
+    run was made with are never imported because its file says so: a run's folder may come from
+    anywhere.
 
-    Args:
-        plugins: the modules that are loaded. Those that the run was made with are never imported
-            because its file says so: a run's folder may come from anywhere.
-
-    Raises:
-        UserError: the folder holds no run, one that needs other plugins, one that this version
-            cannot read, or the record of an agent of another program; or it is damaged.
+    Raises UserError: the folder holds no run, one that needs other plugins, one that this version
+    cannot read, or the record of an agent of another program; or it is damaged.
     """
     description = read_description(folder)
     if external := description["external"]:
@@ -321,14 +298,9 @@ def read_config(folder: Path, plugins: Collection[str] = ()) -> Config:
 
 
 def check_description(config: Config, situation: dict[str, int] | None = None) -> dict[str, Any]:
-    """The contents of `run.json`, in the folder of a run that there is.
-
-    Args:
-        situation: of the envs; None: not compared.
-
-    Raises:
-        UserError: `run.json` or `config.yaml` is gone, damaged or another run's.
-    """
+    """The contents of `run.json`, in the folder of a run that there is, whose envs have this
+    situation (None: not compared). Raises UserError: `run.json` or `config.yaml` is gone, damaged
+    or another run's."""
     description = read_description(config.folder)
     known = {} if situation is None else {"situation": situation}
     _check_same(config.folder, description, config, **known)
@@ -343,10 +315,7 @@ def check_description(config: Config, situation: dict[str, int] | None = None) -
 
 def read_description(folder: Path) -> dict[str, Any]:
     """What `write_description`, or `zipf.evaluate.record`, wrote to `run.json`.
-
-    Raises:
-        UserError: there is none, or it is damaged.
-    """
+    Raises UserError: there is none, or it is damaged."""
     path = folder / "run.json"
     try:
         if not path.is_file():

@@ -72,22 +72,12 @@ _OF_IMAGES = {"channels": False, "shift": 0, "scale": [1, 1], "cutout": 0}
 
 
 class RandomAugmentation:
-    """Draws changes of episodes, and makes them.
+    """Draws changes of episodes, and makes them; symmetries are those of these envs, where
+    `options.symmetries`. Raises ValueError: there is nothing to change, or no symmetries.
 
     A draw is float64 [9]: the symmetry's number; the order of the colours [3]; how far the image is
     moved down and to the right, pixels [2]; its scale; the centre of the square, in sides of the
     image [2].
-
-    Attributes:
-        size: 9.
-
-    Args:
-        options: what to draw.
-        space: of the observations of one env.
-        symmetries: of these envs, where `options.symmetries`.
-
-    Raises:
-        ValueError: there is nothing to change, or no symmetries.
     """
 
     size = 9
@@ -175,13 +165,7 @@ class RandomAugmentation:
 
 
 class Draws(Hook):
-    """Draws what an augmentation changes in the episodes of N envs: the column `draw`.
-
-    Args:
-        augmentation: whose numbers are drawn.
-        num_envs: N.
-        seed: of the draws.
-    """
+    """Draws what an augmentation changes in the episodes of N envs: the column `draw`."""
 
     name = "augmentation"
 

@@ -65,7 +65,6 @@ class CountBonus(Bonus):
         return torch.from_numpy(bonus)
 
     def state_dict(self) -> dict[str, NDArray]:
-        """The counts."""
         return {"visits": self.visits}
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
@@ -97,7 +96,6 @@ class FirstVisitBonus(Bonus):
         return torch.from_numpy(bonus)
 
     def begin(self, observation: Parts, mask: Tensor) -> None:
-        """Forgets what was seen there."""
         for i in np.flatnonzero(mask).tolist():
             self.seen.pop(i, None)
 
@@ -108,7 +106,6 @@ class FirstVisitBonus(Bonus):
         return {"worlds": both[:, 0].copy(), "hashes": both[:, 1].copy()}
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
-        """Continues from `state_dict()`."""
         self.seen = {}
         hashes = state["hashes"].view(np.uint64)
         for i, value in zip(state["worlds"].tolist(), hashes.tolist(), strict=True):

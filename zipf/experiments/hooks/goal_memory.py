@@ -50,7 +50,6 @@ class GoalMemory:
         ]
 
     def load_state_dict(self, state: list[dict[str, Any]]) -> None:
-        """Continues from `state_dict()`."""
         self._episodes = {}
         for one in state:
             self.add(np.array(one["goal"]), (one["observation"], one["fields"]))

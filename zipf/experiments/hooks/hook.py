@@ -23,42 +23,29 @@ Parts = dict[str, Tensor]
 
 @dataclass
 class Row:
-    """A step of N envs; valid until the hook returns.
+    """A step of N envs; valid until the hook returns."""
 
-    Attributes:
-        observation: {name: [N, ...]}, which the envs showed before it. Here and below nothing is
-            augmented.
-        fields: {name: [N]}, those of the unroll's row; written to in place.
-        reward: float64 [N], the task's.
-        following: {name: [N, ...]}, which they show after it: where an episode has ended, the first
-            observation of the next.
-        final: {name: [N, ...]}, where an episode has ended its last observation.
-        ended: bool [N].
-        any_ended: whether there are any.
-        outcome: {name: [N, ...]}, where an episode has ended its ranks, `return` and so on; empty
-            where none has.
-    """
-
+    # {name: [N, ...]}, which the envs showed before it. Here and below nothing is augmented.
     observation: Parts
-    fields: Parts
-    reward: Tensor
+    fields: Parts  # {name: [N]}, those of the unroll's row; written to in place
+    reward: Tensor  # float64 [N], the task's
+    # {name: [N, ...]}, which they show after it: where an episode has ended, the first observation
+    # of the next
     following: Parts
-    final: Parts
-    ended: Tensor
-    any_ended: bool
+    final: Parts  # {name: [N, ...]}, where an episode has ended its last observation
+    ended: Tensor  # bool [N]
+    any_ended: bool  # whether there are any
+    # {name: [N, ...]}, where an episode has ended its ranks, `return` and so on; empty where none
+    # has
     outcome: Parts
 
 
 class Hook:
-    """The base of hooks; it does nothing.
+    """The base of hooks; it does nothing."""
 
-    Attributes:
-        name: of its entry in a collector's saved state.
-        columns: fields that it adds to the steps of unrolls, by name: an empty tensor of the shape
-            and dtype that a field has in one env.
-    """
-
-    name: ClassVar[str]
+    name: ClassVar[str]  # of its entry in a collector's saved state
+    # Fields that it adds to the steps of unrolls, by name: an empty tensor of the shape and dtype
+    # that a field has in one env.
     columns: Mapping[str, Tensor] = {}
 
     def begin(self, observation: Parts, mask: Tensor) -> None:

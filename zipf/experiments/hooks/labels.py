@@ -13,13 +13,9 @@ from zipf.experiments.hooks.hook import Hook, Parts
 
 
 class Labels(Hook):
-    """Labels every step with the action that a teacher would take, and has it act in some.
-
-    Args:
-        teacher: gives its actions in the envs' states, int64 [N]; a `zipf.envs.policies.Teacher`.
-        share: the probability that it acts in a step in the agent's place.
-        augmentation: what the agent sees of the envs.
-    """
+    """Labels every step with the action that a `zipf.envs.policies.Teacher` would take in the envs'
+    states, and has it act in a share of the steps in the agent's place. `augmentation` is what the
+    agent sees of the envs."""
 
     name = "teacher"
 

@@ -32,6 +32,7 @@ _FIRST_ROWS = 64  # ours: room for short episodes; it doubles where an episode i
 
 class Hindsight(Hook):
     """Keeps the running episode of each of N envs, and relabels those that end.
+    Raises ValueError: the envs do not say what an episode asks for, or what it has achieved.
 
     Args:
         options: how many episodes, and how many of their last frames.
@@ -44,9 +45,6 @@ class Hindsight(Hook):
             every episode for the goal that it was asked for, with these in the place of the
             actions taken; those that achieved another goal are kept and drawn apart from them.
             Where a matcher learns, its episodes say whether they `achieved` what they ask for.
-
-    Raises:
-        ValueError: the envs do not say what an episode asks for, or what it has achieved.
     """
 
     name = "hindsight"
@@ -110,14 +108,8 @@ class Hindsight(Hook):
         ended: NDArray[np.bool_],
         final_info: dict[str, NDArray[Any]],
     ) -> None:
-        """Adds a step of all envs.
-
-        Args:
-            observation: of this step, {name: [N, ...]}.
-            fields: those of an unroll's row, {name: [N, ...]}.
-            ended: the envs whose episodes end with this step, bool [N].
-            final_info: the outcome of these; needed where there are any.
-        """
+        """Adds a step of all envs: its observation {name: [N, ...]}, the `fields` of an unroll's
+        row {name: [N, ...]}, where episodes end with it, bool [N], and the outcome of these."""
         if self.options.length is None and self._lengths.max() == self._rows:
             self._grow(2 * self._rows)
         rows = self._lengths % self._rows

@@ -63,17 +63,12 @@ class EffectiveNumberOptions(_Weights):
 
 
 class GoalWeights:
-    """Counts the goals of N envs in a table of hashes, and weighs their frames.
-
-    Attributes:
-        counters: the place in `counts` of the goal of each env's episode, int64 [N].
-        counts: how often each goal was asked for, int64 [table_size].
-    """
+    """Counts the goals of N envs in a table of hashes, and weighs their frames."""
 
     def __init__(self, options: InverseCountOptions | EffectiveNumberOptions, num_envs: int):
         self.options = options
-        self.counts = np.zeros(options.table_size, np.int64)
-        self.counters = np.zeros(num_envs, np.int64)
+        self.counts = np.zeros(options.table_size, np.int64)  # how often each goal was asked for
+        self.counters = np.zeros(num_envs, np.int64)  # where in `counts` the goal of each env is
         self._factors = np.zeros(0, np.uint64)
 
     def begin(self, goals: NDArray[Any], mask: NDArray[np.bool_]) -> None:
@@ -107,7 +102,6 @@ class GoalWeights:
         return {"counts": self.counts, "counters": self.counters.copy()}
 
     def load_state_dict(self, state: dict[str, NDArray[np.int64]]) -> None:
-        """Continues from `state_dict()`."""
         self.counts[:] = state["counts"]
         self.counters[:] = state["counters"]
 
@@ -130,13 +124,8 @@ def bounded(
 
 class Reweighting(Hook):
     """Weighs the frames of unrolls by the goals of their episodes, with the counts at their end.
-
-    Args:
-        goal: reads what episodes ask for; None where nothing says it.
-        num_envs: N.
-
-    Raises:
-        ValueError: the envs do not say what an episode asks for.
+    Raises ValueError: the envs do not say what an episode asks for: `goal`, which reads it, is
+    None.
     """
 
     name = "reweighting"

@@ -61,13 +61,8 @@ class RNDOptions(Options):
 
 
 class RNDBonus(Bonus):
-    """The bonus, and its networks on the CPU.
-
-    Args:
-        options: of the class `RNDOptions`.
-        observation_space: of one env.
-        seed: of the networks' weights and of the choice of what is learned from.
-    """
+    """The bonus, and its networks on the CPU. The seed is that of the networks' weights and of the
+    choice of what is learned from."""
 
     def __init__(self, options: RNDOptions, observation_space: gym.spaces.Dict, seed: int):
         self.options = options
@@ -97,9 +92,7 @@ class RNDBonus(Bonus):
 
     def __call__(self, observation: Parts, mask: Tensor) -> Tensor:
         """The observations of the mask enter the statistics, and some of them are learned from.
-
-        Sums of errors go on over episodes, as in Burda et al. 2019.
-        """
+        Sums of errors go on over episodes, as in Burda et al. 2019."""
         bonus = np.zeros(len(mask), np.float32)
         rows = np.flatnonzero(np.asarray(mask))
         if not len(rows):
@@ -137,7 +130,6 @@ class RNDBonus(Bonus):
             self.waiting = self.waiting[size:]
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that later calls depend on."""
         return {
             "target": self.target.state_dict(),
             "predictor": self.predictor.state_dict(),
@@ -150,7 +142,6 @@ class RNDBonus(Bonus):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict()`, in which arrays may stand in the place of tensors."""
         tensors = _tensors(state)
         self.target.load_state_dict(tensors["target"])
         self.predictor.load_state_dict(tensors["predictor"])
@@ -188,11 +179,9 @@ class Statistics:
         return self.mean, np.sqrt(self.variance)
 
     def state_dict(self) -> dict[str, Any]:
-        """The three numbers."""
         return {"count": self.count, "mean": self.mean, "variance": self.variance}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict()`."""
         self.count = state["count"]
         self.mean, self.variance = np.array(state["mean"]), np.array(state["variance"])
 

@@ -14,11 +14,7 @@ from zipf.experiments.hooks.hook import Hook, Row, arrays
 
 
 class Visits(Hook):
-    """Counts training episodes by their situation, at their end.
-
-    Args:
-        ranks: the names of the situation's ranks.
-    """
+    """Counts training episodes by their situation, whose ranks have these names, at their end."""
 
     name = "visits"
 
@@ -73,7 +69,6 @@ class Visits(Hook):
         }
 
     def load_state_dict(self, state: Mapping[str, NDArray[np.int64]]) -> None:
-        """Continues from `state_dict()`."""
         self._met.clear()
         for counts in self._of_rank.values():
             counts.clear()

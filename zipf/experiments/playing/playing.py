@@ -47,15 +47,9 @@ class PlayOptions(Options):
 
 
 def play(options: PlayOptions, say: Callable[[str], None]) -> None:
-    """Plays, shows and records episodes as the options say.
-
-    Args:
-        options: what to play.
-        say: prints a line about each episode and each file; is not called while a screen is open.
-
-    Raises:
-        UserError: options that contradict each other, or that this machine cannot fulfil.
-    """
+    """Plays, shows and records episodes as the options say; `say` prints a line about each episode
+    and file, while no screen is open. Raises UserError: options that contradict each other, or that
+    this machine cannot fulfil."""
     policy = _who_plays(options)
     if options.record:  # making the envs may take a minute
         check_recording(Path(options.record), options.fps or 0)
@@ -91,10 +85,7 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
 
 def _who_plays(options: PlayOptions) -> str:
     """The policy, with a default where it is not set.
-
-    Raises:
-        UserError: with a line for each option that is missing or contradicts another.
-    """
+    Raises UserError with a line for each option that is missing or contradicts another."""
     problems = []
     if not options.level and not options.run:
         problems.append("level is not set: choose level=<a level's name> or run=<a run's folder>")
@@ -167,13 +158,8 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
         known = envs.find_level(level)[0].options_class.model_fields
         if not level_options.keys() <= known.keys():
             raise UserError(f"level={level}: belongs to another family than the run's levels")
-        return envs.make_vec(
-            level,
-            1,
-            autoreset_mode=AutoresetMode.DISABLED,
-            render_mode="rgb_array",
-            **level_options,
-        )
+        drawn = {"autoreset_mode": AutoresetMode.DISABLED, "render_mode": "rgb_array"}
+        return envs.make_vec(level, 1, **drawn, **level_options)
     except ValueError as error:
         raise UserError(str(error)) from None
 
@@ -191,8 +177,6 @@ def _check_spaces(level: str, env: ZipfVectorEnv, trained: Trained) -> None:
 
 
 class _Random:
-    """Uniformly random actions."""
-
     def __init__(self, env: ZipfVectorEnv, seed: int) -> None:
         self.actions = int(env.single_action_space.n)
         self.rng = np.random.default_rng(seed)

@@ -29,15 +29,11 @@ from zipf.errors import UserError
 
 @dataclass(frozen=True)
 class Text:
-    """The text below the picture.
+    """The text below the picture."""
 
-    Attributes:
-        lines: the most important first; always the same number, so that the layout is stable.
-        keys: what the keys do, a few words each.
-    """
-
+    # the most important first; always the same number, so that the layout is stable
     lines: tuple[str, ...]
-    keys: tuple[str, ...]
+    keys: tuple[str, ...]  # what the keys do, a few words each
 
     def wrapped(self, columns: int) -> tuple[list[str], list[str]]:
         """Lines and keys, wrapped to at most this number of columns."""
@@ -51,8 +47,7 @@ class Text:
 class Screen(Protocol):
     """A screen is open inside its context, and restores everything afterwards."""
 
-    in_characters: bool
-    """Whether pictures are drawn in characters, with few pixels."""
+    in_characters: bool  # whether pictures are drawn in characters, with few pixels
 
     def __enter__(self) -> Screen: ...
 
@@ -63,17 +58,12 @@ class Screen(Protocol):
 
     def key(self, timeout: float | None) -> str | None:
         """The next key, by its name in `zipf.envs.keyboard`; `LEAVE` when the screen is closed.
-
-        Waits for at most `timeout` seconds (None: without limit); None if no key was pressed.
-        """
+        Waits for at most `timeout` seconds (None: without limit); None if no key was pressed."""
 
 
 def open_screen(kind: str) -> Screen:
     """A screen of this kind: "window", "terminal", or "auto" for a window if possible.
-
-    Raises:
-        UserError: this screen cannot be opened here; says why.
-    """
+    Raises UserError: this screen cannot be opened here; says why."""
     if kind == "terminal":
         return Terminal()
     try:
@@ -97,9 +87,7 @@ class Terminal:
     """The terminal: two pixels per character, upper and lower half, in 24-bit colour.
 
     Ctrl-C interrupts as usual. Ctrl-Z does nothing.
-
-    Raises:
-        UserError: standard input or output is not a terminal.
+    Raises UserError: standard input or output is not a terminal.
     """
 
     in_characters = True
@@ -169,10 +157,7 @@ class Terminal:
         assert self._shown
         picture, text = self._shown
         self._size = os.get_terminal_size(self._output)
-        columns, rows = (
-            self._size.columns or 80,
-            self._size.lines or 24,
-        )  # some terminals report 0, 0
+        columns, rows = self._size.columns or 80, self._size.lines or 24  # some report 0, 0
         lines, keys = text.wrapped(max(columns - 1, 1))
         below = [f"\x1b[1m{line}\x1b[0m" for line in lines] + [f"\x1b[2m{k}\x1b[0m" for k in keys]
         below = below[: max(rows - _FEWEST_ROWS, 0)]
@@ -251,12 +236,8 @@ def half_blocks(picture: NDArray[np.uint8]) -> list[str]:
 
 
 class Window:
-    """A window, by pygame.
-
-    Raises:
-        ImportError: if pygame is not installed.
-        RuntimeError: if there is no display.
-    """
+    """A window, by pygame. Raises ImportError if that is not installed, and RuntimeError without a
+    display."""
 
     in_characters = False
 

@@ -33,14 +33,9 @@ class PlayedLevel:
 
 
 class Shows:
-    """Draws the picture and passes it to the screen and the recording, if there are any.
-
-    Args:
-        env: an env that will be shown.
-        screen, recording: None: there is none.
-        view: what both show; None: the env, or in a terminal what the agent sees.
-        scale: factor of the picture's sides; None: chosen by its height.
-    """
+    """Draws the picture and passes it to the screen and the recording, if there are any. `env` is
+    one that will be shown. With `view` None both show the env, or in a terminal what the agent
+    sees; with `scale` None, the factor of the picture's sides, it is chosen by its height."""
 
     def __init__(
         self,
@@ -97,23 +92,16 @@ class _Leave(Exception):
     """Raised when the person leaves."""
 
 
+@dataclass
 class Session:
     """Plays episodes on the envs, in turn."""
 
-    def __init__(
-        self,
-        levels: list[PlayedLevel],
-        shows: Shows,
-        fps: float,
-        seed: int,
-        say: Callable[[str], None],
-    ) -> None:
-        self.levels = levels
-        self.shows = shows
-        self.fps = fps
-        self.seed = seed
-        self.say = say
-        self.toggled = 0
+    levels: list[PlayedLevel]
+    shows: Shows
+    fps: float
+    seed: int
+    say: Callable[[str], None]
+    toggled: int = 0
 
     def play(self, episodes: int | None) -> None:
         """Plays this number of episodes; None: until the person leaves."""
@@ -133,8 +121,6 @@ class Session:
 
 
 class _Episode:
-    """One episode, from reset to end."""
-
     def __init__(self, session: Session, one: PlayedLevel, number: int, names_level: bool) -> None:
         self.session = session
         self.one = one
@@ -147,10 +133,7 @@ class _Episode:
 
     def play(self, seed: int | None) -> None:
         """Plays the episode to its end, or until the person skips to the next one.
-
-        Raises:
-            _Leave: the person leaves.
-        """
+        Raises _Leave: the person leaves."""
         self.observation, self.info = self.env.reset(seed=seed)
         self.reward, self.is_first = np.zeros(1, np.float32), np.ones(1, np.bool_)
         self.due = time.monotonic()
@@ -209,7 +192,6 @@ class _Episode:
         return action
 
     def _rest(self) -> None:
-        """Pauses on the last frame."""
         if self.shows.recording:
             self.shows.recording.hold(_PAUSE)
         if self.one.policy is None:

@@ -74,17 +74,11 @@ def record_videos(
     plugins: Sequence[str],
     say: Callable[[str], None],
 ) -> None:
-    """Records videos of every run under `folders`, each into a folder `videos` in the run's.
+    """Records videos of every run under `folders`, at any depth, each into a folder `videos` in the
+    run's; `say` prints a line about each.
 
-    Args:
-        folders: run folders, or folders with runs at any depth.
-        format: of the files.
-        plugins: modules to import first, see `zipf.plugins`.
-        say: prints a line about each run.
-
-    Raises:
-        UserError: there is no run, or, before anything is recorded, a run has no checkpoint that
-            can be loaded, an agent that does not act, or envs that report no success.
+    Raises UserError: there is no run, or, before anything is recorded, a run has no checkpoint that
+    can be loaded, an agent that does not act, or envs that report no success.
     """
     found = [run.folder for run in load_runs(folders)]
     for folder in found:
@@ -106,10 +100,7 @@ def record_videos(
 
 def record_run(folder: Path, trained: Trained, format: VideoFormat) -> video_files.Videos:
     """Records the videos of a run in the place of those that it may have.
-
-    Raises:
-        UserError: the envs do not play the same actions alike, or a file cannot be written.
-    """
+    Raises UserError: the envs do not play the same actions alike, or a file cannot be written."""
     target = folder / video_files.FOLDER
     try:
         target.mkdir(exist_ok=True)
@@ -163,14 +154,11 @@ def find_situation(trained: Trained, extreme: Extreme) -> Situation:
 
 
 def play(trained: Trained, situation: Situation, name: str) -> tuple[list[Episode], int, int]:
-    """Plays a situation until it has had both outcomes, `EPISODES` at most.
+    """Plays a situation until it has had both outcomes, `EPISODES` at most; the agent's draws are
+    seeded from `name`.
 
-    Args:
-        name: from which the agent's draws are seeded.
-
-    Returns:
-        The first success and the first failure, without an outcome that there was not; how many
-        episodes were played, and how many of them succeeded.
+    Returns the first success and the first failure, without an outcome that there was not; how many
+    episodes were played, and how many of them succeeded.
     """
     first: dict[video_files.Outcome, Episode] = {}
     tried = successes = 0
@@ -215,7 +203,6 @@ def _batch(
 
 
 def _record(trained: Trained, situation: Situation, episode: Episode, path: Path) -> Video:
-    """Plays an episode again and records it."""
     length = len(episode.actions)
     every = ceil((length + 1) / MOST_FRAMES)
     drawn = {"autoreset_mode": AutoresetMode.DISABLED, "render_mode": "rgb_array"}
@@ -251,28 +238,21 @@ def _picture(env: ZipfVectorEnv) -> NDArray[np.uint8]:
 
 
 def _playable(folder: Path, trained: Trained) -> None:
-    """Raises `UserError` where there is nothing to show."""
     if trained.agent.answers_questions:
         raise UserError(
             f"videos: {folder.as_posix()} is of a classifier, which answers questions and does "
             "not act"
         )
     with closing(_envs(trained, trained.config.split.uniform[0], 1)) as env:
-        if not env.reports_success:
-            raise UserError(
-                f"videos: the envs of {folder.as_posix()} report no success; give runs of "
-                "envs that do"
-            )
-        if not env.metadata.get("render_modes"):
-            raise UserError(
-                f"videos: the envs of {folder.as_posix()} draw no pictures; give runs of "
-                "envs that do"
-            )
-        if not env.situation:
-            raise UserError(
-                f"videos: the envs of {folder.as_posix()} report no situation; give runs of "
-                "envs that do"
-            )
+        for has, lacks in (
+            (env.reports_success, "report no success"),
+            (env.metadata.get("render_modes"), "draw no pictures"),
+            (env.situation, "report no situation"),
+        ):
+            if not has:
+                raise UserError(
+                    f"videos: the envs of {folder.as_posix()} {lacks}; give runs of envs that do"
+                )
 
 
 def _envs(trained: Trained, level: envs.SplitLevel, count: int, **kwargs: Any) -> ZipfVectorEnv:

@@ -32,17 +32,11 @@ EXPECTED: Mapping[Kind, str] = {
 
 
 def read_texts(path: Path, notes: list[str]) -> pd.DataFrame:
-    """A CSV file as text, in the order of its lines; no columns where it has no line.
+    """A CSV file, compressed if its name ends in .gz, as text in the order of its lines; no columns
+    where it has no line. `notes` gains a sentence if the last line is torn.
 
-    Args:
-        path: of the file; one whose name ends in .gz is compressed.
-        notes: gains a sentence if the last line is torn.
-
-    Returns:
-        A frame of str whose index is the number of the line in the file, the header being line 1.
-
-    Raises:
-        UserError: the file cannot be read, or a line is damaged.
+    Returns a frame of str whose index is the number of the line in the file, the header being line
+    1. Raises UserError: the file cannot be read, or a line is damaged.
     """
     lines, torn = read_lines(path)
     if torn:
@@ -57,15 +51,13 @@ def read_texts(path: Path, notes: list[str]) -> pd.DataFrame:
 
 def values_of(path: Path, texts: pd.DataFrame, columns: Mapping[str, Kind]) -> pd.DataFrame:
     """The values of columns of a table, or of some of its rows.
+    Raises UserError: a column is missing, or has something else.
 
     Args:
         path: of the file, for messages.
         texts: as `read_texts` reads them.
         columns: what each holds: "count" is read as int64; "number" as float64, which has to be
             finite; "number or empty" likewise, with NaN for an empty field; "text" as str.
-
-    Raises:
-        UserError: a column is missing, or has something else.
     """
     import pandas as pd
 
@@ -83,11 +75,7 @@ def read_header(path: Path) -> list[str]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The file's content.
-
-    Raises:
-        UserError: it cannot be read.
-    """
+    """The file's content. Raises UserError: it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -96,11 +84,7 @@ def read_bytes(path: Path) -> bytes:
 
 def read_lines(path: Path) -> tuple[list[str], bool]:
     """The lines that end in a newline, without it, and whether there is a rest that does not; no
-    lines where there is no file.
-
-    Raises:
-        UserError: the file cannot be read.
-    """
+    lines where there is no file. Raises UserError: the file cannot be read."""
     if not path.exists():
         return [], False
     content = read_bytes(path)
@@ -115,14 +99,8 @@ def read_lines(path: Path) -> tuple[list[str], bool]:
 
 
 def read_fields(path: Path, lines: list[str]) -> list[list[str]]:
-    """The fields of each line, those of the header first.
-
-    Args:
-        path: of the file, for messages.
-
-    Raises:
-        UserError: a line has another number of fields than the header, or other damage.
-    """
+    """The fields of each line, those of the header first; the path is for messages. Raises
+    UserError: a line has another number of fields than the header, or other damage."""
     reader = csv.reader(lines, strict=True)
     found: list[list[str]] = []
     try:

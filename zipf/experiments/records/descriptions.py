@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from zipf.errors import UserError
 from zipf.experiments.records.csv_files import read_bytes
 from zipf.experiments.records.wording import EXTERNAL_MARK
+from zipf.options import Positive
 from zipf.protocol import BASELINE_NAMES, KINDS, PAPER_KINDS
 
 LINE_PATTERN = r"^[^\r\n]*$"
@@ -20,7 +21,6 @@ Line = Annotated[str, Field(min_length=1, pattern=LINE_PATTERN)]
 Colour = Annotated[str, Field(pattern=COLOUR_PATTERN)]
 Whole = Annotated[int, Field(gt=-(2**63), lt=2**63)]
 Count = Annotated[int, Field(ge=0, lt=10**15)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -181,17 +181,11 @@ class RunDescription(_Described):
 
 @dataclass(frozen=True)
 class LevelGroup:
-    """Levels of a kind that are scored together.
+    """Levels of a kind that are scored together."""
 
-    Attributes:
-        level_kind: of `zipf.envs.KINDS`.
-        name: of the group; empty for all levels of the kind.
-        weights: of each level by its name.
-    """
-
-    level_kind: str
-    name: str
-    weights: Mapping[str, float]
+    level_kind: str  # of `zipf.envs.KINDS`
+    name: str  # of the group; empty for all levels of the kind
+    weights: Mapping[str, float]  # of each level by its name
 
     @property
     def column(self) -> str:
@@ -205,11 +199,7 @@ class LevelGroup:
 
 
 def read_description(path: Path) -> RunDescription:
-    """The description in a `run.json`.
-
-    Raises:
-        UserError: it cannot be read, or is none.
-    """
+    """The description in a `run.json`. Raises UserError: it cannot be read, or is none."""
     try:
         return RunDescription.model_validate_json(read_bytes(path))
     except ValidationError as error:

@@ -6,21 +6,11 @@ from typing import Any
 
 # Options, or groups of them, without effect on learning: they are not part of a condition's name,
 # and a run may be resumed with other values of them.
-NOT_LEARNED = frozenset(
-    {
-        "condition",
-        "row",
-        "plugins",
-        "updates",
-        "run_root",
-        "device",
-        "compile",
-        "resume",
-        "evaluation",
-        "schedule",
-        "runtime.address",
-    }
-)
+NOT_LEARNED = frozenset({
+    "condition", "row", "plugins", "updates", "run_root", "device", "compile", "resume",
+    "evaluation", "schedule", "runtime.address",
+})  # fmt: skip
+
 
 # Options that runs of this version may lack, because they were made before these were added, with
 # the values that change nothing.

@@ -56,17 +56,12 @@ Statistic = Literal["score", "capped_score"]
 
 @dataclass(frozen=True)
 class PaperColumn:
-    """A column of one of the paper's tables.
+    """A column of one of the paper's tables."""
 
-    Attributes:
-        experiment: by our key.
-        column: a level kind, or a group of train levels.
-        statistic: the column of `zipf.experiments.reporting.scores.score_frame` that it shows.
-            Published scores are beside `score` only.
-    """
-
-    experiment: str
-    column: str
+    experiment: str  # by our key
+    column: str  # a level kind, or a group of train levels
+    # the column of `zipf.experiments.reporting.scores.score_frame` that it shows. Published scores
+    # are beside `score` only.
     statistic: Statistic
 
 
@@ -123,10 +118,7 @@ def paper_titles() -> Mapping[str, str]:
 
 def paper_table(experiment: str) -> PaperTable:
     """The paper's numbers for one of its experiments, by our key (for instance ``gridworld``).
-
-    Raises:
-        UserError: the paper has no such experiment.
-    """
+    Raises UserError: the paper has no such experiment."""
     tables = _tables()
     if experiment not in tables:
         raise UserError(

@@ -43,17 +43,14 @@ BASELINE_COLUMNS = ("reference", "rank", "value", "score", "episodes", "policy")
 
 @dataclass
 class Record:
-    """The contents of a record.
+    """The contents of a record."""
 
-    Attributes:
-        runs: what `run.json` holds, by the run's name.
-        options: what `config.yaml` holds, of those runs that have one.
-        tables: of each run, by the name of the file, a table as text. Its index is the number of
-            the line in the record's table.
-    """
-
+    # what `run.json` holds, by the run's name
     runs: dict[str, dict[str, Any]] = field(default_factory=dict)
+    # what `config.yaml` holds, of those runs that have one
     options: dict[str, dict[str, Any]] = field(default_factory=dict)
+    # of each run, by the name of the file, a table as text. Its index is the number of the line in
+    # the record's table.
     tables: dict[str, dict[str, pd.DataFrame]] = field(default_factory=dict)
 
 
@@ -63,11 +60,7 @@ def is_there(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Record:
-    """The record in a folder.
-
-    Raises:
-        UserError: a file cannot be read, or is damaged.
-    """
+    """The record in a folder. Raises UserError: a file cannot be read, or is damaged."""
     levels = _read_levels(folder / LEVELS)
     runs = {}
     for name, values in _read_nested(folder / RUNS).items():

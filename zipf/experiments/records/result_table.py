@@ -18,11 +18,8 @@ TABLES = ("metrics.csv", "evaluations.csv", "situations.csv")
 class ResultTable:
     """A CSV file whose rows begin with their `update`; its header is that of the first rows.
 
-    A checkpoint knows how long the file was (`length`). A run that goes on cuts what came later.
-
-    Args:
-        path: of the file.
-        kept: how many bytes of it stay, see `check_table`; the rest is cut.
+    A checkpoint knows how long the file was (`length`). A run that goes on keeps so many bytes of
+    it (`check_table`) and cuts what came later.
     """
 
     def __init__(self, path: Path, kept: int = 0):

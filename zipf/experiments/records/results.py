@@ -37,35 +37,27 @@ BOOKKEEPING = (NOT_LEARNED - {"evaluation"}) | {"seed"}
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run, as its files tell it.
+    """One run, as its files tell it."""
 
-    Attributes:
-        folder: as the user gave it, plus the path below.
-        evaluations: one row per (update, level_kind, level), in order of updates: `update`,
-            `frames`, `seconds`, `level_kind`, `level`, `episodes`, `score`, `success` (NaN where
-            the level reports none), `return`.
-        situations: one row per (update, level_kind, situation): `update`, `level_kind`, the
-            situation's ranks, `episodes`, `successes` (NaN where the level reports none),
-            `return_sum`; and where the run has recorded them `visits` and `visits_<rank>`, see
-            docs/results.md.
-        situation_names: the situation's columns, e.g. ("map", "target"); ranks, 0 most frequent.
-        updates, frames, seconds: how far the run has come.
-        options: what `config.yaml` holds; empty for an external run.
-        settings: the flattened options without bookkeeping.
-        notes: what the reader of the files had to leave out.
-    """
-
-    folder: Path
+    folder: Path  # as the user gave it, plus the path below
     description: RunDescription
+    # one row per (update, level_kind, level), in order of updates: `update`, `frames`, `seconds`,
+    # `level_kind`, `level`, `episodes`, `score`, `success` (NaN where the level reports none),
+    # `return`
     evaluations: pd.DataFrame
+    # one row per (update, level_kind, situation): `update`, `level_kind`, the situation's ranks,
+    # `episodes`, `successes` (NaN where the level reports none), `return_sum`; and where the run
+    # has recorded them `visits` and `visits_<rank>`, see docs/results.md
     situations: pd.DataFrame
+    # the situation's columns, e.g. ("map", "target"); ranks, 0 most frequent.
     situation_names: tuple[str, ...]
+    # updates, frames, seconds: how far the run has come
     updates: int
     frames: int
     seconds: float
-    options: Mapping[str, Any]
-    settings: Mapping[str, Any]
-    notes: tuple[str, ...]
+    options: Mapping[str, Any]  # what `config.yaml` holds; empty for an external run
+    settings: Mapping[str, Any]  # the flattened options without bookkeeping
+    notes: tuple[str, ...]  # what the reader of the files had to leave out
     _means: dict[Any, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -113,12 +105,8 @@ class Run:
 def load_runs(folders: Iterable[str | Path]) -> list[Run]:
     """Every run at any depth under `folders`, in the order of tables: those of run folders, and
     those of records; a folder may be one within a record. Links are followed; a run that is found
-    twice counts once.
-
-    Raises:
-        UserError: a folder does not exist, cannot be read or holds no run, or a run's files are
-            damaged.
-    """
+    twice counts once. Raises UserError: a folder does not exist, cannot be read or holds no run, or
+    a run's files are damaged."""
     roots = [Path(folder) for folder in folders]
     found: dict[Path, Run | Path] = {}
     for folder in roots:
@@ -196,11 +184,7 @@ def aligned(seeds: Sequence[pd.DataFrame]) -> list[pd.DataFrame]:
 
 
 def load_run(folder: Path) -> Run:
-    """The run in `folder`.
-
-    Raises:
-        UserError: one of its files is damaged.
-    """
+    """The run in `folder`. Raises UserError: one of its files is damaged."""
     description = read_description(folder / "run.json")
     notes: list[str] = []
     texts = {name: read_texts(folder / name, notes) for name in TABLES}
@@ -211,10 +195,7 @@ def load_run(folder: Path) -> Run:
 
 def load_record(folder: Path, within: Path | None = None) -> list[Run]:
     """The runs of the record in `folder`; only those within another folder if one is named.
-
-    Raises:
-        UserError: one of its files is damaged.
-    """
+    Raises UserError: one of its files is damaged."""
     kept = record.read(folder)
     places = {"config.yaml": folder / record.OPTIONS}
     places |= {name: folder / f"{name}{record.SUFFIX}" for name in TABLES}
@@ -241,12 +222,8 @@ def _run(
     places: Mapping[str, Path],
     notes: Sequence[str],
 ) -> Run:
-    """The run that these files tell of.
-
-    Args:
-        texts: its tables, by the name of the file.
-        places: where tables and options were read, for messages.
-    """
+    """The run that these files tell of: its tables by the name of the file, and, for messages,
+    where they and the options were read."""
 
     def of(name: str) -> tuple[Path, pd.DataFrame]:
         return places[name], texts[name]

@@ -30,43 +30,26 @@ class _Described(BaseModel):
 
 
 class Video(_Described):
-    """An episode in a file.
+    """An episode in a file."""
 
-    Attributes:
-        file: its name, in the folder of `videos.json`.
-        outcome: "success" or "failure".
-        seed: of the env.
-        episode_return: undiscounted, in units of reward.
-        length: in frames.
-        every: the file shows every so many-th frame.
-    """
-
+    # its name, in the folder of `videos.json`
     file: Annotated[str, Field(pattern=r"^[a-z_]+\.(gif|mp4)$")]
-    outcome: Outcome
-    seed: Count
-    episode_return: Annotated[float, Field(allow_inf_nan=False)]
-    length: Count
-    every: Annotated[int, Field(ge=1)]
+    outcome: Outcome  # "success" or "failure"
+    seed: Count  # of the env
+    episode_return: Annotated[float, Field(allow_inf_nan=False)]  # undiscounted, in units of reward
+    length: Count  # in frames
+    every: Annotated[int, Field(ge=1)]  # the file shows every so many-th frame
 
 
 class VideosOfSituation(_Described):
-    """The videos of one situation: the first success and the first failure of those tried.
+    """The videos of one situation: the first success and the first failure of those tried."""
 
-    Attributes:
-        title: "most frequent situation" or "rarest situation".
-        level: the level's name.
-        ranks: of the situation.
-        episodes: how many were tried.
-        successes: how many of them succeeded.
-        videos: at most one of each outcome.
-    """
-
-    title: Annotated[str, Field(min_length=1)]
-    level: str
-    ranks: Mapping[str, Count]
-    episodes: Count
-    successes: Count
-    videos: tuple[Video, ...]
+    title: Annotated[str, Field(min_length=1)]  # "most frequent situation" or "rarest situation"
+    level: str  # the level's name
+    ranks: Mapping[str, Count]  # of the situation
+    episodes: Count  # how many were tried
+    successes: Count  # how many of them succeeded
+    videos: tuple[Video, ...]  # at most one of each outcome
 
     def of(self, outcome: Outcome) -> Video | None:
         """The video of this outcome; None where no episode had it."""
@@ -74,26 +57,14 @@ class VideosOfSituation(_Described):
 
 
 class Videos(_Described):
-    """The contents of `videos.json`.
+    """The contents of `videos.json`."""
 
-    Attributes:
-        update: of the checkpoint whose agent plays.
-        situations: the most frequent one and the rarest.
-    """
-
-    update: Count
-    situations: tuple[VideosOfSituation, ...]
+    update: Count  # of the checkpoint whose agent plays
+    situations: tuple[VideosOfSituation, ...]  # the most frequent one and the rarest
 
 
 def read(folder: Path) -> Videos | None:
-    """The videos of a run; None where it has none.
-
-    Args:
-        folder: the run's.
-
-    Raises:
-        UserError: `videos.json` is damaged.
-    """
+    """The videos of a run; None where it has none. Raises UserError: `videos.json` is damaged."""
     path = folder / FOLDER / NAME
     if not path.exists():
         return None
@@ -106,14 +77,8 @@ def read(folder: Path) -> Videos | None:
 
 
 def data_address(folder: Path, video: Video) -> str:
-    """A video as a `data:` address, which holds the file itself.
-
-    Args:
-        folder: the run's.
-
-    Raises:
-        UserError: the file is gone, or is not of the format that its name says.
-    """
+    """A run's video as a `data:` address, which holds the file itself. Raises UserError: the file
+    is gone, or is not of the format that its name says."""
     path = folder / FOLDER / video.file
     content = read_bytes(path)
     good = content[:4] == b"GIF8" if path.suffix == ".gif" else content[4:8] == b"ftyp"

@@ -25,9 +25,7 @@ NONE = "–"
 
 def score_text(value: float, error: float = math.nan) -> str:
     """`0.69 ± 0.05`, without the second part where there is none; a dash for no score.
-
-    Two decimals, as the paper prints: 1000 episodes do not carry a third.
-    """
+    Two decimals, as the paper prints: 1000 episodes do not carry a third."""
     if math.isnan(value):
         return NONE
     text = f"{value:z.2f}"

@@ -34,40 +34,29 @@ ROUNDING = 1e-9  # sums and quotients of published decimals are off by their rou
 
 @dataclass(frozen=True)
 class Measured:
-    """A score.
-
-    Attributes:
-        seeds, episodes: over how many it is known; episodes are the fewest of an evaluation.
-        chance: what random actions score there; NaN where that is not known.
-        by_seed: the score of each seed; empty where they are not known.
-    """
+    """A score."""
 
     score: float
+    # seeds, episodes: over how many it is known; episodes are the fewest of an evaluation
     seeds: int
     episodes: int
-    chance: float = math.nan
+    chance: float = math.nan  # what random actions score there; NaN where that is not known
+    # the score of each seed; empty where they are not known
     by_seed: Mapping[int, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Results:
-    """What is known of an experiment.
+    """What is known of an experiment."""
 
-    Attributes:
-        scores: by condition and column.
-        every: the conditions of which the paper has a row.
-        titles: of conditions.
-        window: from which the scores are, in updates; None for another kind of window.
-        curves: by condition and column, the median score over seeds by update, and how many seeds.
-        printed: whether these are the paper's own numbers.
-    """
-
-    scores: Mapping[Place, Measured]
-    every: Sequence[str]
-    titles: Mapping[str, str] = field(default_factory=dict)
+    scores: Mapping[Place, Measured]  # by condition and column
+    every: Sequence[str]  # the conditions of which the paper has a row
+    titles: Mapping[str, str] = field(default_factory=dict)  # of conditions
+    # from which the scores are, in updates; None for another kind of window
     window: tuple[int, int] | None = None
+    # by condition and column, the median score over seeds by update, and how many seeds
     curves: Mapping[Place, tuple[pd.Series, int]] = field(default_factory=dict)
-    printed: bool = False
+    printed: bool = False  # whether these are the paper's own numbers
 
 
 def results_of(table: ScoreTable) -> Results:
@@ -139,18 +128,12 @@ def _curve(seeds: Sequence[pd.DataFrame]) -> tuple[pd.Series, int]:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The outcome of a check.
-
-    Attributes:
-        bounds: when it would hold.
-        numbers: what the outcome rests on, one text each.
-        at_hand: whether any score that it needs is known, however few its seeds.
-    """
+    """The outcome of a check."""
 
     outcome: Outcome
-    bounds: str
-    numbers: tuple[str, ...]
-    at_hand: bool
+    bounds: str  # when it would hold
+    numbers: tuple[str, ...]  # what the outcome rests on, one text each
+    at_hand: bool  # whether any score that it needs is known, however few its seeds
 
 
 @dataclass(frozen=True)
@@ -158,19 +141,15 @@ class Expression:
     """A score, or how it compares to others, and between which bounds it has to lie, both included.
 
     `t["impala", "rare"] - t["impala", "uniform"] <= -0.005`; `t` is `SCORES`.
-
-    Attributes:
-        places: of the score s, and of those that it is compared to: a and b.
-        measure: "" is s; "difference", s - a; "relative change", s / a - 1; "share of the
-            improvement", (s - b) / (a - b).
-        but: conditions that `EVERY` leaves out.
     """
 
-    places: tuple[Place, ...]
+    places: tuple[Place, ...]  # of the score s, and of those that it is compared to: a and b
+    # "" is s; "difference", s - a; "relative change", s / a - 1;
+    # "share of the improvement", (s - b) / (a - b)
     measure: str = ""
     at_least: float = -math.inf
     at_most: float = math.inf
-    but: tuple[str, ...] = ()
+    but: tuple[str, ...] = ()  # conditions that `EVERY` leaves out
 
     def __sub__(self, other: Expression) -> Expression:
         return Expression(self.places + other.places, DIFFERENCE)

@@ -35,20 +35,13 @@ CLAIM_COLUMNS = ("claim", "statement", "table", "bounds", "outcome", "numbers", 
 
 @dataclass(frozen=True)
 class Claim:
-    """What the paper claims.
-
-    Attributes:
-        id: unique.
-        source: where the paper does.
-        checks: by experiment; all of an experiment have to hold.
-        note: how the bounds were chosen, or why there are no checks.
-    """
+    """What the paper claims."""
 
     id: str
     statement: str
-    source: str
-    checks: Mapping[str, Sequence[Check]]
-    note: str = ""
+    source: str  # where the paper does
+    checks: Mapping[str, Sequence[Check]]  # by experiment; all of an experiment have to hold
+    note: str = ""  # how the bounds were chosen, or why there are no checks
 
 
 def on(experiments: str, *checks: Check) -> dict[str, Sequence[Check]]:
@@ -288,20 +281,13 @@ CLAIMS = (
 
 @dataclass(frozen=True)
 class ClaimLine:
-    """A claim about one table.
-
-    Attributes:
-        claim: what is claimed.
-        table: the title of the table; empty where no run of the claim's experiments is there.
-        outcome: of all checks of this experiment together.
-        verdicts: of each.
-        paper: the outcome with the paper's own numbers; None where it prints too few of them.
-    """
+    """A claim about one table."""
 
     claim: Claim
-    table: str
-    outcome: Outcome
-    verdicts: tuple[Verdict, ...]
+    table: str  # the title of the table; empty where no run of the claim's experiments is there
+    outcome: Outcome  # of all checks of this experiment together
+    verdicts: tuple[Verdict, ...]  # of each
+    # the outcome with the paper's own numbers; None where it prints too few of them
     paper: Outcome | None
 
     @property
@@ -342,17 +328,8 @@ def check_claims(tables: Sequence[ScoreTable]) -> list[ClaimLine]:
 
 def csv_claims(lines: Sequence[ClaimLine]) -> str:
     """`claims.csv`: every line, whether there are scores for it or not."""
-    cells = [
-        (
-            line.claim.id,
-            line.claim.statement,
-            line.table,
-            line.bounds,
-            line.outcome,
-            line.numbers,
-            line.paper or "",
-            line.claim.note,
-        )
-        for line in lines
-    ]
+    cells = []
+    for line in lines:
+        judged = line.bounds, line.outcome, line.numbers, line.paper or ""
+        cells.append((line.claim.id, line.claim.statement, line.table, *judged, line.claim.note))
     return pd.DataFrame(cells, columns=list(CLAIM_COLUMNS)).to_csv(index=False, lineterminator="\n")

@@ -26,23 +26,14 @@ from zipf.protocol import PAPER_KINDS
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A row of a table: the runs of a condition, or of an external agent.
+    """A row of a table: the runs of a condition, or of an external agent."""
 
-    Attributes:
-        key: unique among the rows of a report.
-        title: as tables and plots show it; an external agent's ends in a mark.
-        external: whether it was recorded from outside this package.
-        colour: as #rrggbb; None if it is to be assigned.
-        line: "solid" or "dashed".
-        runs: its seeds.
-    """
-
-    key: str
-    title: str
-    external: bool
-    colour: str | None
-    line: str
-    runs: tuple[Run, ...]
+    key: str  # unique among the rows of a report
+    title: str  # as tables and plots show it; an external agent's ends in a mark
+    external: bool  # whether it was recorded from outside this package
+    colour: str | None  # as #rrggbb; None if it is to be assigned
+    line: str  # "solid" or "dashed"
+    runs: tuple[Run, ...]  # its seeds
 
     @property
     def condition(self) -> str:
@@ -52,15 +43,10 @@ class Row:
 
 @dataclass(frozen=True)
 class PaperRow:
-    """A row of one of the paper's tables of which there is no run.
+    """A row of one of the paper's tables of which there is no run."""
 
-    Attributes:
-        key: unique among the rows of a report: the condition.
-        title: as tables show it.
-    """
-
-    key: str
-    title: str
+    key: str  # unique among the rows of a report: the condition
+    title: str  # as tables show it
 
 
 def rows_of(runs: Sequence[Run]) -> tuple[Row, ...]:
@@ -87,23 +73,17 @@ def rows_of(runs: Sequence[Run]) -> tuple[Row, ...]:
 
 @dataclass(frozen=True)
 class Differences:
-    """The options in which runs differ.
+    """The options in which runs differ."""
 
-    Attributes:
-        columns: for each set of options that several runs may share, its runs.
-        lines: for each option that differs its name and its value in every column, those of a
-            group together.
-    """
-
+    # for each set of options that several runs may share, its runs
     columns: tuple[tuple[Run, ...], ...]
+    # for each option that differs its name and its value in every column, those of a group together
     lines: tuple[tuple[str, tuple[str, ...]], ...]
 
 
 def differences(runs: Sequence[Run]) -> Differences:
     """The options in which these runs differ, without those that cannot change what is learned.
-
-    External agents, which have no options, are left out.
-    """
+    External agents, which have no options, are left out."""
     shared: dict[str, list[Run]] = {}
     for run in runs:
         if not run.description.external:
@@ -134,28 +114,16 @@ def value_text(value: Any) -> str:
 
 @dataclass(frozen=True, eq=False)
 class RunGroup:
-    """The runs of a table.
+    """The runs of a table."""
 
-    Attributes:
-        name: unique among the groups, and safe in file names.
-        title: the experiment, and what sets the group apart from others of that experiment.
-        runs: those of this package first.
-    """
-
-    name: str
-    title: str
-    runs: tuple[Run, ...]
+    name: str  # unique among the groups, and safe in file names
+    title: str  # the experiment, and what sets the group apart from others of that experiment
+    runs: tuple[Run, ...]  # those of this package first
 
 
 def group_runs(runs: Sequence[Run], window: Asked | None) -> list[RunGroup]:
-    """The runs of each table, in the order of tables.
-
-    Args:
-        window: instead of each run's own.
-
-    Raises:
-        UserError: two runs of a group are the same condition and seed.
-    """
+    """The runs of each table, in the order of tables; `window` stands in the place of each run's
+    own. Raises UserError: two runs of a group are the same condition and seed."""
     by_key: dict[str, list[Run]] = {}
     for run in runs:
         if not run.description.external:
@@ -196,10 +164,7 @@ def group_runs(runs: Sequence[Run], window: Asked | None) -> list[RunGroup]:
 
 def paper_of(runs: Sequence[Run]) -> PaperTable | None:
     """What the paper published for the runs of a group; None if it has nothing.
-
-    Raises:
-        UserError: they name an experiment that the paper does not have.
-    """
+    Raises UserError: they name an experiment that the paper does not have."""
     key = runs[0].description.paper
     if key is None:
         return None

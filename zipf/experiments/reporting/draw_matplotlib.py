@@ -72,9 +72,7 @@ def draw(
     tables: Sequence[ScoreTable], folder: Path, format: PlotFormat = "png"
 ) -> dict[str, list[Path]]:
     """Draw every figure the tables have data for; the files, by the table's name.
-
-    The same tables give the same bytes.
-    """
+    The same tables give the same bytes."""
     styles = line_styles([row for table in tables for row in table.rows])
     files: dict[str, list[Path]] = {}
     with matplotlib.rc_context({**STYLE, "svg.hashsalt": "zipf"}):

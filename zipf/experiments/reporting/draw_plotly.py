@@ -135,7 +135,6 @@ def _range(axis: Axis) -> list[float] | None:
 
 
 def _shade(start: float, end: float) -> dict[str, Any]:
-    """A shaded interval of the horizontal axis."""
     return {
         "type": "rect",
         "xref": "x",

@@ -154,22 +154,15 @@ class Line:
 
 @dataclass(frozen=True)
 class Grid:
-    """A table's cells as text.
+    """A table's cells as text."""
 
-    Attributes:
-        title: of the table; of a grid of levels, which levels these are.
-        name: unique among the grids of a report.
-        leading: the headings of the leading columns, the first of which is text, the rest numbers.
-        columns: the headings of the columns of scores.
-        lines: without the baselines.
-        baselines: apart from the others; without those that are not known or not at the bottom.
-    """
-
-    title: str
-    name: str
+    title: str  # of the table; of a grid of levels, which levels these are
+    name: str  # unique among the grids of a report
+    # the headings of the leading columns, the first of which is text, the rest numbers
     leading: list[str]
-    columns: list[str]
-    lines: list[Line]
+    columns: list[str]  # the headings of the columns of scores
+    lines: list[Line]  # without the baselines
+    # apart from the others; without those that are not known or not at the bottom
     baselines: list[Line]
 
     @cached_property
@@ -262,7 +255,6 @@ def _budgets(table: ScoreTable) -> dict[str, dict[str, str]]:
 
 
 def _windows(row: Row) -> str:
-    """The windows of a row's runs, in updates."""
     found = {run.description.window for run in row.runs if run.description.window}
     return ", ".join(updates_text(*window) for window in sorted(found))
 

@@ -21,11 +21,7 @@ from markupsafe import Markup
 
 from zipf.experiments.records import video_files
 from zipf.experiments.records.results import Run
-from zipf.experiments.records.wording import (
-    count_text,
-    duration_text,
-    seeds_list,
-)
+from zipf.experiments.records.wording import count_text, duration_text, seeds_list
 from zipf.experiments.reporting.claims import ClaimLine
 from zipf.experiments.reporting.comparable import differences
 from zipf.experiments.reporting.draw_plotly import dash, specification
@@ -39,12 +35,7 @@ from zipf.experiments.reporting.grids import (
     side_by_side_caption,
     side_by_side_grids,
 )
-from zipf.experiments.reporting.markdown import (
-    CLAIM_HEADER,
-    RUN_COLUMNS,
-    claim_cells,
-    run_cells,
-)
+from zipf.experiments.reporting.markdown import CLAIM_HEADER, RUN_COLUMNS, claim_cells, run_cells
 from zipf.experiments.reporting.panels import Chart, LineStyle, charts, legend, line_styles
 from zipf.experiments.reporting.seed_statistics import SeedStatistics, without_statistics
 from zipf.experiments.reporting.side_by_side import side_by_side
@@ -71,47 +62,33 @@ class Notes:
 
 @dataclass(frozen=True)
 class Cells:
-    """A table.
-
-    Attributes:
-        title: above it.
-        head: the headings of its columns.
-        lines: its cells; the first `leading` of a line are its heading or text.
-        baselines: lines apart from the others.
-        paper: the places of the columns with the paper's numbers.
-        leading: how many columns hold text, from the left.
-        folded: whether the reader has to open it.
-    """
+    """A table."""
 
     kind: ClassVar[str] = "cells"
-    title: str
-    head: Sequence[str]
+    title: str  # above it
+    head: Sequence[str]  # the headings of its columns
+    # its cells; the first `leading` of a line are its heading or text
     lines: Sequence[Sequence[str]]
-    baselines: Sequence[Sequence[str]] = ()
-    paper: frozenset[int] = frozenset()
-    leading: int = 1
-    folded: bool = False
+    baselines: Sequence[Sequence[str]] = ()  # lines apart from the others
+    paper: frozenset[int] = frozenset()  # the places of the columns with the paper's numbers
+    leading: int = 1  # how many columns hold text, from the left
+    folded: bool = False  # whether the reader has to open it
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Panels with one legend.
-
-    Attributes:
-        name: unique in a page.
-        groups: a title, a caption and panels each; of a panel its name, unique in a page, what it
-            shows, for those who do not see it, and what is drawn.
-        legend: key, title, colour and dashes of its lines; a reader can hide them one by one.
-        axes: the choices of the horizontal axis by their key; empty where there is none.
-        axis: the one chosen first.
-    """
+    """Panels with one legend."""
 
     kind: ClassVar[str] = "figures"
-    name: str
+    name: str  # unique in a page
+    # a title, a caption and panels each; of a panel its name, unique in a page, what it shows, for
+    # those who do not see it, and what is drawn
     groups: Sequence[tuple[str, str, Sequence[tuple[str, str, Mapping[str, Any]]]]]
+    # key, title, colour and dashes of its lines; a reader can hide them one by one
     legend: Sequence[tuple[str, str, str, str]]
+    # the choices of the horizontal axis by their key; empty where there is none
     axes: Mapping[str, str]
-    axis: str
+    axis: str  # the one chosen first
 
 
 @dataclass(frozen=True)
@@ -160,11 +137,7 @@ def report_sections(
 ) -> list[Section]:
     """The sections of a report: one for each table, then the paper's layouts, its claims,
     statistics across seeds, what all runs differ in, where there are several tables, and the
-    glossary.
-
-    Raises:
-        UserError: a run's configuration or a video cannot be read.
-    """
+    glossary. Raises UserError: a run's configuration or a video cannot be read."""
     styles = line_styles([row for table in tables for row in table.rows])
     sections = [table_section(table, styles) for table in tables]
     for beside in side_by_side(tables):

@@ -97,14 +97,11 @@ def record(
 
 
 def _anchor(heading: str) -> str:
-    """The anchor that GitHub gives a heading."""
     return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
 
 
 def _after_tables(
-    tables: Sequence[ScoreTable],
-    claims: Sequence[ClaimLine],
-    statistics: Sequence[SeedStatistics],
+    tables: Sequence[ScoreTable], claims: Sequence[ClaimLine], statistics: Sequence[SeedStatistics]
 ) -> list[str]:
     parts = [_side_by_side(beside) for beside in side_by_side(tables)]
     if any(line.at_hand for line in claims):
@@ -118,28 +115,16 @@ def _after_tables(
 
 
 CLAIM_HEADER = [
-    "Claim of the paper",
-    "Table",
-    "Holds if",
-    "Numbers",
-    "Outcome",
-    "On the paper's numbers",
-]
+    "Claim of the paper", "Table", "Holds if", "Numbers", "Outcome", "On the paper's numbers",
+]  # fmt: skip
 
 
 def claim_cells(lines: Sequence[ClaimLine]) -> list[list[str]]:
     """The cells under `CLAIM_HEADER`, for claims of which some score is known."""
     return [
-        [
-            line.claim.statement,
-            line.table,
-            line.bounds,
-            line.numbers,
-            line.outcome,
-            line.paper or NONE,
-        ]
-        for line in lines
-        if line.at_hand
+        [one.claim.statement, one.table, one.bounds, one.numbers, one.outcome, one.paper or NONE]
+        for one in lines
+        if one.at_hand
     ]
 
 
@@ -173,16 +158,8 @@ def _grid(grid: Grid) -> str:
 
 
 RUN_COLUMNS = [
-    "Condition",
-    "Seed",
-    "Updates",
-    "Frames",
-    "Wall time",
-    "Device",
-    "PyTorch",
-    "zipf",
-    "Commit",
-]
+    "Condition", "Seed", "Updates", "Frames", "Wall time", "Device", "PyTorch", "zipf", "Commit",
+]  # fmt: skip
 
 
 def run_cells(row: Row, run: Run) -> list[str]:

@@ -83,40 +83,30 @@ TIME = "time"
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a panel.
+    """A line of a panel."""
 
-    Attributes:
-        x: [n] for each choice of the horizontal axis; NaN where there is no point.
-        y: [n].
-        colour: #rrggbb.
-        key: lines of one key are hidden together.
-        title: of its entry in the legend; empty for none.
-        width, size: of the line and of its markers, in points.
-        marker: one of `MARKERS`; empty for none.
-        joined: whether its points are joined.
-        behind: whether it is below the others.
-        low, high: the ends of a band around it [n].
-        members: the lines that it sums up. Where there is room for them they are drawn, in the
-            place of the band.
-        hover: what a page shows of a point, as Plotly's `hovertemplate`; its `customdata` are
-            `numbers`, for each point.
-    """
-
+    # [n] for each choice of the horizontal axis; NaN where there is no point
     x: Mapping[str, Numbers]
-    y: Numbers
-    colour: str
+    y: Numbers  # [n]
+    colour: str  # #rrggbb
     dash: Dash = ()
-    key: str = ""
-    title: str = ""
+    key: str = ""  # lines of one key are hidden together
+    title: str = ""  # of its entry in the legend; empty for none
+    # width, size: of the line and of its markers, in points
     width: float = WIDTH
-    marker: str = ""
+    marker: str = ""  # one of `MARKERS`; empty for none
     size: float = 3.5
-    joined: bool = True
+    joined: bool = True  # whether its points are joined
     opacity: float = 1.0
-    behind: bool = False
+    behind: bool = False  # whether it is below the others
+    # low, high: the ends of a band around it [n]
     low: Numbers | None = None
     high: Numbers | None = None
+    # the lines that it sums up. Where there is room for them they are drawn, in the place of the
+    # band.
     members: Sequence[Line] = ()
+    # what a page shows of a point, as Plotly's `hovertemplate`; its `customdata` are `numbers`, for
+    # each point
     hover: str = ""
     numbers: Sequence[Any] = ()
 
@@ -128,23 +118,16 @@ class Line:
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of a panel.
-
-    Attributes:
-        limits: None for what its lines need.
-        ticks: places and texts; None for round numbers.
-        whole: whether it counts, in whole numbers (`20k`).
-        shades: intervals that are shaded.
-        above: title and scale of an axis at the other side.
-    """
+    """An axis of a panel."""
 
     title: str
-    limits: tuple[float, float] | None = None
+    limits: tuple[float, float] | None = None  # None for what its lines need
     log: bool = False
+    # places and texts; None for round numbers
     ticks: tuple[Sequence[float], Sequence[str]] | None = None
-    whole: bool = False
-    shades: Sequence[tuple[float, float]] = ()
-    above: tuple[str, float] | None = None
+    whole: bool = False  # whether it counts, in whole numbers (`20k`)
+    shades: Sequence[tuple[float, float]] = ()  # intervals that are shaded
+    above: tuple[str, float] | None = None  # title and scale of an axis at the other side
 
 
 @dataclass(frozen=True)
@@ -159,50 +142,35 @@ class Panel:
 
 @dataclass(frozen=True)
 class Chart:
-    """A figure: panels in a row with one legend.
+    """A figure: panels in a row with one legend."""
 
-    Attributes:
-        kind: as in the names of files.
-        table: the title of the table that it is of.
-        subject: what it shows.
-        panels: with the same choices of the horizontal axis.
-        choice: the one that is meant where nobody chooses.
-        shaded, band: what shades and bands are; empty where there are none.
-        note: how to read it on a page.
-        width, height: in inches, without the legend; None for a width by the number of panels.
-    """
-
-    kind: str
-    table: str
-    subject: str
-    panels: Sequence[Panel]
-    choice: str = ""
+    kind: str  # as in the names of files
+    table: str  # the title of the table that it is of
+    subject: str  # what it shows
+    panels: Sequence[Panel]  # with the same choices of the horizontal axis
+    choice: str = ""  # the one that is meant where nobody chooses
+    # shaded, band: what shades and bands are; empty where there are none
     shaded: str = ""
     band: str = ""
-    note: str = ""
+    note: str = ""  # how to read it on a page
+    # width, height: in inches, without the legend; None for a width by the number of panels
     width: float | None = None
     height: float = 3.2
 
 
 @dataclass(frozen=True)
 class HeatMaps:
-    """A picture of all situations for each row of a table; situations have two ranks.
-
-    Attributes:
-        names: of the ranks, downwards and to the right.
-        maps: title and values [first rank, second rank] each, NaN where there is no episode.
-        limits: of the values.
-        label: what the values are.
-        frames: the first and the last of the ranks that are framed, of either.
-    """
+    """A picture of all situations for each row of a table; situations have two ranks."""
 
     kind: str
     table: str
     subject: str
-    names: tuple[str, str]
+    names: tuple[str, str]  # of the ranks, downwards and to the right
+    # title and values [first rank, second rank] each, NaN where there is no episode
     maps: Sequence[tuple[str, NDArray[np.float64]]]
-    limits: tuple[float, float]
-    label: str
+    limits: tuple[float, float]  # of the values
+    label: str  # what the values are
+    # the first and the last of the ranks that are framed, of either
     frames: Sequence[tuple[tuple[int, int], tuple[int, int]]]
 
 
@@ -618,11 +586,7 @@ def by_visits(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | Non
 
 
 def row_line(
-    row: Row,
-    styles: Mapping[str, LineStyle],
-    x: Mapping[str, Numbers],
-    y: Numbers,
-    **more: Any,
+    row: Row, styles: Mapping[str, LineStyle], x: Mapping[str, Numbers], y: Numbers, **more: Any
 ) -> Line:
     """A line of a row of the table; `more` are attributes of the line."""
     style = styles[row.key]

@@ -42,31 +42,12 @@ from zipf.experiments.reporting.windows import Window, evaluations_inside, windo
 from zipf.protocol import BASELINE_NAMES
 
 CSV_COLUMNS = (
-    "table",
-    "experiment",
-    "condition",
-    "title",
-    "external",
-    "level_kind",
-    "level",
-    "levels",
-    "seeds",
-    "score",
-    "error",
-    "plain_score",
-    "plain_error",
-    "capped_score",
-    "capped_error",
-    "spread",
-    "paper_value",
-    "paper_error",
+    "table", "experiment", "condition", "title", "external", "level_kind", "level", "levels",
+    "seeds", "score", "error", "plain_score", "plain_error", "capped_score", "capped_error",
+    "spread", "paper_value", "paper_error",
     *(f"{mean}{name}" for name in BASELINE_NAMES for mean in ("", "plain_", "capped_")),
-    "window",
-    "evaluations",
-    "episodes",
-    "updates",
-    "frames",
-)
+    "window", "evaluations", "episodes", "updates", "frames",
+)  # fmt: skip
 
 
 CAP = 1.0  # a human's score; DMLab-30's convention (Espeholt et al. 2018, IMPALA, section 5.3)
@@ -81,11 +62,8 @@ def score_frame(
     paper: PaperTable | None,
 ) -> pd.DataFrame:
     """The scores of comparable runs, one line per row and group of levels.
-
-    Returns:
-        The columns that docs/results.md describes for `report.csv`, and `row` and `column`, the
-        keys of the row and of the group of levels. NaN is "none".
-    """
+    Returns the columns that docs/results.md describes for `report.csv`, and `row` and `column`, the
+    keys of the row and of the group of levels. NaN is "none"."""
     runs = [run for row in rows for run in row.runs]
     baselines = {levels.column: _baselines(runs, levels) for levels in groups}
     lines = []
@@ -123,7 +101,6 @@ def score_frame(
 
 
 def _score(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str, Any]:
-    """A row's score on these levels, and what is behind it."""
     inside = {run: means_inside(run, levels, window) for run in runs}
     scored = {run: evaluations for run, evaluations in inside.items() if len(evaluations)}
     effort = {
@@ -227,7 +204,5 @@ def other_statistic(scores: pd.DataFrame, mean: str) -> pd.DataFrame:
     of the weighted one, and no published scores."""
     names = ["score", "error", *BASELINE_NAMES]
     return scores.assign(
-        **{name: scores[f"{mean}_{name}"] for name in names},
-        paper_value=np.nan,
-        paper_error=np.nan,
+        **{name: scores[f"{mean}_{name}"] for name in names}, paper_value=np.nan, paper_error=np.nan
     )

@@ -14,13 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from zipf.experiments.records.descriptions import LevelGroup
-from zipf.experiments.records.wording import (
-    KIND_NAMES,
-    NONE,
-    count_text,
-    score_text,
-    seeds_text,
-)
+from zipf.experiments.records.wording import KIND_NAMES, NONE, count_text, score_text, seeds_text
 from zipf.experiments.reporting.claim_checks import LEARNED
 from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.grids import Grid, Line
@@ -36,20 +30,9 @@ from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import evaluations_inside, situations_inside
 
 STATISTICS_COLUMNS = (
-    "table",
-    "experiment",
-    "condition",
-    "title",
-    "external",
-    "level_kind",
-    "statistic",
-    "against",
-    "value",
-    "low",
-    "high",
-    "seeds",
-    "levels",
-)
+    "table", "experiment", "condition", "title", "external", "level_kind", "statistic", "against",
+    "value", "low", "high", "seeds", "levels",
+)  # fmt: skip
 AT_CHANCE = "at chance"
 MOST_SITUATIONS = 20  # ours: more columns are read by nobody
 TOO_FEW = f"needs {FEWEST_SEEDS} seeds"
@@ -58,24 +41,17 @@ IQM, IMPROVEMENT = "interquartile mean", "probability of improvement"
 
 @dataclass(frozen=True)
 class SeedStatistics:
-    """Further statistics of a table.
-
-    Attributes:
-        table: of which table.
-        grids: as they are shown; none where no row has two seeds and no run has counted visits.
-        text: how to read them; empty where there are none.
-    """
+    """Further statistics of a table."""
 
     table: ScoreTable
+    # as they are shown; none where no row has two seeds and no run has counted visits
     grids: tuple[Grid, ...]
-    text: str
+    text: str  # how to read them; empty where there are none
 
 
 def seed_scores(row: Row, levels: LevelGroup, table: ScoreTable) -> NDArray[np.float64]:
     """A row's scores [seeds, levels]: of each seed the median over the window on each level.
-
-    Without the seeds that have no score in the window, as in the table.
-    """
+    Without the seeds that have no score in the window, as in the table."""
     found = []
     for run in row.runs:
         scored = run.evaluations_of(levels)

@@ -23,22 +23,16 @@ from zipf.protocol import BASELINE_NAMES, KINDS
 
 @dataclass(frozen=True, eq=False)
 class SideBySide:
-    """One of the paper's layouts with the tables at hand.
+    """One of the paper's layouts with the tables at hand."""
 
-    Attributes:
-        name: unique among those of a report.
-        rows: those that the paper has, in its order, then the others of the tables, in theirs.
-        parts: for each table of the layout its title, the headings of its columns, and lines of
-            `zipf.experiments.reporting.scores.score_frame` whose `column` is the heading.
-        tables: where the columns come from.
-        missing: experiments of the layout of which there is no run.
-    """
-
-    name: str
+    name: str  # unique among those of a report
+    # those that the paper has, in its order, then the others of the tables, in theirs
     rows: tuple[Row | PaperRow, ...]
+    # for each table of the layout its title, the headings of its columns, and lines of
+    # `zipf.experiments.reporting.scores.score_frame` whose `column` is the heading
     parts: tuple[tuple[str, tuple[str, ...], pd.DataFrame], ...]
-    tables: tuple[ScoreTable, ...]
-    missing: tuple[str, ...]
+    tables: tuple[ScoreTable, ...]  # where the columns come from
+    missing: tuple[str, ...]  # experiments of the layout of which there is no run
 
 
 def side_by_side(tables: Sequence[ScoreTable]) -> list[SideBySide]:

@@ -67,11 +67,7 @@ def rates(
 
 
 def pool(pooled: pd.DataFrame, keys: list[str], measure: Measure) -> pd.DataFrame:
-    """Success or mean return by `keys` with 95 % intervals; see `rates`.
-
-    Args:
-        pooled: lines of situations with `run_number`.
-    """
+    """Success or mean return by `keys` of lines of situations, with 95 % intervals; see `rates`."""
     summed = "successes" if measure == "success" else "return_sum"
     found = pooled.groupby(keys, as_index=False)[["episodes", summed]].sum()
     found["value"] = found[summed] / found["episodes"]

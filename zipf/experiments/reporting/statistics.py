@@ -82,20 +82,15 @@ def interquartile_mean(scores: NDArray[np.float64]) -> Interval:
     """The mean of the middle half of all scores [seeds, levels], every level alike.
 
     A quarter of the scores, rounded down, is left out at either end: of fewer than four, none is.
-
-    Raises:
-        ValueError: fewer than two seeds.
+    Raises ValueError: fewer than two seeds.
     """
     return bootstrap(_middle, [*scores.T])
 
 
 def improvement(scores: NDArray[np.float64], others: NDArray[np.float64]) -> Interval:
-    """The probability that a seed of `scores` [seeds, levels] is better than one of `others`
-    [other seeds, levels] on a level drawn at random; a tie counts half.
-
-    Raises:
-        ValueError: fewer than two seeds of either, or not as many levels.
-    """
+    """The probability that a seed of `scores` [seeds, levels] is better than one of `others` [other
+    seeds, levels] on a level drawn at random; a tie counts half.
+    Raises ValueError: fewer than two seeds of either, or not as many levels."""
     if scores.shape[1] != others.shape[1]:
         raise ValueError(f"{scores.shape[1]} levels against {others.shape[1]}")
     return bootstrap(_better, [*scores.T, *others.T])
@@ -119,15 +114,8 @@ def _better(*levels: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
 def bootstrap(
     statistic: Callable[..., NDArray[np.float64]], samples: list[NDArray[np.float64]]
 ) -> Interval:
-    """A statistic of several samples [n] and its percentile interval; the same for the same
-    numbers.
-
-    Args:
-        statistic: of arrays as arguments, along `axis`.
-
-    Raises:
-        ValueError: fewer than two of a sample.
-    """
+    """A statistic of several samples [n], a function of arrays along `axis`, and its percentile
+    interval; the same for the same numbers. Raises ValueError: fewer than two of a sample."""
     if min(len(sample) for sample in samples) < FEWEST_SEEDS:
         raise ValueError(f"an interval needs {FEWEST_SEEDS} seeds")
     drawn: Any = stats.bootstrap(

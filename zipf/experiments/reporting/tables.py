@@ -33,36 +33,22 @@ from zipf.protocol import BASELINE_NAMES, KINDS, PAPER_KINDS, says_little
 
 @dataclass(frozen=True, eq=False)
 class ScoreTable:
-    """One experiment's table, before it is rendered.
+    """One experiment's table, before it is rendered."""
 
-    Attributes:
-        name: unique among the tables of a report, and safe in file names.
-        title: the experiment, and what sets the table apart from others of that experiment.
-        description: of its first run, which is one of this package if there is any.
-        rows: in the table's order.
-        window: over which the scores are taken.
-        own_window: whether that is the experiment's own, see `table_window`.
-        paper: what was published; None where it has a number for none of the rows.
-        kinds: the levels of each kind.
-        scores: one line per row and level kind; see `score_frame`.
-        groups: the levels of every kind that has several: those that the paper averages together,
-            then each by itself.
-        group_scores: as `scores`, one line per row and group.
-        notes: what is missing or doubtful, one sentence each.
-    """
-
-    name: str
-    title: str
-    description: RunDescription
-    rows: tuple[Row, ...]
-    window: Window
-    own_window: bool
-    paper: PaperTable | None
-    kinds: tuple[LevelGroup, ...]
-    scores: pd.DataFrame
+    name: str  # unique among the tables of a report, and safe in file names
+    title: str  # the experiment, and what sets the table apart from others of that experiment
+    description: RunDescription  # of its first run, which is one of this package if there is any
+    rows: tuple[Row, ...]  # in the table's order
+    window: Window  # over which the scores are taken
+    own_window: bool  # whether that is the experiment's own, see `table_window`
+    paper: PaperTable | None  # what was published; None where it has a number for none of the rows
+    kinds: tuple[LevelGroup, ...]  # the levels of each kind
+    scores: pd.DataFrame  # one line per row and level kind; see `score_frame`
+    # the levels of every kind that has several: those that the paper averages together, then each
+    # by itself
     groups: tuple[LevelGroup, ...]
-    group_scores: pd.DataFrame
-    notes: tuple[str, ...]
+    group_scores: pd.DataFrame  # as `scores`, one line per row and group
+    notes: tuple[str, ...]  # what is missing or doubtful, one sentence each
 
     @property
     def runs(self) -> list[Run]:
@@ -111,14 +97,12 @@ class ScoreTable:
 
 def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[ScoreTable]:
     """One table per experiment; more where runs of an experiment cannot be compared.
+    Raises UserError: two runs of a table are the same condition and seed, or a run names a
+    published experiment that the paper does not have.
 
     Args:
         window: instead of each run's own; "scaled" for that at the same fractions of shorter runs;
             "own" for each run's own, with those that differ in one table.
-
-    Raises:
-        UserError: two runs of a table are the same condition and seed, or a run names a published
-            experiment that the paper does not have.
     """
     tables: list[ScoreTable] = []
     for group in group_runs(runs, window):

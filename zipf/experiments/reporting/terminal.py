@@ -57,11 +57,7 @@ def print_claims(lines: Sequence[ClaimLine], console: Console) -> None:
     console.print(f"[dim]{escape(claims_caption(lines))}[/dim]", highlight=False)
 
 
-OUTCOME_STYLES: Mapping[Outcome, str] = {
-    "holds": "green",
-    "fails": "red",
-    "not enough data": "dim",
-}
+OUTCOME_STYLES: Mapping[Outcome, str] = {"holds": "green", "fails": "red", "not enough data": "dim"}
 
 
 def _print_grid(grid: Grid, title: str, console: Console) -> None:

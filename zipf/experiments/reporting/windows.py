@@ -113,11 +113,7 @@ def table_window(runs: Sequence[Run], asked: Asked | None) -> tuple[Window, bool
 
 def parse_window(text: str) -> Asked:
     """The window that `text` names: `2000000:3000000`, `2M:3M`, `last`, `last:10`, `scaled` or
-    `own`.
-
-    Raises:
-        UserError: none of these.
-    """
+    `own`. Raises UserError: none of these."""
     if text == "scaled":
         return "scaled"
     if text == "own":

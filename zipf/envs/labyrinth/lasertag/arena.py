@@ -10,17 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-FIGHTERS = 4
-"""Most of them in an env."""
-SECOND = 60
-"""Frames."""
-MILLISECONDS = 16
-"""Duration of a frame of physics."""
+FIGHTERS = 4  # most of them in an env
+SECOND = 60  # frames
+MILLISECONDS = 16  # duration of a frame of physics
 
-IMPULSE, RAPID, ORB, BEAM, DISC = range(5)
-"""Gadgets."""
-HEALTH_PACK, ARMOUR_PACK = 5, 6
-"""Kinds of supplies beside the gadgets ORB, BEAM and DISC."""
+IMPULSE, RAPID, ORB, BEAM, DISC = range(5)  # gadgets
+HEALTH_PACK, ARMOUR_PACK = 5, 6  # kinds of supplies beside the gadgets ORB, BEAM and DISC
 NOTHING = -1
 DAMAGE = np.array([50, 7, 100, 8, 100])
 PERIOD = np.array([400, 100, 800, 50, 1500])
@@ -53,14 +48,10 @@ it strafes, 1 right or -1 left, and until which frame; until which frames it sho
 and stays where it is; where it wants to look; the direction in which it wants to go; whether it
 holds the trigger; which fighter hurt it, and when."""
 
-SPAWNS, SUPPLIES, SHOTS, TRACES, FLASHES = 12, 24, 16, 12, 8
-"""Capacities of each env."""
-SHOOTER, BORN = 6, 7
-"""Columns of `shots` after place and direction: the shooter, and the frame."""
-TRACE_FRAME, TRACE_GADGET, TRACE_SHOOTER = 6, 7, 8
-"""Columns of `traces` after start and end."""
-FLASH_FRAME, FLASH_KIND = 3, 4
-"""Columns of `flashes` after the place."""
+SPAWNS, SUPPLIES, SHOTS, TRACES, FLASHES = 12, 24, 16, 12, 8  # capacities of each env
+SHOOTER, BORN = 6, 7  # columns of `shots` after place and direction: the shooter, and the frame
+TRACE_FRAME, TRACE_GADGET, TRACE_SHOOTER = 6, 7, 8  # columns of `traces` after start and end
+FLASH_FRAME, FLASH_KIND = 3, 4  # columns of `flashes` after the place
 SPARK, BLAST, PUFF = range(3)
 """Kinds of flashes: a hit, an orb that bursts, a fighter that vanishes."""
 
@@ -70,34 +61,24 @@ class Combat(NamedTuple):
 
     fighters: NDArray[np.int64]
     """[N]: how many there are; 0: there is no combat, and the rest has no meaning."""
-    bodies: NDArray[np.float64]
-    """[N, FIGHTERS, 8], as `Envs.bodies`, of which row 0 is a copy."""
-    status: NDArray[np.int64]
-    """[N, FIGHTERS, columns]."""
-    minds: NDArray[np.float64]
-    """[N, FIGHTERS, columns]: of opponents."""
+    bodies: NDArray[np.float64]  # [N, FIGHTERS, 8], as `Envs.bodies`, of which row 0 is a copy
+    status: NDArray[np.int64]  # [N, FIGHTERS, columns]
+    minds: NDArray[np.float64]  # [N, FIGHTERS, columns]: of opponents
     fields: NDArray[np.int16]
     """[N, FIGHTERS, GRID, GRID]: steps to the cell that an opponent goes to; -1: no way."""
-    spawns: NDArray[np.int64]
-    """[N, SPAWNS, 2]: cells."""
-    spawn_count: NDArray[np.int64]
-    """[N]"""
+    spawns: NDArray[np.int64]  # [N, SPAWNS, 2]: cells
+    spawn_count: NDArray[np.int64]  # [N]
     kinds: NDArray[np.int64]
     """[N, SUPPLIES]: what the env's first items are; NOTHING: a place for what is dropped."""
     until: NDArray[np.int64]
     """[N, SUPPLIES]: the frame at which something that was dropped vanishes; -1: it stays."""
-    shots: NDArray[np.float64]
-    """[N, SHOTS, 8]: flying orbs; SHOOTER -1: none."""
-    traces: NDArray[np.float64]
-    """[N, TRACES, 9]: the last shots that need no time, for the view."""
-    flashes: NDArray[np.float64]
-    """[N, FLASHES, 5]: what flashed last, for the view."""
-    written: NDArray[np.int64]
-    """[N, 2]: how many traces and flashes there were."""
+    shots: NDArray[np.float64]  # [N, SHOTS, 8]: flying orbs; SHOOTER -1: none
+    traces: NDArray[np.float64]  # [N, TRACES, 9]: the last shots that need no time, for the view
+    flashes: NDArray[np.float64]  # [N, FLASHES, 5]: what flashed last, for the view
+    written: NDArray[np.int64]  # [N, 2]: how many traces and flashes there were
     points: NDArray[np.int64]
     """[N, 2]: points that the player has won and lost and that its episode was not told yet."""
-    stream: NDArray[np.uint64]
-    """[N, 4]: the random stream of the fights, see `pcg64`."""
+    stream: NDArray[np.uint64]  # [N, 4]: the random stream of the fights, see `pcg64`
 
 
 def make_combat(num_envs: int, grid: int) -> Combat:

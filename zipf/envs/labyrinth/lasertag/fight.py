@@ -34,23 +34,11 @@ from zipf.envs.labyrinth.lasertag.opponents import act, forget, think
 from zipf.envs.labyrinth.lasertag.shooting import fly, make_ready, shoot, take
 from zipf.envs.labyrinth.lasertag.walking import walk
 from zipf.envs.labyrinth.mover import BELOW
-from zipf.envs.labyrinth.state import (
-    CELL,
-    TOUCH_X,
-    TOUCH_Y,
-    TOUCH_Z,
-    YAW,
-    X,
-    Y,
-    Z,
-)
+from zipf.envs.labyrinth.state import CELL, TOUCH_X, TOUCH_Y, TOUCH_Z, YAW, X, Y, Z
 
-THINKING = 6
-"""Frames from thought to thought of an opponent: 0.1 s."""
-OPPONENTS_REST = REST + THINKING
-"""Frames until opponents respawn."""
-ROOM = 60.0
-"""Who respawns keeps this distance from others, along x or y."""
+THINKING = 6  # frames from thought to thought of an opponent: 0.1 s
+OPPONENTS_REST = REST + THINKING  # frames until opponents respawn
+ROOM = 60.0  # who respawns keeps this distance from others, along x or y
 
 
 @compiled(error_model="numpy")
@@ -151,7 +139,6 @@ def _decay(status):
 
 @compiled(error_model="numpy")
 def _any_flies(shots):
-    """Whether an orb is in the air."""
     flying = 0
     for k in range(len(shots)):
         flying += shots[k, SHOOTER] >= 0

@@ -29,26 +29,18 @@ from zipf.envs.labyrinth.world import World
 
 @dataclass(frozen=True)
 class Supply:
-    """A gadget or supply that lies there.
+    """A gadget or supply that lies there."""
 
-    Attributes:
-        item: its number.
-        kind: ORB, BEAM, DISC, HEALTH_PACK or ARMOUR_PACK.
-        x, y: where.
-    """
-
-    item: int
-    kind: int
+    item: int  # its number
+    kind: int  # ORB, BEAM, DISC, HEALTH_PACK or ARMOUR_PACK
     x: float
     y: float
 
 
 class Match:
-    """Lets the player and some opponents fight each other in a text map.
+    """Lets the player and some opponents fight each other in a text map without items.
 
     Args:
-        env: with a text map and no items.
-        opponents: how many.
         spawns: cells where fighters begin.
         supplies: kinds and cells.
         hue: of the opponents, degrees.

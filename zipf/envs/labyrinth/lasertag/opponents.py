@@ -65,28 +65,20 @@ THROTTLE = np.array([0.5, 0.9, 1.0])
 CAMPING = np.array([0.3, 0.5, 0.5])
 REACTION, AIM_DELAY = 1.0 * SECOND, 0.5 * SECOND
 """Frames from the first sight of an enemy to the first shot, and until it turns to it."""
-TURN = math.radians(240.0 / SECOND)
-"""Most that an opponent turns in a frame."""
+TURN = math.radians(240.0 / SECOND)  # most that an opponent turns in a frame
 CONE, CLOSE_CONE, CLOSE = math.radians(25.0), math.radians(60.0), 100.0
 """Largest angle between its view and an enemy at which it shoots; CLOSE_CONE within CLOSE units."""
-SIGHT = math.radians(60.0)
-"""Half the angle of its field of view."""
-NEAREST, FARTHEST = 150.0, 400.0
-"""Distances that it keeps from an enemy, units."""
+SIGHT = math.radians(60.0)  # half the angle of its field of view
+NEAREST, FARTHEST = 150.0, 400.0  # distances that it keeps from an enemy, units
 LOW_HEALTH, WOUNDED = 40, 70
 """Health below which it leaves a fight to be healed, and heals itself when there is no fight."""
 DETOUR = 800.0
 """It goes so far for a supply, along x and y together, and anywhere once all it has is Impulse."""
-CHASE = 5 * SECOND
-"""Frames for which it looks for an enemy that went out of sight."""
-CALM = 2 * SECOND
-"""Frames out of sight after which an enemy surprises it again."""
-LOYALTY = 0.7
-"""The enemy that it fights counts as nearer by this factor."""
-HEARING = 0.7
-"""How often it roams to where another fighter is."""
-PEACE = -10.0 * CHASE
-"""When nothing has happened yet."""
+CHASE = 5 * SECOND  # frames for which it looks for an enemy that went out of sight
+CALM = 2 * SECOND  # frames out of sight after which an enemy surprises it again
+LOYALTY = 0.7  # the enemy that it fights counts as nearer by this factor
+HEARING = 0.7  # how often it roams to where another fighter is
+PEACE = -10.0 * CHASE  # when nothing has happened yet
 
 
 @compiled(error_model="numpy")

@@ -44,29 +44,20 @@ from zipf.envs.labyrinth.lasertag.arena import (
     TRACES,
     WAIT,
 )
-from zipf.envs.labyrinth.lasertag.sight import (
-    first_body,
-    in_view,
-    to_body,
-    to_surroundings,
-)
+from zipf.envs.labyrinth.lasertag.sight import first_body, in_view, to_body, to_surroundings
 from zipf.envs.labyrinth.mover import ABOVE, BELOW, EYE, FRAME, WIDE
 from zipf.envs.labyrinth.state import PITCH, VX, VY, VZ, YAW, X, Y, Z
 
-MUZZLE = 14.0
-"""Distance from the eye forward to where shots begin."""
-SPREAD = math.tan(math.radians(1.4))
-"""Most of Rapid's, sideways in a unit of distance."""
-ORB_SPEED, ORB_LIFE = 900.0, 600
-"""Units per second, and frames."""
+MUZZLE = 14.0  # distance from the eye forward to where shots begin
+SPREAD = math.tan(math.radians(1.4))  # most of Rapid's, sideways in a unit of distance
+ORB_SPEED, ORB_LIFE = 900.0, 600  # units per second, and frames
 BLAST_RADIUS = 120.0
 KNOCK_BACK = 1000.0 / 200.0
 """Speed for a point of damage."""
 MOST_KNOCK_BACK = 200
 CHANGE = 450
 """Milliseconds to change gadgets."""
-SAVED = 0.66
-"""Share of damage that armour takes."""
+SAVED = 0.66  # share of damage that armour takes
 ARM_X, ARM_Y, ARM_Z = 16.0, 8.0, -14.0
 """Where shots are seen to begin: from the eye forward, to the right and upwards."""
 _MOST_HITS = 4
@@ -98,13 +89,7 @@ def shoot(envs, i, f):
                 away = to_body(combat.bodies[i, other], x, y, z, dx, dy, dz)
                 if away < far:
                     flash(
-                        combat,
-                        i,
-                        envs.clock[i],
-                        x + away * dx,
-                        y + away * dy,
-                        z + away * dz,
-                        SPARK,
+                        combat, i, envs.clock[i], x + away * dx, y + away * dy, z + away * dz, SPARK
                     )
                     hurt(envs, i, other, f, DAMAGE[DISC], dx, dy, dz)
                     hits += 1
@@ -203,7 +188,6 @@ def _drop(envs, i, gadget, x, y):
 
 @compiled(error_model="numpy")
 def _launch(shots, now, f, x, y, z, dx, dy, dz):
-    """Sends an orb off."""
     k = 0
     while k < SHOTS - 1 and shots[k, SHOOTER] >= 0:
         k += 1

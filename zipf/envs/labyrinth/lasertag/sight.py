@@ -7,19 +7,15 @@ from zipf.envs.labyrinth.lasertag.arena import NOTHING, TAGGED_AT
 from zipf.envs.labyrinth.mover import ABOVE, BELOW, WIDE
 from zipf.envs.labyrinth.state import CELL, X, Y, Z
 
-CEILING = 400.0
-"""Height of the sky, which stops shots; walls reach up to it."""
+CEILING = 400.0  # height of the sky, which stops shots; walls reach up to it
 
 
 @compiled(error_model="numpy")
 def to_wall(solid, x, y, dx, dy, most):
     """How far a ray goes over the floor before it meets a wall, at most `most`.
 
-    Args:
-        solid: bool [rows, columns].
-        x, y: where it begins, units, in a free cell.
-        dx, dy: its direction; what is found is in multiples of their length.
-        most: how far to look.
+    It begins in a free cell of `solid` [rows, columns], at x, y in units. What is found is in
+    multiples of the length of its direction.
     """
     column, row = math.floor(x / CELL), math.floor(y / CELL)
     right, up = (1 if dx > 0 else -1), (1 if dy > 0 else -1)

@@ -43,8 +43,7 @@ SEGMENTS, DASHES, DASH = 36, 12, 50.0
 """Segments of which shots are drawn: how many, at most for one shot, their least distance."""
 ACTORS = 2 * (FIGHTERS - 1) + SHOTS + FLASHES + SEGMENTS
 """Instances of meshes that an env needs beside its items."""
-BARS = 6
-"""Overlays: two bars with their grounds, and a cross in the middle of the view."""
+BARS = 6  # overlays: two bars with their grounds, and a cross in the middle of the view
 SUPPLY_MESHES = ("", "", "orb_gadget", "beam_gadget", "disc_gadget", "health_pack", "armour_pack")
 """The mesh of each kind of supply."""
 ACTOR_MESHES = ("robot", "robot_head", "orb", "puff", "bolt")
@@ -97,8 +96,6 @@ def show_supplies(mask, combat, meshes, shape, colours):
     """Gives the supplies of the envs of `mask` their looks, also those that were dropped.
 
     Args:
-        mask: bool [N].
-        combat: of `Envs`.
         meshes: int32, numbers of SUPPLY_MESHES.
         shape, colours: of `Scenery` and `Scenes`, written.
     """
@@ -116,9 +113,7 @@ def pose(mask, items, clock, combat, meshes, pictures):
     """Copies what happens in the combats of the envs of `mask` to their scenes.
 
     Args:
-        mask: bool [N].
         items: how many instances come before those of the actors.
-        clock, combat: of `Envs`.
         meshes: int32, numbers of ACTOR_MESHES.
         pictures: `Pictures`, written.
     """
@@ -155,7 +150,6 @@ def pose(mask, items, clock, combat, meshes, pictures):
 
 @compiled(error_model="numpy")
 def _place(pictures, i, k, mesh, x, y, z, scale):
-    """Places an instance."""
     pictures.mesh[i, k] = mesh
     position = pictures.position[i, k]
     position[0], position[1], position[2] = x * _METRES, y * _METRES, z * _METRES

@@ -24,15 +24,8 @@ _SKIN = 1e-6
 
 @compiled(error_model="numpy")
 def walk(solid, bodies, status, count, f, turn, rise, strafe, forward):
-    """Moves a fighter by a frame. He does not walk through walls, nor through others.
-
-    Args:
-        solid: bool [rows, columns].
-        bodies, status: of one env, see `Combat`; bodies are written.
-        count: of fighters.
-        f: the fighter.
-        turn, rise, strafe, forward: see `mover.move`.
-    """
+    """Moves fighter `f` of `count` by a frame, see `mover.move`; bodies are written.
+    It does not walk through walls, solid cells [rows, columns], nor through others."""
     body = bodies[f]
     standing = body[Z] - BELOW <= _SKIN
     grips = standing and status[f, SLIDE] <= 0

@@ -15,20 +15,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Level:
-    """A level: its rules, its length and the published scores.
+    """A level: its rules, its length and the published scores."""
 
-    Attributes:
-        name: in DeepMind Lab.
-        rules: "module:class", an `Episode`.
-        seconds: of an episode.
-        random, human: mean returns of random actions and of people in the original engine, as
-            three public code bases have them (scalable_agent, seed_rl, sample-factory). Those of
-            levels that end in `_train` were taken on their `_test` variants.
-    """
-
-    name: str
-    rules: str
-    seconds: int
+    name: str  # in DeepMind Lab
+    rules: str  # "module:class", an `Episode`
+    seconds: int  # of an episode
+    # random, human: mean returns of random actions and of people in the original engine, as three
+    # public code bases have them (scalable_agent, seed_rl, sample-factory). Those of levels that
+    # end in `_train` were taken on their `_test` variants.
     random: float
     human: float
 
@@ -84,16 +78,12 @@ LEVELS: dict[str, Level] = {
 }
 """All levels by name, in the order of the paper: the most frequent first."""
 
-_LONGER = "_v2"
-"""What the paper adds to the names of the skymazes."""
+_LONGER = "_v2"  # what the paper adds to the names of the skymazes
 
 
 def by_name(name: str) -> Level:
     """The level of this name, with or without `labyrinth/` before it.
-
-    Raises:
-        ValueError: there is no such level.
-    """
+    Raises ValueError: there is no such level."""
     if not isinstance(name, str):
         raise ValueError(f"level must be a name, got {name!r}: expected one of {', '.join(LEVELS)}")
     plain = name.removeprefix("labyrinth/")

@@ -60,12 +60,10 @@ class GoalLocations(Episode):
 
 
 class GoalLocationsSmall(GoalLocations):
-    __doc__ = GoalLocations.__doc__
     maze_options = SMALL
 
 
 class GoalLocationsLarge(GoalLocations):
-    __doc__ = GoalLocations.__doc__
     maze_options = LARGE
 
 
@@ -103,10 +101,8 @@ class ObstructedGoals(GoalLocations):
 
 
 class ObstructedGoalsSmall(ObstructedGoals):
-    __doc__ = ObstructedGoals.__doc__
     maze_options = MazeOptions(11, 11, rooms=4, smallest=3, largest=5, doors=True)
 
 
 class ObstructedGoalsLarge(ObstructedGoals):
-    __doc__ = ObstructedGoals.__doc__
     maze_options = MazeOptions(17, 17, rooms=9, smallest=3, largest=3, doors=True)

@@ -63,10 +63,8 @@ class ObjectLocations(Episode):
 
 
 class ObjectLocationsSmall(ObjectLocations):
-    __doc__ = ObjectLocations.__doc__
     maze_options = SMALL
 
 
 class ObjectLocationsLarge(ObjectLocations):
-    __doc__ = ObjectLocations.__doc__
     maze_options = LARGE

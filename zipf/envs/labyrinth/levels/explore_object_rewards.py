@@ -94,10 +94,8 @@ class ObjectRewards(Episode):
 
 
 class ObjectRewardsFew(ObjectRewards):
-    __doc__ = ObjectRewards.__doc__
     kinds = 4
 
 
 class ObjectRewardsMany(ObjectRewards):
-    __doc__ = ObjectRewards.__doc__
     kinds = 8

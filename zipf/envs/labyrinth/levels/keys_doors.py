@@ -32,18 +32,12 @@ class _NoPlace(Exception):
 
 @dataclass
 class Plan:
-    """Rooms, what is in them, and how they are connected.
+    """Rooms, what is in them, and how they are connected."""
 
-    Attributes:
-        rooms: the lattice position of each room, the start first.
-        keys: room and colour of each key.
-        goal: the room with the goal.
-        links: pairs of rooms, and the colour of the door between them or None.
-    """
-
-    rooms: list[Position]
-    keys: list[tuple[int, str]] = field(default_factory=list)
-    goal: int = 0
+    rooms: list[Position]  # the lattice position of each room, the start first
+    keys: list[tuple[int, str]] = field(default_factory=list)  # room and colour of each key
+    goal: int = 0  # the room with the goal
+    # pairs of rooms, and the colour of the door between them or None
     links: dict[tuple[int, int], str | None] = field(default_factory=dict)
 
 
@@ -107,10 +101,7 @@ class _Planner:
 
     def build(self) -> Plan:
         """Draws rooms, keys and doors; the plan may have no solution.
-
-        Raises:
-            _NoPlace: the lattice has no room for what was drawn.
-        """
+        Raises _NoPlace: the lattice has no room for what was drawn."""
         rng, plan = self.rng, self.plan
         length = int(rng.integers(1, 4))
         easy, useless, openable = rng.integers(0, 2, 3).tolist()

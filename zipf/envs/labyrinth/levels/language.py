@@ -21,32 +21,22 @@ from zipf.envs.labyrinth.words import COLOURS, SHAPES
 
 MEDIUM = {"car": 0.8, "cassette": 0.95, "chair": 0.84, "cow": 0.81}
 """Scales of shapes that are not of their own size when they are medium."""
-CONTEXT = {"colours": COLOURS, "shapes": SHAPES}
-"""Words of all levels but the described one."""
+CONTEXT = {"colours": COLOURS, "shapes": SHAPES}  # words of all levels but the described one
 
 
 @dataclass(frozen=True)
 class Task:
-    """A task of one map.
+    """A task of one map."""
 
-    Attributes:
-        layout: of the map.
-        theme: its look.
-        objects: all of them.
-        places: the slot of each object; None: it is nowhere.
-        text: the instruction.
-        judge: by numbers of objects.
-        seen_only: numbers of the objects that cannot be taken.
-        still: numbers of the objects that neither bob nor turn.
-    """
-
-    layout: Layout
-    theme: Theme
-    objects: Sequence[Object]
-    places: Sequence[int | None]
-    text: str
-    judge: Judge
+    layout: Layout  # of the map
+    theme: Theme  # its look
+    objects: Sequence[Object]  # all of them
+    places: Sequence[int | None]  # the slot of each object; None: it is nowhere
+    text: str  # the instruction
+    judge: Judge  # by numbers of objects
+    # numbers of the objects that cannot be taken
     seen_only: frozenset[int] = field(default=frozenset())
+    # numbers of the objects that neither bob nor turn
     still: frozenset[int] = field(default=frozenset())
 
 
@@ -77,7 +67,6 @@ class LanguageEpisode(Episode):
         world.say(task.text)
 
     def _add(self, number: int, one: Object, rng: np.random.Generator) -> int:
-        """Adds an object as an item."""
         first = rgb(one.colour, rng)
         return self.world.add_item(
             one.shape,

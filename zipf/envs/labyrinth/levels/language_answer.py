@@ -45,8 +45,7 @@ _LAYOUT = read(
 _FLOORS = {"A": "floor_green", "B": "floor_red", "C": "floor_orange", "D": "floor_black"}
 _YES, _NO = (Object(colour, colour, SOLID, region, "ball")
              for colour, region in (("white", "A"), ("black", "B")))  # fmt: skip
-SHOWN = 4
-"""Objects that a question is about."""
+SHOWN = 4  # objects that a question is about
 
 _IN_VIEW = {"region": literal("D")}
 
@@ -61,9 +60,7 @@ _ALL: tuple[Group, ...] = (
     _IN_VIEW | {"colour": diff(1), "shape": same(1)},
 )
 _SHAPES = _groups(
-    {"colour": same(1), "shape": same(1)},
-    {"colour": diff(1), "shape": same(1)},
-    {"shape": diff(1)},
+    {"colour": same(1), "shape": same(1)}, {"colour": diff(1), "shape": same(1)}, {"shape": diff(1)}
 )
 _THINGS = _groups({"colour": same(1)}, {"colour": diff(1)}, {"colour": diff(1)})
 _MOSTLY = (

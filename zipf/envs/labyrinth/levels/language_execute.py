@@ -42,23 +42,15 @@ _TWO, _FOUR, _SIX = (TWO_AREAS, TWO_ROOMS), (FOUR_ROOMS,), (SIX_ROOMS,)
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of task.
+    """A kind of task."""
 
-    Attributes:
-        weight: how often there is such a task, of 19.
-        layouts: any of these.
-        groups: rules; the first group are the goals.
-        sizes: of the groups; None: two goals and two others at least, eight objects at most.
-        words: the instruction.
-        every: whether all goals have to be taken.
-    """
-
-    weight: int
-    layouts: tuple[Layout, ...]
-    groups: tuple[Group, ...]
+    weight: int  # how often there is such a task, of 19
+    layouts: tuple[Layout, ...]  # any of these
+    groups: tuple[Group, ...]  # rules; the first group are the goals
+    # of the groups; None: two goals and two others at least, eight objects at most
     sizes: tuple[int, ...] | None
-    words: Words
-    every: bool = False
+    words: Words  # the instruction
+    every: bool = False  # whether all goals have to be taken
 
     @property
     def by_room(self) -> bool:

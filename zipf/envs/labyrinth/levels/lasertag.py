@@ -148,7 +148,6 @@ class Lasertag(Episode):
         return best
 
     def _go_to(self, point: Point, known: Knowledge) -> int:
-        """Walks by the shortest way."""
         ways = Ways(self.maze.solid & known.seen(*self.maze.solid.shape), [])
         cell = ways.cell_of(*point)
         x, y, *_ = self.world.player
@@ -198,20 +197,16 @@ _LARGE = MazeOptions(21, 21, rooms=4, smallest=5, largest=7, spawns=3, objects=0
 
 
 class OneOpponentSmall(Lasertag):
-    __doc__ = Lasertag.__doc__
     opponents, options, gadgets, supplies = 1, _SMALL, 1, 2
 
 
 class ThreeOpponentsSmall(Lasertag):
-    __doc__ = Lasertag.__doc__
     opponents, options, gadgets, supplies = 3, _SMALL, 1, 2
 
 
 class OneOpponentLarge(Lasertag):
-    __doc__ = Lasertag.__doc__
     opponents, options, gadgets, supplies = 1, _LARGE, 2, 4
 
 
 class ThreeOpponentsLarge(Lasertag):
-    __doc__ = Lasertag.__doc__
     opponents, options, gadgets, supplies = 3, _LARGE, 2, 4

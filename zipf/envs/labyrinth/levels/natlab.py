@@ -14,8 +14,7 @@ from zipf.envs.labyrinth.steering import NAMES, WAIT, Ways, walk_to
 from zipf.envs.labyrinth.terrain import Terrain, make_terrain
 from zipf.envs.labyrinth.world import World
 
-POOL = 100
-"""How many terrains the varying levels draw from."""
+POOL = 100  # how many terrains the varying levels draw from
 SMALL, LARGE = 2048.0, 3600.0
 """Sides of a terrain, units; that of the fixed one is inferred from a camera of the original."""
 _CAP: tuple[Colour, Colour] = ((246, 238, 226), (214, 190, 160))

@@ -22,8 +22,7 @@ _FRAME, _DEEP, _PEDESTAL = 7.0, 4.0, 26.0
 _DARK: Colour = (48, 50, 58)
 START = math.radians(22.5)
 """The player looks at most this far to the left or right of the screen's middle at first."""
-CENTRE: Place = (0.475, 0.475, 0.525, 0.525)
-"""The part of the fixation mark that begins a trial."""
+CENTRE: Place = (0.475, 0.475, 0.525, 0.525)  # the part of the fixation mark that begins a trial
 _MARK, _ARM = 0.1, 0.03
 LEFT: Place = (0.0, 0.45, 0.1, 0.55)
 RIGHT: Place = (0.9, 0.45, 1.0, 0.55)
@@ -45,15 +44,9 @@ class Psychlab(Episode):
 
     Approximated: the screen has 128 x 128 pixels, the original's 512 or 256, of which a view of
     96 x 72 shows about 60; its frame, the pedestal and the sky are ours.
-
-    Attributes:
-        trials: of an episode, at most; it ends after the last one.
-        screen: what is looked at.
-        done: trials that have been answered.
-        wanted: where the scripted expert looks.
     """
 
-    trials: ClassVar[int] = 60
+    trials: ClassVar[int] = 60  # of an episode, at most; it ends after the last one
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
@@ -67,7 +60,7 @@ class Psychlab(Episode):
             tint=_DARK,
         )
         self.screen = world.add_screen(DISTANCE, HEIGHT, SIDE)
-        self.done = 0
+        self.done = 0  # trials that have been answered
 
     def begin_map(self, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -76,13 +69,12 @@ class Psychlab(Episode):
         self._fixate()
 
     def _fixate(self) -> None:
-        """Shows the fixation mark."""
         self.screen.clear()
         for wide, high in ((_MARK, _ARM), (_ARM, _MARK)):
             place = (0.5 - wide / 2, 0.5 - high / 2, 0.5 + wide / 2, 0.5 + high / 2)
             self.screen.fill(place, RED)
         self.screen.add_widget(CENTRE)
-        self.wanted = CENTRE
+        self.wanted = CENTRE  # where the scripted policies look
         self.fixating = True
 
     @abstractmethod
@@ -93,12 +85,7 @@ class Psychlab(Episode):
         """A trial has ended."""
 
     def ask(self, buttons: tuple[Place, ...], right: int) -> None:
-        """Shows black buttons, which answer the trial.
-
-        Args:
-            buttons: their places.
-            right: the number of the right one.
-        """
+        """Shows black buttons, which answer the trial, at these places; `right` is one's number."""
         self.buttons, self.right = buttons, right
         for button in buttons:
             self.screen.add_widget(button)
@@ -143,13 +130,10 @@ class Staircase:
 
     A block without errors leads a level up; one with at most half of the answers right, rounded
     down, leads a level down, but not below 1.
-
-    Attributes:
-        level: from 1.
     """
 
     def __init__(self) -> None:
-        self.level = 1
+        self.level = 1  # from 1
         self._trials = self._correct = 0
 
     def count(self, correct: bool) -> None:

@@ -10,10 +10,8 @@ from zipf.envs.labyrinth.screen import Place
 from zipf.envs.labyrinth.state import FRAMES_PER_SECOND
 from zipf.envs.labyrinth.world import World
 
-STEP = 8
-"""Units a side of a cell of the array in the middle of the screen, which has 64."""
-POSITIONS = range(4, 60, STEP)
-"""Positions of cells, in units from the array's left or top."""
+STEP = 8  # units a side of a cell of the array in the middle of the screen, which has 64
+POSITIONS = range(4, 60, STEP)  # positions of cells, in units from the array's left or top
 START, UNIT = 16, 1.5
 """The array's left and top, and a unit, in pixels of the screen; it covers 0.75 of it."""
 _BUTTON_AREA = (12, 20, 36, 44)
@@ -21,10 +19,8 @@ CELLS = tuple(
     (x, y) for y in POSITIONS for x in POSITIONS if not (x in _BUTTON_AREA and y in _BUTTON_AREA)
 )
 """Where figures may be: not where the button that ends the study phase may be."""
-BUTTON, RIM = 0.09375, 0.015625
-"""Side of that button, and thickness of its frame."""
-BUTTON_STARTS = (0.3125, 0.5625)
-"""Its possible left and top."""
+BUTTON, RIM = 0.09375, 0.015625  # side of that button, and thickness of its frame
+BUTTON_STARTS = (0.3125, 0.5625)  # its possible left and top
 TURQUOISE: Colour = (59, 165, 170)
 DELAYS = (8, 16, 32, 64, 128, 256)
 """Frames."""
@@ -36,8 +32,7 @@ SQUARE, ORIENTATIONS = 0, 4
 """Form of a square; forms 1 .. 4 are the letter E, open to the left, right, top and bottom."""
 DOMAINS = ("letters", "letter colours", "letter orientations", "squares", "all")
 """What the figures of a trial are; see `SequentialComparison`."""
-Figure = tuple[int, int]
-"""Form and colour."""
+Figure = tuple[int, int]  # form and colour
 
 _FIGURE = 10  # pixels of the screen, of the 12 of a cell
 
@@ -79,18 +74,13 @@ class SequentialComparison(Psychlab):
     Length: 60 trials, or the time limit. The turquoise frame needs looking up or down: with nine
     actions no test is ever reached.
     Approximated: figures fill five sixths of the side of their cells.
-
-    Attributes:
-        staircase: its level is how many figures there are.
-        phase: "study", "delay" or "test".
-        study, test: the figures of the two phases, by cell.
     """
 
     NEW, OLD = 0, 1
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
-        self.staircase = Staircase()
+        self.staircase = Staircase()  # its level is how many figures there are
 
     def begin_trial(self) -> None:
         self.domain = DOMAINS[int(self.rng.integers(len(DOMAINS)))]
@@ -103,7 +93,7 @@ class SequentialComparison(Psychlab):
             changed = CELLS[int(cells[self.rng.integers(len(cells))])]
             self.test[changed] = self._changed(self.study[changed])
         self._show(self.study)
-        self.phase = "study"
+        self.phase = "study"  # then "delay", then "test"
         left, top = (BUTTON_STARTS[k] for k in self.rng.integers(2, size=2).tolist())
         self.button: Place = left, top, left + BUTTON, top + BUTTON
         self.screen.add_widget(self.button)
@@ -145,7 +135,6 @@ class SequentialComparison(Psychlab):
             self.screen.paste(_IMAGES[form, colour], left, top)
 
     def _any_figure(self) -> Figure:
-        """A figure of the trial's domain."""
         form = int(self.rng.integers(1, 1 + ORIENTATIONS))
         if self.domain == "squares" or (self.domain == "all" and self.rng.integers(2)):
             form = SQUARE

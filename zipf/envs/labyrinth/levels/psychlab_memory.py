@@ -19,14 +19,11 @@ _TOLD_WRONG: Colour = (200, 100, 100)
 
 
 class _Pictures(Psychlab):
-    """Trials that show a picture.
-
-    Attributes:
-        pictures: int64 [trials], different pictures, in the order in which they first appear.
-    """
+    """Trials that show a picture."""
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
+        # different ones, in the order in which they first appear
         self.pictures = rng.choice(pictures.COUNT, self.trials, replace=False)
 
     def show(self, number: int) -> None:
@@ -49,16 +46,12 @@ class ArbitraryVisuomotorMapping(_Pictures):
     actions only the others can be answered.
     Approximated: pictures are procedural, see `pictures.py`; the original has 2400 photographs of
     objects that may not be passed on.
-
-    Attributes:
-        responses: int64 [trials], the right button of each pair.
-        size: how many pairs are to be remembered.
     """
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
-        self.responses = rng.integers(len(BUTTONS), size=self.trials)
-        self.size = self.shown = 0
+        self.responses = rng.integers(len(BUTTONS), size=self.trials)  # of each pair
+        self.size = self.shown = 0  # how many pairs are to be remembered, and have been shown
         self.block: list[int] = []
         self.perfect = True
 
@@ -96,16 +89,13 @@ class ContinuousRecognition(_Pictures):
     Length: 60 trials, or the time limit. It needs no looking up and down.
     Approximated: pictures are procedural, see `pictures.py`; the original has 2400 photographs of
     objects that may not be passed on.
-
-    Attributes:
-        seen: how many pictures have been shown.
     """
 
     NEW, OLD = 0, 1
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
-        self.seen = 0
+        self.seen = 0  # how many pictures have been shown
 
     def begin_trial(self) -> None:
         old = self.seen > 0 and self.rng.random() < 0.5

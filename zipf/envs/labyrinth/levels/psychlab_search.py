@@ -32,8 +32,7 @@ COLOURS: tuple[Colour, ...] = (
 """The first is the target's."""
 LADDER = (1, 1, 1, 2, 2, 4, 8, 16, 24, 32)
 """How many glyphs there are at each level of the staircase; from its last level on the last."""
-MODES = ("shape", "colour", "conjunction")
-"""Properties in which distractors differ from the target."""
+MODES = ("shape", "colour", "conjunction")  # properties in which distractors differ from the target
 BUTTONS: tuple[Place, ...] = ((0.35, 0.9, 0.45, 1.0), (0.55, 0.9, 0.65, 1.0))
 ABSENT, PRESENT = 0, 1
 
@@ -70,24 +69,20 @@ class VisualSearch(Psychlab):
     Length: 80 trials, or the time limit. The buttons need looking down: with nine actions nothing
     can be answered.
     Approximated: the edges of figures are smoothed, since a dot is 3.5 pixels of the screen wide.
-
-    Attributes:
-        staircase: its level is that of `LADDER`, from 1.
-        figures: list of (shape, colour) of the trial, the target first if it is present.
     """
 
     trials: ClassVar[int] = 80
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
-        self.staircase = Staircase()
+        self.staircase = Staircase()  # its level is that of `LADDER`, from 1
 
     def begin_trial(self) -> None:
         count = LADDER[min(self.staircase.level, len(LADDER)) - 1]
         present = bool(self.rng.integers(2))
         self.mode = MODES[int(self.rng.integers(len(MODES)))]
         self.figures = [self._distractor() for _ in range(count)]
-        if present:
+        if present:  # the target, as (shape, colour)
             self.figures[0] = 0, 0
         cells = self.rng.choice(CELLS * CELLS, count, replace=False)
         for (shape, colour), cell in zip(self.figures, cells.tolist(), strict=True):

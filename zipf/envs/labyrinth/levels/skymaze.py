@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,7 @@ from zipf.envs.labyrinth.knowledge import EVERYTHING, Knowledge
 from zipf.envs.labyrinth.steering import BACKWARD, WAIT, walk_to
 from zipf.envs.labyrinth.world import World, middle
 
-UNIT = 20.0
-"""One step of height; more than a player can step up."""
+UNIT = 20.0  # one step of height; more than a player can step up
 _SLOW = 120.0  # units per second
 _PITCHES = (0.0, math.radians(-50))  # of the view, when looking for a way
 _START, _TOP, _LOWEST, _ABOVE = 26, 21, 8, 14
@@ -27,13 +27,9 @@ def random_heights(
 ) -> tuple[NDArray[np.int64], Cell, Cell]:
     """Draws platforms: several ways from a start to a goal, of which only the first leads there.
 
-    Args:
-        rng: draws.
-        difficulty: 0 .. 1, of the size, the number of ways and their detours.
-
-    Returns:
-        heights: int64 [rows, columns], units of `UNIT`; -1: no platform.
-        start, goal: cells.
+    The difficulty, 0 .. 1, is that of the size, the number of ways and their detours. Returns
+    heights int64 [rows, columns], in units of `UNIT`, -1 where there is no platform, and the cells
+    of start and goal.
     """
     n = 4 + math.floor(6 * difficulty + 0.5)
     most_paths = 1 + math.floor(7 * difficulty + 0.5)
@@ -114,13 +110,12 @@ class IrreversiblePath(Episode):
     Rewards: +100 for the goal, which ends the episode.
     """
 
-    @staticmethod
-    def difficulty(rng: np.random.Generator) -> float:
-        raise NotImplementedError
+    difficulty: ClassVar[float | None]  # None: drawn for every episode
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
-        heights, self.start, self.goal = random_heights(rng, self.difficulty(rng))
+        difficulty = float(rng.random()) if self.difficulty is None else self.difficulty
+        heights, self.start, self.goal = random_heights(rng, difficulty)
         self.heights = heights
         textures = {
             int(height): materials.index(f"floor_{rng.integers(4 * materials.STYLES)}")
@@ -175,16 +170,8 @@ class IrreversiblePath(Episode):
 
 
 class IrreversiblePathHard(IrreversiblePath):
-    __doc__ = IrreversiblePath.__doc__
-
-    @staticmethod
-    def difficulty(rng: np.random.Generator) -> float:
-        return 0.9
+    difficulty = 0.9
 
 
 class IrreversiblePathVaried(IrreversiblePath):
-    __doc__ = IrreversiblePath.__doc__
-
-    @staticmethod
-    def difficulty(rng: np.random.Generator) -> float:
-        return float(rng.random())
+    difficulty = None
