@@ -43,10 +43,6 @@ SCRIPTED: tuple[Scripted, ...] = get_args(Scripted)
 """The fields of a `Family` that are scripted policies."""
 
 
-class EngineError(RuntimeError):
-    """An engine that is not ours cannot be started, or goes wrong; says what it needs."""
-
-
 class NoOptions(Options):
     """A family without constructor options."""
 
@@ -173,7 +169,11 @@ class Family:
     def make_batch(self, level: str, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
         """`num_envs` envs of a level, named without the family's name."""
         self.check_options(kwargs, "autoreset_mode", "copy", "render_mode")
-        return _loaded(self.make_vec)(num_envs, level=level, **kwargs)
+        return self.load_make_vec()(num_envs, level=level, **kwargs)
+
+    def load_make_vec(self) -> Callable[..., ZipfVectorEnv]:
+        """What `make_vec` is, imported where it is a name."""
+        return _loaded(self.make_vec)
 
     def make_single(self, level: str, **kwargs: Any) -> gym.Env:
         """One env of a level, named without the family's name."""
@@ -197,7 +197,9 @@ class Family:
         if self.id is None:
             return
         make: Any = self.make or self.make_single
-        gym.register(id=self.id, entry_point=make, vector_entry_point=self.make_vec)
+        gym.register(
+            id=self.id, entry_point=make, vector_entry_point=f"zipf.envs.registered:{self.name}"
+        )
 
 
 _FAMILIES: dict[str, Family] = {}

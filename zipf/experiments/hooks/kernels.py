@@ -87,7 +87,7 @@ def change_images(image, orders, shifts, scales, centres, side):
                 for c in range(last, width):
                     target[c] = source[width - 1]
         first, second, third = orders[i]
-        if channels >= 3 and (first != 0 or second != 1):  # a fourth channel is no colour
+        if 3 <= channels <= 4 and (first != 0 or second != 1):  # a fourth channel is no colour
             for r in range(height):
                 for c in range(width):
                     pixel = image[i, r, c]
