@@ -510,10 +510,8 @@ def test_rewards_are_finite(reward: float) -> None:
     def paid(env: gym.Env) -> gym.Env:
         return gym.wrappers.TransformReward(env, lambda _: reward)
 
-    env = everything(wrap=paid)
-    env.reset(seed=0)
     with pytest.raises(ValueError, match="Everything-v0: a reward must be a finite number, got"):
-        env.step(np.zeros(3, np.int64))
+        everything(wrap=paid)
 
 
 def test_codes_are_whole_numbers() -> None:

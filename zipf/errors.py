@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from zipf.envs.family import EngineError
+from zipf.envs.errors import EngineError
 
 
 class UserError(Exception):

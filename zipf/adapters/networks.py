@@ -4,7 +4,9 @@ TorchRL, have in common.
 A network is for a batch of N environments. Its inputs are:
 
 - observations, by the names of the observation space, each in its dtype and shape `[N, ...]`; not
-  all of them need to be read, and where there is only one the input may be called `observation`;
+  all of them need to be read, and where there is only one the input may be called `observation`.
+  Where a name is no identifier, as that of TorchScript's inputs has to be, the input may have
+  underscores in the place of other characters: `arm_angle` reads `arm.angle`;
 - if wanted, `previous_action` (int64 [N], -1 where an episode begins), `previous_reward`
   (float32 [N], 0 where an episode begins) and `is_first` (bool [N], an episode begins; as TorchRL
   has it, `is_init`, bool [N, 1]);
@@ -21,8 +23,9 @@ property `env_options`, in TorchScript as the extra file `env_options.json`.
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -73,9 +76,16 @@ class NetworkPolicy(ABC):
         """
         self.actions = int(action_space.n)
         self.rng = np.random.default_rng(seed)
+        names = with_underscores(observation_space, r"\W")
+        self.renamed = {
+            other: name
+            for name, other in names.items()
+            if other in self.inputs and other not in observation_space
+        }
         seen = dict(observation_space.items())
-        if len(seen) == 1:
-            (seen["observation"],) = seen.values()
+        seen |= {other: seen[name] for other, name in self.renamed.items()}
+        if len(observation_space) == 1:
+            (seen["observation"],) = observation_space.values()
         if not seen.keys() & set(self.inputs):
             raise ValueError(
                 f"{self.name}: has no observation among its inputs "
@@ -97,6 +107,7 @@ class NetworkPolicy(ABC):
         self, observation: Mapping[str, NDArray], reward: NDArray, is_first: NDArray
     ) -> NDArray:
         given = {**_given(self.action, reward, is_first), **observation}
+        given |= {other: observation[name] for other, name in self.renamed.items()}
         if len(observation) == 1:
             (given["observation"],) = observation.values()
         for name, first, old in zip(self.states, self.initial, self.state, strict=True):
@@ -125,6 +136,22 @@ class NetworkPolicy(ABC):
             # The highest of logits with Gumbel noise is a draw from their softmax.
             output = output + self.rng.gumbel(size=output.shape)
         return output.argmax(-1)
+
+
+def with_underscores(names: Iterable[str], pattern: str) -> dict[str, str]:
+    """For each name the one that has underscores where the pattern matches.
+
+    Raises:
+        ValueError: two of them are the same.
+    """
+    renamed = {name: re.sub(pattern, "_", name) for name in names}
+    if len(set(renamed.values())) < len(renamed):
+        alike = sorted(n for n, o in renamed.items() if list(renamed.values()).count(o) > 1)
+        raise ValueError(
+            f"the observations {', '.join(map(repr, alike))} would have the same name with "
+            "underscores: give one of them another name"
+        )
+    return renamed
 
 
 def _given(action: NDArray, reward: NDArray, is_first: NDArray) -> dict[str, NDArray]:

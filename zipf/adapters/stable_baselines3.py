@@ -5,11 +5,11 @@ It needs `pip install "zipf-rl[sb3]"`.
 
 from __future__ import annotations
 
-import copy
 import inspect
 import logging
 import time
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,9 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import NormalizeObservation
 from numpy.typing import NDArray
+from torch.nn import ModuleDict
 
+from zipf.adapters.networks import with_underscores
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 try:
@@ -46,7 +48,9 @@ class ZipfVecEnv(VecEnv):
 
         model = PPO("MultiInputPolicy", ZipfVecEnv(make_vec("gridworld/zipf_2", 64)))
 
-    Observations are dictionaries of arrays `[N, ...]`, rewards float32 [N] and dones bool [N].
+    Observations are dictionaries of arrays `[N, ...]`, rewards float32 [N] and dones bool [N]. The
+    names of their parts have underscores in the place of dots, which PyTorch's modules do not take:
+    `arm_angle` for `arm.angle`.
     `reset_infos[i]` has what the environment's `info` tells about the episode that runs in env
     `i`: its ranks (int) and descriptions. `infos[i]` of the step that ends an episode has those of
     that episode and:
@@ -63,7 +67,8 @@ class ZipfVecEnv(VecEnv):
         env: a batch in `AutoresetMode.SAME_STEP`.
 
     Raises:
-        ValueError: `env` is no batch of ours, or has another autoreset mode.
+        ValueError: `env` is no batch of ours, has another autoreset mode, or two parts of its
+            observations would have the same name.
     """
 
     def __init__(self, env: ZipfVectorEnv) -> None:
@@ -75,8 +80,10 @@ class ZipfVecEnv(VecEnv):
                 f"{env.autoreset_mode.name}"
             )
         self.env = env
-        space = copy.deepcopy(env.single_observation_space)  # VecNormalize writes into it
-        super().__init__(env.num_envs, space, env.single_action_space)
+        self._names = _names(env.single_observation_space)
+        # Copies: wrappers such as VecNormalize write to the spaces of what they wrap.
+        space = deepcopy(_renamed(env.single_observation_space, self._names))
+        super().__init__(env.num_envs, space, deepcopy(env.single_action_space))
         self._actions: NDArray[Any] = np.zeros(env.num_envs, np.int64)
         self._start = time.monotonic()
 
@@ -92,7 +99,7 @@ class ZipfVecEnv(VecEnv):
         self._reset_seeds()
         self._reset_options()
         self.reset_infos = [_row(info, i) for i in range(self.num_envs)]
-        return observation
+        return self._shown(observation)
 
     def step_async(self, actions: NDArray[Any]) -> None:
         self._actions = actions
@@ -105,7 +112,7 @@ class ZipfVecEnv(VecEnv):
         dones = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if dones.any():
-            final, final_observation = info["final_info"], info["final_obs"]
+            final, final_observation = info["final_info"], self._shown(info["final_obs"])
             running = {k: v for k, v in info.items() if k not in ("final_info", "final_obs")}
             seconds = round(time.monotonic() - self._start, 6)
             for i in np.flatnonzero(dones).tolist():
@@ -120,7 +127,7 @@ class ZipfVecEnv(VecEnv):
                     "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                 }
                 self.reset_infos[i] = _row(running, i)
-        return observation, reward.astype(np.float32), dones, infos
+        return self._shown(observation), reward.astype(np.float32), dones, infos
 
     def close(self) -> None:
         self.env.close()
@@ -156,11 +163,26 @@ class ZipfVecEnv(VecEnv):
         """True for `Monitor`, whose statistics `infos` has; no other wrapper is inside a batch."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
+    def _shown(self, observation: Observation) -> Observation:
+        return {self._names[name]: part for name, part in observation.items()}
+
     def _forced(self, options: list[dict[str, Any]]) -> dict[str, NDArray[Any]]:
         """Options of each env as arrays [N]."""
         if any(one.keys() != options[0].keys() for one in options):
             raise ValueError("options must name the same ranks in every env")
         return {name: np.array([one[name] for one in options]) for name in options[0]}
+
+
+def _names(space: spaces.Dict) -> dict[str, str]:
+    """What the parts of an observation are called: without dots, and otherwise than attributes of
+    a module, by which PyTorch has a network for each part."""
+    names = with_underscores(space, r"\.")
+    taken = ModuleDict()
+    return {name: f"{other}_" if hasattr(taken, other) else other for name, other in names.items()}
+
+
+def _renamed(space: spaces.Dict, names: Mapping[str, str]) -> spaces.Dict:
+    return spaces.Dict({names[name]: part for name, part in space.items()})
 
 
 def _row(info: dict[str, Any], i: int) -> dict[str, Any]:
@@ -210,7 +232,10 @@ class ModelPolicy:
         """
         env, self.wrappers = _unwrapped(self.model)
         declared = self.model.observation_space if env is None else env.observation_space
-        expected: spaces.Space = observation_space
+        self.names = {name: name for name in observation_space}
+        if isinstance(declared, spaces.Dict) and declared.keys() != observation_space.keys():
+            self.names = _names(observation_space)
+        expected: spaces.Space = _renamed(observation_space, self.names)
         self.alone: str | None = None  # the only observation, for a model that reads an array
         if len(observation_space) == 1 and not isinstance(declared, spaces.Dict):
             self.alone = next(iter(observation_space))
@@ -238,7 +263,9 @@ class ModelPolicy:
     def __call__(
         self, observation: Mapping[str, NDArray], reward: NDArray, is_first: NDArray
     ) -> NDArray:
-        given: Any = observation[self.alone] if self.alone else observation
+        given: Any = {self.names[name]: part for name, part in observation.items()}
+        if self.alone:
+            given = observation[self.alone]
         for wrapper in self.wrappers:
             if isinstance(wrapper, VecNormalize):
                 given = wrapper.normalize_obs(given)
@@ -328,7 +355,7 @@ def _unwritten(
 
 def _frames(stack: StackedObservations[Any], num_envs: int) -> StackedObservations[Any]:
     """A stack of frames of the same kind, empty, for `num_envs` envs."""
-    stack = copy.deepcopy(stack)
+    stack = deepcopy(stack)
     for one in getattr(stack, "sub_stacked_observations", {"": stack}).values():
         one.stacked_obs = np.zeros((num_envs, *one.stacked_shape), one.stacked_obs.dtype)
     return stack

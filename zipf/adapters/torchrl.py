@@ -15,6 +15,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.data.utils import numpy_to_torch_dtype_dict
 from torchrl.envs import GymWrapper
 from torchrl.envs.gym_like import BaseInfoDictReader
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -55,7 +56,8 @@ def torchrl_env(env: ZipfVectorEnv, *, device: str | None = None) -> GymWrapper:
 
     Raises:
         ValueError: `env` is no batch of ours, has another autoreset mode, or a rank or a part of
-            its observations has the name of something else in a TensorDict.
+            its observations has the name of something else in a TensorDict or a dtype that TorchRL
+            has not.
     """
     if not isinstance(env, ZipfVectorEnv):
         raise ValueError(f"env must be what zipf.envs.make_vec makes, got {type(env).__name__}")
@@ -70,6 +72,12 @@ def torchrl_env(env: ZipfVectorEnv, *, device: str | None = None) -> GymWrapper:
             f"{twice[0]!r} cannot be both an observation or a rank of these envs and another "
             "entry of TorchRL's TensorDicts: give it another name"
         )
+    for name, space in env.single_observation_space.items():
+        if space.dtype not in numpy_to_torch_dtype_dict:
+            raise ValueError(
+                f"observation {name!r} is {space.dtype}, of which TorchRL has no tensors: give it "
+                "as int64 or float64"
+            )
     with warnings.catch_warnings():
         # The bounds of the observation space are views; TorchRL only reads them.
         warnings.filterwarnings("ignore", message="The given NumPy array is not writable")

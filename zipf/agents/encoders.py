@@ -2,14 +2,16 @@
 
 An observation is a Dict of parts. Which encoder reads a part follows from its space:
 
-    image    uint8 Box [H, W, C] with C = 1, 3 or 4       the network chosen, one for each image
+    image    uint8 Box [H, W, C], H and W at least 7,     the network chosen, one for each image
+             or with C = 1, 3 or 4
     text     int64 Box [L] from 0, or any integer Box     word embeddings and an LSTM, one for each
              [L] from 0 named `instruction`
     codes    Discrete, MultiDiscrete, integer Box from    embeddings and a dense layer, one for all
              0 to less than 255
     vector   any other Box, MultiBinary                   an MLP, one for all
 
-What they compute is concatenated.
+What they compute is concatenated. What may be an image and does not have its channels last is
+refused: it would go through the MLP.
 """
 
 from __future__ import annotations
@@ -50,6 +52,24 @@ from zipf.agents.network_options import (
 )
 from zipf.registry import Registry
 
+SMALLEST_SIDE = 7  # ours: of an image; MiniGrid's are 7 x 7
+DTYPES = [
+    np.dtype(kind)
+    for kind in (
+        np.bool_,
+        np.uint8,
+        np.uint16,
+        np.uint32,
+        np.int8,
+        np.int16,
+        np.int32,
+        np.int64,
+        np.float16,
+        np.float32,
+        np.float64,
+    )
+]
+"""What PyTorch reads, and encoders make floats or indices of."""
 LARGEST_VOCABULARY = 2**16  # ours: integers beyond that are quantities rather than words
 LARGEST_RANGE = 1e4  # ours: wider bounds stand for none, as float32's largest number does
 
@@ -64,8 +84,8 @@ class CodeEncoder(nn.Module):
 
     def __init__(self, parts: list[gym.Space], options: NetworkOptions):
         super().__init__()
-        counts, offsets = zip(*(_codes(space) for space in parts), strict=True)
-        offsets = np.concatenate(offsets)
+        counts = [number_of_codes(space) for space in parts]
+        offsets = np.concatenate([_offsets(space) for space in parts])
         self.size = options.code_size
         self.register_buffer("offsets", torch.tensor(offsets, dtype=torch.int32), persistent=False)
         self.embed = nn.Embedding(max(counts), options.code_channels)
@@ -76,14 +96,23 @@ class CodeEncoder(nn.Module):
         return self.mix(self.embed(codes).relu().flatten(1)).relu()
 
 
-def _codes(space: gym.Space) -> tuple[int, np.ndarray]:
-    """How many codes a part has, and the least code of each of its entries, int64 [entries]."""
+def number_of_codes(space: gym.Space) -> int:
+    """How many codes a part has that `is_codes`."""
     if isinstance(space, gym.spaces.Discrete):
-        return int(space.n), np.array([space.start])
+        return int(space.n)
     if isinstance(space, gym.spaces.MultiDiscrete):
-        return int(space.nvec.max()), space.start.reshape(-1)
+        return int(space.nvec.max())
     assert isinstance(space, gym.spaces.Box)
-    return int(space.high.max()) + 1, np.zeros(space.low.size, np.int64)
+    return int(space.high.max()) + 1
+
+
+def _offsets(space: gym.Space) -> np.ndarray:
+    """The least code of each entry of a part, int64 [entries]."""
+    if isinstance(space, gym.spaces.Discrete):
+        return np.array([space.start])
+    if isinstance(space, gym.spaces.MultiDiscrete):
+        return space.start.reshape(-1)
+    return np.zeros(math.prod(space.shape or ()), np.int64)
 
 
 class VectorEncoder(nn.Module):
@@ -195,13 +224,31 @@ NETWORKS.register(ComparingOptions, _plain(ComparingEncoder))
 
 
 def is_image(space: gym.Space) -> bool:
-    """Whether a part is an image: uint8 [H, W, C] with C = 1, 3 or 4."""
-    return (
-        isinstance(space, gym.spaces.Box)
-        and space.dtype == np.uint8
-        and len(space.shape) == 3
-        and space.shape[2] in (1, 3, 4)
-    )
+    """Whether a part is an image: uint8 [H, W, C] with H and W of at least 7, or C = 1, 3 or 4."""
+    if not isinstance(space, gym.spaces.Box) or space.dtype != np.uint8 or len(space.shape) != 3:
+        return False
+    height, width, channels = space.shape
+    return channels in (1, 3, 4) or (min(height, width) >= SMALLEST_SIDE and not is_codes(space))
+
+
+def _check_readable(name: str, space: gym.Space) -> None:
+    """Raises ValueError for a part whose numbers PyTorch has not, or that may be an image with
+    other axes."""
+    numbers = gym.spaces.Box | gym.spaces.Discrete | gym.spaces.MultiDiscrete
+    if isinstance(space, numbers) and space.dtype not in DTYPES:
+        raise ValueError(
+            f"no encoder reads {name!r} of the observations, which is {space.dtype}: give it as "
+            f"one of {', '.join(dtype.name for dtype in DTYPES)}"
+        )
+    if not isinstance(space, gym.spaces.Box) or space.dtype not in (np.uint8, np.bool_):
+        return
+    image = is_image(space) or sum(n >= SMALLEST_SIDE for n in space.shape) < 2
+    if not image and (space.dtype == np.bool_ or not is_codes(space)):
+        raise ValueError(
+            f"{name!r} of the observations is {space.dtype} {list(space.shape)}: give an image as "
+            f"uint8 [H, W, C], with H and W of at least {SMALLEST_SIDE}, and what is none with a "
+            "single axis"
+        )
 
 
 def has_image(space: gym.spaces.Dict) -> bool:
@@ -252,6 +299,7 @@ class Encoder(nn.Module):
         super().__init__()
         images, codes, vectors, texts = [], [], [], []
         for name, part in space.items():
+            _check_readable(name, part)
             if is_image(part):
                 images.append(name)
             elif is_text(name, part):
@@ -274,6 +322,7 @@ class Encoder(nn.Module):
         codes.sort(key=lambda name: (-math.prod(space[name].shape or ()), name))
 
         self.size = 0
+        self.network = options.name
         self.texts = texts
         self.names: list[tuple[str, ...]] = []
         self.encoders = nn.ModuleList()
@@ -312,6 +361,17 @@ class Encoder(nn.Module):
         named = zip(self.names, self.encoders, strict=True)
         matchers = {f"{name}.matcher": matcher for name, matcher in self._matchers().items()}
         return {"+".join(names): encoder for names, encoder in named} | matchers
+
+    def describe(self, space: gym.spaces.Dict) -> str:
+        """Which encoder reads each part of these observations, in one line."""
+        lines = []
+        for names, encoder in zip(self.names, self.encoders, strict=True):
+            how = _NAMES.get(type(encoder), f"network={self.network}")
+            lines += [
+                f"{name} {space[name].dtype} {list(space[name].shape or ())}" for name in names
+            ]
+            lines[-1] += f" by {how}"
+        return "observations: " + "; ".join(lines)
 
     def compile_images(self) -> int:
         """Compiles the networks that read images (`torch.compile`); returns how many there are."""
@@ -353,6 +413,13 @@ class Encoder(nn.Module):
             else:
                 encoded.append(encode(*(observation[name] for name in names)))
         return torch.cat(encoded, -1)
+
+
+_NAMES = {
+    CodeEncoder: "embeddings of codes",
+    VectorEncoder: "an MLP",
+    InstructionEncoder: "an LSTM over words",
+}
 
 
 def vocabulary(space: gym.Space) -> int:

@@ -6,9 +6,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from zipf.envs.baselines import BaselineScore
+from zipf.envs.errors import EngineError, EnvError
 from zipf.envs.family import (
     SCRIPTED,
-    EngineError,
     Family,
     Scripted,
     all_splits,
@@ -55,8 +55,8 @@ _LAZY = {
 
 __all__ = [
     "BASELINES", "KINDS", "PAPER_KINDS", "SCRIPTED", "Baseline", "BaselineScore", "EngineError",
-    "Family", "GymnasiumVectorEnv", "Mixture", "Normalisation", "Scripted", "SingleEnv", "Split",
-    "SplitLevel", "ZipfVectorEnv", "all_splits", "baseline", "expert", "families",
+    "EnvError", "Family", "GymnasiumVectorEnv", "Mixture", "Normalisation", "Scripted", "SingleEnv",
+    "Split", "SplitLevel", "ZipfVectorEnv", "all_splits", "baseline", "expert", "families",
     "family_of_split", "find_family", "find_level", "generalist", "goal", "keys", "make",
     "make_scored", "make_train", "make_vec", "measure_chance", "questions", "register", "scripted",
     "sliceable", "split", "symmetries", "zipfian",

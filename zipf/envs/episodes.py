@@ -82,7 +82,8 @@ def play_episodes(
     at a time those with short episodes finish more of them, and counting the first to end would
     count short ones too often. Returns by name, an array [episodes] in the order in which the
     episodes started: the situation's ranks, `success` (where the envs report it), `return` and
-    `length`. Raises ValueError: the batch has another autoreset mode.
+    `length`. Raises ValueError: the batch has another autoreset mode; EnvError: a counted episode
+    is longer than `env.longest_episode`.
 
     Args:
         env: the batch, which resets envs in the step that ends their episodes.
@@ -110,6 +111,7 @@ def play_episodes(
         observation, rewards, terminated, truncated, info = env.step(actions, out=out)
         reward = rewards.astype(np.float32)
         is_first = terminated | truncated
+        env.check_lengths(playing < episodes)
         if not is_first.any():
             watch(episodes - unfinished)
             continue

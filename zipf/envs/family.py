@@ -43,10 +43,6 @@ SCRIPTED: tuple[Scripted, ...] = get_args(Scripted)
 """The fields of a `Family` that are scripted policies."""
 
 
-class EngineError(RuntimeError):
-    """An engine that is not ours cannot be started, or goes wrong; says what it needs."""
-
-
 class NoOptions(Options):
     """A family without constructor options."""
 
@@ -115,6 +111,7 @@ class Family:
             `Symmetries`; None: there are none.
         goal: `goal(env)` is the `zipf.envs.goals.Goal` of a batch: it reads from observations what
             an episode asks for; None: they do not say.
+        sliceable: whether several threads may step its envs, see `zipf.envs.slices`.
     """
 
     name: str
@@ -139,6 +136,7 @@ class Family:
     questions: Callable[[Split], Split] | str | None = None
     symmetries: Callable[[Any, Any], Symmetries] | str | None = None
     goal: Callable[[Any], Goal] | str | None = None
+    sliceable: bool = False
 
     @cached_property
     def options_class(self) -> type[Options]:
@@ -175,7 +173,11 @@ class Family:
     ) -> ZipfVectorEnv:
         """`num_envs` envs of a level, named without the family's name."""
         self.check_options(kwargs, "autoreset_mode", "copy", "render_mode")
-        return _batch(partial(_loaded(self.make_vec), level=level), num_envs, threads, **kwargs)
+        return _batch(partial(self.load_make_vec(), level=level), num_envs, threads, **kwargs)
+
+    def load_make_vec(self) -> Callable[..., ZipfVectorEnv]:
+        """What `make_vec` is, imported where it is a name."""
+        return _loaded(self.make_vec)
 
     def make_single(self, level: str, **kwargs: Any) -> gym.Env:
         """One env of a level, named without the family's name."""
@@ -199,7 +201,9 @@ class Family:
         if self.id is None:
             return
         make: Any = self.make or self.make_single
-        gym.register(id=self.id, entry_point=make, vector_entry_point=self.make_vec)
+        gym.register(
+            id=self.id, entry_point=make, vector_entry_point=f"zipf.envs.registered:{self.name}"
+        )
 
 
 _FAMILIES: dict[str, Family] = {}
@@ -360,8 +364,7 @@ def sliceable(split: Split) -> bool:
     def one(level: Level | SplitLevel) -> bool:
         if isinstance(level, SplitLevel):
             return one(level.level)
-        make = _loaded(find_level(level)[0].make_vec) if isinstance(level, str) else level
-        return bool(getattr(make, "sliceable", False))
+        return isinstance(level, str) and find_level(level)[0].sliceable
 
     return all(map(one, split.train))
 

@@ -112,6 +112,7 @@ class Arena:
             _, rewards, terminated, truncated, _ = env.step(actions, out=out)
             returns += np.where(running, rewards, 0.0)
             running &= ~(terminated | truncated)
+            env.check_lengths(running)
         return returns[: len(seeds)]
 
     def close(self) -> None:

@@ -143,6 +143,7 @@ class Mixture(ZipfVectorEnv):
             situation |= first.situation
         self.metadata = first.metadata
         self.reports_success = all(batch.reports_success for batch in self.batches)
+        self.longest_episode = max(batch.longest_episode for batch in self.batches)
         self.achieves = all(batch.achieves for batch in self.batches)
         regions = [batch.action_regions for batch in self.batches]
         known = [one for one in regions if one is not None]
@@ -293,8 +294,18 @@ class Mixture(ZipfVectorEnv):
                     continue
             yield self.batches[k], part
 
+    def name_of(self, i: int) -> str:
+        level = self.level_names[self.levels_of_envs[i]]
+        name = self.batches[self.levels_of_envs[i]].name_of(i)
+        return name if level in name else f"{name}, level {level}"
+
+    def _leave(self, envs: list[int]) -> None:
+        for batch in self.batches:
+            batch._leave(envs)
+
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         draw = self.draw == "resets"
+        before = self.levels_of_envs.copy()
         cumulative = self._cumulative if draw else np.ones(1)
         begin, in_use = _begin_levels(
             mask,
@@ -309,6 +320,9 @@ class Mixture(ZipfVectorEnv):
             self._beginning,
         )
         self._engines_now = np.flatnonzero(in_use).tolist()
+        moved = np.flatnonzero(before != self.levels_of_envs)
+        for k in set(before[moved].tolist()):
+            self.batches[k]._leave(moved[before[moved] == k].tolist())
         own = forced[1:] if draw else forced
         for k in np.flatnonzero(begin).tolist():
             batch = self.batches[k]
@@ -395,6 +409,8 @@ class Mixture(ZipfVectorEnv):
         if self.draw == "resets":
             self.levels_of_envs[:] = state["levels"]
         self._locate(state["seeded"])
+        for k, batch in enumerate(self.batches):
+            batch._leave(np.flatnonzero(self.levels_of_envs != k).tolist())
         for k, batch in enumerate(self.batches):
             # To a level's batch, envs that are on other levels have not begun yet.
             here = self.levels_of_envs == k

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from zipf.envs import pcg64
 from zipf.envs.arguments import mapping, reset_options, whole
+from zipf.envs.errors import EnvError
 
 Observation = dict[str, NDArray[Any]]
 Info = dict[str, Any]
@@ -128,6 +129,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             is there, and nothing else. None where actions do not point.
         sliceable: whether several batches of this class may work at the same time, each in a thread
             of its own, see `zipf.envs.slices`.
+        longest_episode: an evaluation takes an episode of more steps for one that never ends.
 
     Raises:
         ValueError: for an argument out of range, a reserved name in `situation`, or an action space
@@ -141,6 +143,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     achieves: bool = False
     action_regions: NDArray[np.float32] | None = None
     sliceable: ClassVar[bool] = False
+    longest_episode: int = 1_000_000  # ours
 
     def __init__(
         self,
@@ -192,6 +195,11 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             for key, space in single_observation_space.items()
             if space.shape is not None
         }
+        self._float_parts = [
+            name
+            for name, (_, dtype) in self._shapes.items()
+            if dtype is not None and dtype.kind == "f"
+        ]
         self._buffers: dict[str, Observation] = {}
 
     @cached_property
@@ -300,6 +308,13 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _share(self) -> None:
         """Makes the batches inside this one, if there are any, work on its arrays."""
 
+    def _leave(self, envs: list[int]) -> None:
+        """In a mixture: these envs go on to other levels. Most families have nothing to free."""
+
+    def name_of(self, i: int) -> str:
+        """What env `i` is called in errors."""
+        return type(self).__name__
+
     def _use_processes(self, other: "ZipfVectorEnv") -> None:
         """In a mixture: shares the external processes (an engine for each env) of `other`, the
         mixture's first batch, since an env is of one level at a time. Most families have none."""
@@ -327,6 +342,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
         Raises:
             ValueError: for seeds, options or `out` of the wrong length, type or range.
+            EnvError: an observation is not finite.
         """
         if self.closed:
             raise ClosedEnvironmentError("reset() of an environment that was closed")
@@ -339,6 +355,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 self._seeded[i] = True
         self._begin_episodes(mask, forced)
         self._observe(observation, self._everywhere)
+        self._check_finite(observation, mask)
         described = self._describe()
         for name in described:
             if own_name("an entry of info", name) in self.situation:
@@ -366,6 +383,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         Raises:
             ValueError: for actions or buffers of the wrong shape, dtype or range, or buffers that
                 share memory; nothing has happened then.
+            EnvError: an observation is not finite.
             ResetNeeded: if an env has to be reset first. After an exception of the envs' engine
                 all envs that it was stepping have to be.
         """
@@ -424,6 +442,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 info = {"final_info": {**now, **outcome}, "_final_info": done}
                 if final is not None:
                     self._observe(final, done)
+                    self._check_finite(final, done)
                     info["final_obs"] = final
                     info["_final_obs"] = done.copy()
                 self._begin_episodes(done, self._unforced)
@@ -434,6 +453,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 self._running &= ~done
                 self._all_running = False
         self._observe(observation, self._everywhere)
+        self._check_finite(observation, self._everywhere)
         return observation, reward, terminated, truncated, info
 
     def report_achieved(self) -> None:
@@ -447,6 +467,26 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         if not self.achieves:
             raise ValueError("these envs do not tell what an episode has achieved")
         self._reports_achieved = True
+
+    def check_lengths(self, counted: NDArray[np.bool_] | None = None) -> None:
+        """For whoever plays episodes to their end.
+
+        Raises:
+            EnvError: the running episode of one of the envs `counted` (bool [N]; None: all) is
+                longer than `longest_episode`. A mean over those that have ended would be of other
+                episodes.
+        """
+        if self._lengths.max() <= self.longest_episode:
+            return
+        endless = self._lengths > self.longest_episode
+        if counted is not None:
+            endless &= counted
+        if endless.any():
+            raise EnvError(
+                f"{self.name_of(int(endless.argmax()))}: an episode has not ended after "
+                f"{self.longest_episode} steps, so there is no score: give the environment a time "
+                "limit, or longest_episode=... a larger number"
+            )
 
     def observations(self, out: Observation | None = None) -> Observation:
         """The current observations, written as by `step`; for use after `set_state`."""
@@ -523,6 +563,28 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     def _running_info(self) -> Info:
         return {**self._situations(), **self._describe()}
+
+    def _check_finite(self, observation: Observation, mask: NDArray[np.bool_]) -> None:
+        """Raises EnvError where a float of the envs of `mask` is NaN or infinite: policies would
+        act on it without a word."""
+        for name in self._float_parts:
+            finite = np.isfinite(observation[name])
+            if finite.all():
+                continue
+            finite = finite.reshape(self.num_envs, -1).all(1) | ~mask
+            if finite.all():
+                continue
+            i = int(finite.argmin())
+            self._running[:] = self._all_running = False
+            raise self._not_finite(i, name, observation[name][i])
+
+    def _not_finite(self, i: int, name: str, values: NDArray[Any]) -> EnvError:
+        """The error for a part of the observation of env `i`."""
+        wrong = values[~np.isfinite(values)].flat[0]
+        return EnvError(
+            f"{self.name_of(i)}: observation {name!r} has the value {wrong} after step "
+            f"{self._lengths[i]} of an episode: observations must be finite"
+        )
 
     def _begin_episodes(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         self._running[mask] = self._all_running = False  # as it stays if `_begin` raises

@@ -45,6 +45,7 @@ class GridworldVectorEnv(ZipfVectorEnv):
             copy=copy,
             render_mode=render_mode,
         )
+        self.longest_episode = max(self.longest_episode, self.level.max_steps)
         self._envs = np.zeros((num_envs, 4), dtype=np.int64)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:

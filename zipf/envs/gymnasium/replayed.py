@@ -75,6 +75,9 @@ class ReplayedVectorEnv(ZipfVectorEnv):
         reports success."""
         return episode_return > 0
 
+    def name_of(self, i: int) -> str:
+        return self.replayed_name
+
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         for i in np.flatnonzero(mask).tolist():
             self._begin_env(i, int(pcg64.next_double(self._streams[i]) * SEEDS))
@@ -96,6 +99,8 @@ class ReplayedVectorEnv(ZipfVectorEnv):
             _, reward[i], terminated[i], truncated[i], _ = outcome
             if self.reports_success and (outcome.terminated or outcome.truncated):
                 success[i] = self._succeeded(float(self._returns[i]) + outcome.reward, outcome)
+        # Here, too: nobody may ask for the last observation of an episode.
+        self._check_finite(self._current, mask)
         return reward, terminated, truncated, success
 
     def _step_env(self, i: int, action: int) -> Outcome:

@@ -1,12 +1,11 @@
 """Existing Gymnasium environments as batched envs."""
 
-import hashlib
+import copy as copying
 import math
-import re
-import textwrap
+import traceback
+import warnings
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -16,17 +15,36 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import mapping, whole
+from zipf.envs.errors import EnvError
+from zipf.envs.gymnasium.parts import Reading, Words, parts_of, short
 from zipf.envs.gymnasium.replayed import Outcome, ReplayedVectorEnv
-from zipf.envs.vector import Observation
+from zipf.envs.vector import Observation, ZipfVectorEnv
 
 Success = Callable[[float, bool, dict[str, Any]], bool]
 """Whether an episode was a success: `success(episode_return, terminated, last_info)`."""
 
 _REPORTED = ("is_success", "success")
+_SEVERAL = (tuple, list)
+_TIME_LIMITS = (
+    "max_episode_steps",
+    "_max_episode_steps",
+    "max_steps",
+    "max_num_frames_per_episode",
+)
+LEAST_IDLE = 8  # ours: environments that a mixture keeps though it plays none of them
+LONGEST_EPISODE = 100_000  # ours: Atari's have at most 27,000 steps, or 108,000 frames
+TRIED_EPISODES = 20  # ours: whose texts are read when a batch is made
+TRIED_SAMPLES = 100  # ours: of a space that draws whole texts, as MiniGrid's does
+_TRIED: set[str] = set()
+"""Environments whose texts this process has tried."""
 
 
 class GymnasiumVectorEnv(ReplayedVectorEnv):
     """`N` envs of an existing Gymnasium environment, each made when it is first needed.
+
+    In a mixture, an env that goes on to another level leaves its environment to the next one that
+    comes to this level; of those that nobody plays at most `max(num_envs, 8)` are kept, the others
+    are closed.
 
         env = GymnasiumVectorEnv(16, "CartPole-v1")
         env = GymnasiumVectorEnv(
@@ -39,7 +57,12 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
     **Observations** become a Dict: a Dict space stays one, any other becomes a Dict with the one
     part `image`, if it is uint8 [H, W, 3], or `observation`. Dict and Tuple spaces within are
     flattened: `{"arm": {"angle": ...}}` becomes `arm.angle`, the first part of a tuple
-    `observation.0`. Box and MultiBinary stay as they are; Discrete and MultiDiscrete count from 0.
+    `observation.0`. Discrete and MultiDiscrete count from 0, MultiBinary stays as it is. Images
+    become uint8 [H, W, C]: a Box is one if it is uint8 or bool with two or three axes, of which two
+    are at least 7 long. Of three axes the channels are the first or the last, if that one is the
+    shortest and at most 16 long; what else may be an image is refused, and `image_axes` decides.
+    Where the space is bool, or its bounds are 0 and 1, 1 becomes 255. Bytes from 0 to some number
+    in 2 .. 254 are codes. Any other Box keeps its shape, and its dtype but where PyTorch has none.
     Floats are rounded to the precision of their space, and not held to its bounds, which many
     environments pass by a little; whole numbers have to be in their space.
     Text becomes int64 [text_length]: a code of 1 .. vocabulary - 1 for each word (or punctuation
@@ -61,21 +84,29 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         codes: for the names of integer parts of the observation the number of codes n: their
             values are codes in 0 .. n - 1 (kinds of things, not quantities). These parts become
             MultiDiscrete (or Discrete, where the part is a single number).
+        image_axes: for the names of uint8 or bool parts what their axes are, a letter each: H and
+            W once, C for all others, which become the channels: "CHW", or "CHWC" for a stack of
+            colour images. None: the part is no image; it gets a single axis.
         success: whether an episode was a success: a name in the last step's `info`, or a function
             `success(episode_return, terminated, last_info)`. None: `is_success` or `success` of
             `info` if the environment reports one of them in its first step, otherwise the
             environment does not report success.
         text_length: codes of a text.
+        cut_texts: whether texts of more words are cut. False: they are an error.
         vocabulary: number of different codes, 0 included.
+        longest_episode: of how many steps an episode may be in an evaluation, which more of them
+            end with an error; at least as many as a time limit that the environment declares.
         autoreset_mode, copy: see `ZipfVectorEnv`.
         render_mode: "rgb_array" (if the environment offers it) or None.
 
     Raises:
         ValueError: the environment cannot be made, or its observations or actions are of another
-            kind; while stepping, for observations of another shape or kind than the space says,
-            whole numbers that are not in it, codes out of range, a text of more words than
-            `text_length`, rewards that are not finite, or an `info` without the name given as
-            success.
+            kind.
+        EnvError: here, where a step is tried, and while stepping, the environment raises an error,
+            or returns something else than Gymnasium's interface says: observations of another
+            shape or kind than the space, whole numbers that are not in it, codes out of range, a
+            text of more words than `text_length`, a reward that is no finite number, or an `info`
+            without the name given as success.
     """
 
     def __init__(
@@ -86,9 +117,12 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         options: Mapping[str, Any] | None = None,
         wrap: Callable[[gym.Env], gym.Env] | None = None,
         codes: Mapping[str, int] | None = None,
+        image_axes: Mapping[str, str | None] | None = None,
         success: str | Success | None = None,
         text_length: int = 16,
+        cut_texts: bool = False,
         vocabulary: int = 1000,
+        longest_episode: int = LONGEST_EPISODE,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
         render_mode: str | None = None,
@@ -101,16 +135,31 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         if render_mode not in ("rgb_array", None):
             raise ValueError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}")
         first = self._make()
-        words = Words(text_length, vocabulary)
-        self.parts = _parts(id, first.observation_space, mapping("codes", codes), words)
-        action_space = first.action_space
+        reading = Reading(
+            mapping("codes", codes),
+            mapping("image_axes", image_axes),
+            Words(text_length, vocabulary, cut_texts),
+        )
+        self.parts = parts_of(id, self._space(first, "observation_space"), reading)
+        action_space = self._space(first, "action_space")
         if not isinstance(action_space, spaces.Discrete):
             raise ValueError(
-                f"the actions of {id} are {action_space}: only Discrete actions are supported; "
-                "give a wrapper that makes them Discrete as `wrap`"
+                f"the actions of {id} are {short(action_space)}: only Discrete actions are "
+                "supported; give a wrapper that makes them Discrete as `wrap`"
             )
         self._first_action = action_space.start
-        self.success = self._reported(first) if success is None else success
+        self.longest_episode = whole("longest_episode", longest_episode, 1)
+        if limits := list(_time_limits(first)):
+            self.longest_episode = max(longest_episode, *limits)
+        else:
+            warnings.warn(
+                f"{id} declares no time limit: an episode of it may never end, and evaluations end "
+                f"with an error after {longest_episode} steps (longest_episode); "
+                "options={'max_episode_steps': ...} gives it one",
+                stacklevel=2,
+            )
+        reported = self._try(first)
+        self.success = reported if success is None else success
         self.reports_success = self.success is not None
         offered = first.metadata.get("render_modes") or []
         self.metadata = {
@@ -126,7 +175,11 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
             render_mode=render_mode,
         )
         self._envs: list[gym.Env | None] = [None] * num_envs
-        self._envs[0] = first
+        self._idle = _Idle(None if render_mode else max(num_envs, LEAST_IDLE))
+        self._idle.put(self, first)
+
+    def name_of(self, i: int) -> str:
+        return self.replayed_name + (f" with {short(self.options)}" if self.options else "")
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One frame of each env, uint8 [height, width, 3], with `render_mode="rgb_array"`.
@@ -144,6 +197,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         for env in self._envs:
             if env is not None:
                 env.close()
+        self._idle.close()
 
     def _make(self) -> gym.Env:
         options = self.options
@@ -152,270 +206,213 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         try:
             # Our own checks take the place of Gymnasium's, which cost time in every step.
             env = gym.make(self.id, disable_env_checker=True, **options)
-            return env if self.wrap is None else self.wrap(env)
+            env = env if self.wrap is None else self.wrap(env)
         except Exception as error:
-            given = f" with {options}" if options else ""
+            given = f" with {short(options)}" if options else ""
             raise ValueError(
-                f"environment {self.id!r}{given} cannot be made: {type(error).__name__}: {error}"
+                f"environment {self.id!r}{given} cannot be made: {type(error).__name__}: "
+                f"{short(error)}"
             ) from error
+        if not isinstance(env, gym.Env):
+            raise ValueError(f"{self.id}: wrap must return a gymnasium.Env, got {short(env)}")
+        return env
 
-    def _reported(self, env: gym.Env) -> str | None:
-        """The name under which an environment reports success in its first step, if it does."""
-        env.reset(seed=0)
-        info = env.step(self._first_action)[4]
-        return next((name for name in _REPORTED if name in info), None)
+    def _space(self, env: gym.Env, name: str) -> spaces.Space:
+        space = getattr(env, name, None)
+        if not isinstance(space, spaces.Space):
+            raise ValueError(f"{self.id}: {name} must be a Gymnasium space, got {short(space)}")
+        return space
+
+    def _try(self, env: gym.Env) -> str | None:
+        """Begins an episode and takes a step, so that an environment that keeps another interface
+        is refused now; returns the name under which it reports success, if it does."""
+        self._read(self._reset(env, 0))
+        self._try_texts(env)
+        outcome = self._step(env, self._first_action)
+        return next((name for name in _REPORTED if name in outcome.info), None)
+
+    def _try_texts(self, env: gym.Env) -> None:
+        """Reads texts that the environment may give, once in a process: that one is too long would
+        otherwise be found out after hours."""
+        texts = [part for part in self.parts if part.words is not None]
+        tried = repr((self.id, self.options, self.wrap, [part.words for part in texts]))
+        if not texts or tried in _TRIED:
+            return
+        for part in texts:
+            if not isinstance(part.given, spaces.Text):  # samples of which are no texts of use
+                space = copying.deepcopy(part.given)
+                for _ in range(TRIED_SAMPLES):
+                    part.read_text(space.sample())
+        for seed in range(1, TRIED_EPISODES):
+            self._read(self._reset(env, seed))
+        _TRIED.add(tried)
 
     def _open(self, i: int, seed: int) -> Observation:
         env = self._envs[i]
         if env is None:
-            env = self._envs[i] = self._make()
-        return self._read(env.reset(seed=seed)[0])
+            env = self._envs[i] = self._idle.take(self) or self._make()
+        return self._read(self._reset(env, seed))
+
+    def _leave(self, envs: list[int]) -> None:
+        for i in envs:
+            env = self._envs[i]
+            if env is not None:
+                self._envs[i] = None
+                self._idle.put(self, env)
+
+    def _use_processes(self, other: ZipfVectorEnv) -> None:
+        if isinstance(other, GymnasiumVectorEnv) and other._idle is not self._idle:
+            for batch, env in self._idle.kept:
+                other._idle.put(batch, env)
+            self._idle = other._idle
 
     def _act(self, i: int, action: int) -> Outcome:
         env = self._envs[i]
         assert env is not None
-        observation, reward, terminated, truncated, info = env.step(self._first_action + action)
+        return self._step(env, self._first_action + action)
+
+    def _reset(self, env: gym.Env, seed: int) -> Any:
+        """The first observation of an episode, as the environment gives it."""
+        try:
+            returned = env.reset(seed=seed)
+        except Exception as error:
+            raise self._raised("reset", error) from error
+        if not isinstance(returned, _SEVERAL) or len(returned) != 2:
+            raise EnvError(
+                f"{self.id}: reset must return (observation, info), got {short(returned)}"
+            )
+        observation, info = returned
+        self._check_info("reset", info)
+        return observation
+
+    def _step(self, env: gym.Env, action: Any) -> Outcome:
+        try:
+            returned = env.step(action)
+        except Exception as error:
+            raise self._raised("step", error) from error
+        if not isinstance(returned, _SEVERAL) or len(returned) != 5:
+            count = f" of {len(returned)} values" if isinstance(returned, _SEVERAL) else ""
+            raise EnvError(
+                f"{self.id}: step must return (observation, reward, terminated, truncated, info), "
+                f"got {type(returned).__name__}{count}"
+            )
+        observation, reward, terminated, truncated, info = returned
+        self._check_info("step", info)
+        reward = self._number(reward)
+        terminated = self._flag("terminated", terminated)
         # There is no future after a terminal state, whatever the time limit says.
-        ends = bool(terminated), bool(truncated) and not terminated
+        truncated = self._flag("truncated", truncated) and not terminated
+        return Outcome(self._read(observation), reward, terminated, truncated, info)
+
+    def _raised(self, method: str, error: Exception) -> Exception:
+        """What to raise in the place of an error of the environment."""
+        if isinstance(error, EnvError | MemoryError):
+            return error
+        text = short(error) or "no message"
+        *_, last = traceback.extract_tb(error.__traceback__)
+        where = f"{Path(last.filename).name}, line {last.lineno}"
+        line = f"{self.id}: {method} raised {type(error).__name__} in {where}: {text}"
+        if method == "reset" and isinstance(error, TypeError) and " argument" in text:
+            line += "; it must be reset(self, *, seed=None, options=None)"
+        if method == "step" and isinstance(error, ValueError) and "unpack" in text:
+            line += "; it must return (observation, reward, terminated, truncated, info)"
+        return EnvError(line)
+
+    def _check_info(self, method: str, info: Any) -> None:
+        if type(info) is not dict and not isinstance(info, Mapping):
+            raise EnvError(f"{self.id}: info of {method} must be a dict, got {short(info)}")
+
+    def _number(self, reward: Any) -> float:
+        """A reward. That of an array with a single entry is the entry."""
+        if type(reward) is not float:
+            try:
+                plain = reward.item() if hasattr(reward, "item") else reward
+                if isinstance(plain, str | bytes):
+                    raise TypeError
+                reward = float(plain)
+            except (TypeError, ValueError, RuntimeError, OverflowError):
+                raise EnvError(
+                    f"{self.id}: a reward must be a number, got {short(reward)}"
+                ) from None
         if not math.isfinite(reward):  # a state with such a return could not be restored
-            raise ValueError(f"{self.id}: a reward must be a finite number, got {reward}")
-        return Outcome(self._read(observation), float(reward), *ends, info)
+            raise EnvError(f"{self.id}: a reward must be a finite number, got {reward}")
+        return reward
+
+    def _flag(self, name: str, value: Any) -> bool:
+        """Whether an episode has ended."""
+        if type(value) is bool:
+            return value
+        try:
+            plain = value.item() if hasattr(value, "item") else value
+        except (ValueError, RuntimeError):  # of several entries
+            plain = None
+        if not isinstance(plain, int | float) or plain not in (0, 1):
+            raise EnvError(f"{self.id}: {name} must be True or False, got {short(value)}")
+        return bool(plain)
 
     def _read(self, observation: Any) -> Observation:
         return {part.name: part.read(observation) for part in self.parts}
 
     def _succeeded(self, episode_return: float, outcome: Outcome) -> bool:
         info = dict(outcome.info)
-        if callable(self.success):
-            return bool(self.success(episode_return, outcome.terminated, info))
-        assert self.success is not None
-        if self.success not in info:
-            raise ValueError(
+        if not callable(self.success) and self.success not in info:
+            raise EnvError(
                 f"success={self.success!r}, but {self.id} has no such entry in the info of an "
-                f"episode's last step: {sorted(info)}"
+                f"episode's last step: {sorted(map(str, info))}"
             )
-        return bool(info[self.success])
+        try:
+            if callable(self.success):
+                return bool(self.success(episode_return, outcome.terminated, info))
+            return bool(info[self.success])
+        except Exception as error:
+            raise self._raised(f"success={short(self.success)}", error) from error
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "_envs": [None] * self.num_envs}
+        none = [None] * self.num_envs
+        return {**super().__getstate__(), "_envs": none, "_idle": _Idle(self._idle.most)}
 
 
-@dataclass(frozen=True)
-class Words:
-    """Texts as codes of their words, by a hash.
+def _time_limits(env: gym.Env) -> Iterator[int]:
+    """The time limits that an environment and its wrappers declare, in steps or frames."""
+    layer: Any = env
+    while layer is not None:
+        spec = getattr(layer, "spec", None)
+        for declared in (vars(layer), vars(spec) if spec else {}, spec.kwargs if spec else {}):
+            for name in _TIME_LIMITS:
+                limit = declared.get(name)
+                if isinstance(limit, int | np.integer) and limit > 0:
+                    yield int(limit)
+        layer = layer.env if isinstance(layer, gym.Wrapper) else None
 
-    Attributes:
-        length: codes of a text.
-        size: number of different codes, 0 included.
 
-    Raises:
-        ValueError: `length` is below 1 or `size` below 2.
+class _Idle:
+    """Environments that are not played now, those that were left last at the end.
+
+    The batches of a mixture share one: an env that is drawn a level takes an environment that
+    another has left, if there is one. So there are at most `num_envs` that are played and `most`
+    that are not, however many levels there are.
+
+    Args:
+        most: how many are kept; the others are closed. None: all, where they draw pictures, since
+            closing one may end the library that the others draw with.
     """
 
-    length: int
-    size: int
+    def __init__(self, most: int | None) -> None:
+        self.most = most
+        self.kept: list[tuple[GymnasiumVectorEnv, gym.Env]] = []
 
-    def __post_init__(self) -> None:
-        whole("text_length", self.length, 1)
-        whole("vocabulary", self.size, 2)
+    def put(self, batch: "GymnasiumVectorEnv", env: gym.Env) -> None:
+        self.kept.append((batch, env))
+        if self.most is not None and len(self.kept) > self.most:
+            self.kept.pop(0)[1].close()
 
-    def space(self) -> spaces.Box:
-        """The space of `encode`, that of an instruction in the benchmark's families."""
-        return spaces.Box(0, self.size - 1, (self.length,), dtype=np.int64)
+    def take(self, batch: "GymnasiumVectorEnv") -> gym.Env | None:
+        """The one of this batch that was left last; None: there is none."""
+        for place in reversed(range(len(self.kept))):
+            if self.kept[place][0] is batch:
+                return self.kept.pop(place)[1]
+        return None
 
-    def encode(self, text: str) -> NDArray[np.int64]:
-        """The codes of a text's words, int64 [length], 0 after the last one.
-
-        Raises:
-            ValueError: the text has more words than `length`.
-        """
-        return _encoded(text, self.length, self.size)
-
-
-@lru_cache(maxsize=4096)
-def _encoded(text: str, length: int, size: int) -> NDArray[np.int64]:
-    words = re.findall(r"\w+|[^\w\s]", text.lower())
-    if len(words) > length:
-        raise ValueError(
-            f"{text!r} has {len(words)} words, more than text_length={length}: give a larger one"
-        )
-    hashes = [hashlib.blake2b(word.encode(), digest_size=8).digest() for word in words]
-    codes = np.zeros(length, np.int64)
-    codes[: len(words)] = [1 + int.from_bytes(one, "little") % (size - 1) for one in hashes]
-    codes.flags.writeable = False  # it is given out again
-    return codes
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of an environment's observation.
-
-    Attributes:
-        id: of the environment.
-        name: of the part, as agents see it.
-        path: the keys and indices that lead to it in the environment's observation.
-        space: its space, as agents see it.
-        given: its space, as the environment gives it.
-        start: subtracted from what the environment gives, None for 0.
-        codes: how many codes its values are, None where they are not checked.
-        words: for texts.
-    """
-
-    id: str
-    name: str
-    path: tuple[Any, ...]
-    space: spaces.Space
-    given: spaces.Space
-    start: Any = None
-    codes: int | None = None
-    words: Words | None = None
-
-    @cached_property
-    def bounds(self) -> tuple[Any, Any] | None:
-        """The least and the greatest whole number that the environment may give, scalars or of the
-        space's shape. None: of floats."""
-        given = self.given
-        if self.codes is not None:
-            return 0, self.codes - 1
-        if isinstance(given, spaces.Discrete):
-            return given.start, given.start + given.n - 1
-        if isinstance(given, spaces.MultiDiscrete):
-            return given.start, given.start + given.nvec - 1
-        if isinstance(given, spaces.Box):
-            return None if given.dtype.kind == "f" else (given.low, given.high)
-        return 0, 1
-
-    @cached_property
-    def _in_bounds(self) -> np.dtype[Any] | None:
-        """The dtype whose values are all in the bounds, as those of most images; None: there is
-        none."""
-        dtype = self.given.dtype
-        if self.bounds is None or dtype is None or dtype.kind not in "iu":
-            return None
-        low, high = self.bounds
-        limits = np.iinfo(dtype)
-        whole = (low == limits.min) & (high == limits.max)
-        return dtype if np.all(whole) else None
-
-    def read(self, observation: Any) -> NDArray[Any]:
-        """The part of an observation of the environment, in the shape of `space`.
-
-        Raises:
-            ValueError: another shape, values that the space does not have, or too many words.
-        """
-        for key in self.path:
-            observation = observation[key]
-        if self.words is not None:
-            if not isinstance(observation, str):
-                raise ValueError(
-                    f"{self.id}: observation {self.name!r} is {observation!r}, which is no text"
-                )
-            return self.words.encode(observation)
-        value = np.asarray(observation)
-        if value.shape != self.space.shape:
-            raise ValueError(
-                f"{self.id}: observation {self.name!r} has shape {value.shape}, its space "
-                f"{self.space.shape}"
-            )
-        if self._in_bounds is None or value.dtype != self._in_bounds:
-            self._check(value)
-        return value if self.start is None else value - self.start
-
-    def _check(self, value: NDArray[Any]) -> None:
-        """Raises ValueError for values that cannot be kept in `space` as they are, but for floats
-        that are rounded."""
-        if value.dtype.kind not in "biuf":
-            raise self._error(value, "no number")
-        if self.bounds is None:
-            return
-        low, high = self.bounds
-        inside = (value >= low) & (value <= high)
-        if not inside.all():
-            raise self._error(value[~inside], "out of range")
-        if value.dtype.kind == "f":
-            whole = value.astype(self.space.dtype) == value
-            if not whole.all():
-                raise self._error(value[~whole], "no whole number")
-
-    def _error(self, wrong: NDArray[Any], what: str) -> ValueError:
-        """About the first of these values."""
-        if self.codes is not None:
-            space = f"codes says {self.codes}: whole numbers in 0 .. {self.codes - 1}"
-        else:
-            space = f"its space is {textwrap.shorten(str(self.given), 200, placeholder=' ...')}"
-        return ValueError(
-            f"{self.id}: observation {self.name!r} has the value {wrong.flat[0]}, {what}: {space}"
-        )
-
-
-def _parts(
-    id: str, space: spaces.Space, codes: Mapping[str, int], words: Words
-) -> tuple[Part, ...]:
-    """The parts of an observation space."""
-    name = ""
-    if not isinstance(space, spaces.Dict):
-        shape = space.shape or ()
-        picture = isinstance(space, spaces.Box) and space.dtype == np.uint8
-        name = "image" if picture and len(shape) == 3 and shape[2] == 3 else "observation"
-    parts = tuple(_flattened(id, space, name, (), codes, words))
-    names = [part.name for part in parts]
-    if unknown := codes.keys() - set(names):
-        raise ValueError(f"{id} has no observation {sorted(unknown)} for codes, only {names}")
-    if len(set(names)) < len(names):
-        raise ValueError(f"{id} has two observations of the same name: {names}")
-    return parts
-
-
-_SIGNED: Mapping[Any, np.dtype[Any]] = {
-    np.dtype(np.uint16): np.dtype(np.int32),
-    np.dtype(np.uint32): np.dtype(np.int64),
-}
-"""PyTorch does not calculate with the former."""
-
-
-def _flattened(
-    id: str,
-    space: spaces.Space,
-    name: str,
-    path: tuple[Any, ...],
-    codes: Mapping[str, int],
-    words: Words,
-) -> Iterator[Part]:
-    if isinstance(space, spaces.Dict | spaces.Tuple):
-        inner = space.items() if isinstance(space, spaces.Dict) else enumerate(space)
-        for key, part in inner:
-            full = f"{name}.{key}" if name else str(key)
-            yield from _flattened(id, part, full, (*path, key), codes, words)
-    elif name in codes:
-        n = codes[name]
-        number = isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1
-        integers = isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.integer)
-        if not number or not integers:
-            raise ValueError(
-                f"codes={{{name!r}: {n!r}}} of {id}: expected a number >= 1, for a Box of "
-                f"integers; the observation is {space}"
-            )
-        coded: spaces.Space = spaces.Discrete(n)
-        if space.shape:
-            dtype = np.uint8 if n < 256 else np.int64
-            coded = spaces.MultiDiscrete(np.full(space.shape, n), dtype=dtype)
-        yield Part(id, name, path, coded, space, codes=n)
-    elif isinstance(space, spaces.Discrete):
-        yield Part(id, name, path, spaces.Discrete(int(space.n)), space, start=space.start or None)
-    elif isinstance(space, spaces.MultiDiscrete):
-        counted = spaces.MultiDiscrete(space.nvec, dtype=_SIGNED.get(space.dtype, space.dtype))
-        start = space.start if space.start.any() else None
-        yield Part(id, name, path, counted, space, start=start)
-    elif isinstance(space, spaces.Box) and space.dtype in _SIGNED:
-        kept = spaces.Box(space.low, space.high, dtype=_SIGNED[space.dtype])
-        yield Part(id, name, path, kept, space)
-    elif isinstance(space, spaces.Box | spaces.MultiBinary):
-        yield Part(id, name, path, space, space)
-    elif space.dtype is not None and space.dtype.kind == "U":  # Text, and MiniGrid's MissionSpace
-        yield Part(id, name, path, words.space(), space, words=words)
-    else:
-        raise ValueError(
-            f"{id}: observation {name!r} is {space}: expected Box, Discrete, MultiDiscrete, "
-            "MultiBinary, Text, or a Dict or Tuple of these; give a wrapper that changes it as "
-            "`wrap`"
-        )
+    def close(self) -> None:
+        while self.kept:
+            self.kept.pop()[1].close()

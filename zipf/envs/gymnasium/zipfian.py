@@ -3,9 +3,12 @@
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from functools import partial
 from itertools import takewhile
 from typing import Any
+
+import numpy as np
 
 from zipf.envs import distributions
 from zipf.envs.arguments import mapping
@@ -17,7 +20,17 @@ from zipf.envs.splits import Split
 from zipf.envs.vector import ZipfVectorEnv, rank_name
 from zipf.options import Options
 
-_ENV_OPTIONS = ("wrap", "codes", "success", "text_length", "vocabulary")
+LONGEST_NAME = 100  # ours: characters of the text of an option's value
+_ENV_OPTIONS = (
+    "wrap",
+    "codes",
+    "image_axes",
+    "success",
+    "text_length",
+    "cut_texts",
+    "vocabulary",
+    "longest_episode",
+)
 
 
 def zipfian(
@@ -39,8 +52,10 @@ def zipfian(
 
     Its environments, ranked by `order`, are drawn from Zipf's law on level `zipf_<exponent>` (of
     any exponent >= 0), all alike on `uniform`, and from the rarest fifth on `rare`. Each of them is
-    a level of its own, too: `<family>/MiniGrid-DoorKey-5x5-v0`, or `<family>/goal_3`. The family
-    has one split, of its own name, that trains on `zipf_<exponent>`.
+    a level of its own, too: `<family>/MiniGrid-DoorKey-5x5-v0`, or `<family>/goal_3`, after the
+    value's text. Where a value has no text of its own, of one line and at most 100 characters, as
+    arrays, functions and other objects have none, all are called after their ranks. The family has
+    one split, of its own name, that trains on `zipf_<exponent>`.
 
     The situation of an episode is the rank of its environment: `info["level"]`, with its name in
     `info["level_name"]`; with `over` both are called after the option, `info["goal"]` and
@@ -56,8 +71,8 @@ def zipfian(
         name: the family's; None: made from what the ids have in common, `minigrid` in the example.
         chance: measured chance by level name, without the family's, as `measure_chance` returns it.
         options: arguments of `gymnasium.make` for all environments.
-        envs: further arguments of `GymnasiumVectorEnv`: `wrap`, `codes`, `success`,
-            `text_length`, `vocabulary`.
+        envs: further arguments of `GymnasiumVectorEnv`: `wrap`, `codes`, `image_axes`, `success`,
+            `text_length`, `cut_texts`, `vocabulary`, `longest_episode`.
 
     Returns:
         The family, not registered.
@@ -81,7 +96,8 @@ def zipfian(
         ((rank, values),) = over.items()
         rank_name("over: an option that is a rank", rank)
         values = _listed(f"over: the values of {rank!r}", values)
-        given = [(f"{rank}_{value}", ids, {rank: value}) for value in values]
+        own = zip(_texts(values, order), values, strict=True)
+        given = [(f"{rank}_{text}", ids, {rank: value}) for text, value in own]
         ids = [ids]
     else:
         ids = _listed("ids", ids)
@@ -193,6 +209,30 @@ def _listed(what: str, values: Any) -> list[Any]:
     if unordered or not isinstance(values, Iterable):
         raise ValueError(f"{what} must be a list, from the most frequent on, got {values!r}")
     return list(values)
+
+
+def _texts(values: Sequence[Any], order: str | int) -> list[str]:
+    """What the values of an option are called: their texts, or, where one of them has none of its
+    own, their ranks. A text of its own is short, of one line, and the same in every process.
+
+    Raises ValueError for a bad order.
+    """
+    texts = [str(value) for value in values]
+    if all(len(text) <= LONGEST_NAME and text.isprintable() for text in texts) and all(
+        map(_has_text, values)
+    ):
+        return texts
+    return [str(rank) for rank in np.argsort(ordered(len(values), order)).tolist()]
+
+
+def _has_text(value: Any) -> bool:
+    """Whether a value's text tells it: an object's may be its place in memory, the text of a set
+    differs between processes, and that of an array leaves digits out."""
+    if isinstance(value, Mapping):
+        return all(_has_text(one) for one in (*value.keys(), *value.values()))
+    if isinstance(value, list | tuple):
+        return all(map(_has_text, value))
+    return value is None or isinstance(value, str | bool | int | float | np.generic | Enum)
 
 
 def _is_distribution(level: str) -> bool:

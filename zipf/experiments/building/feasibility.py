@@ -11,6 +11,7 @@ import torch
 
 from zipf import envs
 from zipf.agents.agent import Agent, agents, unsupported
+from zipf.agents.encoders import is_codes, number_of_codes
 from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.free_space import free_ram, in_words
 from zipf.agents.hindsight import AchievedOptions
@@ -333,6 +334,9 @@ def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
             yield f"{name}={value}: should be at most {LARGEST_SIZE}"
     if too_large:
         return
+    if large := list(_too_many_codes(config, env)):
+        yield from large
+        return
     size, free = _weight_bytes(config, env), free_ram()
     if size is None:
         yield f"memory.size={config.memory.size}: such a network has too many weights or layers"
@@ -340,6 +344,26 @@ def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
         yield (
             f"memory.size={config.memory.size}: the weights of such a network, their gradients and "
             f"the optimiser take {in_words(size)}, and {in_words(free)} of RAM are free"
+        )
+
+
+def _too_many_codes(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
+    """Observations and actions so many that their weights alone do not fit into RAM."""
+    each, free = 4 if config.device.startswith("cuda") else 16, free_ram()  # bytes of a weight
+    for name, space in env.single_observation_space.items():
+        if is_codes(space):
+            size = number_of_codes(space) * config.network.code_channels * each
+            if size > free:
+                yield (
+                    f"{env.name_of(0)}: observation {name!r} is {space!s:.100}: embeddings of so "
+                    f"many codes take {in_words(size)}, and {in_words(free)} of RAM are free; give "
+                    "a quantity as a Box, and of codes fewer"
+                )
+    size = int(env.single_action_space.n) * config.memory.size * each
+    if size > free:
+        yield (
+            f"{env.name_of(0)}: {env.single_action_space} are too many actions: their weights take "
+            f"{in_words(size)}, and {in_words(free)} of RAM are free"
         )
 
 

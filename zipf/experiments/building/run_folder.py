@@ -21,6 +21,7 @@ from yaml import YAMLError
 
 import zipf
 from zipf import envs
+from zipf.envs import EngineError
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint
 from zipf.experiments.options.runtime import TorchrunOptions
@@ -118,6 +119,8 @@ def fits(path: Path) -> Iterator[None]:
     """Raises `UserError` where what a checkpoint holds does not fit the parts of this version."""
     try:
         yield
+    except EngineError:  # of an environment whose episodes are replayed
+        raise
     except (LookupError, RuntimeError, TypeError, AttributeError, ValueError) as error:
         first = next(iter(str(error).splitlines()), type(error).__name__)
         raise UserError(f"{path}: does not fit this version of zipf ({first})") from None

@@ -146,6 +146,7 @@ def score(
             >= 0, options that no level can have; a policy whose spaces or `env_options` differ from
             the split's, or that returns something else than an action for each environment; the
             path of a file or folder.
+        zipf.envs.EnvError: an episode does not end, or an environment returns what it must not.
         TypeError: the policy cannot be called.
     """
     split = as_split(split)

@@ -87,7 +87,8 @@ def change_images(image, orders, shifts, scales, centres, side):
                 for c in range(last, width):
                     target[c] = source[width - 1]
         first, second, third = orders[i]
-        if channels >= 3 and (first != 0 or second != 1):  # a fourth channel is no colour
+        # A fourth channel is no colour, and more of them have none.
+        if 3 <= channels <= 4 and (first != 0 or second != 1):
             for r in range(height):
                 for c in range(width):
                     pixel = image[i, r, c]

@@ -183,6 +183,7 @@ class _Episode:
     def _scripted(self) -> int | None:
         """The policy's action, at its time; None for the next episode."""
         assert self.one.policy
+        self.env.check_lengths()
         action = int(self.one.policy(self.observation, self.reward, self.is_first)[0])
         if self.shows.screen:
             self.due = max(self.due + 1 / self.session.fps, time.monotonic())

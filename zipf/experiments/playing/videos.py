@@ -189,6 +189,7 @@ def _batch(
         taken.append(np.asarray(actions, np.int64))
         observation, rewards, terminated, truncated, info = env.step(actions)
         reward, is_first = rewards.astype(np.float32), terminated | truncated
+        env.check_lengths()
         for i in np.flatnonzero(is_first).tolist():
             if i not in ended:
                 outcome = info["final_info"]

@@ -12,6 +12,7 @@ import torch
 from rich.console import Console
 
 from zipf import envs
+from zipf.agents.encoders import Encoder
 from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
 from zipf.errors import UserError
@@ -184,6 +185,9 @@ class Run:
         where = f"on {self.device} in {precision}"
         self.display.say(f"{self.name}: {state}, {where}, in {self.folder}")
         self._write(f"{self.name}: {state}, {where}")
+        encoder = getattr(getattr(self.agent, "network", None), "encoder", None)
+        if isinstance(encoder, Encoder):
+            self._tell(encoder.describe(self.env.single_observation_space))
         if precision == "bfloat16" and not has_bfloat16(self.device):
             self._tell(
                 "precision=bfloat16: this device has no instructions for it and takes several "
