@@ -191,14 +191,16 @@ class Config(Options):
 
     @property
     def env_threads(self) -> int:
-        """How many threads step the envs of a learner."""
+        """How many threads step the envs of a learner: without `threads` as many as PyTorch has, or
+        one fewer where collection runs ahead and the learner computes at the same time."""
         if not envs.sliceable(self.split):
             return 1
         if self.threads is not None:
             return self.threads
         import torch
 
-        return min(torch.get_num_threads(), self.num_envs)
+        left = torch.get_num_threads() - (1 if self.lag else 0)
+        return min(max(left, 1), self.num_envs)
 
     @property
     def learners(self) -> int:
