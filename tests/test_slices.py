@@ -2,6 +2,7 @@
 
 import pickle
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from zipf import envs
 from zipf.envs.policies import Teacher
 from zipf.envs.slices import Slices
 from zipf.envs.testing import check_vector_env
+from zipf.experiments.building import checkpoint, loading
+from zipf.experiments.training import runner
 
 LIFT, MAZE = "playroom/lift/lift_shape_zipf3", "labyrinth/rooms_watermaze"
 SMALL: dict[str, dict[str, Any]] = {
@@ -120,3 +123,25 @@ def test_what_a_thread_raises_is_raised_once_all_have_ended() -> None:
         env.each(fail)
     assert sorted(ended) == [0, 1, 2, 3]
     env.close()
+
+
+@pytest.mark.parametrize("condition", ["imitation", "vmpo"])
+def test_training_is_the_same_with_any_number_of_threads(condition: str, tmp_path: Path) -> None:
+    """Also where a run goes on with another."""
+    words = [
+        "experiment=playroom_lift_compact", f"condition={condition}", "collector.num_envs=6",
+        "collector.unroll_length=4", "environment.image_size=[12,16]", "network=compact", "network.patch=4",
+        "environment.max_steps=6", "evaluation.episodes=2", "schedule.window=[0,4]",
+        "precision=float32",
+    ]  # fmt: skip
+    found = []
+    for name, parts in (("one", [(4, 1)]), ("two", [(4, 2)]), ("both", [(2, 1), (4, 2)])):
+        for updates, threads in parts:
+            more = [f"updates={updates}", f"threads={threads}", f"run_root={tmp_path / name}"]
+            config = loading.load([*words, *more])
+            assert config.env_threads == threads
+            assert runner.train(config) == 0
+        weights = checkpoint.load(config.folder / "weights.pt")["weights"]
+        found.append({key: value.numpy() for key, value in weights.items()})
+    assert same(found[0], found[1])
+    assert same(found[0], found[2])
