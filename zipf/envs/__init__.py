@@ -28,6 +28,7 @@ from zipf.envs.family import (
     questions,
     register,
     scripted,
+    sliceable,
     split,
     symmetries,
 )
@@ -58,7 +59,7 @@ __all__ = [
     "Split", "SplitLevel", "ZipfVectorEnv", "all_splits", "baseline", "expert", "families",
     "family_of_split", "find_family", "find_level", "generalist", "goal", "keys", "make",
     "make_scored", "make_train", "make_vec", "measure_chance", "questions", "register", "scripted",
-    "split", "symmetries", "zipfian",
+    "sliceable", "split", "symmetries", "zipfian",
 ]  # fmt: skip
 
 for _package in ("gridworld", "playroom", "labyrinth"):

@@ -16,7 +16,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
@@ -111,6 +111,7 @@ class Family:
             `Symmetries`; None: there are none.
         goal: `goal(env)` is the `zipf.envs.goals.Goal` of a batch: it reads from observations what
             an episode asks for; None: they do not say.
+        sliceable: whether several threads may step its envs, see `zipf.envs.slices`.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Family:
     questions: Callable[[Split], Split] | str | None = None
     symmetries: Callable[[Any, Any], Symmetries] | str | None = None
     goal: Callable[[Any], Goal] | str | None = None
+    sliceable: bool = False
 
     @cached_property
     def options_class(self) -> type[Options]:
@@ -166,10 +168,12 @@ class Family:
             if name not in known:
                 raise unknown(f"{self.name} option", name, known)
 
-    def make_batch(self, level: str, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
+    def make_batch(
+        self, level: str, num_envs: int, *, threads: int = 1, **kwargs: Any
+    ) -> ZipfVectorEnv:
         """`num_envs` envs of a level, named without the family's name."""
         self.check_options(kwargs, "autoreset_mode", "copy", "render_mode")
-        return self.load_make_vec()(num_envs, level=level, **kwargs)
+        return _batch(partial(self.load_make_vec(), level=level), num_envs, threads, **kwargs)
 
     def load_make_vec(self) -> Callable[..., ZipfVectorEnv]:
         """What `make_vec` is, imported where it is a name."""
@@ -310,7 +314,11 @@ def make(level: str, **kwargs: Any) -> gym.Env:
 
 
 def make_vec(
-    level: Level | SplitLevel | Sequence[Level | SplitLevel], num_envs: int, **kwargs: Any
+    level: Level | SplitLevel | Sequence[Level | SplitLevel],
+    num_envs: int,
+    *,
+    threads: int = 1,
+    **kwargs: Any,
 ) -> ZipfVectorEnv:
     """`num_envs` envs of a level that step together.
 
@@ -318,6 +326,7 @@ def make_vec(
         level: a full name, or what a `Split` may hold in a name's place. Several levels share the
             envs evenly, see `Mixture`.
         num_envs: number of envs N.
+        threads: how many step the envs, where these are `sliceable`, see `zipf.envs.slices`.
         kwargs: `autoreset_mode`, `copy`, `render_mode` and constructor options; a `SplitLevel`'s
             own options go before those.
 
@@ -326,17 +335,38 @@ def make_vec(
     """
     if isinstance(level, str):
         found, name = find_level(level)
-        return found.make_batch(name, num_envs, **kwargs)
+        return found.make_batch(name, num_envs, threads=threads, **kwargs)
     if isinstance(level, SplitLevel):
-        return make_vec(level.level, num_envs, **{**kwargs, **level.options})
+        return make_vec(level.level, num_envs, threads=threads, **{**kwargs, **level.options})
     if callable(level):
-        return level(num_envs, **kwargs)
+        return _batch(level, num_envs, threads, **kwargs)
     if not isinstance(level, Sequence):
         raise ValueError(
             "a level must be a name such as 'gridworld/zipf_2', a function that makes a batch, or "
             f"a list of these; got {level!r}"
         )
-    return _mixture(level, num_envs, **kwargs)
+    return _mixture(level, num_envs, threads=threads, **kwargs)
+
+
+def _batch(
+    make: Callable[..., ZipfVectorEnv], num_envs: int, threads: int, **kwargs: Any
+) -> ZipfVectorEnv:
+    if threads == 1:
+        return make(num_envs, **kwargs)
+    from zipf.envs.slices import Slices
+
+    return Slices(make, num_envs, threads, **kwargs)
+
+
+def sliceable(split: Split) -> bool:
+    """Whether several threads can step the envs that `make_train` makes of a split."""
+
+    def one(level: Level | SplitLevel) -> bool:
+        if isinstance(level, SplitLevel):
+            return one(level.level)
+        return isinstance(level, str) and find_level(level)[0].sliceable
+
+    return all(map(one, split.train))
 
 
 def make_train(split: Split, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
@@ -477,7 +507,12 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> BoundPolicy | No
     found, _ = find_level(level)
     _check_batch(f"the {name} plays", env)
     make = getattr(found, name)
-    return None if make is None else _loaded(make)(env)
+    if make is None:
+        return None
+    from zipf.envs.slices import SlicedPolicy, Slices
+
+    policy = _loaded(make)
+    return SlicedPolicy(env, policy) if isinstance(env, Slices) else policy(env)
 
 
 def goal(level: str, env: ZipfVectorEnv) -> Goal | None:

@@ -12,10 +12,7 @@ from zipf.compiled import compiled
 from zipf.envs import pcg64
 from zipf.envs.arguments import mapping, whole
 from zipf.envs.distributions import zipfian
-from zipf.envs.vector import Observation, ZipfVectorEnv, rank_name
-
-_SHARED = ("_streams", "_running", "_lengths", "_returns", "_restarted")
-"""Arrays of the mixture that the levels' batches use in the place of their own."""
+from zipf.envs.vector import SHARED, Observation, ZipfVectorEnv, rank_name
 
 
 class Mixture(ZipfVectorEnv):
@@ -271,12 +268,11 @@ class Mixture(ZipfVectorEnv):
         for k, batch in enumerate(self.batches):
             if self._engine_of[k] != k:
                 batch._use_engine(self.batches[self._engine_of[k]])
-            for name in _SHARED:
+            for name in SHARED:
                 setattr(batch, name, getattr(self, name))
             batch._seeded = self._begun[k]
             batch._use_processes(self.batches[0])
-            if isinstance(batch, Mixture):
-                batch._share()
+            batch._share()
 
     def _locate(self, seeded: NDArray[np.bool_]) -> None:
         """Sets the masks by level and by engine, for levels that were not drawn by `_begin`."""

@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Self, cast
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -72,6 +72,10 @@ def rank_name(what: str, name: Any) -> str:
     return own_name(what, name)
 
 
+SHARED = ("_streams", "_running", "_lengths", "_returns", "_restarted")
+"""Arrays of a batch that batches inside of it work on in the place of their own."""
+
+
 class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     """`N` envs that step together and report the situation of every episode.
 
@@ -123,6 +127,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         action_regions: float32 [actions, 4], the part of the image that the action points at when
             it ends an episode (top, left, bottom, right, in sides of the image): what is achieved
             is there, and nothing else. None where actions do not point.
+        sliceable: whether several batches of this class may work at the same time, each in a thread
+            of its own, see `zipf.envs.slices`.
         longest_episode: an evaluation takes an episode of more steps for one that never ends.
 
     Raises:
@@ -136,6 +142,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     reports_success: bool = True
     achieves: bool = False
     action_regions: NDArray[np.float32] | None = None
+    sliceable: ClassVar[bool] = False
     longest_episode: int = 1_000_000  # ours
 
     def __init__(
@@ -280,6 +287,9 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         are never stepped.
         """
 
+    _state_axis: Mapping[str, int] = {}
+    """Of keys of `_get_env_states` the axis that counts envs, where it is not the first."""
+
     _resizable: frozenset[str] = frozenset()
     """Keys of `_get_env_states` whose arrays may be of another length in another state."""
 
@@ -294,6 +304,9 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def _use_engine(self, other: Self) -> None:
         """Uses the state of `other`, a batch with an equal `_engine`, in the place of its own."""
         raise NotImplementedError
+
+    def _share(self) -> None:
+        """Makes the batches inside this one, if there are any, work on its arrays."""
 
     def _leave(self, envs: list[int]) -> None:
         """In a mixture: these envs go on to other levels. Most families have nothing to free."""

@@ -21,4 +21,5 @@ FAMILY = Family(
     expert="zipf.envs.labyrinth.expert:Expert",
     generalist="zipf.envs.labyrinth.generalist:Generalist",
     goal="zipf.envs.goals:Instruction",
+    sliceable=True,
 )

@@ -33,6 +33,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012
     reports_success = False
+    sliceable = True
 
     def __init__(
         self,

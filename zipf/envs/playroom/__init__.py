@@ -94,5 +94,6 @@ FAMILY = Family(
     generalist="zipf.envs.playroom.generalist:Generalist",
     symmetries="zipf.envs.playroom.symmetries:Symmetries",
     goal="zipf.envs.goals:Instruction",
+    sliceable=True,
     questions="zipf.envs.playroom.first_frame:questions",
 )

@@ -31,6 +31,8 @@ class PlayroomVectorEnv(ZipfVectorEnv):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 7.5}  # noqa: RUF012
     achieves = True
+    sliceable = True
+    _state_axis = {"forced": 1}  # noqa: RUF012
 
     def __init__(
         self,

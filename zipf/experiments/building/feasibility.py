@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -49,6 +50,7 @@ def problems(config: Config) -> Iterator[str]:
             f"collector.num_envs={config.collector.num_envs}: should be at least "
             f"{len(train) * config.learners}, an env for each train level of {split.name}{of_each}"
         )
+    yield from _not_so_many_threads(config)
     agent, collector = agents()[config.agent.name], config.collector
     if config.learning_rate_decay and not issubclass(agent, Learner):
         yield (
@@ -173,6 +175,20 @@ def _reads_itself(config: Config) -> Iterator[str]:
             f"hindsight.kept_per_goal={kept}: kept episodes would read their own rows from the "
             f"dictionary of episodic={episodic.name}; choose null, or episodic=none"
         )
+
+
+def _not_so_many_threads(config: Config) -> Iterator[str]:
+    threads, cores = config.threads or 1, len(os.sched_getaffinity(0))
+    if threads > 1 and not envs.sliceable(envs.split(config.environment.split)):
+        yield (
+            f"threads={threads}: the envs of {config.environment.split} are stepped by one thread; "
+            "choose threads=1, or leave it out"
+        )
+    elif threads > config.num_envs:
+        of_each = ", those of each learner" if config.learners > 1 else ""
+        yield f"threads={threads}: should be at most {config.num_envs}, the envs{of_each}"
+    elif threads > cores:
+        yield f"threads={threads}: should be at most {cores}, the cores that this process may use"
 
 
 def too_many_envs(config: Config, num_envs: int, episodes: int | None, option: str) -> str | None:

@@ -112,6 +112,7 @@ class Config(Options):
     device: Device
     precision: Literal["auto", "float32", "bfloat16"]
     compile: bool
+    threads: PositiveInt | None = None
     resume: Literal["auto", "must", "never"]
     agent: Any
     memory: Any
@@ -187,6 +188,19 @@ class Config(Options):
 
             return agents()[self.agent.name].largest_lag
         return self.collector.lag
+
+    @property
+    def env_threads(self) -> int:
+        """How many threads step the envs of a learner: without `threads` as many as PyTorch has, or
+        one fewer where collection runs ahead and the learner computes at the same time."""
+        if not envs.sliceable(self.split):
+            return 1
+        if self.threads is not None:
+            return self.threads
+        import torch
+
+        left = torch.get_num_threads() - (1 if self.lag else 0)
+        return min(max(left, 1), self.num_envs)
 
     @property
     def learners(self) -> int:

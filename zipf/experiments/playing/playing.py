@@ -158,7 +158,10 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
         known = envs.find_level(level)[0].options_class.model_fields
         if not level_options.keys() <= known.keys():
             raise UserError(f"level={level}: belongs to another family than the run's levels")
-        drawn = {"autoreset_mode": AutoresetMode.DISABLED, "render_mode": "rgb_array"}
+        drawn: dict[str, Any] = {
+            "autoreset_mode": AutoresetMode.DISABLED,
+            "render_mode": "rgb_array",
+        }
         return envs.make_vec(level, 1, **drawn, **level_options)
     except ValueError as error:
         raise UserError(str(error)) from None

@@ -130,7 +130,9 @@ class Run:
         self.folder = config.folder
         self.device = config.torch_device
         collector = config.collector
-        self.env = envs.make_train(config.split, config.num_envs, **config.level_options)
+        self.env = envs.make_train(
+            config.split, config.num_envs, threads=config.env_threads, **config.level_options
+        )
         self.agent = build_agent(config, self.env)
         try:
             self._notes = self.agent.begin_learning(config.folder, config.schedule.checkpoint_every)
