@@ -130,9 +130,9 @@ def test_training_is_the_same_with_any_number_of_threads(condition: str, tmp_pat
     """Also where a run goes on with another."""
     words = [
         "experiment=playroom_lift_compact", f"condition={condition}", "collector.num_envs=6",
-        "collector.unroll_length=4", "environment.image_size=[12,16]", "network=compact", "network.patch=4",
-        "environment.max_steps=6", "evaluation.episodes=2", "schedule.window=[0,4]",
-        "precision=float32",
+        "collector.unroll_length=4", "environment.image_size=[12,16]", "network=compact",
+        "network.patch=4", "environment.max_steps=6", "evaluation.episodes=2",
+        "schedule.window=[0,4]", "precision=float32",
     ]  # fmt: skip
     found = []
     for name, parts in (("one", [(4, 1)]), ("two", [(4, 2)]), ("both", [(2, 1), (4, 2)])):

@@ -3,34 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zipf.envs.family import Scripted, scripted
 from zipf.envs.mixture import Mixture
+from zipf.envs.remembering import Remembering
 from zipf.envs.splits import Split
 
 if TYPE_CHECKING:
     from zipf.envs.family import BoundPolicy
     from zipf.envs.vector import ZipfVectorEnv
-
-
-class Remembering:
-    """The base of scripted policies that remember something of their episodes."""
-
-    # names of the attributes, arrays [N, ...], that its next actions depend on
-    remembered: ClassVar[tuple[str, ...]]
-
-    def get_state(self) -> dict[str, NDArray[Any]]:
-        """What it remembers, by name."""
-        return {name: getattr(self, name).copy() for name in self.remembered}
-
-    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Continues from `get_state()`, in the same envs."""
-        for name in self.remembered:
-            getattr(self, name)[:] = state[name]
 
 
 class Teacher:

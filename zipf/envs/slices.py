@@ -11,8 +11,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf.envs.arguments import whole
-from zipf.envs.family import BoundPolicy
-from zipf.envs.policies import Remembering
+from zipf.envs.remembering import Remembering
 from zipf.envs.vector import SHARED, Observation, ZipfVectorEnv
 
 Result = TypeVar("Result")
@@ -199,7 +198,9 @@ class SlicedPolicy(Remembering):
         make: makes the policy of a slice.
     """
 
-    def __init__(self, env: Slices, make: Callable[[ZipfVectorEnv], BoundPolicy]):
+    def __init__(
+        self, env: Slices, make: Callable[[ZipfVectorEnv], Callable[[], NDArray[np.int64]]]
+    ):
         self._env = env
         self._policies: dict[int, Any] = {id(part): make(part) for part in env.parts}
 

@@ -9,7 +9,7 @@ from zipf.envs.gridworld.kernels import COLUMN, MAP, ROW, TARGET
 from zipf.envs.gridworld.maps import MOVES, PAD, VIEW
 from zipf.envs.gridworld.sprites import FLOOR, WALL
 from zipf.envs.gridworld.vector import GridworldVectorEnv
-from zipf.envs.policies import Remembering
+from zipf.envs.remembering import Remembering
 
 UNSEEN = 255  # what is known of a cell that has not been in view; no cell code
 

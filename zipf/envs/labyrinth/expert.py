@@ -11,7 +11,7 @@ from zipf.envs.labyrinth.state import X, Y
 from zipf.envs.labyrinth.steering import BACKWARD, WAIT
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
 from zipf.envs.mixture import Mixture
-from zipf.envs.policies import Remembering
+from zipf.envs.remembering import Remembering
 
 _STUCK = 12  # steps without moving after which it leaves a place
 _BACK, _ASIDE = 6, 4  # steps back, then aside, with which it does

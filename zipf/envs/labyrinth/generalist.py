@@ -14,7 +14,7 @@ from zipf.envs.labyrinth.state import CELL, ITEMS, QUADS, YAW, X, Y
 from zipf.envs.labyrinth.steering import WAIT
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
 from zipf.envs.mixture import Mixture
-from zipf.envs.policies import Remembering
+from zipf.envs.remembering import Remembering
 
 _MOVED = 5.0  # units a step; a player that moves less is stuck
 _STUCK, _FREEING = 12, 10  # steps without moving, and those that leave such a place

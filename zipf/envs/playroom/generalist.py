@@ -17,7 +17,7 @@ from zipf.envs.playroom.levels import LIFT, NEAR, ON
 from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Envs, X
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.playroom.view import FIELD_OF_VIEW
-from zipf.envs.policies import Remembering
+from zipf.envs.remembering import Remembering
 
 # Ours.
 _NOWHERE = 1000.0  # coordinates of what has not been seen, metres: it is in nobody's way

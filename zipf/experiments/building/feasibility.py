@@ -179,7 +179,9 @@ def _reads_itself(config: Config) -> Iterator[str]:
 
 def _not_so_many_threads(config: Config) -> Iterator[str]:
     threads, cores = config.threads or 1, len(os.sched_getaffinity(0))
-    if threads > 1 and not envs.sliceable(envs.split(config.environment.split)):
+    if threads == 1:
+        return
+    if not envs.sliceable(envs.split(config.environment.split)):
         yield (
             f"threads={threads}: the envs of {config.environment.split} are stepped by one thread; "
             "choose threads=1, or leave it out"
