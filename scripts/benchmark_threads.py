@@ -39,7 +39,7 @@ def speed(env: ZipfVectorEnv, seconds: float, rng: np.random.Generator) -> float
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    cores = len(os.sched_getaffinity(0))
+    cores = os.cpu_count() or 1
     parser.add_argument("--threads", type=int, nargs="+", default=sorted({1, cores}))
     parser.add_argument("--envs", type=int, default=64)
     parser.add_argument("--rounds", type=int, default=5)

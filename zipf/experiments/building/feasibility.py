@@ -178,9 +178,10 @@ def _reads_itself(config: Config) -> Iterator[str]:
 
 
 def _not_so_many_threads(config: Config) -> Iterator[str]:
-    threads, cores = config.threads or 1, len(os.sched_getaffinity(0))
-    if threads == 1:
+    if (threads := config.threads or 1) == 1:
         return
+    # macOS does not say which cores a process may use.
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     if not envs.sliceable(envs.split(config.environment.split)):
         yield (
             f"threads={threads}: the envs of {config.environment.split} are stepped by one thread; "
@@ -189,7 +190,7 @@ def _not_so_many_threads(config: Config) -> Iterator[str]:
     elif threads > config.num_envs:
         of_each = ", those of each learner" if config.learners > 1 else ""
         yield f"threads={threads}: should be at most {config.num_envs}, the envs{of_each}"
-    elif threads > cores:
+    elif cores and threads > cores:
         yield f"threads={threads}: should be at most {cores}, the cores that this process may use"
 
 
