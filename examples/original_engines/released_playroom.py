@@ -211,7 +211,7 @@ class DockerVectorEnv(ReplayedVectorEnv):
             env.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "_worlds": [None] * self.num_envs}
+        return {**super().__getstate__(), "_envs": [None] * self.num_envs}
 
 
 @cache
