@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
+from functools import cached_property
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -101,7 +102,10 @@ class Slices(ZipfVectorEnv):
         for rows, part in zip(self.rows, self.parts, strict=True):
             for name in (*SHARED, "_seeded"):
                 setattr(part, name, getattr(self, name)[rows])
-        self._pool = ThreadPoolExecutor(len(self.parts) - 1 or 1, "zipf-envs")
+
+    @cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(len(self.parts) - 1 or 1, "zipf-envs")
 
     def each(self, do: Callable[[ZipfVectorEnv, slice], Result]) -> list[Result]:
         """Calls `do` for every slice, each in its thread; what one raises is raised here."""
@@ -182,7 +186,7 @@ class Slices(ZipfVectorEnv):
 
     def __getstate__(self) -> dict[str, Any]:
         state = super().__getstate__()
-        del state["_pool"]
+        state.pop("_pool", None)
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:

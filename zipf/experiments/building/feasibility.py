@@ -21,7 +21,6 @@ from zipf.agents.network_options import MatchingOptions
 from zipf.errors import UserError
 from zipf.experiments.building import run_folder
 from zipf.experiments.building.factory import build_agent
-from zipf.experiments.hooks.augmentation import AUGMENTATIONS
 from zipf.experiments.options.runtime import RayOptions, TorchrunOptions, has_ray
 from zipf.experiments.options.schema import Config, PretrainedOptions, find_device
 from zipf.experiments.records.learned_options import flatten
@@ -282,12 +281,6 @@ def _try_to_build(config: Config) -> Iterator[str]:
         yield from str(error).splitlines()
         return
     yield from _left_random(config, agent)
-    try:
-        symmetries = envs.symmetries(split, env)
-        space = env.single_observation_space
-        AUGMENTATIONS.build(config.augmentation, space, symmetries=symmetries)
-    except ValueError as error:
-        yield str(error)
     if agent.needs.teacher and getattr(family, agent.needs.teacher) is None:
         known = [name for name in envs.SCRIPTED if getattr(family, name) is not None]
         yield (
