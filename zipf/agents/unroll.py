@@ -39,6 +39,9 @@ class Augmentation(Protocol):
 
     Attributes:
         size: how many numbers, D. All zero, of rows that stand for no frame, they change nothing.
+        on_device: bool; whether it is called with tensors of the agent's device, as a part of an
+            update that may be captured (`zipf.agents.capture`), and with None where steps have no
+            `draw`. Without this attribute it is not.
     """
 
     size: int
@@ -66,11 +69,19 @@ class Augmentation(Protocol):
         ...
 
 
+def on_device(augmentation: Augmentation | None) -> bool:
+    """Whether an augmentation changes observations where the agent computes."""
+    return getattr(augmentation, "on_device", False)
+
+
 def changed(steps: TensorDict, augmentation: Augmentation) -> TensorDict:
-    """Steps [...] with their observations as their `draw` changes them; all else is shared."""
+    """Steps [...] with their observations as their `draw` changes them, or its lack; all else is
+    shared."""
     observation = dict(steps["observation"].items())
     seen = steps.clone(recurse=False)
-    seen["observation"] = TensorDict(augmentation(observation, steps["draw"]), steps.batch_size)
+    seen["observation"] = TensorDict(
+        augmentation(observation, steps.get("draw", None)), steps.batch_size
+    )
     return seen
 
 
