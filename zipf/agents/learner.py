@@ -216,6 +216,7 @@ class Learner(Agent):
             average_gradients(_parameters(self.optimisers.values()))
             norm = step()
             self.updates += 1
+        self.after_update()
         return {"loss": loss.loss, "gradient_norm": norm, **loss.metrics}, loss.kept
 
     @property
@@ -243,12 +244,14 @@ class Learner(Agent):
         backward = Captured(
             self._backward, graph(self.device), self._tensors, name="the loss of an update"
         )
-        step = Captured(
-            lambda: self._step(*backward.outputs),
-            graph(self.device),
-            self._tensors,
-            name="the step of an update",
-        )
+
+        def follow() -> Tensor:
+            batch, loss = backward.outputs
+            norm = self._descend(loss.loss)
+            self.after_step(batch, loss.kept)
+            return norm
+
+        step = Captured(follow, graph(self.device), self._tensors, name="the step of an update")
         self._captured = backward, step
 
     def _tensors(self) -> list[Tensor]:
@@ -274,11 +277,6 @@ class Learner(Agent):
         kept = {name: tensor.detach() for name, tensor in kept.items()}
         return batch, Loss(loss.detach(), metrics, kept)
 
-    def _step(self, batch: Any, loss: Loss) -> Tensor:
-        norm = self._descend(loss.loss)
-        self.after_step(batch, loss.kept)
-        return norm
-
     def _descend(self, loss: Tensor) -> Tensor:
         """One step of all optimisers; returns the norm of the gradients of `learned`."""
         norm = nn.utils.clip_grad_norm_(self.learned, self.options.max_gradient_norm)
@@ -297,11 +295,16 @@ class Learner(Agent):
         return norm
 
     def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
-        """Follows an optimiser step: the targets of the auxiliary loss, and the dictionary, whose
-        rows are made of the memory's outputs `core` [T + 1, B, size] and of `action` [T + 1, B]."""
+        """Follows an optimiser step, and is captured with it: the targets of the auxiliary loss,
+        and the dictionary, whose rows are made of the memory's outputs `core` [T + 1, B, size] and
+        of `action` [T + 1, B]."""
         self.auxiliary.after_update(self.network.encoder)
         if "episodic" in self.supports:
             self.recorder.record(self.network.dictionary, batch.steps, kept["core"], kept["action"])
+
+    def after_update(self) -> None:
+        """Follows an update on the host and is never captured: what is done every so many `updates`
+        is done here."""
 
     def state_dict(self) -> dict[str, Any]:
         return {name: part.state_dict() for name, part in self.parts.items()} | {
