@@ -186,6 +186,7 @@ class R2D2(Learner):
     """
 
     Options = R2D2Options
+    captures = True
     supports = frozenset({"critic", "exploration", "hindsight", "reweighting"})
     averages_gradients = False  # each learner would draw from a replay of its own
     largest_lag = 1  # replay is off-policy anyway

@@ -67,10 +67,12 @@ class Augmentation(Protocol):
 
 
 def changed(steps: TensorDict, augmentation: Augmentation) -> TensorDict:
-    """Steps [...] with their observations as their `draw` changes them; all else is shared."""
+    """Steps [...] with their observations as their `draw` changes them, None where nothing was
+    drawn; all else is shared."""
     observation = dict(steps["observation"].items())
+    draw = steps["draw"] if "draw" in steps.keys() else None
     seen = steps.clone(recurse=False)
-    seen["observation"] = TensorDict(augmentation(observation, steps["draw"]), steps.batch_size)
+    seen["observation"] = TensorDict(augmentation(observation, draw), steps.batch_size)
     return seen
 
 
@@ -193,6 +195,28 @@ class Unroll:
 
         steps = changed(self.steps, augmentation)
         return replace(self, steps=steps, final=seen(self.final), episodes=seen(self.episodes))
+
+    def part(self, k: int, parts: int) -> Unroll:
+        """Every `parts`-th env, from env k on, and as many of the relabelled episodes; shares
+        memory."""
+
+        def some(part: TensorDict | None) -> TensorDict | None:
+            chosen = None if part is None else part[:, k::parts]
+            return chosen if chosen is not None and chosen.shape[1] else None
+
+        memory = {name: value[k::parts] for name, value in self.memory.items()}
+        late = self.late_memory and {n: v[k::parts] for n, v in self.late_memory.items()}
+        return Unroll(self.steps[:, k::parts], memory, late, some(self.final), some(self.episodes))
+
+    def clone(self) -> Unroll:
+        """A copy that shares nothing."""
+        late = self.late_memory and {
+            name: value.clone() for name, value in self.late_memory.items()
+        }
+        final = None if self.final is None else self.final.clone()
+        episodes = None if self.episodes is None else self.episodes.clone()
+        memory = {name: value.clone() for name, value in self.memory.items()}
+        return Unroll(self.steps.clone(), memory, late, final, episodes)
 
     def to(self, device: str) -> Unroll:
         """The same on another device."""

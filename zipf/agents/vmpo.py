@@ -64,6 +64,8 @@ class VMPO(Learner):
     """
 
     Options = VMPOOptions
+    learns_from_parts = True  # the target network acts, and follows between unrolls
+    captures = True
     supports = frozenset({"auxiliary", "critic", "exploration", "hindsight", "reweighting"})
     options: VMPOOptions
     network: ActorCritic

@@ -5,16 +5,20 @@ from __future__ import annotations
 from zipf import envs
 from zipf.agents.agent import Agent, AgentSpec, agents
 from zipf.agents.learner import Learner
+from zipf.agents.unroll import Augmentation
+from zipf.envs.tensor import TensorEnv
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.hooks.augmentation import AUGMENTATIONS
+from zipf.experiments.hooks.tensor import View
 from zipf.experiments.options.schema import Config
 
 
-def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
+def build_agent(config: Config, env: ZipfVectorEnv | TensorEnv) -> Agent:
     """The agent that the configuration names, for these envs, with weights from its seed; its image
-    encoders are compiled with `compile=true`.
+    encoders are compiled with `compile=true`. Of tensor environments it sees what a `View` makes of
+    their codes.
     Raises UserError: the network cannot read these observations, they lack what the auxiliary loss
     is about, or there is no image encoder to compile."""
     assert config.precision != "auto"  # the schema has resolved it
@@ -24,6 +28,9 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
             env.single_observation_space,
             symmetries=envs.symmetries(config.split, env),
         )
+        view: Augmentation | None = augmentation
+        if not isinstance(env, ZipfVectorEnv):
+            view = View(env, augmentation)
         spec = AgentSpec(
             env.single_observation_space,
             env.single_action_space,
@@ -32,14 +39,14 @@ def build_agent(config: Config, env: ZipfVectorEnv) -> Agent:
             config.auxiliary,
             config.critic,
             config.episodic,
-            num_envs=config.num_envs,
+            num_envs=config.num_envs // config.updates_per_unroll,
             unroll_length=config.collector.unroll_length,
             seed=derive_seed(config.seed, "weights"),
             device=config.torch_device,
             precision=config.precision,
             weighted=config.reweighting.name != "none",
             hindsight=config.hindsight,
-            augmentation=augmentation,
+            augmentation=view,
         )
         agent = agents()[config.agent.name](config.agent, spec)
         if config.compile:

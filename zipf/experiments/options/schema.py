@@ -33,8 +33,10 @@ Device = Annotated[str, Field(pattern=DEVICE_PATTERN)]
 
 
 class CollectorOptions(Options):
-    """An update consumes num_envs x unroll_length frames.
+    """An update consumes envs_per_update x unroll_length frames; None: of all `num_envs`.
 
+    `envs` is where they are stepped: on the `host`, or as tensors on the `device` of the agent;
+    `auto`: there, on a CUDA device and where all that a run consists of can be.
     Of several learners each has its share of the envs. `lag` is how many unrolls collection runs
     ahead of learning, but for `runtime=ray`; None: as many as the agent corrects for. Without
     `bootstrap_at_time_limit` the agent learns as if a time limit were the end of the task: no value
@@ -43,6 +45,8 @@ class CollectorOptions(Options):
     """
 
     num_envs: PositiveInt
+    envs_per_update: PositiveInt | None
+    envs: Literal["auto", "host", "device"]
     unroll_length: PositiveInt
     lag: Annotated[int, Field(ge=0, le=1)] | None
     bootstrap_at_time_limit: bool
@@ -112,6 +116,7 @@ class Config(Options):
     device: Device
     precision: Literal["auto", "float32", "bfloat16"]
     compile: bool
+    capture: bool
     threads: PositiveInt | None = None
     resume: Literal["auto", "must", "never"]
     agent: Any
@@ -211,6 +216,18 @@ class Config(Options):
     def num_envs(self) -> int:
         """The envs of each learner."""
         return self.collector.num_envs // self.learners
+
+    @property
+    def updates_per_unroll(self) -> int:
+        """How many updates are made from each unroll."""
+        collector = self.collector
+        return max(collector.num_envs // (collector.envs_per_update or collector.num_envs), 1)
+
+    @property
+    def frames_per_update(self) -> int:
+        """How many frames the learners' updates consume together."""
+        collector = self.collector
+        return (collector.envs_per_update or collector.num_envs) * collector.unroll_length
 
     @property
     def torch_device(self) -> str:

@@ -19,6 +19,7 @@ from zipf.agents.unroll import Unroll, changed
 from zipf.envs.mixture import Mixture
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.checkpoint import arrays
+from zipf.experiments.hooks.exploration import CountBonus
 from zipf.experiments.hooks.hook import Hook, Row
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.training.unroll_buffers import CARRIED, UnrollBuffers
@@ -149,6 +150,14 @@ class Collector:
             "episodes": dict(self._episodes),
             **{hook.name: hook.state_dict() for hook in self.hooks},
         }
+
+    def begin_with(self, visits: Mapping[str, Any], hooks: Mapping[str, Any]) -> None:
+        """Goes on with new episodes, and with the visits and the bonus's counts of a collector of
+        tensor environments."""
+        self.visits.load_state_dict(visits)
+        for hook in self.hooks:
+            if isinstance(hook, CountBonus):
+                hook.load_state_dict(hooks[hook.name])
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""

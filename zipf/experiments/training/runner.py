@@ -15,8 +15,11 @@ from zipf import envs
 from zipf.agents.encoders import Encoder
 from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
+from zipf.envs.tensor import TensorEnv
+from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, run_folder
+from zipf.experiments.building.device_envs import on_device
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.building.out_of_ram import enough_ram
 from zipf.experiments.building.seeds import derive_seed
@@ -68,7 +71,7 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
                     run.evaluate()
                 if run.is_new:
                     run.save()
-                while run.update < config.updates and not learner.agree(stop.requested):
+                while run.update < config.updates and not run.may_stop(stop.requested):
                     unroll, metrics = run.step()
                     run.display.advance(run.update)
                     if run.update % schedule.log_every == 0:
@@ -129,10 +132,15 @@ class Run:
         runtime = runtime or Runtime(config)
         self.folder = config.folder
         self.device = config.torch_device
-        collector = config.collector
-        self.env = envs.make_train(
-            config.split, config.num_envs, threads=config.env_threads, **config.level_options
-        )
+        self.env: ZipfVectorEnv | TensorEnv
+        if on_device(config):
+            self.env = envs.make_tensor(
+                config.split, config.num_envs, config.torch_device, **config.level_options
+            )
+        else:
+            self.env = envs.make_train(
+                config.split, config.num_envs, threads=config.env_threads, **config.level_options
+            )
         self.agent = build_agent(config, self.env)
         try:
             self._notes = self.agent.begin_learning(config.folder, config.schedule.checkpoint_every)
@@ -146,7 +154,7 @@ class Run:
         if self.is_new:
             self._pretrained = pretrained.begin(config, self.agent, self.learner)
         self.rollouts = runtime.rollouts(self.env, self.agent, self.learner.stream)
-        self.frames_per_update = collector.num_envs * collector.unroll_length
+        self.frames_per_update = config.frames_per_update
         self.clock = Clock()
         self.update = 0
         self.evaluated = -1
@@ -240,7 +248,13 @@ class Run:
     def close(self) -> None:
         """Ends the other threads and processes, if there are any, and closes the envs."""
         self.rollouts.close()
-        self.env.close()
+        if isinstance(self.env, ZipfVectorEnv):
+            self.env.close()
+
+    def may_stop(self, requested: int) -> int:
+        """The number of the signal that asks a learner to stop; 0 while there is none, or updates
+        of an unroll are left."""
+        return self.learner.agree(requested) if self.rollouts.is_between_unrolls else 0
 
     def step(self) -> tuple[Unroll, dict[str, float]]:
         """Collects an unroll and makes one update with it; returns both the unroll and metrics.
@@ -282,6 +296,7 @@ class Run:
             "frames_per_second": frames / (self.clock.training - then),
             **{f"time_{part}": seconds for part, seconds in self.clock.parts.items()},
             **self._learning_rate_factor(),
+            **self._staleness(),
             **self.learner.mean(
                 {
                     **self.rollouts.metrics(),
@@ -304,6 +319,12 @@ class Run:
         if self.config.learning_rate_decay is None:
             return {}
         return {"learning_rate_factor": self.config.learning_rate_factor(self.update - 1)}
+
+    def _staleness(self) -> dict[str, float]:
+        """How many updates older than the newest the weights are, in the mean over an unroll's
+        updates, that played it; where updates learn from parts of it."""
+        parts = self.config.updates_per_unroll
+        return {} if parts == 1 else {"staleness": self.config.lag * parts + (parts - 1) / 2}
 
     @property
     def evaluation_is_due(self) -> bool:
@@ -389,4 +410,11 @@ class Run:
             except OSError as error:  # files that the checkpoint refers to
                 raise UserError(str(error)) from None
             self.rollouts.load_state_dict(saved["source"])
+            was_on_device = "tensor_envs" in saved["source"]
+            if was_on_device == isinstance(self.env, ZipfVectorEnv):
+                where, before = ("host", "device") if was_on_device else ("device", "host")
+                self._notes.append(
+                    f"envs are stepped on the {where} now, and were on the {before}: new episodes "
+                    "begin; weights, optimiser and counts are kept"
+                )
             torch.set_rng_state(saved["torch_rng"])
