@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -34,9 +35,11 @@ from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_en
 
 
 def train(config: Config, runtime: Runtime | None = None) -> int:
-    """Trains until `config.updates`, or until a signal asks to stop; the same command resumes.
+    """Trains until `config.updates`, a signal that asks to stop, or the first update after
+    `schedule.stop_after` seconds; the same command resumes.
 
-    A run that is finished is left as it is.
+    A run that is finished is left as it is. `schedule.stop_after` gives up no evaluation, and each
+    call makes at least one update, so that repeated calls finish.
 
     Args:
         runtime: the processes of the run (`zipf.experiments.cluster.runtime_of`); None: this one.
@@ -48,6 +51,7 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
     """
     if sweep_has_ended():
         return signal.SIGTERM
+    began = time.monotonic()
     keep_freed_ram()
     runtime = runtime or Runtime(config)
     schedule = config.schedule
@@ -68,7 +72,8 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
                     run.evaluate()
                 if run.is_new:
                     run.save()
-                while run.update < config.updates and not learner.agree(stop.requested):
+                over = 0
+                while run.update < config.updates and not learner.agree(stop.requested or over):
                     unroll, metrics = run.step()
                     run.display.advance(run.update)
                     if run.update % schedule.log_every == 0:
@@ -77,6 +82,8 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
                         run.evaluate()
                     if run.update % schedule.checkpoint_every == 0:
                         run.save()
+                    if schedule.stop_after is not None:
+                        over = int(time.monotonic() - began >= schedule.stop_after)
                 run.save()
                 if run.closing_evaluation_is_due:
                     run.evaluate()
