@@ -395,5 +395,10 @@ class Run:
                 self.agent.load_state_dict(saved["agent"])
             except OSError as error:  # files that the checkpoint refers to
                 raise UserError(str(error)) from None
+            if saved.get("without_replay"):  # scripts/pack_runs.py
+                self._notes.append(
+                    "the replay was left behind: a new one is filled before learning goes on, "
+                    "which is not bit for bit as it would have been"
+                )
             self.rollouts.load_state_dict(saved["source"])
             torch.set_rng_state(saved["torch_rng"])
