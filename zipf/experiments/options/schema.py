@@ -19,7 +19,7 @@ from zipf.errors import UserError
 from zipf.experiments.options.runtime import RayOptions, RuntimeOptions, TorchrunOptions
 from zipf.experiments.records.descriptions import Colour, Count, Finite, Line
 from zipf.experiments.records.learned_options import affects_learning, changes_nothing, flatten
-from zipf.options import Options
+from zipf.options import Options, Positive
 from zipf.registry import registries
 
 PositiveInt = Annotated[int, Field(ge=1, lt=10**15)]
@@ -67,11 +67,15 @@ class EvaluationOptions(Options):
 
 
 class ScheduleOptions(Options):
-    """When files are written. `window` is the interval of updates that results are taken from."""
+    """When files are written. `window` is the interval of updates that results are taken from.
+
+    A command ends with a checkpoint at the first update after `stop_after` seconds; None: no limit.
+    """
 
     window: Interval
     log_every: PositiveInt
     checkpoint_every: PositiveInt
+    stop_after: Positive | None = None
 
 
 class RowOptions(Options):

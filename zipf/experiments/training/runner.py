@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -37,9 +38,11 @@ from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_en
 
 
 def train(config: Config, runtime: Runtime | None = None) -> int:
-    """Trains until `config.updates`, or until a signal asks to stop; the same command resumes.
+    """Trains until `config.updates`, a signal that asks to stop, or the first update after
+    `schedule.stop_after` seconds; the same command resumes.
 
-    A run that is finished is left as it is.
+    A run that is finished is left as it is. `schedule.stop_after` gives up no evaluation, and each
+    call makes at least one update, so that repeated calls finish.
 
     Args:
         runtime: the processes of the run (`zipf.experiments.cluster.runtime_of`); None: this one.
@@ -51,6 +54,7 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
     """
     if sweep_has_ended():
         return signal.SIGTERM
+    began = time.monotonic()
     keep_freed_ram()
     runtime = runtime or Runtime(config)
     schedule = config.schedule
@@ -71,7 +75,8 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
                     run.evaluate()
                 if run.is_new:
                     run.save()
-                while run.update < config.updates and not run.may_stop(stop.requested):
+                over = 0
+                while run.update < config.updates and not run.may_stop(stop.requested or over):
                     unroll, metrics = run.step()
                     run.display.advance(run.update)
                     if run.update % schedule.log_every == 0:
@@ -80,6 +85,8 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
                         run.evaluate()
                     if run.update % schedule.checkpoint_every == 0:
                         run.save()
+                    if schedule.stop_after is not None:
+                        over = int(time.monotonic() - began >= schedule.stop_after)
                 run.save()
                 if run.closing_evaluation_is_due:
                     run.evaluate()
@@ -409,6 +416,11 @@ class Run:
                 self.agent.load_state_dict(saved["agent"])
             except OSError as error:  # files that the checkpoint refers to
                 raise UserError(str(error)) from None
+            if saved.get("without_replay"):  # scripts/pack_runs.py
+                self._notes.append(
+                    "the replay was left behind: a new one is filled before learning goes on, "
+                    "which is not bit for bit as it would have been"
+                )
             self.rollouts.load_state_dict(saved["source"])
             was_on_device = "tensor_envs" in saved["source"]
             if was_on_device == isinstance(self.env, ZipfVectorEnv):
