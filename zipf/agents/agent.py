@@ -167,8 +167,8 @@ class Agent(ABC):
         Args:
             inputs: of one frame, with leading axis [B].
             memory: before this frame.
-            generator: of all random draws; the CPU's whatever the device, so that a run can move
-                between devices.
+            generator: of all random draws, which are made on its device: the CPU's wherever the
+                agent computes, so that a run can move between devices, or one of the agent's own.
             training: False where the agent is scored: then it does not explore.
 
         Returns:
@@ -198,8 +198,9 @@ class Agent(ABC):
         return []
 
     @abstractmethod
-    def update(self, unroll: Unroll) -> dict[str, float]:
-        """One update from an unroll in RAM, which the next one overwrites; returns metrics to log.
+    def update(self, unroll: Unroll) -> Mapping[str, float | Tensor]:
+        """One update from an unroll in RAM, which the next one overwrites; returns metrics to log,
+        numbers or tensors [], which the next update may overwrite.
 
         Raises:
             FloatingPointError: learning has diverged; no weights were changed.

@@ -64,21 +64,19 @@ class Impala(Learner):
         spec = self.spec
         return ActorCritic(*spec.torso, spec.critic, spec.episodic)
 
-    @torch.no_grad()
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
         """Samples an action, in training and evaluation alike; `logits` float32 [B, actions] are
         for `update`."""
-        with self.autocast():
-            outputs = self.actor(inputs.unsqueeze(), memory)
+        outputs = self.forward_actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
         return sampled(logits, generator), outputs.state, {"logits": logits}
 
-    @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
-        with self.autocast():
-            return self.actor(inputs.unsqueeze(), memory).value[0]
+        envs = len(inputs.is_first)
+        inputs, memory = self.filled_up(inputs, memory)
+        return self.forward_actor(inputs.unsqueeze(), memory).value[0, :envs]
 
     def loss(self, unroll: Unroll) -> Loss:
         o = self.options
@@ -116,7 +114,7 @@ class Impala(Learner):
             unroll.episodes,
             self.spec.hindsight,
             discount=o.discount,
-            updates=self.updates,
+            updates=self.progress,
             precision=self.precision,
         )
         loss = loss + auxiliary_loss + episodic_loss + relabelled_loss

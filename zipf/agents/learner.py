@@ -22,12 +22,17 @@ step, in which
     gradients are averaged over learners (`zipf.agents.averaging`), and their norm is bounded;
     a loss or a norm that is not finite ends the run, before any weight has changed;
     the optimisers step, and what follows them is brought up to date (`after_step`).
+
+On CUDA all of this can be captured (`Learner.capture`, `zipf.agents.capture`), in two graphs with
+the averages between them. `act`, `loss` and `after_step` are then what that page asks for; what
+depends on the number of updates reads `progress`.
 """
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, NamedTuple
 
 import torch
@@ -37,10 +42,12 @@ from torch import Tensor, nn
 from zipf.agents.agent import Agent, AgentSpec
 from zipf.agents.auxiliary import build_auxiliary
 from zipf.agents.averaging import average_gradients
+from zipf.agents.capture import Captured, CudaGraph, Graph, is_recording, mapped
+from zipf.agents.captured_optimiser import CapturedOptimiser
 from zipf.agents.episodic import Dictionary, build_recorder
 from zipf.agents.memory import State
-from zipf.agents.network import Torso, autocast, frozen_copy
-from zipf.agents.unroll import Unroll
+from zipf.agents.network import Inputs, Torso, autocast, frozen_copy
+from zipf.agents.unroll import Unroll, on_device
 from zipf.options import Options, Positive
 
 Fraction = Annotated[float, Field(ge=0, lt=1)]
@@ -83,6 +90,7 @@ class Learner(Agent):
         learned: the parameters whose gradients' norm is bounded.
         optimisers: by the names that they are saved by.
         parts: all that is saved, by name; and `updates`, the number of updates made.
+        updates_made: the same number, int64 [] on the device.
     """
 
     averages_gradients = True
@@ -94,6 +102,9 @@ class Learner(Agent):
         super().__init__(options, spec)
         self.precision = spec.precision
         self.updates = 0
+        self.updates_made = torch.zeros((), dtype=torch.int64, device=self.device)
+        # Norm and loss of the last update, or of the first that was not finite.
+        self._sizes = torch.zeros(2, device=self.device)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(spec.seed)
             self.network = self.make_network()
@@ -120,6 +131,9 @@ class Learner(Agent):
             self.parts["recorder"] = self.recorder
         self._published: nn.Module | None = None  # the network that `actor` is a copy of
         self._is_compiled = False
+        self._new_graph: Callable[[str], Graph] | None = None  # where this is captured
+        self._captured: tuple[Captured, Captured] | None = None  # backward, step
+        self._acting: dict[tuple[int, ...], Captured] = {}  # by [T, B]
 
     @abstractmethod
     def make_network(self) -> Torso:
@@ -142,32 +156,144 @@ class Learner(Agent):
     def initial_memory(self, batch: int) -> State:
         return self.network.memory.initial_state(batch)
 
-    def update(self, unroll: Unroll) -> dict[str, float]:
-        metrics, _ = self.learn(unroll.changed(self.augmentation).to(self.device))
+    def forward_actor(self, inputs: Inputs, memory: State) -> Any:
+        """What `actor` returns for inputs [T, B] and the memory before them, without gradient;
+        captured, for each T and B, where this agent is."""
+        if self._new_graph is None or is_recording():
+            return self._forward_actor(inputs, memory)
+        shape = tuple(inputs.is_first.shape)
+        if shape not in self._acting:
+            self._acting[shape] = Captured(
+                self._forward_actor, self._new_graph(self.device), list, name="acting"
+            )
+        # A memory is kept for as long as an unroll, and the next call overwrites what is returned.
+        return mapped(self._acting[shape](inputs, memory), lambda _, tensor: tensor.clone())
+
+    @torch.no_grad()
+    def _forward_actor(self, inputs: Inputs, memory: State) -> Any:
+        with self.autocast():
+            return self.actor(inputs, memory)
+
+    def filled_up(self, inputs: Inputs, memory: State) -> tuple[Inputs, State]:
+        """Inputs [B] and memory of any number of envs; where this agent is captured, with empty
+        rows up to a multiple of `spec.num_envs`, for which there is a graph."""
+        missing = -len(inputs.is_first) % self.spec.num_envs
+        if self._new_graph is None or missing == 0:
+            return inputs, memory
+        return mapped(
+            (inputs, memory), lambda _, x: torch.cat([x, x.new_zeros(missing, *x.shape[1:])])
+        )
+
+    def update(self, unroll: Unroll) -> Mapping[str, float | Tensor]:
+        if not on_device(self.augmentation):
+            unroll = unroll.changed(self.augmentation)
+        metrics, _ = self.learn(unroll.to(self.device))
         return metrics
 
-    def learn(self, batch: Any) -> tuple[dict[str, float], dict[str, Tensor]]:
-        """One optimiser step on the loss of a batch; returns metrics, and what the loss kept.
-        Raises FloatingPointError: learning has diverged; no weights were changed."""
+    def seen(self, batch: Any) -> Any:
+        """What `learn` was given, as the loss and `after_step` read it; a part of the captured
+        function."""
+        if isinstance(batch, Unroll) and on_device(self.augmentation):
+            return batch.changed(self.augmentation)
+        return batch
+
+    def learn(self, batch: Any) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """One optimiser step on the loss of a batch; returns metrics, [] each, and what the loss
+        kept. Where this agent is captured, the next call overwrites both.
+
+        Raises FloatingPointError: learning has diverged; no weights were changed. Where this agent
+        is captured, `check_finite` raises it.
+        """
+        if self._captured is None:
+            batch, loss = self._backward(batch)
+            average_gradients(_parameters(self.optimisers.values()))
+            norm = self._descend(loss.loss)
+            self.updates += 1
+            self.after_step(batch, loss.kept)
+        else:
+            backward, step = self._captured
+            _, loss = backward(batch)
+            average_gradients(_parameters(self.optimisers.values()))
+            norm = step()
+            self.updates += 1
+        return {"loss": loss.loss, "gradient_norm": norm, **loss.metrics}, loss.kept
+
+    @property
+    def progress(self) -> int | Tensor:
+        """The number of updates made, as a loss reads it: `updates_made` where this agent is
+        captured, else `updates`."""
+        return self.updates if self._captured is None else self.updates_made
+
+    def check_finite(self) -> None:
+        """Raises FloatingPointError: the loss of an update since the last call, or its gradient's
+        norm, was not finite; weights and optimisers are as they were before it."""
+        for name, size in zip(("gradient's norm", "loss"), self._sizes.tolist(), strict=True):
+            if not math.isfinite(size):
+                self._sizes.zero_()
+                raise FloatingPointError(f"the {name} is {size}")
+
+    def capture(self, graph: Callable[[str], Graph] = CudaGraph) -> None:
+        """From now on updates run as graphs, and so does `forward_actor`; `graph` makes one for a
+        device. They are recorded when they are first called.
+
+        Raises CaptureFailed, here and then: something cannot be captured.
+        """
+        self.parts |= {name: CapturedOptimiser(one) for name, one in self.optimisers.items()}
+        self._new_graph = graph
+        backward = Captured(
+            self._backward, graph(self.device), self._tensors, name="the loss of an update"
+        )
+        step = Captured(
+            lambda: self._step(*backward.outputs),
+            graph(self.device),
+            self._tensors,
+            name="the step of an update",
+        )
+        self._captured = backward, step
+
+    def _tensors(self) -> list[Tensor]:
+        """All that an update writes."""
+        found = [part for part in vars(self).values() if isinstance(part, Tensor)]
+        for part in (*vars(self).values(), *self.parts.values()):
+            if isinstance(part, nn.Module):
+                found += [*part.parameters(), *part.buffers()]
+        found += [one.grad for one in found if one.grad is not None]
+        for optimiser in self.optimisers.values():
+            found += [one for state in optimiser.state.values() for one in state.values()]
+        return found
+
+    def _backward(self, batch: Any) -> tuple[Any, Loss]:
+        """The batch as it is seen, and its loss, without gradient; that is in the parameters."""
+        batch = self.seen(batch)
         loss, metrics, kept = self.loss(batch)
-        norm = self._descend(loss)
-        self.updates += 1
-        self.after_step(batch, kept)
-        metrics = {"loss": loss, "gradient_norm": norm, **metrics}
-        return {name: metric.item() for name, metric in metrics.items()}, kept
+        for optimiser in self.optimisers.values():
+            # Where this is recorded, gradients are then where the graph will write them.
+            optimiser.zero_grad()
+        loss.backward()
+        metrics = {name: metric.detach() for name, metric in metrics.items()}
+        kept = {name: tensor.detach() for name, tensor in kept.items()}
+        return batch, Loss(loss.detach(), metrics, kept)
+
+    def _step(self, batch: Any, loss: Loss) -> Tensor:
+        norm = self._descend(loss.loss)
+        self.after_step(batch, loss.kept)
+        return norm
 
     def _descend(self, loss: Tensor) -> Tensor:
         """One step of all optimisers; returns the norm of the gradients of `learned`."""
-        for optimiser in self.optimisers.values():
-            optimiser.zero_grad()
-        loss.backward()
-        average_gradients(_parameters(self.optimisers.values()))
         norm = nn.utils.clip_grad_norm_(self.learned, self.options.max_gradient_norm)
-        for name, number in (("gradient's norm", norm), ("loss", loss)):
-            if not number.isfinite():
-                raise FloatingPointError(f"the {name} is {number.item()}")
-        for optimiser in self.optimisers.values():
-            optimiser.step()
+        were_finite = self._sizes.isfinite().all()
+        self._sizes.copy_(torch.where(were_finite, torch.stack([norm, loss]), self._sizes))
+        if self._captured is None:
+            self.check_finite()
+        refused = 1 - self._sizes.isfinite().all().float()
+        for name, optimiser in self.optimisers.items():
+            part = self.parts[name]
+            if isinstance(part, CapturedOptimiser):
+                part.step(refused)
+            else:
+                optimiser.step()
+        self.updates_made += 1 - refused.long()
         return norm
 
     def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
@@ -186,6 +312,7 @@ class Learner(Agent):
         for name, part in self.parts.items():
             part.load_state_dict(state[name])
         self.updates = state["updates"]
+        self.updates_made.fill_(self.updates)
 
     def carried(self) -> dict[str, Any]:
         """State that the last update keeps for the next unroll of the same envs, such as R2D2's
@@ -224,7 +351,11 @@ class Learner(Agent):
     def scale_learning_rates(self, factor: float) -> None:
         """Sets the learning rates of all optimisers, for the updates that follow, to this factor, 0
         to 1, of those that they were built with."""
-        for optimiser in self.optimisers.values():
+        for name, optimiser in self.optimisers.items():
+            part = self.parts[name]
+            if isinstance(part, CapturedOptimiser):
+                part.scale(factor)
+                continue
             for group in optimiser.param_groups:
                 group["lr"] = factor * group.setdefault("initial_lr", group["lr"])
 
@@ -245,6 +376,7 @@ class Learner(Agent):
         without the copy; `actor.state_dict()` has it."""
         self._published = self.actor
         self.actor = frozen_copy(self.actor)
+        self._acting.clear()
         if self._is_compiled:  # a copy is not
             self.compile()
 

@@ -12,6 +12,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
+from zipf.agents.capture import is_recording
 from zipf.agents.critics import CRITICS, SCALAR
 from zipf.agents.encoders import Encoder
 from zipf.agents.episodic import NO_EPISODIC, EpisodicOptions, build_dictionary
@@ -76,8 +77,9 @@ def frozen_copy(module: Module) -> Module:
 
 def sampled(logits: Tensor, generator: torch.Generator) -> Tensor:
     """Actions drawn from a policy, [B, actions] -> int64 [B]: the largest of the logits plus Gumbel
-    noise, which is drawn on the CPU whatever the device, so that a run can move between devices."""
-    noise = -torch.empty(logits.shape).exponential_(generator=generator).log()
+    noise, which is drawn on the generator's device."""
+    empty = torch.empty(logits.shape, device=generator.device)
+    noise = -empty.exponential_(generator=generator).log()
     return (logits + noise.to(logits.device)).argmax(-1)
 
 
@@ -87,9 +89,17 @@ def action_log_probability(log_policy: Tensor, action: Tensor) -> Tensor:
 
 
 def autocast(device: str, precision: str) -> torch.autocast:
-    """Automatic mixed precision where `precision` is "bfloat16"; with "float32" nothing changes."""
-    kind = torch.device(device).type
-    return torch.autocast(kind, torch.bfloat16, enabled=precision == "bfloat16")
+    """Automatic mixed precision where `precision` is "bfloat16"; with "float32" nothing changes.
+
+    Where a graph is recorded weights that were cast are not kept: all threads share the cache, and
+    it is emptied whenever one of them leaves autocast.
+    """
+    return torch.autocast(
+        torch.device(device).type,
+        torch.bfloat16,
+        enabled=precision == "bfloat16",
+        cache_enabled=False if is_recording() else None,
+    )
 
 
 @contextmanager

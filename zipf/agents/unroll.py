@@ -39,6 +39,9 @@ class Augmentation(Protocol):
 
     Attributes:
         size: how many numbers, D. All zero, of rows that stand for no frame, they change nothing.
+        on_device: bool; whether it is called with tensors of the agent's device, as a part of an
+            update that may be captured (`zipf.agents.capture`), and with None where steps have no
+            `draw`. Without this attribute it is not.
     """
 
     size: int
@@ -66,13 +69,19 @@ class Augmentation(Protocol):
         ...
 
 
+def on_device(augmentation: Augmentation | None) -> bool:
+    """Whether an augmentation changes observations where the agent computes."""
+    return getattr(augmentation, "on_device", False)
+
+
 def changed(steps: TensorDict, augmentation: Augmentation) -> TensorDict:
     """Steps [...] with their observations as their `draw` changes them, None where nothing was
     drawn; all else is shared."""
     observation = dict(steps["observation"].items())
-    draw = steps["draw"] if "draw" in steps.keys() else None
     seen = steps.clone(recurse=False)
-    seen["observation"] = TensorDict(augmentation(observation, draw), steps.batch_size)
+    seen["observation"] = TensorDict(
+        augmentation(observation, steps.get("draw", None)), steps.batch_size
+    )
     return seen
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import shlex
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import torch
 from rich.console import Console
+from torch import Tensor
 
 from zipf import envs
 from zipf.agents.encoders import Encoder
@@ -263,7 +264,7 @@ class Run:
         of an unroll are left."""
         return self.learner.agree(requested) if self.rollouts.is_between_unrolls else 0
 
-    def step(self) -> tuple[Unroll, dict[str, float]]:
+    def step(self) -> tuple[Unroll, Mapping[str, float | Tensor]]:
         """Collects an unroll and makes one update with it; returns both the unroll and metrics.
 
         The unroll is overwritten by the next step.
@@ -273,28 +274,39 @@ class Run:
         self.update += 1
         return unroll, metrics
 
-    def _learn(self, unroll: Unroll) -> dict[str, float]:
+    def _learn(self, unroll: Unroll) -> Mapping[str, float | Tensor]:
+        with self._errors_of_learning(f"at update {self.update + 1}"), self.clock.part("learning"):
+            if self.config.learning_rate_decay:
+                assert isinstance(self.agent, Learner)
+                self.agent.scale_learning_rates(self.config.learning_rate_factor(self.update))
+            metrics = self.agent.update(unroll)
+            if self.device.startswith("cuda"):  # to measure the time, and because the unroll
+                torch.cuda.synchronize(self.device)  # is overwritten by the next
+            return metrics
+
+    def _check_finite(self) -> None:
+        """Ends the run where captured updates have diverged, which alone do not end it at once."""
+        if isinstance(self.agent, Learner):
+            with self._errors_of_learning(f"by update {self.update}"):
+                self.agent.check_finite()
+
+    @contextmanager
+    def _errors_of_learning(self, when: str) -> Iterator[None]:
         try:
-            with self.clock.part("learning"):
-                if self.config.learning_rate_decay:
-                    assert isinstance(self.agent, Learner)
-                    self.agent.scale_learning_rates(self.config.learning_rate_factor(self.update))
-                metrics = self.agent.update(unroll)
-                if self.device.startswith("cuda"):  # to measure the time, and because the unroll
-                    torch.cuda.synchronize(self.device)  # is overwritten by the next
-                return metrics
+            yield
         except FloatingPointError as error:
             raise UserError(
-                f"{self.folder}: learning diverged at update {self.update + 1} ({error}); the "
-                "checkpoint before it is kept; a smaller agent.learning_rate may help"
+                f"{self.folder}: learning diverged {when} ({error}); the checkpoint before it is "
+                "kept; a smaller agent.learning_rate may help"
             ) from None
         except ConnectionError as error:
             raise LearnerLost(str(error)) from None
         except OSError as error:  # no space for files that the agent keeps
             raise UserError(str(error)) from None
 
-    def log(self, unroll: Unroll, metrics: dict[str, float]) -> None:
+    def log(self, unroll: Unroll, metrics: Mapping[str, float | Tensor]) -> None:
         """Writes rows of metrics."""
+        self._check_finite()
         self.clock.move(self.rollouts.seconds)
         then, update = self._logged
         self._logged = self.clock.training, self.update
@@ -308,7 +320,7 @@ class Run:
                 {
                     **self.rollouts.metrics(),
                     "exploration_bonus": float(unroll.steps["bonus"][:-1].mean()),
-                    **metrics,
+                    **{name: float(metric) for name, metric in metrics.items()},
                 }
             ),
         }
@@ -382,6 +394,7 @@ class Run:
 
     def save(self) -> None:
         """Writes the checkpoint."""
+        self._check_finite()
         self.clock.move(self.rollouts.seconds)
         agent = self.agent.state_dict()
         self.learner.check_same("the agent", agent)
