@@ -51,7 +51,9 @@ class Tape(TorchDispatchMode):
         for _ in range(2):
             function()
 
-    def record(self, function: Callable[[], Any], generators: Sequence[torch.Generator] = ()) -> Any:
+    def record(
+        self, function: Callable[[], Any], generators: Sequence[torch.Generator] = ()
+    ) -> Any:
         """Runs the function; what it changes is changed."""
         with self:
             return function()

@@ -11,13 +11,9 @@ from networks import compact
 from tape import Tape
 from test_impala import OPTIONS
 
-from zipf.agents import averaging
 from zipf.agents.agent import AgentSpec
-from zipf.agents.auxiliary.reconstruction import VisionOptions
-from zipf.agents.capture import Captured, CaptureFailed
 from zipf.agents.impala import Impala
 from zipf.agents.memory import LSTMOptions, MLPOptions
-from zipf.agents.network import Inputs
 
 ACTIONS, STEPS, BATCH = 3, 6, 4
 MEMORIES = {

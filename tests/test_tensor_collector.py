@@ -7,6 +7,7 @@ import pytest
 import torch
 from conftest import assert_equal, call, metrics_of
 from host_env import Host
+from tape import Tape
 
 from zipf import envs
 from zipf.agents.unroll import changed
@@ -272,6 +273,45 @@ def test_parts_are_all_envs_and_take_turns():
         first.append(offsets[0])
         assert sorted(offsets) == [0, 1, 2]
     assert sorted(first) == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        ("memory=mlp",),
+        ("memory=lstm", "augmentation=random", "hindsight=achieved", "exploration=count"),
+        ("memory=gtrxl", "memory.memory_length=4", "memory.heads=2", "memory.layers=1"),
+        ("agent=vmpo", "memory=lstm"),
+        R2D2,
+    ],
+    ids=lambda chosen: "-".join(chosen)[:40],
+)
+def test_captured_unrolls_are_those_of_the_function(chosen):
+    """From the first, and after a state was loaded; with other weights in every unroll."""
+    config = loading.load([*TINY, *chosen])
+
+    def build():
+        env = envs.make_tensor(config.split, ENVS, "cpu", **SMALL)
+        return build_tensor_collector(config, env, build_agent(config, env))
+
+    plain, captured = build(), build()
+    captured.capture(Tape)
+    state = None
+    for unroll in range(6):
+        if unroll == 3:
+            state = plain.state_dict()
+        if unroll == 4:
+            for collector in (plain, captured):
+                collector.load_state_dict(state)
+        for collector in (plain, captured):
+            with torch.no_grad():
+                for weight in collector.agent.actor.parameters():
+                    weight.mul_(1.1)
+        one, other = (collector.collect().state_dict() for collector in (plain, captured))
+        assert_equal(one, other)
+        assert_equal(plain.outcomes, captured.outcomes)
+        assert_equal(plain.met, captured.met)
+    assert captured._captured.graph.replays == 6
 
 
 DEVICE = [*TINY, "collector.envs=device", "device=cpu", "evaluation.episodes=2", "updates=4",

@@ -62,6 +62,8 @@ class AgentSpec:
         weighted: whether the frames of unrolls have a `weight`.
         hindsight: options of hindsight; unless "none", unrolls have relabelled `episodes`.
         augmentation: of what the agent sees in training; unless None, unrolls have a `draw`.
+        unroll_space: observations as unrolls hold them, before the augmentation; None: those of
+            `observation_space`.
     """
 
     observation_space: gym.spaces.Dict
@@ -79,6 +81,7 @@ class AgentSpec:
     weighted: bool = False
     hindsight: HindsightOptions = NO_HINDSIGHT
     augmentation: Augmentation | None = None
+    unroll_space: gym.spaces.Dict | None = None
 
     @property
     def torso(self) -> tuple[gym.spaces.Dict, gym.Space, NetworkOptions, Options]:

@@ -31,7 +31,9 @@ class Graph(Protocol):
     def warm_up(self, function: Callable[[], Any]) -> None:
         """Runs the function before it is recorded, so that what is made once is made."""
 
-    def record(self, function: Callable[[], Any], generators: Sequence[torch.Generator] = ()) -> Any:
+    def record(
+        self, function: Callable[[], Any], generators: Sequence[torch.Generator] = ()
+    ) -> Any:
         """Records the function, which draws from these generators; returns what it returned, of
         which `replay` alone computes the values. Raises RuntimeError: it cannot be recorded."""
 
@@ -56,7 +58,9 @@ class CudaGraph:
                     function()
             torch.cuda.current_stream().wait_stream(side)
 
-    def record(self, function: Callable[[], Any], generators: Sequence[torch.Generator] = ()) -> Any:
+    def record(
+        self, function: Callable[[], Any], generators: Sequence[torch.Generator] = ()
+    ) -> Any:
         """Records the function without running it; other threads may use the device meanwhile."""
         for generator in generators:
             if generator.device.type == "cuda":

@@ -211,7 +211,7 @@ class R2D2(Learner):
             cuts = -(-spec.hindsight.length // spec.unroll_length)
             self._inserts += cuts * spec.hindsight.episodes
         self.sequences = Sequences(
-            spec.observation_space,
+            spec.unroll_space or spec.observation_space,
             num_envs=spec.num_envs,
             unroll_length=spec.unroll_length,
             burn_in=options.burn_in,

@@ -1,4 +1,4 @@
-"""Whether a run's envs can be stepped on the device of its agent."""
+"""What of a run can be done on the device of its agent: stepping envs, and in CUDA graphs."""
 
 from __future__ import annotations
 
@@ -49,3 +49,20 @@ def only_on_the_host(config: Config) -> Iterator[str]:
             yield problem
     elif augmentation.name != "none":
         yield f"augmentation={augmentation.name}"
+
+
+def captures(config: Config) -> bool:
+    """Whether functions are captured as CUDA graphs."""
+    return (
+        config.capture and config.torch_device.startswith("cuda") and not list(not_captured(config))
+    )
+
+
+def not_captured(config: Config) -> Iterator[str]:
+    """The options whose functions have shapes that depend on data, or wait for the device."""
+    if not agents()[config.agent.name].captures:
+        yield f"agent={config.agent.name}"
+    if config.hindsight.name != "none" and not on_device(config):
+        yield f"hindsight={config.hindsight.name}"
+    if config.episodic != NO_EPISODIC:
+        yield f"episodic={config.episodic.name}"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gymnasium as gym
+import numpy as np
+
 from zipf import envs
 from zipf.agents.agent import Agent, AgentSpec, agents
 from zipf.agents.learner import Learner
@@ -29,8 +32,9 @@ def build_agent(config: Config, env: ZipfVectorEnv | TensorEnv) -> Agent:
             symmetries=envs.symmetries(config.split, env),
         )
         view: Augmentation | None = augmentation
+        codes = None
         if not isinstance(env, ZipfVectorEnv):
-            view = View(env, augmentation)
+            view, codes = View(env, augmentation), _space(env)
         spec = AgentSpec(
             env.single_observation_space,
             env.single_action_space,
@@ -47,6 +51,7 @@ def build_agent(config: Config, env: ZipfVectorEnv | TensorEnv) -> Agent:
             weighted=config.reweighting.name != "none",
             hindsight=config.hindsight,
             augmentation=view,
+            unroll_space=codes,
         )
         agent = agents()[config.agent.name](config.agent, spec)
         if config.compile:
@@ -59,3 +64,14 @@ def build_agent(config: Config, env: ZipfVectorEnv | TensorEnv) -> Agent:
     except ValueError as error:
         raise UserError(str(error)) from None
     return agent
+
+
+def _space(env: TensorEnv) -> gym.spaces.Dict:
+    """The codes of one env."""
+    shown = {name: part[0].cpu().numpy() for name, part in env.observe().items()}
+    return gym.spaces.Dict(
+        {
+            name: gym.spaces.Box(0, np.iinfo(part.dtype).max, part.shape, part.dtype.type)
+            for name, part in shown.items()
+        }
+    )

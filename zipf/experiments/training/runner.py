@@ -21,7 +21,12 @@ from zipf.envs.tensor import TensorEnv
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, run_folder
-from zipf.experiments.building.device_envs import on_device
+from zipf.experiments.building.device_envs import (
+    captures,
+    not_captured,
+    on_device,
+    only_on_the_host,
+)
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.building.out_of_ram import enough_ram
 from zipf.experiments.building.seeds import derive_seed
@@ -34,6 +39,7 @@ from zipf.experiments.training.allocator import keep_freed_ram
 from zipf.experiments.training.clock import Clock
 from zipf.experiments.training.display import Display
 from zipf.experiments.training.logger import Logger
+from zipf.experiments.training.rollouts import TensorRollouts
 from zipf.experiments.training.runtime import LearnerLost, OnlyLearner, Runtime
 from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_ended
 
@@ -162,6 +168,11 @@ class Run:
         if self.is_new:
             self._pretrained = pretrained.begin(config, self.agent, self.learner)
         self.rollouts = runtime.rollouts(self.env, self.agent, self.learner.stream)
+        if captures(config):
+            assert isinstance(self.agent, Learner)
+            self.agent.capture()
+            if isinstance(self.rollouts, TensorRollouts):
+                self.rollouts.collector.capture()
         self.frames_per_update = config.frames_per_update
         self.clock = Clock()
         self.update = 0
@@ -204,6 +215,8 @@ class Run:
         encoder = getattr(getattr(self.agent, "network", None), "encoder", None)
         if isinstance(encoder, Encoder):
             self._tell(encoder.describe(self.env.single_observation_space))
+        if self.device.startswith("cuda"):
+            self._tell(self._on_cuda())
         if precision == "bfloat16" and not has_bfloat16(self.device):
             self._tell(
                 "precision=bfloat16: this device has no instructions for it and takes several "
@@ -215,6 +228,16 @@ class Run:
             self._tell(note)
         self.rollouts.open(self._tell)
         self.display.start()
+
+    def _on_cuda(self) -> str:
+        """Where envs are stepped, whether functions are captured, and why not."""
+        host, eager = list(only_on_the_host(self.config)), list(not_captured(self.config))
+        where = "on the device"
+        if isinstance(self.env, ZipfVectorEnv):
+            where = f"on the host ({', '.join(host) or 'collector.envs=host'})"
+        if captures(self.config):
+            return f"envs: stepped {where}; captured as CUDA graphs"
+        return f"envs: stepped {where}; not captured ({', '.join(eager) or 'capture=false'})"
 
     def _begin_files(self) -> None:
         if not self.is_new:

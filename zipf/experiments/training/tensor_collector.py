@@ -16,6 +16,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.agent import Agent
+from zipf.agents.capture import Captured, CudaGraph, Graph
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import FINAL, STEP, Unroll
 from zipf.envs.tensor import Codes, Stepped, TensorEnv
@@ -37,7 +38,6 @@ class TensorCollector:
     Attributes:
         seconds: spent in `environment` and `inference`. They are one function, so that all of it is
             counted as `inference`; on a CUDA device it is the time to launch it.
-        play: plays an unroll; a captured function may take its place.
 
     Args:
         env: reset here, with `seed`.
@@ -70,7 +70,7 @@ class TensorCollector:
         self.unroll_length, self.hooks = unroll_length, list(hooks)
         self.device = agent.device
         self.seconds = {"environment": 0.0, "inference": 0.0}
-        self.play: Callable[[], Unroll] = self._play
+        self._captured: Captured | None = None
         env.reset(seed)
         self._draws = any("draw" in hook.columns for hook in self.hooks)
         self._steps = self._zeros_of_steps(unroll_length + 1)
@@ -97,7 +97,17 @@ class TensorCollector:
 
     def collect(self) -> Unroll:
         """Plays T steps in every env. The unroll is overwritten by the next call."""
-        return self.play()
+        return self._play() if self._captured is None else self._captured()
+
+    def capture(self, graph: Callable[[str], Graph] = CudaGraph) -> None:
+        """From now on unrolls are played as a graph, which the first call records."""
+        self._captured = Captured(
+            self._play,
+            graph(self.device),
+            self.tensors,
+            generators=[self.env.generator],
+            name="an unroll",
+        )
 
     def tensors(self) -> list[Tensor]:
         """All that an unroll writes in place and that later ones depend on."""
