@@ -8,12 +8,11 @@ import numpy as np
 from zipf import envs
 from zipf.agents.agent import Agent, AgentSpec, agents
 from zipf.agents.learner import Learner
-from zipf.agents.unroll import Augmentation
 from zipf.envs.tensor import TensorEnv
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building.seeds import derive_seed
-from zipf.experiments.hooks.augmentation import AUGMENTATIONS
+from zipf.experiments.hooks.augmentation import AUGMENTATIONS, RandomAugmentation
 from zipf.experiments.hooks.tensor import View
 from zipf.experiments.options.schema import Config
 
@@ -31,10 +30,10 @@ def build_agent(config: Config, env: ZipfVectorEnv | TensorEnv) -> Agent:
             env.single_observation_space,
             symmetries=envs.symmetries(config.split, env),
         )
-        view: Augmentation | None = augmentation
-        codes = None
-        if not isinstance(env, ZipfVectorEnv):
-            view, codes = View(env, augmentation), _space(env)
+        seen, codes = augmentation, None
+        if isinstance(env, TensorEnv):
+            assert augmentation is None or isinstance(augmentation, RandomAugmentation)
+            seen, codes = View(env, augmentation), _space(env)
         spec = AgentSpec(
             env.single_observation_space,
             env.single_action_space,
@@ -50,7 +49,7 @@ def build_agent(config: Config, env: ZipfVectorEnv | TensorEnv) -> Agent:
             precision=config.precision,
             weighted=config.reweighting.name != "none",
             hindsight=config.hindsight,
-            augmentation=view,
+            augmentation=seen,
             unroll_space=codes,
         )
         agent = agents()[config.agent.name](config.agent, spec)

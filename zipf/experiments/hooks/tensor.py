@@ -8,53 +8,19 @@ read back, no shape depends on data, and what lasts is written in place.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.unroll import Unroll
-from zipf.envs.tensor import Codes, Stepped, TensorEnv
+from zipf.envs.tensor import TensorEnv
 from zipf.experiments.hooks.augmentation import RandomAugmentation
 from zipf.experiments.hooks.exploration import CountOptions, weights_of
-
-
-class TensorRow(NamedTuple):
-    """A step of N envs."""
-
-    observation: Codes  # {name: [N, ...]}, what the envs showed before it
-    fields: Codes  # {name: [N]}, those of the unroll's row; written to in place
-    stepped: Stepped
-    ended: Tensor  # bool [N]
-
-
-class TensorHook:
-    """The base of hooks of tensor environments; it does nothing; as `zipf.experiments.hooks.hook`
-    has them."""
-
-    name: ClassVar[str]
-    columns: Mapping[str, Tensor] = {}
-
-    def begin_unroll(self) -> None:
-        """An unroll begins."""
-
-    def begin(self, mask: Tensor) -> None:
-        """Episodes begin where `mask` [N]."""
-
-    def show(self, fields: Codes) -> None:
-        """The envs have shown the observation of a row; called for every row, after `begin`."""
-
-    def step(self, row: TensorRow) -> None:
-        """The envs have made a step. `begin` follows, where episodes have ended."""
-
-    def finish(self, unroll: Unroll) -> None:
-        """An unroll is complete; the hook may write to it."""
-
-    def tensors(self) -> dict[str, Tensor]:
-        """All that it writes in place and that later calls depend on; saved by these names."""
-        return {}
+from zipf.experiments.hooks.hook import Hook, Parts, Row
 
 
 class View:
@@ -88,12 +54,12 @@ class View:
 
     def draw(self, generator: torch.Generator, n: int) -> Tensor:
         """The numbers of `n` episodes, float64 [n, 9], as `RandomAugmentation` has them."""
-        drawn = self._unchanged.repeat(n, 1)
-        where = {"device": drawn.device, "generator": generator}
+        drawn, device = self._unchanged.repeat(n, 1), self._unchanged.device
         if self._count:
-            drawn[:, 0] = torch.randint(self._count, (n,), **where)
+            drawn[:, 0] = torch.randint(self._count, (n,), device=device, generator=generator)
         if self._images:
-            drawn[:, 1:4] = torch.rand(n, 3, **where).argsort(1).to(torch.float64)
+            keys = torch.rand(n, 3, device=device, generator=generator)
+            drawn[:, 1:4] = keys.argsort(1).double()
         return drawn
 
     def __call__(self, observation: Mapping[str, Tensor], draw: Tensor | None) -> dict[str, Tensor]:
@@ -130,7 +96,7 @@ def _mapped(table: Tensor, actions: Tensor, draw: Tensor) -> Tensor:
     return torch.where(actions >= 0, found, -1)
 
 
-class Draws(TensorHook):
+class Draws(Hook):
     """Draws what an augmentation changes in the episodes of N envs: the column `draw`."""
 
     name = "augmentation"
@@ -141,38 +107,18 @@ class Draws(TensorHook):
         shape = env.num_envs, view.size
         self._drawn = torch.zeros(shape, dtype=torch.float64, device=env.device)
 
-    def begin(self, mask: Tensor) -> None:
+    def begin(self, observation: Parts, mask: Tensor) -> None:
         drawn = self._view.draw(self._generator, len(self._drawn))
         self._drawn.copy_(torch.where(mask.unsqueeze(-1), drawn, self._drawn))
 
-    def show(self, fields: Codes) -> None:
+    def show(self, fields: Parts) -> None:
         fields["draw"].copy_(self._drawn)
 
-    def tensors(self) -> dict[str, Tensor]:
+    def tensors(self) -> Parts:
         return {"draw": self._drawn}
 
 
-class SoftAsymmetric(TensorHook):
-    """See `zipf.experiments.hooks.rewards`."""
-
-    name = "reward_clipping"
-
-    def step(self, row: TensorRow) -> None:
-        squashed = 5.0 * (row.stepped.reward.double() / 5.0).tanh()
-        row.fields["reward"].copy_(torch.where(squashed < 0, 0.3 * squashed, squashed))
-
-
-class TimeLimitsEnd(TensorHook):
-    """See `zipf.experiments.hooks.rewards`."""
-
-    name = "time_limits"
-
-    def step(self, row: TensorRow) -> None:
-        row.fields["terminated"].copy_(row.ended)
-        row.fields["truncated"].zero_()
-
-
-class Counts(TensorHook):
+class Counts(Hook):
     """The bonus `scale / sqrt(visits)` of `CountBonus`, with the same table and hash."""
 
     name = "exploration"
@@ -182,19 +128,19 @@ class Counts(TensorHook):
         self.visits = torch.zeros(options.table_size, dtype=torch.int64, device=env.device)
         weights = {}
         for name, part in env.single_observation_space.items():
-            size = part.dtype.itemsize * int(torch.tensor(part.shape).prod())
-            array = weights_of(name, size).view("int64")
+            size = np.zeros(part.shape or (), part.dtype).nbytes
+            array = weights_of(name, size).view(np.int64)
             weights[name] = torch.from_numpy(array).to(env.device)
         self._hashes = env.hashes(weights)
         self._one = torch.ones(env.num_envs, dtype=torch.int64, device=env.device)
 
-    def step(self, row: TensorRow) -> None:
-        high = (self._hashes(row.stepped.final) >> 32) & 0xFFFFFFFF
+    def step(self, row: Row) -> None:
+        high = (self._hashes(row.final) >> 32) & 0xFFFFFFFF
         slot = (high * len(self.visits)) >> 32
         self.visits.index_add_(0, slot, self._one)
         row.fields["bonus"].copy_(self.scale / self.visits[slot].double().sqrt())
 
-    def tensors(self) -> dict[str, Tensor]:
+    def tensors(self) -> Parts:
         return {"visits": self.visits}
 
 
@@ -206,7 +152,7 @@ _KEPT = {
 }
 
 
-class Hindsight(TensorHook):
+class Hindsight(Hook):
     """Relabels whole episodes with what they achieved: `zipf.experiments.hooks.relabelling`, in
     fixed shapes.
 
@@ -265,8 +211,8 @@ class Hindsight(TensorHook):
     def begin_unroll(self) -> None:
         self._step = 0
 
-    def step(self, row: TensorRow) -> None:
-        t, outcome = self._step, row.stepped.outcome
+    def step(self, row: Row) -> None:
+        t, outcome = self._step, row.outcome
         self._step += 1
         for ring, given in ((self._codes, row.observation), (self._fields, row.fields)):
             for name, part in ring.items():
@@ -318,7 +264,7 @@ class Hindsight(TensorHook):
             shape,
         )
 
-    def tensors(self) -> dict[str, Tensor]:
+    def tensors(self) -> Parts:
         rings = {f"observation.{k}": v for k, v in self._codes.items()} | {
             f"fields.{k}": v for k, v in self._fields.items()
         }

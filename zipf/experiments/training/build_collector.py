@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from zipf import envs
 from zipf.agents.agent import Agent
 from zipf.agents.hindsight import AchievedOptions
@@ -18,7 +16,7 @@ from zipf.experiments.hooks.augmentation import Draws
 from zipf.experiments.hooks.exploration import BONUSES, CountOptions
 from zipf.experiments.hooks.hook import Hook
 from zipf.experiments.hooks.labels import Labels
-from zipf.experiments.hooks.relabelling import RELABELLINGS
+from zipf.experiments.hooks.relabelling import RELABELLINGS, reward_of
 from zipf.experiments.hooks.rewards import SoftAsymmetric, TimeLimitsEnd, soft_asymmetric
 from zipf.experiments.hooks.reweighting import REWEIGHTINGS
 from zipf.experiments.hooks.tensor import View
@@ -110,24 +108,23 @@ def build_tensor_collector(
     )
 
 
-def _tensor_hooks(config: Config, env: TensorEnv, view: View) -> Iterator[tensor.TensorHook]:
+def _tensor_hooks(config: Config, env: TensorEnv, view: View) -> Iterator[Hook]:
     """The hooks in their order, as `_hooks`."""
     clips = config.collector.reward_clipping == "soft_asymmetric"
     if clips:
-        yield tensor.SoftAsymmetric()
+        yield SoftAsymmetric()
     if not config.collector.bootstrap_at_time_limit:
-        yield tensor.TimeLimitsEnd()
+        yield TimeLimitsEnd()
     if view.size:
         yield tensor.Draws(view, env)
     if isinstance(config.exploration, CountOptions):
         yield tensor.Counts(config.exploration, env)
     hindsight = hindsight_of_unroll(config)
     if isinstance(hindsight, AchievedOptions):
-        reward = np.array([hindsight.reward])
         yield tensor.Hindsight(
             hindsight,
             env,
             unroll_length=config.collector.unroll_length,
-            reward=float((soft_asymmetric(reward) if clips else reward)[0]),
+            reward=reward_of(hindsight, soft_asymmetric if clips else None),
             draws=view.size,
         )

@@ -84,7 +84,9 @@ class SynchronousRollouts:
             first changes with every unroll.
     """
 
-    def __init__(self, collector: Collector, parts: int = 1):
+    collector: Any
+
+    def __init__(self, collector: Collector | TensorCollector, parts: int = 1):
         self.collector = collector
         self.parts = parts
         self.updates = 0  # made since the run began, where there are parts
@@ -120,10 +122,14 @@ class SynchronousRollouts:
         """Collects an unroll, where the last one is used up, and calls `learn` with it or its next
         part; the next step overwrites it."""
         if self.is_between_unrolls:
-            self._unroll = self.collector.collect()
+            self._unroll = self._next()
         assert self._unroll is not None
         part = self._part(self._unroll)
         return part, learn(part)
+
+    def _next(self) -> Unroll:
+        """The next unroll to learn from."""
+        return self.collector.collect()
 
     def metrics(self) -> dict[str, float]:
         """See `Collector.episode_metrics`."""
@@ -258,7 +264,7 @@ class BackgroundRollouts(SynchronousRollouts):
             self._pending = Unroll.of_state(state["pending"]).to(self.collector.device)
 
 
-class TensorRollouts:
+class TensorRollouts(SynchronousRollouts):
     """Collects in tensor environments, on the device that learns, in one thread: the device is kept
     busy, since nothing waits for it.
 
@@ -266,53 +272,26 @@ class TensorRollouts:
     from what they would learn from with `BackgroundRollouts`.
     """
 
-    def __init__(self, collector: TensorCollector, parts: int = 1, lag: int = 0):
-        self.collector = collector
-        self.parts = parts
-        self.lag = lag
-        self.updates = 0
-        self._tally = Tally(collector)
-        self._unroll: Unroll | None = None  # that the parts are of
-        self._pending: tuple[Unroll, Tensor, Tensor] | None = None  # collected, not learned from
+    collector: TensorCollector
 
-    @property
-    def seconds(self) -> dict[str, float]:
-        """The collector's."""
-        return self.collector.seconds
+    def __init__(self, collector: TensorCollector, parts: int = 1, lag: int = 0):
+        super().__init__(collector, parts)
+        self.lag = lag
+        self._tally = Tally(collector)
+        self._pending: tuple[Unroll, Tensor, Tensor] | None = None  # collected, not learned from
 
     @property
     def visits(self) -> Visits:
         """How often each situation was met in the unrolls that were learned from."""
         return self._tally.visits
 
-    @property
-    def is_between_unrolls(self) -> bool:
-        """See `RolloutWorker`."""
-        return self.updates % self.parts == 0
-
-    def open(self, tell: Callable[[str], None]) -> None:
-        """There is nothing to begin."""
-
-    def step(self, learn: Callable[[Unroll], Learned]) -> tuple[Unroll, Learned]:
-        """Calls `learn` with an unroll or its next part; the next step overwrites it."""
-        if self.is_between_unrolls:
-            self._unroll = self._next()
-        assert self._unroll is not None
-        k = (self.updates + self.updates // self.parts) % self.parts
-        self.updates += 1
-        part = self._unroll if self.parts == 1 else self._unroll.part(k, self.parts)
-        return part, learn(part)
-
     def _next(self) -> Unroll:
-        """The next unroll to learn from."""
         start = perf_counter()
         if self.lag == 0:
             unroll = self.collector.collect()
             outcomes, met = self.collector.outcomes, self.collector.met
         else:
-            if self._pending is None:
-                self._pending = self._collected()
-            unroll, outcomes, met = self._pending
+            unroll, outcomes, met = self._pending or self._collected()
             self._pending = self._collected()
         self._tally.add(outcomes, met)
         self.collector.seconds["inference"] += perf_counter() - start
@@ -347,20 +326,16 @@ class TensorRollouts:
         the agent has loaded its own."""
         device = self.collector.device
         self.updates = state.get("updates", 0)
+        self._pending = None
         if "tensor_envs" not in state:
-            visits = state.get("visits", state["collector"]["visits"])
-            self._tally.begin_with(visits)
+            self._tally.begin_with(state.get("visits", state["collector"]["visits"]))
             self.collector.begin_with(state["collector"])
             return
         self.collector.load_state_dict(state["tensor_envs"])
         self._tally.load_state_dict(state["tally"])
-        self._pending = None
         if pending := state["pending"]:
             unroll = Unroll.of_state(pending["unroll"]).to(device)
             self._pending = unroll, pending["outcomes"].to(device), pending["met"].to(device)
-
-    def close(self) -> None:
-        """There is nothing to end."""
 
 
 def _separate_autocast() -> None:

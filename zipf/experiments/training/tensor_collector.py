@@ -21,7 +21,8 @@ from zipf.agents.network import Inputs
 from zipf.agents.unroll import FINAL, STEP, Unroll
 from zipf.envs.tensor import Codes, Stepped, TensorEnv
 from zipf.experiments.building.checkpoint import arrays
-from zipf.experiments.hooks.tensor import Counts, TensorHook, TensorRow, View
+from zipf.experiments.hooks.hook import Hook, Row
+from zipf.experiments.hooks.tensor import Counts, View
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.training.unroll_buffers import CARRIED
 
@@ -59,7 +60,7 @@ class TensorCollector:
         *,
         unroll_length: int,
         seed: int,
-        hooks: Sequence[TensorHook] = (),
+        hooks: Sequence[Hook] = (),
     ):
         burn_in = agent.needs.burn_in
         if burn_in > unroll_length:
@@ -93,6 +94,7 @@ class TensorCollector:
         sizes = int(np.prod(list(self.ranks.values())))
         self.met = torch.zeros(sizes, dtype=torch.int64, device=self.device)
         self._one = torch.ones(env.num_envs, dtype=torch.int64, device=self.device)
+        self._write(self._steps["observation"], unroll_length, env.observe())
         self._show(unroll_length, self._one.bool())
 
     def collect(self) -> Unroll:
@@ -186,8 +188,9 @@ class TensorCollector:
         inputs = Inputs(self.view(codes, draw), *(row[name] for name in CARRIED))
         action, memory, behaviour = self.agent.act(inputs, self._memory, self.env.generator)
         self._copy(self._memory, memory)
-        for name, value in {"action": action, **behaviour}.items():
-            self._write(self._steps, t, {name: value})
+        self._write(self._steps, t, {"action": action, **behaviour})
+        for hook in self.hooks:
+            hook.act(row, self.env.generator)
         stepped = self.env.step(self.view.to_env(row["action"], draw))
         ended = stepped.terminated | stepped.truncated
         given = {
@@ -203,7 +206,10 @@ class TensorCollector:
         }
         self._write(self._steps, t + 1, following)
         self._record(stepped.outcome, ended)
-        seen = TensorRow(codes, row, stepped, ended)
+        following = self.env.observe()
+        self._write(self._steps["observation"], t + 1, following)
+        final, outcome = stepped.final, stepped.outcome
+        seen = Row(codes, row, stepped.reward, following, final, ended, True, outcome)
         for hook in self.hooks:
             hook.step(seen)
         self._show(t + 1, ended)
@@ -211,9 +217,9 @@ class TensorCollector:
 
     def _show(self, t: int, begins: Tensor) -> None:
         """Row t is there; episodes begin in it where `begins` [N]."""
-        self._write(self._steps["observation"], t, self.env.observe())
+        codes = {name: part[t] for name, part in self._steps["observation"].items()}
         for hook in self.hooks:
-            hook.begin(begins)
+            hook.begin(codes, begins)
         for hook in self.hooks:
             hook.show(self._row(t))
 
