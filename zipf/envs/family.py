@@ -398,10 +398,7 @@ def has_tensor(split: Split) -> bool:
 
 
 def make_tensor(
-    level: Split | SplitLevel | str,
-    num_envs: int,
-    device: Any,
-    **options: Any,
+    level: Split | SplitLevel | Level, num_envs: int, device: Any, **options: Any
 ) -> TensorEnv:
     """`num_envs` envs of a level as tensors, which a PyTorch device steps.
 
@@ -425,7 +422,7 @@ def make_tensor(
         return make_tensor(level.train[0], num_envs, device, **options)
     if isinstance(level, SplitLevel):
         return make_tensor(level.level, num_envs, device, **{**options, **level.options})
-    if callable(level):
+    if not isinstance(level, str):
         raise ValueError(
             f"a tensor environment plays a level of a family, got the function {level_name(level)}"
         )

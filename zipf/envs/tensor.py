@@ -85,14 +85,15 @@ class TensorEnv(ABC):
         self.single_action_space = single_action_space
         self.situation = {rank_name("a rank", name): size for name, size in situation.items()}
         try:
-            self._everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=device)
+            where = torch.device(device)
+            self._everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=where)
+            self.device = self._everywhere.device
+            self.generator = torch.Generator(self.device)
         except (RuntimeError, AssertionError, TypeError) as error:
             why = str(error).partition("\n")[0]
             raise ValueError(
                 f"device must be one that PyTorch has here, such as 'cpu', got {device!r}: {why}"
             ) from None
-        self.device = self._everywhere.device
-        self.generator = torch.Generator(self.device)
         self._reports_achieved = False
 
     # What a family implements.

@@ -142,7 +142,7 @@ class GridworldTensorEnv(TensorEnv):
         tiles = self._codes[self._place[:, None] + self._view]
         middle = tiles[:, _CELLS // 2]
         middle.masked_fill_(middle == FLOOR, AGENT)
-        tiles[:, 0] = FLOOR
+        tiles[:, 0].fill_(FLOOR)
         return {"tiles": tiles.view(-1, VIEW, VIEW), "cue": self._cues[self._situation]}
 
     def decode(self, codes: Mapping[str, Tensor], symmetry: Tensor | None = None) -> Codes:

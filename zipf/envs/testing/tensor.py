@@ -163,14 +163,18 @@ class _Check:
         ends = np.stack([_array(one.terminated | one.truncated) for one in played.stepped])
         self._dtypes(played, outcomes)
 
+        length, longest = np.zeros(self.n, np.int64), 0
+        for ended in ends:
+            length += 1
+            longest = max(longest, int(length.max()))
+            length[ended] = 0
+        require(
+            longest <= self.tensor.max_steps,
+            f"max_steps is {self.tensor.max_steps}, and an episode has not ended after {longest}",
+        )
         ranks, known = self._ranks(outcomes, ends)
         forced = np.stack(played.forced)
-        begins = np.concatenate([np.ones((1, self.n), np.bool_), ends[:-1]])
-        wrong = (forced >= 0) & (forced != ranks) & (begins & known)[:, None]
-        require(
-            not wrong.any(),
-            f"an episode of which begin() forced ranks has others, step {wrong.nonzero()[0][:1]}",
-        )
+        ranks = np.where(forced >= 0, forced, ranks)
 
         symmetric = self._symmetric(codes)
         names = list(self.batch.situation)
@@ -284,7 +288,8 @@ class _Check:
         """Symmetries drawn for every row [T, N], and what is shown under them."""
         if self.symmetries is None:
             return None
-        which = self.rng.integers(self.symmetries.count, size=(self.steps, self.n))
+        drawn = self.rng.integers(self.symmetries.count, size=self.steps * self.n)
+        which = drawn.reshape(self.steps, self.n)
         return which, _arrays(self.tensor.decode(codes, self._to(which)))
 
     def _symmetries(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import cast
 
 from zipf import envs
 from zipf.agents.agent import Agent
@@ -12,7 +13,7 @@ from zipf.envs.tensor import TensorEnv
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.hooks import tensor
-from zipf.experiments.hooks.augmentation import Draws
+from zipf.experiments.hooks.augmentation import Draws, HostAugmentation
 from zipf.experiments.hooks.exploration import BONUSES, CountOptions
 from zipf.experiments.hooks.hook import Hook
 from zipf.experiments.hooks.labels import Labels
@@ -57,11 +58,12 @@ def _hooks(
     needs, draws = agent.needs, None
     if agent.augmentation is not None:
         seed = derive_seed(config.seed, "augmentation", *stream)
-        draws = Draws(agent.augmentation, env.num_envs, seed)
+        augmentation = cast(HostAugmentation, agent.augmentation)
+        draws = Draws(augmentation, env.num_envs, seed)
         yield draws
     if needs.teacher:
         teacher = Teacher(needs.teacher, config.split, env)
-        yield Labels(teacher, needs.teacher_share, agent.augmentation)
+        yield Labels(teacher, needs.teacher_share, cast(HostAugmentation | None, agent.augmentation))
     goal = envs.family_of_split(config.environment.split).make_goal(env)
     chosen = (
         BONUSES.build(

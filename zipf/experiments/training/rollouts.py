@@ -54,8 +54,8 @@ class RolloutWorker(Protocol):
 
     @property
     def is_between_unrolls(self) -> bool:
-        """Whether all that was collected for the last update has been learned from, so that the
-        state may be saved."""
+        """Whether all that was collected for updates has been learned from, so that the state may
+        be saved."""
 
     def step(self, learn: Callable[[Unroll], Learned]) -> tuple[Unroll, Learned]:
         """Calls `learn` with the next unroll or the next part of one, which the step after may
