@@ -4,13 +4,15 @@ As in a graph, Python numbers are those of the recording, tensors are those that
 and what a host would have to read or to wait for is refused.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
+
+from zipf.agents.capture import Function
 
 aten = torch.ops.aten
 REFUSED = {
@@ -47,13 +49,11 @@ class Tape(TorchDispatchMode):
         self._steps.append((func, args, kwargs, _tensors(out)))
         return out
 
-    def warm_up(self, function: Callable[[], Any]) -> None:
+    def warm_up(self, function: Function) -> None:
         for _ in range(2):
             function()
 
-    def record(
-        self, function: Callable[[], Any], generators: Sequence[torch.Generator] = ()
-    ) -> Any:
+    def record(self, function: Function, generators: Sequence[torch.Generator] = ()) -> Any:
         """Runs the function; what it changes is changed."""
         with self:
             return function()

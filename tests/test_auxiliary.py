@@ -559,7 +559,7 @@ def test_an_agent_adds_the_loss_to_its_own(kind, options):
     assert joint.keys() == without.keys() | metrics.keys()
     for name, metric in metrics.items():
         assert joint[name] == pytest.approx(metric.item(), rel=1e-5)
-    assert joint["loss"] == pytest.approx(without["loss"] + loss.item(), rel=1e-5)
+    assert joint["loss"] == pytest.approx((without["loss"] + loss).item(), rel=1e-5)
     norms = torch.stack([p.grad.norm() for p in both.learned])
     assert norms.norm().item() == pytest.approx(0.01, rel=1e-3)  # clipped together
     changed = [not torch.equal(p, was) for p, was in zip(both.learned, before, strict=True)]

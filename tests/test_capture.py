@@ -1,4 +1,4 @@
-"""Captured agents against the same agents uncaptured, bit for bit; a tape is replayed for a graph."""
+"""Captured agents against the same agents uncaptured, bit for bit; a tape takes a graph's place."""
 
 from copy import deepcopy
 
@@ -11,9 +11,14 @@ from networks import compact
 from tape import Tape
 from test_impala import OPTIONS
 
+from zipf.agents import learner
 from zipf.agents.agent import AgentSpec
+from zipf.agents.capture import Captured, CaptureFailed
 from zipf.agents.impala import Impala
+from zipf.agents.learner import Loss
 from zipf.agents.memory import LSTMOptions, MLPOptions
+from zipf.agents.network import Inputs
+from zipf.agents.unroll import Unroll
 
 ACTIONS, STEPS, BATCH = 3, 6, 4
 MEMORIES = {
@@ -22,49 +27,42 @@ MEMORIES = {
 }
 
 
-def build(memory="mlp", captured=False, precision="float32", **parts):
-    space = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8))
-    spec = AgentSpec(
-        space,
-        gym.spaces.Discrete(ACTIONS),
-        compact(),
-        MEMORIES[memory],
-        num_envs=BATCH,
-        unroll_length=STEPS,
-        precision=precision,
-        **parts,
+def build(memory="mlp", captured=False, device="cpu", agent=Impala, **parts):
+    made = agent(
+        OPTIONS.model_copy(update={"max_gradient_norm": 0.1}),
+        AgentSpec(
+            gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
+            gym.spaces.Discrete(ACTIONS),
+            compact(),
+            MEMORIES[memory],
+            num_envs=BATCH,
+            unroll_length=STEPS,
+            device=device,
+            **parts,
+        ),
     )
-    made = Impala(OPTIONS.model_copy(update={"max_gradient_norm": 0.1}), spec)
     if captured:
         made.capture(Tape)
     return made
 
 
 def unroll(seed, memory="mlp", weighted=False):
+    """Steps with bonuses and truncations."""
     drawn = random_unroll(STEPS, BATCH, ACTIONS, seed)
-    drawn.memory = {}
-    if memory == "lstm":
-        above = {f"above.{name}": part for name, part in lstm_memory(seed + 100).items()}
-        drawn.memory = lstm_memory(seed) | above
+    drawn.memory = memory_of(seed) if memory == "lstm" else {}
     if weighted:
         generator = torch.Generator().manual_seed(seed)
         drawn.steps["weight"] = torch.rand(STEPS + 1, BATCH, generator=generator)
     return drawn
 
 
-def lstm_memory(seed):
-    return random_unroll(1, BATCH, 1, seed).memory
+def memory_of(seed):
+    lower, upper = (random_unroll(1, BATCH, 1, number).memory for number in (seed, seed + 100))
+    return lower | {f"above.{name}": part for name, part in upper.items()}
 
 
 def numbers(metrics):
     return {name: float(value) for name, value in metrics.items()}
-
-
-def learned_alike(one, other, seeds, **kinds):
-    for seed in seeds:
-        metrics = [numbers(agent.update(unroll(seed, **kinds))) for agent in (one, other)]
-        assert metrics[0] == metrics[1]
-    assert_equal(saved(one), saved(other))
 
 
 def saved(agent):
@@ -73,10 +71,307 @@ def saved(agent):
     return state
 
 
+def learn_alike(one, other, seeds, **kinds):
+    for seed in seeds:
+        metrics = [numbers(agent.update(unroll(seed, **kinds))) for agent in (one, other)]
+        assert metrics[0] == metrics[1]
+    assert_equal(saved(one), saved(other))
+
+
 @pytest.mark.parametrize("weighted", [False, True])
 @pytest.mark.parametrize("memory", MEMORIES)
 def test_captured_updates_equal_others(memory, weighted):
     kinds = {"memory": memory, "weighted": weighted}
     eager, captured = build(memory), build(memory, captured=True)
-    learned_alike(eager, captured, range(10), **kinds)
-    assert captured.updates == captured.updates_made == 10
+    learn_alike(eager, captured, range(10), **kinds)
+    assert eager.updates_made == captured.updates == captured.updates_made == 10
+
+
+def test_heads_are_what_they_are_in_bfloat16():
+    eager, captured = (build(precision="bfloat16", captured=one) for one in (False, True))
+    learn_alike(eager, captured, range(4))
+
+
+@pytest.mark.parametrize("first", [False, True], ids=["eager first", "captured first"])
+def test_checkpoints_of_either_kind_load_into_the_other(first):
+    one, other = build("lstm", captured=first), build("lstm", captured=not first, seed=1)
+    learn_alike(one, build("lstm"), range(3), memory="lstm")
+    other.load_state_dict(deepcopy(one.state_dict()))
+    learn_alike(one, other, range(3, 8), memory="lstm")
+    assert other.updates_made == 8
+    (group,) = other.state_dict()["optimiser"]["param_groups"]
+    assert (group["lr"], group["capturable"]) == (OPTIONS.learning_rate, False)
+
+
+@pytest.mark.parametrize("updates", [0, 3])
+def test_a_recorded_agent_loads_in_place(updates):
+    """Also the state of before the first update, which has none of an optimiser."""
+    eager, captured = build(), build(captured=True, seed=1)
+    for seed in range(updates):
+        eager.update(unroll(seed))
+    for seed in range(2):
+        captured.update(unroll(seed + 50))
+    captured.load_state_dict(deepcopy(eager.state_dict()))
+    assert_equal(captured.state_dict()["network"], eager.state_dict()["network"])
+    learn_alike(eager, captured, range(10, 13))
+
+
+def test_learning_rates_are_read_at_every_update():
+    eager, captured = build(), build(captured=True)
+    before = deepcopy(captured.state_dict()["network"])
+    for agent in (eager, captured):
+        agent.scale_learning_rates(0.0)
+        agent.update(unroll(0))
+    assert_equal(captured.state_dict()["network"], before)
+    for seed, factor in enumerate([1.0, 0.3, 0.7], start=1):
+        for agent in (eager, captured):
+            agent.scale_learning_rates(factor)
+        learn_alike(eager, captured, [seed])
+    (group,) = captured.state_dict()["optimiser"]["param_groups"]
+    assert group["lr"] == 0.7 * OPTIONS.learning_rate
+    assert group["initial_lr"] == OPTIONS.learning_rate
+
+
+@pytest.mark.parametrize("first", [0, 2], ids=["at the first update", "later"])
+@pytest.mark.parametrize("what", ["gradient's norm", "loss"])
+def test_divergence_changes_nothing_until_it_is_reported(what, first):
+    captured = build(captured=True)
+    factor = torch.ones(())
+    if what == "loss":
+        loss = captured.loss
+        captured.loss = lambda batch: Loss((found := loss(batch)).loss + factor.log(), *found[1:])
+    else:
+        captured.network.policy.weight.register_hook(lambda gradient: gradient * factor)
+    for seed in range(first):
+        captured.update(unroll(seed))
+    captured.check_finite()
+    before = saved(captured)
+    for value in (torch.nan, 1.0):  # what follows is finite, and changes nothing, either
+        factor.fill_(value)
+        captured.update(unroll(5))
+    after = saved(captured)
+    assert captured.updates_made == first
+    assert after.pop("updates") == before.pop("updates") + 2
+    if not first:  # the optimiser has a state now, of zeros
+        state = after["optimiser"].pop("state")
+        assert all((part == 0).all() for one in state.values() for part in one.values())
+        assert before["optimiser"].pop("state") == {}
+    assert_equal(after, before)
+    with pytest.raises(FloatingPointError, match=f"^the {what} is nan$"):
+        captured.check_finite()
+    captured.check_finite()  # it is reported once
+    captured.update(unroll(6))
+    assert not torch.equal(
+        saved(captured)["network"]["policy.bias"], after["network"]["policy.bias"]
+    )
+
+
+def test_gradients_are_averaged_between_the_graphs(monkeypatch):
+    """At every update, also at the first one, and none of it is recorded."""
+    means = []
+
+    def halve(parameters):
+        parameters = [one for one in parameters if one.grad is not None]
+        means.append(len(parameters))
+        for one in parameters:
+            one.grad.mul_(0.5 / len(means))  # not the same at every update
+
+    monkeypatch.setattr(learner, "average_gradients", halve)
+    captured = build(captured=True)
+    found = [numbers(captured.update(unroll(seed))) for seed in range(3)]
+    assert means == [len(captured.learned)] * 3
+    means.clear()
+    eager = build()
+    assert found == [numbers(eager.update(unroll(seed))) for seed in range(3)]
+    assert_equal(saved(eager), saved(captured))
+
+
+def test_what_is_captured_has_one_shape():
+    made = build(captured=True)
+    made.update(unroll(0))
+    longer = random_unroll(STEPS + 1, BATCH, ACTIONS)
+    longer.memory = {}
+    with pytest.raises(ValueError, match=r"the loss of an update: input 0\.steps\.\S+ is torch"):
+        made.update(longer)
+    with pytest.raises(ValueError, match=r"0\.steps\.weight is torch.*, and was not there when"):
+        made.update(unroll(1, weighted=True))
+
+
+def acted(agent, memory, seed, envs=BATCH):
+    steps = random_unroll(STEPS, envs, ACTIONS, seed).steps
+    generator = torch.Generator().manual_seed(seed)
+    rows = []
+    for t in range(STEPS):
+        action, memory, behaviour = agent.act(Inputs.of(steps[t]), memory, generator)
+        rows.append({"action": action, "memory": memory, **behaviour})
+    return rows
+
+
+def test_captured_acting_equals_other():
+    """Before and after an update, in two batch sizes; and memories that are kept stay."""
+    eager, captured = build("lstm"), build("lstm", captured=True)
+    for seed in range(2):
+        for envs in (BATCH, 7):
+            one, other = (acted(a, a.initial_memory(envs), seed, envs) for a in (eager, captured))
+            assert_equal(one, other)
+        learn_alike(eager, captured, [seed], memory="lstm")
+    assert sorted(shape for shape in captured._acting) == [(1, BATCH), (1, 7)]
+
+
+def test_acting_apart_follows_what_is_published():
+    eager, captured = build("lstm"), build("lstm", captured=True)
+    for agent in (eager, captured):
+        acted(agent, agent.initial_memory(BATCH), 0)
+        agent.separate_acting()
+        before = acted(agent, agent.initial_memory(BATCH), 1)
+        agent.update(unroll(0, "lstm"))
+        assert_equal(acted(agent, agent.initial_memory(BATCH), 1), before)
+        agent.publish()
+    one, other = (acted(agent, agent.initial_memory(BATCH), 1) for agent in (eager, captured))
+    assert_equal(one, other)
+    assert not torch.equal(before[0]["logits"], other[0]["logits"])
+
+
+def test_values_of_any_number_of_envs_share_a_graph():
+    eager, captured = build("lstm"), build("lstm", captured=True)
+    for envs in (1, 3, BATCH, BATCH + 1):
+        inputs = Inputs.of(random_unroll(STEPS, envs, ACTIONS, envs).steps[0])
+        memory = {k: v[:1].expand(envs, -1) for k, v in memory_of(1).items()}
+        one, other = (agent.value(inputs, memory) for agent in (eager, captured))
+        assert one.shape == (envs,)
+        torch.testing.assert_close(one, other)
+    assert set(captured._acting) == {(1, BATCH), (1, 2 * BATCH)}
+
+
+class Darker:
+    """An augmentation of where the agent computes."""
+
+    size = 1
+    on_device = True
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, observation, draw):
+        self.calls += 1
+        assert draw is None
+        return {name: part // 2 for name, part in observation.items()}
+
+
+def test_an_augmentation_on_the_device_is_a_part_of_what_is_captured():
+    eager, captured = build(), build(captured=True, augmentation=Darker())
+    for seed in range(4):
+        plain, dark = unroll(seed), unroll(seed)
+        dark.steps["observation", "image"] //= 2
+        assert numbers(captured.update(plain)) == numbers(eager.update(dark))
+    assert captured.augmentation.calls == 3  # two to warm up, one to record
+    assert build(augmentation=Darker()).update(unroll(0))["loss"] < torch.inf
+
+
+class Reading(Impala):
+    """Its loss reads a number on the host."""
+
+    def loss(self, batch):
+        found = super().loss(batch)
+        return found._replace(loss=found.loss * float(found.loss > -1e9))
+
+
+def test_what_cannot_be_captured_is_told():
+    made = build(captured=True, agent=Reading)
+    before = saved(made)
+    wrong = (
+        r"^the loss of an update cannot be captured \(.*not permitted.*\); choose capture=false$"
+    )
+    with pytest.raises(CaptureFailed, match=wrong):
+        made.update(unroll(0))
+    assert_equal(saved(made), before)
+
+
+class Descending(Impala):
+    """Its optimiser has no fused kernel."""
+
+    def make_optimiser(self, parameters):
+        return torch.optim.RMSprop(parameters)
+
+
+def test_an_optimiser_that_cannot_be_captured_is_told():
+    with pytest.raises(CaptureFailed, match=r"^RMSprop cannot be captured.*choose capture=false$"):
+        build(captured=True, agent=Descending)
+
+
+# Captured functions alone
+
+
+class Walk:
+    """A sum of draws, times what it is given."""
+
+    def __init__(self):
+        self.generator = torch.Generator().manual_seed(0)
+        self.total = torch.zeros(3)
+        self.made = {}
+
+    def state(self):
+        return [self.total, *self.made.values()]
+
+    def step(self, batch):
+        draws = torch.rand(3, generator=self.generator)
+        self.total += batch["scale"] * draws
+        self.made.setdefault("count", torch.zeros(())).add_(1)
+        return {"total": self.total.clone(), "count": self.made["count"].clone()}
+
+
+def test_recording_leaves_everything_as_it_was():
+    """State, what was made meanwhile, and draws: the first call is the first step."""
+    eager, captured = Walk(), Walk()
+    run = Captured(
+        captured.step, Tape(), captured.state, generators=[captured.generator], name="a walk"
+    )
+    for scale in (1.0, 2.0, 3.0):
+        batch = {"scale": torch.tensor(scale)}
+        assert_equal(run(batch), eager.step(batch))
+    assert run.graph.replays == 3
+    assert torch.equal(captured.generator.get_state(), eager.generator.get_state())
+
+
+def test_inputs_that_are_the_recorded_ones_are_not_copied():
+    walk = Walk()
+    run = Captured(walk.step, Tape(), walk.state, generators=[walk.generator], name="a walk")
+    run({"scale": torch.tensor(1.0)})
+    (static,) = run.inputs
+    before = walk.total.clone()
+    static["scale"].zero_()
+    assert torch.equal(run(static)["total"], before)
+
+
+def test_a_captured_function_is_a_part_of_another():
+    walk = Walk()
+    inner = Captured(walk.step, Tape(), walk.state, generators=[walk.generator], name="inner")
+    outer = Captured(
+        lambda batch: inner(batch)["total"] * 2,
+        Tape(),
+        walk.state,
+        generators=[walk.generator],
+        name="outer",
+    )
+    eager, batch = Walk(), {"scale": torch.tensor(2.0)}
+    for _ in range(3):
+        assert torch.equal(outer(batch), eager.step(batch)["total"] * 2)
+    assert (inner.graph.replays, outer.graph.replays) == (0, 3)
+    inner({"scale": torch.tensor(2.0)})  # and can be called by itself
+    assert inner.graph.replays == 1
+
+
+def test_unrolls_are_nests():
+    steps = unroll(0, "lstm")
+    sums = Captured(
+        lambda one: one.steps["reward"].sum() + one.memory["cell"].sum(),
+        Tape(),
+        list,
+        name="sums",
+    )
+    for seed in range(3):
+        steps = unroll(seed, "lstm")
+        assert sums(steps) == steps.steps["reward"].sum() + steps.memory["cell"].sum()
+    assert isinstance(sums.inputs[0], Unroll)
+    with pytest.raises(TypeError, match="0 is a float: expected tensors"):
+        Captured(lambda one: one, Tape(), list, name="a number")(1.0)

@@ -320,7 +320,7 @@ def test_an_agent_adds_the_loss_to_its_own(name):
     both = made.update(unroll(6))["loss"]
     made.load_state_dict(before)
     made.recorder.options = MEM.model_copy(update={"weight": 0.0})
-    assert both == pytest.approx(made.update(unroll(6))["loss"] + loss.item(), rel=1e-5)
+    assert both == pytest.approx((made.update(unroll(6))["loss"] + loss).item(), rel=1e-5)
 
 
 @pytest.mark.parametrize("name", ["impala", "imitation"])
@@ -539,7 +539,7 @@ def test_names_of_parts_may_have_dots(options):
     collector = Collector(env, made, unroll_length=STEPS, seed=0)
     for _ in range(3):
         metrics = made.update(collector.collect())
-    assert all(np.isfinite(value) for value in metrics.values())
+    assert all(np.isfinite(float(value)) for value in metrics.values())
     assert int(made.network.dictionary.filled) > 0 or options is MEM
 
 

@@ -217,7 +217,7 @@ def test_losses_are_weighted_frame_by_frame(name):
     def loss(frame_weights):
         made.load_state_dict(deepcopy(state))
         data.steps["weight"] = frame_weights
-        return made.update(data)["loss"]
+        return float(made.update(data)["loss"])
 
     given = data.steps["weight"].clone()
     total = 0.0
@@ -289,7 +289,7 @@ def test_vmpo_gives_its_losses_the_weights_of_the_frames():
     def metrics(frame_weights):
         made.load_state_dict(deepcopy(state))
         data.steps["weight"] = frame_weights
-        return made.update(data)
+        return {name: float(metric) for name, metric in made.update(data).items()}
 
     given, other = data.steps["weight"].clone(), data.steps["weight"].flip(0)
     found, alike = metrics(given), metrics(torch.ones_like(given))

@@ -258,7 +258,7 @@ def test_with_hindsight_it_learns_relabelled_questions_too(kept):
         loss = made.update(unroll)["loss"]
         assert made.updates == updates + 1
         unroll.episodes = None
-        assert loss == pytest.approx(plain.update(unroll)["loss"] + expected, rel=1e-5)
+        assert loss == pytest.approx(float(plain.update(unroll)["loss"]) + expected, rel=1e-5)
         plain.load_state_dict(made.state_dict())
 
 

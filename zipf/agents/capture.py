@@ -25,15 +25,16 @@ class CaptureFailed(RuntimeError):
     """A function cannot be captured."""
 
 
+Function = Callable[[], Any]
+
+
 class Graph(Protocol):
     """Records one function, and replays it."""
 
-    def warm_up(self, function: Callable[[], Any]) -> None:
+    def warm_up(self, function: Function) -> None:
         """Runs the function before it is recorded, so that what is made once is made."""
 
-    def record(
-        self, function: Callable[[], Any], generators: Sequence[torch.Generator] = ()
-    ) -> Any:
+    def record(self, function: Function, generators: Sequence[torch.Generator] = ()) -> Any:
         """Records the function, which draws from these generators; returns what it returned, of
         which `replay` alone computes the values. Raises RuntimeError: it cannot be recorded."""
 
@@ -48,7 +49,7 @@ class CudaGraph:
         self.device = torch.device(device)
         self._graph = torch.cuda.CUDAGraph()
 
-    def warm_up(self, function: Callable[[], Any]) -> None:
+    def warm_up(self, function: Function) -> None:
         """Runs the function twice, on a stream of its own: the second time nothing is new."""
         with torch.cuda.device(self.device):
             side = torch.cuda.Stream()
@@ -58,9 +59,7 @@ class CudaGraph:
                     function()
             torch.cuda.current_stream().wait_stream(side)
 
-    def record(
-        self, function: Callable[[], Any], generators: Sequence[torch.Generator] = ()
-    ) -> Any:
+    def record(self, function: Function, generators: Sequence[torch.Generator] = ()) -> Any:
         """Records the function without running it; other threads may use the device meanwhile."""
         for generator in generators:
             if generator.device.type == "cuda":
@@ -238,7 +237,7 @@ def _described(tensor: Tensor | None) -> str:
 
 
 def _first_line(error: BaseException) -> str:
-    """Of the first of the errors that led to this one: ending a capture raises another."""
-    while error.__context__ is not None:
+    """Of an error, or of the one before it: to end a capture that has failed raises another."""
+    if isinstance(error.__context__, RuntimeError):
         error = error.__context__
     return next(iter(str(error).strip().splitlines()), type(error).__name__)

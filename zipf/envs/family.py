@@ -599,7 +599,7 @@ def questions(split: Split) -> Split:
     return _loaded(found.questions)(split)
 
 
-def symmetries(split: Split, env: ZipfVectorEnv) -> Symmetries | None:
+def symmetries(split: Split, env: ZipfVectorEnv | TensorEnv) -> Symmetries | None:
     """The symmetries that the family of a split declares, for its envs; None where there are
     none."""
     found = family_of_split(split.name)

@@ -8,6 +8,7 @@ import numpy as np
 from zipf import envs
 from zipf.agents.agent import Agent, AgentSpec, agents
 from zipf.agents.learner import Learner
+from zipf.agents.unroll import Augmentation
 from zipf.envs.tensor import TensorEnv
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
@@ -30,7 +31,8 @@ def build_agent(config: Config, env: ZipfVectorEnv | TensorEnv) -> Agent:
             env.single_observation_space,
             symmetries=envs.symmetries(config.split, env),
         )
-        seen, codes = augmentation, None
+        seen: Augmentation | None = augmentation
+        codes = None
         if isinstance(env, TensorEnv):
             assert augmentation is None or isinstance(augmentation, RandomAugmentation)
             seen, codes = View(env, augmentation), _space(env)

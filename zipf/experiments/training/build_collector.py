@@ -56,14 +56,14 @@ def _hooks(
     if not config.collector.bootstrap_at_time_limit:
         yield TimeLimitsEnd()
     needs, draws = agent.needs, None
-    if agent.augmentation is not None:
+    augmentation = cast(HostAugmentation | None, agent.augmentation)
+    if augmentation is not None:
         seed = derive_seed(config.seed, "augmentation", *stream)
-        augmentation = cast(HostAugmentation, agent.augmentation)
         draws = Draws(augmentation, env.num_envs, seed)
         yield draws
     if needs.teacher:
         teacher = Teacher(needs.teacher, config.split, env)
-        yield Labels(teacher, needs.teacher_share, cast(HostAugmentation | None, agent.augmentation))
+        yield Labels(teacher, needs.teacher_share, augmentation)
     goal = envs.family_of_split(config.environment.split).make_goal(env)
     chosen = (
         BONUSES.build(
