@@ -183,7 +183,7 @@ class GridworldTensorEnv(TensorEnv):
         return hashed
 
     def _check_state(self, state: Mapping[str, Tensor]) -> None:
-        # The device indexes with these numbers, and checks them in other ways or not at all.
+        # The device indexes with these numbers, and could say no more than that one is wrong.
         maps = self.level.maps
         free = np.zeros(maps.codes.shape, np.bool_)
         free[:, PAD:-PAD, PAD:-PAD] = maps.boards != WALL

@@ -288,8 +288,7 @@ class _Check:
         """Symmetries drawn for every row [T, N], and what is shown under them."""
         if self.symmetries is None:
             return None
-        drawn = self.rng.integers(self.symmetries.count, size=self.steps * self.n)
-        which = drawn.reshape(self.steps, self.n)
+        which = self.rng.integers(self.symmetries.count, size=(self.steps, self.n))
         return which, _arrays(self.tensor.decode(codes, self._to(which)))
 
     def _symmetries(
@@ -315,7 +314,7 @@ class _Check:
             for name, part in _arrays(self.tensor.decode(codes)).items()
         }
         weights = {
-            name: self.rng.integers(2**64, size=part.shape[-1], dtype=np.uint64)
+            name: self.rng.integers(2**64, size=part.shape[-1:], dtype=np.uint64)
             for name, part in parts.items()
         }
         hashed = self.tensor.hashes(
