@@ -255,6 +255,8 @@ MISTAKES = [
     (["experiment=demo", "environment.num_objects=90"], ["num_objects = 90", "at most 25"]),
     (["experiment=demo", "environment.num_rooms=[2]"], ["environment.num_rooms"]),
     (["experiment=demo", "schedule.window=[3,1]"], ["schedule.window", "begin before"]),
+    (["experiment=demo", "schedule.stop_after=0"], ["schedule.stop_after=0", "greater than 0"]),
+    (["experiment=demo", "schedule.stop_after=1h"], ["schedule.stop_after=1h", "valid number"]),
     (["experiment=demo", "name=a/b"], ["name=a/b", "folder"]),
     (["experiment=demo", "name=''"], ["name=", "folder"]),
     (["experiment=demo", "name=1"], ["name=1", "quote"]),

@@ -69,6 +69,18 @@ def test_importing_the_environments_does_not_import_torch() -> None:
     assert result.stdout.strip() == "[]"
 
 
+def test_envs_on_numpy_arrays_are_made_and_checked_without_torch() -> None:
+    program = (
+        "import sys, zipf.envs.testing; from zipf import envs;"
+        "envs.make_vec('gridworld/rare', 2); envs.has_tensor(envs.split('gridworld'));"
+        "print('torch' in sys.modules)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "False"
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -362,12 +362,14 @@ def test_a_local_run_joins_nobody(monkeypatch, tmp_path):
 SPY = '''
 """What each process had at its end; and signals, at a step or an evaluation that the environment
 names."""
-import os, signal, time, torch
+import os, signal, time, types, torch
 from zipf.experiments.training import runner
 
 RANK, STARTED = os.environ.get("RANK"), os.environ.get("TORCHELASTIC_RESTART_COUNT", "0")
 step, close = runner.Run.step, runner.Run.close
 watch = runner.Run._watch_evaluation
+if os.environ.get("SPY") == f"0 {RANK} 0 clock":
+    runner.time = types.SimpleNamespace(monotonic=lambda: 1e6 * time.monotonic())
 
 def kill(run, during):
     number, rank, update, when = [*os.environ.get("SPY", "0 0 0").split(), "step"][:4]
@@ -531,6 +533,19 @@ def test_a_run_that_was_stopped_and_then_lost_a_learner_ends_as_one_that_was_not
     for name in TABLES:
         one, other = (untimed(run.folder / name) for run in (runs.config("whole"), config))
         pd.testing.assert_frame_equal(one, other)
+
+
+@pytest.mark.slow
+def test_the_time_of_one_learner_stops_both(whole, runs):
+    """By the clock of one the time is over after the first update, by the other's never."""
+    config = runs.config("timed")
+    ended = runs.processes("timed", "schedule.stop_after=1000", spy="0 1 0 clock")
+    assert [code for code, _, _ in ended] == [0, 0], ended
+    assert "stopped at update 1; the same command resumes" in ended[0][1]
+    assert [one["update"] for one in runs.seen("timed")] == [1, 1]
+    resumed = runs.processes("timed", "resume=must", spy="0 0 0")
+    assert [code for code, _, _ in resumed] == [0, 0], resumed
+    assert_equal(learned(runs.config("whole").folder), learned(config.folder))
 
 
 @pytest.mark.slow

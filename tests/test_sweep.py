@@ -220,6 +220,8 @@ if seed in ("seed=5", "seed=6"):  # stops when it is told to, or later
         signal.pause()
     print("stopped at update 3; the same command resumes")
     sys.exit(128 + signal.SIGTERM)
+if seed == "seed=12":  # schedule.stop_after
+    print("stopped at update 3; the same command resumes")
 if seed in ("seed=10", "seed=11"):  # the time of its job is over
     os.kill(os.getppid(), signal.SIGUSR2)
     os.read(int(os.environ["ZIPF_SWEEP_PIPE"]), 1)
@@ -281,6 +283,14 @@ def test_a_signal_stops_the_running_job_and_begins_no_other(scripted):
     assert "1/2 demo x seed 5: stopped at update 3; the same command resumes" in lines
     assert "2 jobs: 1 stopped, 1 not begun" in lines
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_job_that_its_time_has_stopped_is_no_failure(scripted):
+    code, lines = scripted("12,7")
+    assert code == 0
+    assert "1/2 demo x seed 12: stopped at update 3; the same command resumes" in lines
+    assert "2 jobs: 1 finished, 1 stopped by schedule.stop_after" in lines
+    assert "the same command does what is missing" in lines
 
 
 def test_a_cluster_stops_a_sweep_as_a_user_does(scripted):

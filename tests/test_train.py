@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+import itertools
 import re
 import shlex
 import shutil
@@ -11,6 +12,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -286,6 +288,32 @@ def test_a_run_that_a_signal_stopped_resumes_bit_for_bit(number, lag, tmp_path):
     whole = cut.model_copy(update={"run_root": str(tmp_path / "whole"), "resume": "never"})
     assert runner.train(whole) == 0
     assert_equal(learned(whole.folder), learned(cut.folder))
+
+
+@pytest.mark.parametrize("lag", slow_but([0, 1], 0))
+def test_a_run_that_its_time_has_stopped_resumes_bit_for_bit(lag, tmp_path, monkeypatch, capsys):
+    """The first command has time for three updates, the second for none and makes one, the third is
+    not limited."""
+    arguments = [*TINY, "updates=6", f"collector.lag={lag}"]
+    whole = loading.load([*arguments, f"run_root={tmp_path / 'whole'}"])
+    assert runner.train(whole) == 0
+    clock = SimpleNamespace(monotonic=itertools.count().__next__)
+    monkeypatch.setattr(runner, "time", clock)
+    for limit, update in ((3, 3), (0.5, 4)):
+        cut = loading.load(
+            [*arguments, f"run_root={tmp_path / 'cut'}", f"schedule.stop_after={limit}"]
+        )
+        assert runner.train(cut) == 0
+        stopped = f"stopped at update {update}; the same command resumes"
+        assert capsys.readouterr().out.splitlines()[-1] == stopped
+        assert checkpoint.load(cut.folder / "checkpoint.pt")["update"] == update
+        assert not run_folder.is_finished(cut)
+    cut = loading.load([*arguments, f"run_root={tmp_path / 'cut'}", "resume=must"])
+    assert runner.train(cut) == 0
+    assert_equal(learned(whole.folder), learned(cut.folder))
+    for name in ("metrics.csv", "evaluations.csv", "situations.csv"):
+        one, other = (untimed(run.folder / name) for run in (whole, cut))
+        pd.testing.assert_frame_equal(one, other)
 
 
 def test_a_run_in_a_thread(tmp_path, capsys):

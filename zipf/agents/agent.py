@@ -62,6 +62,8 @@ class AgentSpec:
         weighted: whether the frames of unrolls have a `weight`.
         hindsight: options of hindsight; unless "none", unrolls have relabelled `episodes`.
         augmentation: of what the agent sees in training; unless None, unrolls have a `draw`.
+        unroll_space: observations as unrolls hold them, before the augmentation; None: those of
+            `observation_space`.
     """
 
     observation_space: gym.spaces.Dict
@@ -79,6 +81,7 @@ class AgentSpec:
     weighted: bool = False
     hindsight: HindsightOptions = NO_HINDSIGHT
     augmentation: Augmentation | None = None
+    unroll_space: gym.spaces.Dict | None = None
 
     @property
     def torso(self) -> tuple[gym.spaces.Dict, gym.Space, NetworkOptions, Options]:
@@ -117,6 +120,11 @@ class Agent(ABC):
             an agent is on-policy: it learns only from unrolls of its newest weights. With more it
             can also learn from actors in a cluster, whose weights are older by some updates; such
             an agent is a `zipf.agents.learner.Learner`, which has weights to publish.
+        learns_from_parts: whether an update may learn from a part of an unroll's envs, so that the
+            weights that played the last part are older than those of the first.
+        captures: whether `act`, `value` and what an update computes are functions of tensors in
+            fixed shapes, without waiting for the device, so that they can be captured as CUDA
+            graphs, and the agent can learn from envs that are stepped on its device.
         averages_gradients: whether it learns from the mean of several learners' gradients
             (`zipf.agents.averaging`), so that its state stays the same in all of them.
         answers_questions: whether it is a classifier, which answers a question about an episode's
@@ -132,6 +140,8 @@ class Agent(ABC):
     Options: ClassVar[type[Options]]
     supports: ClassVar[frozenset[str]] = frozenset({"exploration"})
     largest_lag: ClassVar[int] = 0
+    learns_from_parts: ClassVar[bool] = False
+    captures: ClassVar[bool] = False
     averages_gradients: ClassVar[bool] = False
     answers_questions: ClassVar[bool] = False
     needs: Needs = Needs()

@@ -16,7 +16,7 @@ costs fall, linearly with the number of updates, to 0.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, Literal, overload
 
 import torch
 import torch.nn.functional as F
@@ -65,8 +65,16 @@ class AchievedOptions(Options):
                 "asks for; choose hindsight=none"
             )
 
-    def share(self, updates: int) -> float:
-        """The factor of `policy_cost` and `value_cost` after so many updates, in [0, 1]."""
+    @overload
+    def share(self, updates: int) -> float: ...
+    @overload
+    def share(self, updates: Tensor) -> Tensor: ...
+    def share(self, updates: int | Tensor) -> float | Tensor:
+        """The factor of `policy_cost` and `value_cost` after so many updates, in [0, 1]; float32 []
+        of a tensor []."""
+        if isinstance(updates, Tensor):
+            faded = torch.zeros_like(updates) if self.fade is None else updates / self.fade
+            return (1 - faded.float()).clamp(min=0)
         return 1.0 if self.fade is None else max(0.0, 1 - updates / self.fade)
 
 
@@ -80,27 +88,32 @@ def hindsight_loss(
     options: HindsightOptions,
     *,
     discount: float,
-    updates: int,
+    updates: int | Tensor,
     precision: Literal["float32", "bfloat16"] = "float32",
 ) -> tuple[Tensor | float, dict[str, Tensor]]:
     """The loss of relabelled episodes [L, E], as `Unroll.episodes` has them, and metrics, after so
     many updates.
 
-    The memory is unrolled from before each episode's first row. Without such an episode, or once
-    the costs are 0, the loss is 0, `hindsight_episodes` too, and the other metrics are NaN; without
-    hindsight there are no metrics. The contrastive loss of a matcher, which does not fade, is added
-    (`matching_loss`).
+    The memory is unrolled from before each episode's first row. Where the `mask` of one of the E is
+    False throughout, there is no episode in its place; its actions are some that there are. Without
+    an episode, or once the costs are 0, the loss is 0, `hindsight_episodes` too, and the other
+    metrics are NaN; without hindsight there are no metrics. The contrastive loss of a matcher,
+    which does not fade, is added (`matching_loss`).
+
+    With the number of updates as a tensor [], all shapes are those of `episodes`, and no number is
+    read on the host.
     """
     if isinstance(options, NoHindsightOptions):
         return 0.0, {}
     matching, matched = matching_loss(network.encoder, episodes, options, precision=precision)
     share = options.share(updates)
-    if episodes is None or share == 0:
-        nothing = torch.tensor(float("nan"))
+    if episodes is None or (not isinstance(share, Tensor) and share == 0):
+        device = next(network.parameters()).device
+        nothing = torch.full((), torch.nan, device=device)
         return matching, {
             "hindsight_policy_loss": nothing,
             "hindsight_value_loss": nothing,
-            "hindsight_episodes": torch.tensor(0.0),
+            "hindsight_episodes": torch.zeros((), device=device),
             **matched,
         }
     mask = episodes["mask"]
@@ -110,14 +123,15 @@ def hindsight_loss(
     better = (returns - outputs.value).clamp(min=0)
     factor = better.detach() if options.advantage == "positive" else torch.ones_like(returns)
     log_pi = action_log_probability(outputs.logits.log_softmax(-1), episodes["action"])
-    frames = mask.sum()
+    frames = mask.sum().clamp(min=1)
     policy_loss = -(log_pi * factor * mask).sum() / frames
     value_loss = 0.5 * (better.square() * mask).sum() / frames
     loss = share * (options.policy_cost * policy_loss + options.value_cost * value_loss)
+    count = mask.any(0).sum() * (share > 0)
     return loss + matching, {
-        "hindsight_policy_loss": policy_loss,
-        "hindsight_value_loss": value_loss,
-        "hindsight_episodes": torch.tensor(float(mask.shape[1])),
+        "hindsight_policy_loss": policy_loss.masked_fill(count == 0, torch.nan),
+        "hindsight_value_loss": value_loss.masked_fill(count == 0, torch.nan),
+        "hindsight_episodes": count.float(),
         **matched,
     }
 

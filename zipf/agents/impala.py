@@ -50,10 +50,12 @@ class Impala(Learner):
     """The agent: samples actions from the policy and learns from unrolls."""
 
     Options = ImpalaOptions
+    captures = True
     supports = frozenset(
         {"auxiliary", "critic", "episodic", "exploration", "hindsight", "reweighting"}
     )
     largest_lag = 1  # V-trace corrects for it
+    learns_from_parts = True  # likewise
     options: ImpalaOptions
     network: ActorCritic
     actor: ActorCritic

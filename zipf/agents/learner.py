@@ -47,7 +47,7 @@ from zipf.agents.captured_optimiser import CapturedOptimiser
 from zipf.agents.episodic import Dictionary, build_recorder
 from zipf.agents.memory import State
 from zipf.agents.network import Inputs, Torso, autocast, frozen_copy
-from zipf.agents.unroll import Unroll, on_device
+from zipf.agents.unroll import Unroll
 from zipf.options import Options, Positive
 
 Fraction = Annotated[float, Field(ge=0, lt=1)]
@@ -185,15 +185,19 @@ class Learner(Agent):
         )
 
     def update(self, unroll: Unroll) -> Mapping[str, float | Tensor]:
-        if not on_device(self.augmentation):
+        if not self._sees_on_device:
             unroll = unroll.changed(self.augmentation)
         metrics, _ = self.learn(unroll.to(self.device))
         return metrics
 
+    @property
+    def _sees_on_device(self) -> bool:
+        return self.augmentation is not None and self.augmentation.on_device
+
     def seen(self, batch: Any) -> Any:
         """What `learn` was given, as the loss and `after_step` read it; a part of the captured
         function."""
-        if isinstance(batch, Unroll) and on_device(self.augmentation):
+        if isinstance(batch, Unroll) and self._sees_on_device:
             return batch.changed(self.augmentation)
         return batch
 

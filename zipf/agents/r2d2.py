@@ -186,6 +186,7 @@ class R2D2(Learner):
     """
 
     Options = R2D2Options
+    captures = True
     supports = frozenset({"critic", "exploration", "hindsight", "reweighting"})
     averages_gradients = False  # each learner would draw from a replay of its own
     largest_lag = 1  # replay is off-policy anyway
@@ -210,7 +211,7 @@ class R2D2(Learner):
             cuts = -(-spec.hindsight.length // spec.unroll_length)
             self._inserts += cuts * spec.hindsight.episodes
         self.sequences = Sequences(
-            spec.observation_space,
+            spec.unroll_space or spec.observation_space,
             num_envs=spec.num_envs,
             unroll_length=spec.unroll_length,
             burn_in=options.burn_in,

@@ -9,7 +9,6 @@ from typing import Any, Literal, Protocol
 import gymnasium as gym
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -39,44 +38,22 @@ class Augmentation(Protocol):
 
     Attributes:
         size: how many numbers, D. All zero, of rows that stand for no frame, they change nothing.
-        on_device: bool; whether it is called with tensors of the agent's device, as a part of an
-            update that may be captured (`zipf.agents.capture`), and with None where steps have no
-            `draw`. Without this attribute it is not.
+        on_device: whether it is called with tensors of the agent's device, as a part of an update
+            that may be captured (`zipf.agents.capture`); else with those in RAM.
     """
 
     size: int
+    on_device: bool
 
-    def draw(self, rng: np.random.Generator, n: int) -> NDArray[np.float64]:
-        """The numbers of `n` episodes, [n, D]."""
+    def __call__(self, observation: Mapping[str, Tensor], draw: Tensor | None) -> dict[str, Tensor]:
+        """Changed copies of observations {name: [*batch, ...]}, with their `draw`, float64
+        [*batch, D]; None where steps have none."""
         ...
-
-    def __call__(self, observation: Mapping[str, Tensor], draw: Tensor) -> dict[str, Tensor]:
-        """Changed copies of observations in RAM, {name: [*batch, ...]}, with their `draw`, float64
-        [*batch, D]."""
-        ...
-
-    def to_env(self, actions: NDArray[np.int64], draw: NDArray[Any]) -> NDArray[np.int64]:
-        """The envs' actions for those of an agent that sees them so, [N] -> [N]; -1 stays."""
-        ...
-
-    def to_agent(self, actions: NDArray[np.int64], draw: NDArray[Any]) -> NDArray[np.int64]:
-        """The agent's actions for those of the envs, [N] -> [N]; -1 stays."""
-        ...
-
-    def move(self, regions: NDArray[np.float32], draw: NDArray[Any]) -> NDArray[np.float32]:
-        """Where regions of the image are moved to, [N, 4] -> [N, 4] (top, left, bottom, right, in
-        sides of the image), but for symmetries, which change what regions stand for."""
-        ...
-
-
-def on_device(augmentation: Augmentation | None) -> bool:
-    """Whether an augmentation changes observations where the agent computes."""
-    return getattr(augmentation, "on_device", False)
 
 
 def changed(steps: TensorDict, augmentation: Augmentation) -> TensorDict:
-    """Steps [...] with their observations as their `draw` changes them, or its lack; all else is
-    shared."""
+    """Steps [...] with their observations as their `draw` changes them, None where nothing was
+    drawn; all else is shared."""
     observation = dict(steps["observation"].items())
     seen = steps.clone(recurse=False)
     seen["observation"] = TensorDict(
@@ -204,6 +181,28 @@ class Unroll:
 
         steps = changed(self.steps, augmentation)
         return replace(self, steps=steps, final=seen(self.final), episodes=seen(self.episodes))
+
+    def part(self, k: int, parts: int) -> Unroll:
+        """Every `parts`-th env, from env k on, and as many of the relabelled episodes; shares
+        memory."""
+
+        def some(part: TensorDict | None) -> TensorDict | None:
+            chosen = None if part is None else part[:, k::parts]
+            return chosen if chosen is not None and chosen.shape[1] else None
+
+        memory = {name: value[k::parts] for name, value in self.memory.items()}
+        late = self.late_memory and {n: v[k::parts] for n, v in self.late_memory.items()}
+        return Unroll(self.steps[:, k::parts], memory, late, some(self.final), some(self.episodes))
+
+    def clone(self) -> Unroll:
+        """A copy that shares nothing."""
+        late = self.late_memory and {
+            name: value.clone() for name, value in self.late_memory.items()
+        }
+        final = None if self.final is None else self.final.clone()
+        episodes = None if self.episodes is None else self.episodes.clone()
+        memory = {name: value.clone() for name, value in self.memory.items()}
+        return Unroll(self.steps.clone(), memory, late, final, episodes)
 
     def to(self, device: str) -> Unroll:
         """The same on another device."""

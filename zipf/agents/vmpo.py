@@ -29,6 +29,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
+from zipf.agents import fixed
 from zipf.agents.agent import AgentSpec, register
 from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.learner import Learner, LearnerOptions, Loss
@@ -64,6 +65,8 @@ class VMPO(Learner):
     """
 
     Options = VMPOOptions
+    learns_from_parts = True  # the target network acts, and follows between unrolls
+    captures = True
     supports = frozenset({"auxiliary", "critic", "exploration", "hindsight", "reweighting"})
     options: VMPOOptions
     network: ActorCritic
@@ -77,7 +80,10 @@ class VMPO(Learner):
         self.duals = nn.ParameterDict(
             {name: nn.Parameter(torch.tensor(value)) for name, value in initial.items()}
         ).to(self.device)
-        duals = torch.optim.Adam(self.duals.parameters(), lr=options.dual_learning_rate)
+        fused = True if fixed.shapes(self.duals["eta"]) else None  # a graph needs it
+        duals = torch.optim.Adam(
+            self.duals.parameters(), lr=options.dual_learning_rate, fused=fused
+        )
         self.optimisers["dual_optimiser"] = duals
         self.parts |= {"target": self.target, "duals": self.duals, "dual_optimiser": duals}
 
@@ -160,11 +166,15 @@ class VMPO(Learner):
         return Loss(loss, metrics)
 
     def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
-        """Projects the duals, and lets the target network follow."""
+        """Projects the duals."""
         super().after_step(batch, kept)
         with torch.no_grad():
             for dual in self.duals.parameters():
                 dual.clamp_(min=SMALLEST_DUAL)
+        self.after_update()
+
+    def after_update(self) -> None:
+        """Lets the target network follow; on the host, where updates are counted."""
         if self.updates % self.options.target_period == 0:
             self.target.load_state_dict(self.network.state_dict())
 
@@ -213,21 +223,28 @@ def vmpo_losses(
 
     advantages = returns - values
     top = is_top(advantages, top_fraction)
-    best = advantages[top]
+    in_fixed_shapes = fixed.shapes(advantages)
+
+    def of_top(frames: Tensor) -> Tensor:
+        """[T, B] -> [D~]; or with all others in [D], to be masked."""
+        return frames.flatten() if in_fixed_shapes else frames[top]
+
+    best = of_top(advantages)
     # Subtracting the maximum keeps the exponentials finite and eta's gradient exact, however
     # small eta is: eta log mean exp(A / eta) = max A + eta log mean exp((A - max A) / eta).
     scaled = (best - best.max()) / eta
-    log_total: Tensor | float = math.log(len(best))
     if weights is not None:
-        scaled = scaled + weights[top].log()
-        log_total = weights[top].sum().double().log().float()
+        scaled = scaled + of_top(weights).log()
+    if in_fixed_shapes:
+        scaled = scaled.masked_fill(~top.flatten(), -torch.inf)
+    total = (top if weights is None else of_top(weights * top)).sum()
     psi = scaled.detach().softmax(0)
-    log_mean = scaled.logsumexp(0) - log_total
+    log_mean = scaled.logsumexp(0) - total.double().log().float()
 
     log_pi = action_log_probability(log_policy, actions)
     kl = mean((log_target.exp() * (log_target - log_policy)).sum(-1))
     return VMPOLosses(
-        policy=-(psi * log_pi[top]).sum(),
+        policy=-(psi * of_top(log_pi)).sum(),
         eta=best.max() + eta * (epsilon_eta + log_mean),
         alpha=alpha * (epsilon_alpha - kl.detach()) + alpha.detach() * kl,
         kl=kl.detach(),
@@ -239,5 +256,5 @@ def is_top(advantages: Tensor, fraction: float) -> Tensor:
     """Mask, bool, of the largest `fraction` of all advantages: at least one, and all ties; with
     any NaN among them, all that are not below the last, so that the loss is NaN, too."""
     count = math.ceil(fraction * advantages.numel())
-    last = advantages.flatten().kthvalue(advantages.numel() - count + 1).values
+    last = advantages.flatten().topk(count).values[-1]
     return ~(advantages < last)

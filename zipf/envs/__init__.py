@@ -20,9 +20,11 @@ from zipf.envs.family import (
     find_level,
     generalist,
     goal,
+    has_tensor,
     keys,
     make,
     make_scored,
+    make_tensor,
     make_train,
     make_vec,
     questions,
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from zipf.envs.gymnasium.zipfian import zipfian
     from zipf.envs.mixture import Mixture
     from zipf.envs.single import SingleEnv
+    from zipf.envs.tensor import TensorEnv
     from zipf.envs.vector import ZipfVectorEnv
 
 # Imported when first asked for: these bring numba, and `import zipf` is to be quick.
@@ -48,6 +51,7 @@ _LAZY = {
     "GymnasiumVectorEnv": "zipf.envs.gymnasium.vector",
     "Mixture": "zipf.envs.mixture",
     "SingleEnv": "zipf.envs.single",
+    "TensorEnv": "zipf.envs.tensor",
     "ZipfVectorEnv": "zipf.envs.vector",
     "measure_chance": "zipf.envs.episodes",
     "zipfian": "zipf.envs.gymnasium.zipfian",
@@ -56,10 +60,10 @@ _LAZY = {
 __all__ = [
     "BASELINES", "KINDS", "PAPER_KINDS", "SCRIPTED", "Baseline", "BaselineScore", "EngineError",
     "EnvError", "Family", "GymnasiumVectorEnv", "Mixture", "Normalisation", "Scripted", "SingleEnv",
-    "Split", "SplitLevel", "ZipfVectorEnv", "all_splits", "baseline", "expert", "families",
-    "family_of_split", "find_family", "find_level", "generalist", "goal", "keys", "make",
-    "make_scored", "make_train", "make_vec", "measure_chance", "questions", "register", "scripted",
-    "sliceable", "split", "symmetries", "zipfian",
+    "Split", "SplitLevel", "TensorEnv", "ZipfVectorEnv", "all_splits", "baseline", "expert",
+    "families", "family_of_split", "find_family", "find_level", "generalist", "goal", "has_tensor",
+    "keys", "make", "make_scored", "make_tensor", "make_train", "make_vec", "measure_chance",
+    "questions", "register", "scripted", "sliceable", "split", "symmetries", "zipfian",
 ]  # fmt: skip
 
 for _package in ("gridworld", "playroom", "labyrinth"):

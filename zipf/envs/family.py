@@ -33,6 +33,7 @@ from zipf.protocol import BASELINE_NAMES
 if TYPE_CHECKING:
     from zipf.envs.goals import Goal
     from zipf.envs.keyboard import Keys
+    from zipf.envs.tensor import TensorEnv
     from zipf.envs.vector import ZipfVectorEnv
 
 BoundPolicy = Callable[[], NDArray[np.int64]]
@@ -112,6 +113,9 @@ class Family:
         goal: `goal(env)` is the `zipf.envs.goals.Goal` of a batch: it reads from observations what
             an episode asks for; None: they do not say.
         sliceable: whether several threads may step its envs, see `zipf.envs.slices`.
+        tensor: makes a batch that a PyTorch device steps, a `zipf.envs.tensor.TensorEnv`:
+            `tensor(num_envs, level=..., device=..., **options)`, of the same levels and options as
+            `make_vec`; None: there is none.
     """
 
     name: str
@@ -137,6 +141,7 @@ class Family:
     symmetries: Callable[[Any, Any], Symmetries] | str | None = None
     goal: Callable[[Any], Goal] | str | None = None
     sliceable: bool = False
+    tensor: Callable[..., TensorEnv] | str | None = None
 
     @cached_property
     def options_class(self) -> type[Options]:
@@ -384,6 +389,54 @@ def make_train(split: Split, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
     return _mixture(split.train, num_envs, **kwargs)
 
 
+def has_tensor(split: Split) -> bool:
+    """Whether `make_tensor` makes the envs that a split trains on."""
+    if split.draw == "resets" or len(split.train) > 1:
+        return False
+    level = split.train[0].level
+    return isinstance(level, str) and find_level(level)[0].tensor is not None
+
+
+def make_tensor(
+    level: Split | SplitLevel | Level, num_envs: int, device: Any, **options: Any
+) -> TensorEnv:
+    """`num_envs` envs of a level as tensors, which a PyTorch device steps.
+
+    Args:
+        level: a split, whose train level is meant; or a level, by its full name or as a split
+            holds it.
+        num_envs: number of envs N.
+        device: where they are, a `torch.device` or its name.
+        options: constructor options; a `SplitLevel`'s own go before those.
+
+    Raises:
+        ValueError: the level's family has no tensor environments, the split trains on several
+            levels; an unknown level, options out of range, or a device that there is not.
+    """
+    if isinstance(level, Split):
+        if level.draw == "resets" or len(level.train) > 1:
+            raise ValueError(
+                f"a tensor environment plays one level, and split {level.name!r} of the family "
+                f"{family_of_split(level.name).name} draws among {len(_ranked(level))}"
+            )
+        return make_tensor(level.train[0], num_envs, device, **options)
+    if isinstance(level, SplitLevel):
+        return make_tensor(level.level, num_envs, device, **{**options, **level.options})
+    if not isinstance(level, str):
+        raise ValueError(
+            f"a tensor environment plays a level of a family, got the function {level_name(level)}"
+        )
+    found, name = find_level(level)
+    if found.tensor is None:
+        known = [one.name for one in _FAMILIES.values() if one.tensor is not None]
+        raise ValueError(
+            f"the family {found.name} has no tensor environments: expected a level of "
+            f"{' or '.join(known)}, got {level!r}"
+        )
+    found.check_options(options)
+    return _loaded(found.tensor)(num_envs, level=name, device=device, **options)
+
+
 def make_scored(split: Split, level: SplitLevel, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
     """Envs of one level of a split, to score an agent on.
 
@@ -546,7 +599,7 @@ def questions(split: Split) -> Split:
     return _loaded(found.questions)(split)
 
 
-def symmetries(split: Split, env: ZipfVectorEnv) -> Symmetries | None:
+def symmetries(split: Split, env: ZipfVectorEnv | TensorEnv) -> Symmetries | None:
     """The symmetries that the family of a split declares, for its envs; None where there are
     none."""
     found = family_of_split(split.name)

@@ -40,7 +40,7 @@ class Recorder(nn.Module):
     def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
         """The weighted loss of an update, float32 [], and metrics, [] each; its gradients reach
         `encoder`."""
-        return torch.zeros(()), {}
+        return torch.zeros((), device=next(encoder.parameters()).device), {}
 
     def record(
         self, dictionary: Dictionary | None, steps: TensorDict, core: Tensor, action: Tensor

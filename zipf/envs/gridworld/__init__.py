@@ -59,4 +59,5 @@ FAMILY = Family(
     generalist="zipf.envs.gridworld.generalist:Generalist",
     symmetries="zipf.envs.gridworld.symmetries:Symmetries",
     goal="zipf.envs.gridworld.goal:Cue",
+    tensor="zipf.envs.gridworld.tensor:GridworldTensorEnv",
 )

@@ -31,10 +31,10 @@ class Symmetries:
         moves = [tuple(move) for move in MOVES]
         turned = [[moves.index(tuple(turn @ move)) for move in moves] for turn in SQUARE]
         self.actions: NDArray[np.int64] = np.array(turned)[board]
-        cells = _sources(VIEW)
+        cells = sources(VIEW)
         places = np.where(np.arange(VIEW**2) == 0, 0, cells)  # the first cell is hidden
         if pictures > 1:
-            pixels = _pixels_of_cells(cells, _sources(CELL)[:pictures])
+            pixels = _pixels_of_cells(cells, sources(CELL)[:pictures])
             places = (3 * pixels[..., None] + np.arange(3)).reshape(len(pixels), -1)
         self._places = places.astype(np.uint16)
 
@@ -46,7 +46,7 @@ class Symmetries:
         _turn(shown.reshape(len(shown), -1), which, mask, self._places)
 
 
-def _sources(side: int) -> NDArray[np.int64]:
+def sources(side: int) -> NDArray[np.int64]:
     """For each symmetry and each place in a square, the place whose contents it shows, int64 [8,
     side * side]."""
     middle = side // 2
@@ -56,7 +56,7 @@ def _sources(side: int) -> NDArray[np.int64]:
 
 
 def _pixels_of_cells(cells: NDArray[np.int64], pictures: NDArray[np.int64]) -> NDArray[np.int64]:
-    """As `_sources`, for the pixels of the image and each symmetry of cells and pictures, int64
+    """As `sources`, for the pixels of the image and each symmetry of cells and pictures, int64
     [8 * len(pictures), 63 * 63]; 63 * 63 where there is floor in the place of the cue."""
     side = VIEW * CELL
     rows, columns = np.indices((side, side)).reshape(2, -1)

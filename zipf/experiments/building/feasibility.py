@@ -20,6 +20,7 @@ from zipf.agents.network import ActorCritic
 from zipf.agents.network_options import MatchingOptions
 from zipf.errors import UserError
 from zipf.experiments.building import run_folder
+from zipf.experiments.building.device_envs import only_on_the_host
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.options.runtime import RayOptions, TorchrunOptions, has_ray
 from zipf.experiments.options.schema import Config, PretrainedOptions, find_device
@@ -50,6 +51,10 @@ def problems(config: Config) -> Iterator[str]:
             f"{len(train) * config.learners}, an env for each train level of {split.name}{of_each}"
         )
     yield from _not_so_many_threads(config)
+    yield from _no_parts(config)
+    if config.collector.envs == "device":
+        for option in only_on_the_host(config):
+            yield f"collector.envs=device: {option} takes envs on the host; choose host or auto"
     agent, collector = agents()[config.agent.name], config.collector
     if config.learning_rate_decay and not issubclass(agent, Learner):
         yield (
@@ -191,6 +196,43 @@ def _not_so_many_threads(config: Config) -> Iterator[str]:
         yield f"threads={threads}: should be at most {config.num_envs}, the envs{of_each}"
     elif cores and threads > cores:
         yield f"threads={threads}: should be at most {cores}, the cores that this process may use"
+
+
+def _no_parts(config: Config) -> Iterator[str]:
+    """Why updates cannot learn from parts of unrolls."""
+    envs_per_update, parts = config.collector.envs_per_update, config.updates_per_unroll
+    if envs_per_update is None:
+        return
+    option, num_envs = f"collector.envs_per_update={envs_per_update}", config.collector.num_envs
+    if num_envs % envs_per_update:
+        yield f"{option}: should divide collector.num_envs={num_envs}"
+    if envs_per_update % config.learners:
+        yield (
+            f"{option}: should be a multiple of runtime.learners={config.learners}, which share "
+            "the envs"
+        )
+    if parts == 1:
+        return
+    able = [name for name, agent in agents().items() if agent.learns_from_parts]
+    if config.agent.name not in able:
+        yield (
+            f"{option}: agent={config.agent.name} learns from all envs of an unroll at once; "
+            f"choose null, or agent={' or '.join(able)}"
+        )
+    if config.episodic != NO_EPISODIC:
+        yield f"{option}: episodic={config.episodic.name} follows all envs at once; choose null"
+    if isinstance(config.runtime, RayOptions):
+        yield f"{option}: with runtime=ray every actor has num_envs of its own; choose null"
+    counts = {
+        "updates": config.updates,
+        "evaluation.every": config.evaluation.every,
+        "schedule.checkpoint_every": config.schedule.checkpoint_every,
+    }
+    if config.agent.name == "vmpo":
+        counts["agent.target_period"] = config.agent.target_period
+    for name, count in counts.items():
+        if count % parts:
+            yield f"{name}={count}: should be a multiple of {parts}, the updates of an unroll"
 
 
 def too_many_envs(config: Config, num_envs: int, episodes: int | None, option: str) -> str | None:

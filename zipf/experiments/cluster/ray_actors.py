@@ -43,6 +43,7 @@ from zipf import envs
 from zipf.agents.agent import Agent
 from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
+from zipf.envs.tensor import TensorEnv
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import EXPECTED, UserError
 from zipf.experiments.building.checkpoint import arrays, tensors
@@ -137,8 +138,11 @@ class RayRuntime(Runtime):
 
     name = "ray"
 
-    def rollouts(self, env: ZipfVectorEnv, agent: Agent, stream: tuple[int, ...] = ()) -> RayActors:
+    def rollouts(
+        self, env: ZipfVectorEnv | TensorEnv, agent: Agent, stream: tuple[int, ...] = ()
+    ) -> RayActors:
         """See the base class."""
+        assert isinstance(env, ZipfVectorEnv)
         assert isinstance(self.config.runtime, RayOptions)
         assert isinstance(agent, Learner)  # it has a `largest_lag`
         return RayActors(self.config, self.config.runtime, env, agent)
@@ -149,6 +153,7 @@ class RayActors:
 
     Attributes:
         version: of the weights: updates made.
+        is_between_unrolls: True, since every update learns from all of what was collected for it.
         actors: of this run, in the order of their numbers.
         visits: how often each situation was met in the unrolls that were learned from.
 
@@ -158,6 +163,8 @@ class RayActors:
         env: envs like those of the actors.
         agent: learns.
     """
+
+    is_between_unrolls = True
 
     def __init__(self, config: Config, options: RayOptions, env: ZipfVectorEnv, agent: Learner):
         self.options = options

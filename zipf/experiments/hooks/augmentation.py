@@ -9,7 +9,7 @@ what is learned from agree, and nothing is ever changed back. Evaluations show t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -27,6 +27,27 @@ from zipf.options import Options
 from zipf.registry import Registry
 
 Factor = Annotated[float, Field(ge=0.1, le=10)]
+
+
+class HostAugmentation(Augmentation, Protocol):
+    """An augmentation of what envs on the host show, in RAM."""
+
+    def draw(self, rng: np.random.Generator, n: int) -> NDArray[np.float64]:
+        """The numbers of `n` episodes, [n, D]."""
+        ...
+
+    def to_env(self, actions: NDArray[np.int64], draw: NDArray[Any]) -> NDArray[np.int64]:
+        """The envs' actions for those of an agent that sees them so, [N] -> [N]; -1 stays."""
+        ...
+
+    def to_agent(self, actions: NDArray[np.int64], draw: NDArray[Any]) -> NDArray[np.int64]:
+        """The agent's actions for those of the envs, [N] -> [N]; -1 stays."""
+        ...
+
+    def move(self, regions: NDArray[np.float32], draw: NDArray[Any]) -> NDArray[np.float32]:
+        """Where regions of the image are moved to, [N, 4] -> [N, 4] (top, left, bottom, right, in
+        sides of the image), but for symmetries, which change what regions stand for."""
+        ...
 
 
 class NoAugmentationOptions(Options):
@@ -80,6 +101,7 @@ class RandomAugmentation:
     """
 
     size = 9
+    on_device = False
 
     def __init__(
         self,
@@ -127,7 +149,8 @@ class RandomAugmentation:
             drawn[:, _CENTRE] = rng.random((n, 2))
         return drawn
 
-    def __call__(self, observation: Mapping[str, Tensor], draw: Tensor) -> dict[str, Tensor]:
+    def __call__(self, observation: Mapping[str, Tensor], draw: Tensor | None) -> dict[str, Tensor]:
+        assert draw is not None
         shown = {
             name: part.clone(memory_format=torch.contiguous_format)
             for name, part in observation.items()
@@ -168,7 +191,7 @@ class Draws(Hook):
 
     name = "augmentation"
 
-    def __init__(self, augmentation: Augmentation, num_envs: int, seed: int):
+    def __init__(self, augmentation: HostAugmentation, num_envs: int, seed: int):
         self.augmentation = augmentation
         self.columns = {"draw": torch.empty(augmentation.size, dtype=torch.float64)}
         self._rng = np.random.default_rng(seed)
@@ -200,7 +223,7 @@ def _mapped(
     return np.where(actions >= 0, found, -1)
 
 
-AUGMENTATIONS: Registry[Augmentation | None] = Registry("augmentation")
+AUGMENTATIONS: Registry[HostAugmentation | None] = Registry("augmentation")
 """Each is built from its options, the space of the observations of one env, and by name the envs'
 `symmetries`; it raises ValueError where there is nothing that it changes."""
 

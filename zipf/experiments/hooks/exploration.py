@@ -15,7 +15,7 @@ from pydantic import Field
 from torch import Tensor
 
 from zipf.experiments.hooks.bonus import Bonus
-from zipf.experiments.hooks.hook import Parts, arrays
+from zipf.experiments.hooks.hook import Parts, Row, arrays
 from zipf.experiments.hooks.kernels import add_hashes, count_bonus
 from zipf.experiments.hooks.rnd import RNDBonus, RNDOptions
 from zipf.options import Options
@@ -47,6 +47,9 @@ class FirstVisitOptions(Options):
 class CountBonus(Bonus):
     """Counts visits of hashed observations (Tang et al. 2017, with a universal hash).
 
+    The observations that all envs show in a step are counted before any of their bonuses is
+    computed, so that envs that show the same one have the same bonus.
+
     Observations that differ share a count with probability 1 / table_size, so the table should be
     several times larger than the number of observations that matter.
     """
@@ -58,10 +61,19 @@ class CountBonus(Bonus):
 
     def __call__(self, observation: Parts, mask: Tensor) -> Tensor:
         """Counts observations, those of the mask alone."""
-        bonus, chosen = np.zeros(len(mask), np.float32), np.asarray(mask)
-        count_bonus(
-            self.hashes(arrays(observation), chosen), chosen, self.visits, self.scale, bonus
-        )
+        chosen = np.asarray(mask)
+        return self._count(self.hashes(arrays(observation), chosen), chosen)
+
+    def step(self, row: Row) -> None:
+        ended = row.ended.numpy()
+        hashes = self.hashes(arrays(row.following), ~ended)
+        if row.any_ended:
+            hashes += self.hashes(arrays(row.final), ended)
+        row.fields["bonus"][:] = self._count(hashes, np.ones_like(ended))
+
+    def _count(self, hashes: NDArray[np.uint64], mask: NDArray[np.bool_]) -> Tensor:
+        bonus = np.zeros(len(mask), np.float32)
+        count_bonus(hashes, mask, self.visits, self.scale, bonus)
         return torch.from_numpy(bonus)
 
     def state_dict(self) -> dict[str, NDArray]:
@@ -124,11 +136,16 @@ class Hashes:
         hashes = np.zeros(len(mask), np.uint64)
         for name in sorted(observation):
             part = observation[name].reshape(len(mask), -1).view(np.uint8)
-            if name not in self.weights:  # the name is the seed
-                rng = np.random.default_rng(list(name.encode()))
-                self.weights[name] = rng.integers(2**64, size=part.shape[1], dtype=np.uint64)
+            if name not in self.weights:
+                self.weights[name] = weights_of(name, part.shape[1])
             add_hashes(part, self.weights[name], mask, hashes)
         return hashes
+
+
+def weights_of(name: str, size: int) -> NDArray[np.uint64]:
+    """The weights of the bytes of a part of observations, uint64 [size]; the name is the seed."""
+    rng = np.random.default_rng(list(name.encode()))
+    return rng.integers(2**64, size=size, dtype=np.uint64)
 
 
 BONUSES: Registry[Bonus | None] = Registry("exploration")

@@ -1,8 +1,9 @@
 """What a hook is: something else that happens around the steps of a collector.
 
-A hook sees every step of all envs as tensors on the collector's device; on a CPU they share
-memory with the environment's arrays. It may write to the step's fields, such as the bonus, and add
-fields of its own to unrolls (`columns`). What it keeps is part of the collector's saved state.
+A hook sees every step of all envs as tensors on the device of the envs; on the host they share
+memory with the environment's arrays. Hooks of tensor environments are in `tensor.py`. It may write
+to the step's fields, such as the bonus, and add fields of its own to unrolls (`columns`). What it
+keeps is part of the collector's saved state.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ class Row:
     # {name: [N, ...]}, which the envs showed before it. Here and below nothing is augmented.
     observation: Parts
     fields: Parts  # {name: [N]}, those of the unroll's row; written to in place
-    reward: Tensor  # float64 [N], the task's
+    reward: Tensor  # float64 [N], the task's; of tensor environments float32
     # {name: [N, ...]}, which they show after it: where an episode has ended, the first observation
     # of the next
     following: Parts
     final: Parts  # {name: [N, ...]}, where an episode has ended its last observation
     ended: Tensor  # bool [N]
-    any_ended: bool  # whether there are any
+    any_ended: bool  # whether there are any; True where the host does not know
     # {name: [N, ...]}, where an episode has ended its ranks, `return` and so on; empty where none
     # has
     outcome: Parts
@@ -47,6 +48,9 @@ class Hook:
     # Fields that it adds to the steps of unrolls, by name: an empty tensor of the shape and dtype
     # that a field has in one env.
     columns: Mapping[str, Tensor] = {}
+
+    def begin_unroll(self) -> None:
+        """The first step of an unroll follows; called for tensor environments alone."""
 
     def begin(self, observation: Parts, mask: Tensor) -> None:
         """Episodes begin where `mask` [N], with these observations {name: [N, ...]}; at the start
@@ -72,6 +76,11 @@ class Hook:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`, in which arrays stand in the place of tensors."""
+
+    def tensors(self) -> Parts:
+        """With tensor environments, all that it writes in place and that later calls depend on, by
+        the names that it is saved by; called in the place of `state_dict`."""
+        return {}
 
 
 def arrays(parts: Mapping[str, Any]) -> dict[str, NDArray[Any]]:

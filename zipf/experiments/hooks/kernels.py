@@ -21,11 +21,14 @@ def add_hashes(part, weights, mask, hashes):
 @compiled()
 def count_bonus(hashes, mask, visits, scale, bonus):
     size = np.uint64(len(visits))
+    slots = np.empty(len(hashes), np.uint64)
     for i in range(len(hashes)):
         if mask[i]:
-            slot = ((hashes[i] >> np.uint64(32)) * size) >> np.uint64(32)
-            visits[slot] += 1
-            bonus[i] = scale / np.sqrt(visits[slot])
+            slots[i] = ((hashes[i] >> np.uint64(32)) * size) >> np.uint64(32)
+            visits[slots[i]] += 1
+    for i in range(len(hashes)):
+        if mask[i]:
+            bonus[i] = scale / np.sqrt(visits[slots[i]])
 
 
 @compiled()

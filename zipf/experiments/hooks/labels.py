@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from numpy.typing import NDArray
 
-from zipf.agents.unroll import Augmentation
+from zipf.experiments.hooks.augmentation import HostAugmentation
 from zipf.experiments.hooks.hook import Hook, Parts
 
 
@@ -23,7 +23,7 @@ class Labels(Hook):
         self,
         teacher: Callable[[], NDArray[Any]],
         share: float,
-        augmentation: Augmentation | None = None,
+        augmentation: HostAugmentation | None = None,
     ):
         self.teacher: Any = teacher
         self.share = share

@@ -55,7 +55,7 @@ class Hindsight(Hook):
         goal: Goal | None,
         env: ZipfVectorEnv,
         *,
-        clip: Callable[[NDArray[Any]], NDArray[Any]] | None = None,
+        clip: Callable[[Tensor], Tensor] | None = None,
         seed: int,
         draws: Draws | None = None,
         teacher: bool = False,
@@ -66,8 +66,7 @@ class Hindsight(Hook):
         self.options = options
         self._regions = env.action_regions if options.matching_cost else None
         self.goal = goal
-        reward = np.array([options.reward])
-        self.reward = float((reward if clip is None else clip(reward))[0])
+        self.reward = reward_of(options, clip)
         self._teacher = teacher
         self._draws = draws
         # Another stream than that of the agent's actions, which stay as they are.
@@ -262,6 +261,12 @@ class Hindsight(Hook):
     def _zeros(self, like: dict[str, tuple[tuple[int, ...], Any]]) -> Parts:
         shape = self._rows, len(self._envs)
         return {name: np.zeros((*shape, *tail), dtype) for name, (tail, dtype) in like.items()}
+
+
+def reward_of(options: AchievedOptions, clip: Callable[[Tensor], Tensor] | None) -> float:
+    """What success pays, as it is learned from."""
+    reward = torch.tensor([options.reward], dtype=torch.float64)
+    return float(reward if clip is None else clip(reward))
 
 
 RELABELLINGS: Registry[Hook | None] = Registry("hindsight")

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
 import torch
-from numpy.typing import NDArray
+from torch import Tensor
 
 from zipf.experiments.hooks.hook import Hook, Row
 
@@ -18,17 +15,18 @@ class SoftAsymmetric(Hook):
     name = "reward_clipping"
 
     def step(self, row: Row) -> None:
-        row.fields["reward"][:] = torch.from_numpy(soft_asymmetric(row.reward.numpy()))
+        row.fields["reward"][:] = soft_asymmetric(row.reward.double())
 
 
-def soft_asymmetric(reward: NDArray[Any]) -> NDArray[np.float64]:
-    """Rewards [N] squashed to -1.5 .. 5, bad ones to a third of what good ones of their size are.
+def soft_asymmetric(reward: Tensor) -> Tensor:
+    """Rewards, float64 [N], squashed to -1.5 .. 5, bad ones to a third of what good ones of their
+    size are.
 
     `5 tanh(r / 5)`, times 0.3 where r < 0, as the code of Espeholt et al. 2018 has it; the paper
     prints it without the division.
     """
-    squashed = np.tanh(reward / 5.0)
-    return 5.0 * np.where(reward < 0, 0.3 * squashed, squashed)
+    squashed = (reward / 5.0).tanh()
+    return 5.0 * torch.where(reward < 0, 0.3 * squashed, squashed)
 
 
 class TimeLimitsEnd(Hook):

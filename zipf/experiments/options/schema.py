@@ -19,7 +19,7 @@ from zipf.errors import UserError
 from zipf.experiments.options.runtime import RayOptions, RuntimeOptions, TorchrunOptions
 from zipf.experiments.records.descriptions import Colour, Count, Finite, Line
 from zipf.experiments.records.learned_options import affects_learning, changes_nothing, flatten
-from zipf.options import Options
+from zipf.options import Options, Positive
 from zipf.registry import registries
 
 PositiveInt = Annotated[int, Field(ge=1, lt=10**15)]
@@ -33,8 +33,10 @@ Device = Annotated[str, Field(pattern=DEVICE_PATTERN)]
 
 
 class CollectorOptions(Options):
-    """An update consumes num_envs x unroll_length frames.
+    """An update consumes envs_per_update x unroll_length frames; None: of all `num_envs`.
 
+    `envs` is where they are stepped: on the `host`, or as tensors on the `device` of the agent;
+    `auto`: there, on a CUDA device and where all that a run consists of can be.
     Of several learners each has its share of the envs. `lag` is how many unrolls collection runs
     ahead of learning, but for `runtime=ray`; None: as many as the agent corrects for. Without
     `bootstrap_at_time_limit` the agent learns as if a time limit were the end of the task: no value
@@ -43,6 +45,8 @@ class CollectorOptions(Options):
     """
 
     num_envs: PositiveInt
+    envs_per_update: PositiveInt | None
+    envs: Literal["auto", "host", "device"]
     unroll_length: PositiveInt
     lag: Annotated[int, Field(ge=0, le=1)] | None
     bootstrap_at_time_limit: bool
@@ -63,11 +67,15 @@ class EvaluationOptions(Options):
 
 
 class ScheduleOptions(Options):
-    """When files are written. `window` is the interval of updates that results are taken from."""
+    """When files are written. `window` is the interval of updates that results are taken from.
+
+    A command ends with a checkpoint at the first update after `stop_after` seconds; None: no limit.
+    """
 
     window: Interval
     log_every: PositiveInt
     checkpoint_every: PositiveInt
+    stop_after: Positive | None = None
 
 
 class RowOptions(Options):
@@ -112,6 +120,7 @@ class Config(Options):
     device: Device
     precision: Literal["auto", "float32", "bfloat16"]
     compile: bool
+    capture: bool
     threads: PositiveInt | None = None
     resume: Literal["auto", "must", "never"]
     agent: Any
@@ -211,6 +220,18 @@ class Config(Options):
     def num_envs(self) -> int:
         """The envs of each learner."""
         return self.collector.num_envs // self.learners
+
+    @property
+    def updates_per_unroll(self) -> int:
+        """How many updates are made from each unroll."""
+        collector = self.collector
+        return max(collector.num_envs // (collector.envs_per_update or collector.num_envs), 1)
+
+    @property
+    def frames_per_update(self) -> int:
+        """How many frames the learners' updates consume together."""
+        collector = self.collector
+        return (collector.envs_per_update or collector.num_envs) * collector.unroll_length
 
     @property
     def torch_device(self) -> str:

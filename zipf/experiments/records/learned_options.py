@@ -7,8 +7,8 @@ from typing import Any
 # Options, or groups of them, without effect on learning: they are not part of a condition's name,
 # and a run may be resumed with other values of them.
 NOT_LEARNED = frozenset({
-    "condition", "row", "plugins", "updates", "run_root", "device", "compile", "threads", "resume",
-    "evaluation", "schedule", "runtime.address",
+    "condition", "row", "plugins", "updates", "run_root", "device", "compile", "capture", "threads",
+    "resume", "collector.envs", "evaluation", "schedule", "runtime.address",
 })  # fmt: skip
 
 
@@ -16,6 +16,7 @@ NOT_LEARNED = frozenset({
 # the values that change nothing.
 ADDED_SINCE = {
     "learning_rate_decay": None,
+    "collector.envs_per_update": None,
     "network.matcher": "learned",
     "network.remember_instruction": True,
     "hindsight.matching_cost": 0.0,

@@ -24,7 +24,7 @@ from hydra.core.hydra_config import HydraConfig
 from zipf.experiments.records.wording import duration_text
 from zipf.experiments.training.signals import STOPPED, SWEEP_PIPE, Handler, give_back
 
-State = Literal["begun", "finished", "skipped", "failed", "stopped", "not begun"]
+State = Literal["begun", "finished", "skipped", "failed", "stopped", "paused", "not begun"]
 POLL = 0.2  # seconds; ours
 REPORT_EVERY = 600  # seconds; ours: a job of an hour has few lines
 GPUS = "CUDA_VISIBLE_DEVICES"
@@ -206,10 +206,12 @@ def _has_ended(process: subprocess.Popen[bytes]) -> bool:
 
 
 def _outcome(job: Job, code: int, shown: list[str], errors: list[str], seconds: float) -> Outcome:
+    said = [line for line in shown if line.startswith("stopped at ")]
     if code == 0:
+        if said:  # by schedule.stop_after
+            return Outcome("paused", said[-1])
         return Outcome("finished", f"finished, {job.updates:,} updates, {duration_text(seconds)}")
     if code - 128 in STOPPED:
-        said = [line for line in shown if line.startswith("stopped at ")]
         return Outcome("stopped", said[-1] if said else "stopped before it began")
     if -code in STOPPED:
         return Outcome("stopped", "stopped before it began, or without a checkpoint")

@@ -39,7 +39,7 @@ from zipf.experiments.sweeping import sweeps
 from zipf.experiments.sweeping.job import GPUS, POLL, Board, Job, Jobs, Outcome, State, failed
 from zipf.experiments.training.signals import CLUSTER, give_back, take
 
-_COUNTED: tuple[State, ...] = ("finished", "skipped", "stopped", "not begun", "failed")
+_COUNTED: tuple[State, ...] = ("finished", "skipped", "paused", "stopped", "not begun", "failed")
 
 
 def run(overrides: Sequence[str], config_dir: str | None = None) -> int:
@@ -49,8 +49,9 @@ def run(overrides: Sequence[str], config_dir: str | None = None) -> int:
     Args:
         config_dir: a folder of the user's configurations, which was added to `composing`.
 
-    Returns the exit code: 0 where all jobs are finished, 2 where one is not, 128 and the number of
-    the signal that stopped the sweep.
+    Returns the exit code: 0 where all jobs are finished, or stopped by their own
+    `schedule.stop_after`; 2 where one is not; 128 and the number of the signal that stopped the
+    sweep.
 
     Raises:
         UserError: a mistake in any job, or in the choice of a launcher. Nothing was begun.
@@ -99,7 +100,7 @@ def run(overrides: Sequence[str], config_dir: str | None = None) -> int:
     if stopped:
         return 128 + stopped
     states = {outcome.state for outcome in outcomes.values()}
-    return 0 if states <= {"finished", "skipped"} else 2
+    return 0 if states <= {"finished", "skipped", "paused"} else 2
 
 
 class _Launch:
@@ -247,7 +248,10 @@ def _error(returned: JobReturn) -> str:
 
 def _summarise(outcomes: dict[Job, Outcome], folders: Iterable[Path]) -> None:
     states = Counter(outcome.state for outcome in outcomes.values())
-    words = {"skipped": f"{'was' if states['skipped'] == 1 else 'were'} finished before"}
+    words = {
+        "skipped": f"{'was' if states['skipped'] == 1 else 'were'} finished before",
+        "paused": "stopped by schedule.stop_after",
+    }
     counted = [f"{states[one]} {words.get(one, one)}" for one in _COUNTED if states[one]]
     jobs = f"{len(outcomes)} job{'s' if len(outcomes) > 1 else ''}"
     _say(f"{jobs}: {', '.join(counted)}")

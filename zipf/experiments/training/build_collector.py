@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import cast
 
 from zipf import envs
 from zipf.agents.agent import Agent
+from zipf.agents.hindsight import AchievedOptions
 from zipf.envs.policies import Teacher
+from zipf.envs.tensor import TensorEnv
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.seeds import derive_seed
-from zipf.experiments.hooks.augmentation import Draws
-from zipf.experiments.hooks.exploration import BONUSES
+from zipf.experiments.hooks import tensor
+from zipf.experiments.hooks.augmentation import Draws, HostAugmentation
+from zipf.experiments.hooks.exploration import BONUSES, CountOptions
 from zipf.experiments.hooks.hook import Hook
 from zipf.experiments.hooks.labels import Labels
-from zipf.experiments.hooks.relabelling import RELABELLINGS
+from zipf.experiments.hooks.relabelling import RELABELLINGS, reward_of
 from zipf.experiments.hooks.rewards import SoftAsymmetric, TimeLimitsEnd, soft_asymmetric
 from zipf.experiments.hooks.reweighting import REWEIGHTINGS
+from zipf.experiments.hooks.tensor import View
 from zipf.experiments.options.schema import Config
 from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.tensor_collector import TensorCollector
+from zipf.options import Options
 
 
 def build_collector(
@@ -49,13 +56,14 @@ def _hooks(
     if not config.collector.bootstrap_at_time_limit:
         yield TimeLimitsEnd()
     needs, draws = agent.needs, None
-    if agent.augmentation is not None:
+    augmentation = cast(HostAugmentation | None, agent.augmentation)
+    if augmentation is not None:
         seed = derive_seed(config.seed, "augmentation", *stream)
-        draws = Draws(agent.augmentation, env.num_envs, seed)
+        draws = Draws(augmentation, env.num_envs, seed)
         yield draws
     if needs.teacher:
         teacher = Teacher(needs.teacher, config.split, env)
-        yield Labels(teacher, needs.teacher_share, agent.augmentation)
+        yield Labels(teacher, needs.teacher_share, augmentation)
     goal = envs.family_of_split(config.environment.split).make_goal(env)
     chosen = (
         BONUSES.build(
@@ -65,7 +73,7 @@ def _hooks(
         ),
         REWEIGHTINGS.build(config.reweighting, goal, env.num_envs),
         RELABELLINGS.build(
-            config.hindsight,
+            hindsight_of_unroll(config),
             goal,
             env,
             clip=soft_asymmetric if clips else None,
@@ -75,3 +83,50 @@ def _hooks(
         ),
     )
     yield from (hook for hook in chosen if hook is not None)
+
+
+def hindsight_of_unroll(config: Config) -> Options:
+    """The options of hindsight, with as many episodes as all updates of an unroll learn from."""
+    hindsight = config.hindsight
+    if isinstance(hindsight, AchievedOptions) and config.updates_per_unroll > 1:
+        episodes = hindsight.episodes * config.updates_per_unroll
+        return hindsight.model_copy(update={"episodes": episodes})
+    return hindsight
+
+
+def build_tensor_collector(
+    config: Config, env: TensorEnv, agent: Agent, stream: tuple[int, ...] = ()
+) -> TensorCollector:
+    """What collects for an agent in tensor environments; `stream` as in `build_collector`."""
+    view = agent.augmentation
+    assert isinstance(view, View)
+    return TensorCollector(
+        env,
+        agent,
+        view,
+        unroll_length=config.collector.unroll_length,
+        seed=derive_seed(config.seed, "training", *stream),
+        hooks=list(_tensor_hooks(config, env, view)),
+    )
+
+
+def _tensor_hooks(config: Config, env: TensorEnv, view: View) -> Iterator[Hook]:
+    """The hooks in their order, as `_hooks`."""
+    clips = config.collector.reward_clipping == "soft_asymmetric"
+    if clips:
+        yield SoftAsymmetric()
+    if not config.collector.bootstrap_at_time_limit:
+        yield TimeLimitsEnd()
+    if view.size:
+        yield tensor.Draws(view, env)
+    if isinstance(config.exploration, CountOptions):
+        yield tensor.Counts(config.exploration, env)
+    hindsight = hindsight_of_unroll(config)
+    if isinstance(hindsight, AchievedOptions):
+        yield tensor.Hindsight(
+            hindsight,
+            env,
+            unroll_length=config.collector.unroll_length,
+            reward=reward_of(hindsight, soft_asymmetric if clips else None),
+            draws=view.size,
+        )

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from threading import Event
 from time import perf_counter
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -19,6 +19,8 @@ from zipf.agents.unroll import Unroll, changed
 from zipf.envs.mixture import Mixture
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.checkpoint import arrays
+from zipf.experiments.hooks.augmentation import HostAugmentation
+from zipf.experiments.hooks.exploration import CountBonus
 from zipf.experiments.hooks.hook import Hook, Row
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.training.unroll_buffers import CARRIED, UnrollBuffers
@@ -71,6 +73,7 @@ class Collector:
             )
         self.env = env
         self.agent = agent
+        self._augmentation = cast(HostAugmentation | None, agent.augmentation)
         self.unroll_length = unroll_length
         self.device = agent.device
         self.visits = Visits(tuple(env.situation))
@@ -150,6 +153,14 @@ class Collector:
             **{hook.name: hook.state_dict() for hook in self.hooks},
         }
 
+    def begin_with(self, visits: Mapping[str, Any], hooks: Mapping[str, Any]) -> None:
+        """Goes on with new episodes, and with the visits and the bonus's counts of a collector of
+        tensor environments."""
+        self.visits.load_state_dict(visits)
+        for hook in self.hooks:
+            if isinstance(hook, CountBonus):
+                hook.load_state_dict(hooks[hook.name])
+
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`."""
         buffers = self._buffers[-1]
@@ -171,7 +182,7 @@ class Collector:
     def _step(self, buffers: UnrollBuffers, t: int) -> None:
         start = perf_counter()
         fields, row = buffers.fields, buffers.rows[t]
-        seen, augmentation = buffers.inputs[t], self.agent.augmentation
+        seen, augmentation = buffers.inputs[t], self._augmentation
         if augmentation is not None:
             seen = changed(seen, augmentation)
         inputs = Inputs.of(seen.to(self.device, non_blocking=True))
@@ -259,8 +270,8 @@ class Collector:
             return torch.from_numpy(array[truncated])
 
         observation = {name: send(part) for name, part in self._final.items()}
-        if self.agent.augmentation is not None:
-            observation = self.agent.augmentation(observation, send(buffers.fields["draw"][t]))
+        if self._augmentation is not None:
+            observation = self._augmentation(observation, send(buffers.fields["draw"][t]))
         inputs = Inputs(
             {name: part.to(self.device) for name, part in observation.items()},
             send(buffers.fields["action"][t]).to(self.device),

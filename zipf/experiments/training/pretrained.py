@@ -83,7 +83,7 @@ def _read(config: Config, run: str) -> tuple[dict[str, dict[str, Tensor]], dict[
                 f", and this run has critic={one}; choose the same critic, or leave it out"
             )
     before = run_folder.read_description(folder).get("pretrained") or {"frames": 0}
-    frames = trained.update * there.collector.num_envs * there.collector.unroll_length
+    frames = trained.update * there.frames_per_update
     described = {
         "experiment": there.experiment,
         "condition": there.condition,

@@ -17,16 +17,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from time import perf_counter
 from typing import Any, Protocol, TypeVar
 
 import torch
+from torch import Tensor
 
 from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
 from zipf.experiments.building.checkpoint import arrays
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.training.collector import Collector, episode_metrics
+from zipf.experiments.training.tensor_collector import Tally, TensorCollector
 
 Learned = TypeVar("Learned")
 
@@ -49,8 +52,14 @@ class RolloutWorker(Protocol):
             UserError: it cannot begin. Nothing is left to be closed.
         """
 
+    @property
+    def is_between_unrolls(self) -> bool:
+        """Whether all that was collected for updates has been learned from, so that the state may
+        be saved."""
+
     def step(self, learn: Callable[[Unroll], Learned]) -> tuple[Unroll, Learned]:
-        """Calls `learn` with the next unroll, which the step after may overwrite; returns both."""
+        """Calls `learn` with the next unroll or the next part of one, which the step after may
+        overwrite; returns both."""
 
     def metrics(self) -> dict[str, float]:
         """Of the unrolls that were learned from since the last call."""
@@ -66,10 +75,35 @@ class RolloutWorker(Protocol):
 
 
 class SynchronousRollouts:
-    """Collection and learning take turns."""
+    """Collection and learning take turns.
 
-    def __init__(self, collector: Collector):
+    Args:
+        collector: collects.
+        parts: how many updates each unroll gives. Update k learns from the envs k, k + parts,
+            k + 2 parts, ..., so that every part has envs of all levels, and the part that comes
+            first changes with every unroll.
+    """
+
+    collector: Any
+
+    def __init__(self, collector: Collector | TensorCollector, parts: int = 1):
         self.collector = collector
+        self.parts = parts
+        self.updates = 0  # made since the run began, where there are parts
+        self._unroll: Unroll | None = None  # that the parts are of
+
+    @property
+    def is_between_unrolls(self) -> bool:
+        """Whether all of an unroll has been learned from, so that the state may be saved."""
+        return self.updates % self.parts == 0
+
+    def _part(self, unroll: Unroll) -> Unroll:
+        """The part of an unroll that the next update learns from."""
+        if self.parts == 1:
+            return unroll
+        k = self.updates + self.updates // self.parts
+        self.updates += 1
+        return unroll.part(k % self.parts, self.parts)
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -85,21 +119,36 @@ class SynchronousRollouts:
         """There is nothing to begin."""
 
     def step(self, learn: Callable[[Unroll], Learned]) -> tuple[Unroll, Learned]:
-        """Collects an unroll and calls `learn` with it; the next step overwrites it."""
-        unroll = self.collector.collect()
-        return unroll, learn(unroll)
+        """Collects an unroll, where the last one is used up, and calls `learn` with it or its next
+        part; the next step overwrites it."""
+        if self.is_between_unrolls:
+            self._unroll = self._next()
+        assert self._unroll is not None
+        part = self._part(self._unroll)
+        return part, learn(part)
+
+    def _next(self) -> Unroll:
+        """The next unroll to learn from."""
+        return self.collector.collect()
 
     def metrics(self) -> dict[str, float]:
         """See `Collector.episode_metrics`."""
         return self.collector.episode_metrics()
 
     def state_dict(self) -> dict[str, Any]:
-        """The collector's."""
-        return {"collector": self.collector.state_dict()}
+        """The collector's, between unrolls."""
+        assert self.is_between_unrolls
+        state = {"collector": self.collector.state_dict()}
+        return state if self.parts == 1 else state | {"updates": self.updates}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict()`."""
-        self.collector.load_state_dict(state["collector"])
+        """Continues from `state_dict()`, or with new episodes from that of `TensorRollouts`."""
+        self.updates = state.get("updates", 0)
+        if "tensor_envs" in state:
+            tables = state["tensor_envs"]["hooks"]
+            self.collector.begin_with(arrays(state["tally"]["visits"]), arrays(tables))
+        else:
+            self.collector.load_state_dict(state["collector"])
 
     def close(self) -> None:
         """There is nothing to end."""
@@ -115,14 +164,15 @@ class BackgroundRollouts(SynchronousRollouts):
         agent: acts in the second thread and learns in the calling one.
     """
 
-    def __init__(self, collector: Collector, agent: Learner):
-        super().__init__(collector)
+    def __init__(self, collector: Collector, agent: Learner, parts: int = 1):
+        super().__init__(collector, parts)
         self.agent = agent
         agent.separate_acting()
         # Of the unrolls that were learned from; the collector's are of the pending one.
         self._visits = Visits(collector.visits.ranks)
         self._episodes: defaultdict[str, list[float]] = defaultdict(list)
         self._pending: Unroll | None = None  # collected and not yet learned from
+        self._collecting: Future[Unroll] | None = None
         self._thread = ThreadPoolExecutor(1, "collector", initializer=_separate_autocast)
         self._stream: torch.cuda.Stream | None = None
         if collector.device.startswith("cuda"):
@@ -134,30 +184,41 @@ class BackgroundRollouts(SynchronousRollouts):
         return self._visits
 
     def step(self, learn: Callable[[Unroll], Learned]) -> tuple[Unroll, Learned]:
-        """Calls `learn` with an unroll while the next one is collected, and publishes the weights.
+        """Calls `learn` with an unroll, or its next part, while the next one is collected, and
+        publishes the weights where all of it was learned from.
 
-        Returns the unroll, which the next step overwrites, and what `learn` returned. Raises what
-        `learn` or the collector raises; the second thread has stopped then, for good.
+        Returns what was learned from, which the next step overwrites, and what `learn` returned.
+        Raises what `learn` or the collector raises; the second thread has stopped then, for good.
         """
-        if self._pending is None:
-            self._pending = self.collector.collect()
-        unroll = self._pending
-        visits, episodes = self.collector.take_visits(), self.collector.take_episodes()
-        if self._stream is not None:  # the published weights have arrived
-            torch.cuda.synchronize(self._stream.device)
-        collecting = self._thread.submit(self._collect)
+        if self.is_between_unrolls:
+            self._begin()
+        assert self._unroll is not None
+        assert self._collecting is not None
+        part = self._part(self._unroll)
         try:
-            learned = learn(unroll)
-            self._pending = collecting.result()
+            learned = learn(part)
+            if self.is_between_unrolls:
+                self._pending = self._collecting.result()
         except BaseException:
             self.collector.abandon()
-            wait([collecting])
+            wait([self._collecting])
             raise
-        self.agent.publish()
-        self._visits.add_those(visits.state_dict())
-        for name, values in episodes.items():
-            self._episodes[name].extend(values)
-        return unroll, learned
+        if self.is_between_unrolls:
+            self.agent.publish()
+            self._visits.add_those(self._learned_from[0].state_dict())
+            for name, values in self._learned_from[1].items():
+                self._episodes[name].extend(values)
+        return part, learned
+
+    def _begin(self) -> None:
+        """Takes the unroll that is there, and begins to collect the next."""
+        if self._pending is None:
+            self._pending = self.collector.collect()
+        self._unroll = self._pending
+        self._learned_from = self.collector.take_visits(), self.collector.take_episodes()
+        if self._stream is not None:  # the published weights have arrived
+            torch.cuda.synchronize(self._stream.device)
+        self._collecting = self._thread.submit(self._collect)
 
     def metrics(self) -> dict[str, float]:
         """As `Collector.episode_metrics`, of the unrolls that were learned from since the last
@@ -191,12 +252,90 @@ class BackgroundRollouts(SynchronousRollouts):
         """Continues from `state_dict()`, after the agent has loaded its own."""
         super().load_state_dict(state)
         self.agent.publish()
+        if "tensor_envs" in state:
+            self._visits = self.collector.take_visits()
+            self._pending = None
+            return
         if "visits" in state:  # in older checkpoints of this version the collector has them all
             self._visits.load_state_dict(arrays(state["visits"]))
             self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
         self._pending = None
         if state["pending"]:
             self._pending = Unroll.of_state(state["pending"]).to(self.collector.device)
+
+
+class TensorRollouts(SynchronousRollouts):
+    """Collects in tensor environments, on the device that learns, in one thread: the device is kept
+    busy, since nothing waits for it.
+
+    With lag 1 an unroll is played before the one before it is learned from, so that updates learn
+    from what they would learn from with `BackgroundRollouts`.
+    """
+
+    collector: TensorCollector
+
+    def __init__(self, collector: TensorCollector, parts: int = 1, lag: int = 0):
+        super().__init__(collector, parts)
+        self.lag = lag
+        self._tally = Tally(collector)
+        self._pending: tuple[Unroll, Tensor, Tensor] | None = None  # collected, not learned from
+
+    @property
+    def visits(self) -> Visits:
+        """How often each situation was met in the unrolls that were learned from."""
+        return self._tally.visits
+
+    def _next(self) -> Unroll:
+        start = perf_counter()
+        if self.lag == 0:
+            unroll = self.collector.collect()
+            outcomes, met = self.collector.outcomes, self.collector.met
+        else:
+            unroll, outcomes, met = self._pending or self._collected()
+            self._pending = self._collected()
+        self._tally.add(outcomes, met)
+        self.collector.seconds["inference"] += perf_counter() - start
+        return unroll
+
+    def _collected(self) -> tuple[Unroll, Tensor, Tensor]:
+        """An unroll that the next one does not overwrite, with what its episodes came to."""
+        unroll = self.collector.collect()
+        return unroll.clone(), self.collector.outcomes.clone(), self.collector.met.clone()
+
+    def metrics(self) -> dict[str, float]:
+        """Means over the episodes that ended in the unrolls learned from since the last call."""
+        return self._tally.metrics()
+
+    def state_dict(self) -> dict[str, Any]:
+        """The collector's, the unroll that is yet to be learned from, and what the earlier ones
+        came to; between unrolls."""
+        assert self.is_between_unrolls
+        pending: dict[str, Any] = {}
+        if self._pending is not None:
+            unroll, outcomes, met = self._pending
+            pending = {"unroll": unroll.state_dict(), "outcomes": outcomes, "met": met}
+        return {
+            "tensor_envs": self.collector.state_dict(),
+            "pending": pending,
+            "tally": self._tally.state_dict(),
+            "updates": self.updates,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continues from `state_dict()`, or with new episodes from that of other rollouts, after
+        the agent has loaded its own."""
+        device = self.collector.device
+        self.updates = state.get("updates", 0)
+        self._pending = None
+        if "tensor_envs" not in state:
+            self._tally.begin_with(state.get("visits", state["collector"]["visits"]))
+            self.collector.begin_with(state["collector"])
+            return
+        self.collector.load_state_dict(state["tensor_envs"])
+        self._tally.load_state_dict(state["tally"])
+        if pending := state["pending"]:
+            unroll = Unroll.of_state(pending["unroll"]).to(device)
+            self._pending = unroll, pending["outcomes"].to(device), pending["met"].to(device)
 
 
 def _separate_autocast() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import signal
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -16,8 +17,16 @@ from zipf import envs
 from zipf.agents.encoders import Encoder
 from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
+from zipf.envs.tensor import TensorEnv
+from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, run_folder
+from zipf.experiments.building.device_envs import (
+    captures,
+    not_captured,
+    on_device,
+    only_on_the_host,
+)
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.building.out_of_ram import enough_ram
 from zipf.experiments.building.seeds import derive_seed
@@ -30,14 +39,17 @@ from zipf.experiments.training.allocator import keep_freed_ram
 from zipf.experiments.training.clock import Clock
 from zipf.experiments.training.display import Display
 from zipf.experiments.training.logger import Logger
+from zipf.experiments.training.rollouts import TensorRollouts
 from zipf.experiments.training.runtime import LearnerLost, OnlyLearner, Runtime
 from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_ended
 
 
 def train(config: Config, runtime: Runtime | None = None) -> int:
-    """Trains until `config.updates`, or until a signal asks to stop; the same command resumes.
+    """Trains until `config.updates`, a signal that asks to stop, or the first update after
+    `schedule.stop_after` seconds; the same command resumes.
 
-    A run that is finished is left as it is.
+    A run that is finished is left as it is. `schedule.stop_after` gives up no evaluation, and each
+    call makes at least one update, so that repeated calls finish.
 
     Args:
         runtime: the processes of the run (`zipf.experiments.cluster.runtime_of`); None: this one.
@@ -49,6 +61,7 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
     """
     if sweep_has_ended():
         return signal.SIGTERM
+    began = time.monotonic()
     keep_freed_ram()
     runtime = runtime or Runtime(config)
     schedule = config.schedule
@@ -69,7 +82,8 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
                     run.evaluate()
                 if run.is_new:
                     run.save()
-                while run.update < config.updates and not learner.agree(stop.requested):
+                over = 0
+                while run.update < config.updates and not run.may_stop(stop.requested or over):
                     unroll, metrics = run.step()
                     run.display.advance(run.update)
                     if run.update % schedule.log_every == 0:
@@ -78,6 +92,8 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
                         run.evaluate()
                     if run.update % schedule.checkpoint_every == 0:
                         run.save()
+                    if schedule.stop_after is not None:
+                        over = int(time.monotonic() - began >= schedule.stop_after)
                 run.save()
                 if run.closing_evaluation_is_due:
                     run.evaluate()
@@ -130,10 +146,15 @@ class Run:
         runtime = runtime or Runtime(config)
         self.folder = config.folder
         self.device = config.torch_device
-        collector = config.collector
-        self.env = envs.make_train(
-            config.split, config.num_envs, threads=config.env_threads, **config.level_options
-        )
+        self.env: ZipfVectorEnv | TensorEnv
+        if on_device(config):
+            self.env = envs.make_tensor(
+                config.split, config.num_envs, config.torch_device, **config.level_options
+            )
+        else:
+            self.env = envs.make_train(
+                config.split, config.num_envs, threads=config.env_threads, **config.level_options
+            )
         self.agent = build_agent(config, self.env)
         try:
             self._notes = self.agent.begin_learning(config.folder, config.schedule.checkpoint_every)
@@ -147,7 +168,12 @@ class Run:
         if self.is_new:
             self._pretrained = pretrained.begin(config, self.agent, self.learner)
         self.rollouts = runtime.rollouts(self.env, self.agent, self.learner.stream)
-        self.frames_per_update = collector.num_envs * collector.unroll_length
+        if captures(config):
+            assert isinstance(self.agent, Learner)
+            self.agent.capture()
+            if isinstance(self.rollouts, TensorRollouts):
+                self.rollouts.collector.capture()
+        self.frames_per_update = config.frames_per_update
         self.clock = Clock()
         self.update = 0
         self.evaluated = -1
@@ -189,6 +215,8 @@ class Run:
         encoder = getattr(getattr(self.agent, "network", None), "encoder", None)
         if isinstance(encoder, Encoder):
             self._tell(encoder.describe(self.env.single_observation_space))
+        if self.device.startswith("cuda"):
+            self._tell(self._on_cuda())
         if precision == "bfloat16" and not has_bfloat16(self.device):
             self._tell(
                 "precision=bfloat16: this device has no instructions for it and takes several "
@@ -200,6 +228,16 @@ class Run:
             self._tell(note)
         self.rollouts.open(self._tell)
         self.display.start()
+
+    def _on_cuda(self) -> str:
+        """Where envs are stepped, whether functions are captured, and why not."""
+        host, eager = list(only_on_the_host(self.config)), list(not_captured(self.config))
+        where = "on the device"
+        if isinstance(self.env, ZipfVectorEnv):
+            where = f"on the host ({', '.join(host) or 'collector.envs=host'})"
+        if captures(self.config):
+            return f"envs: stepped {where}; captured as CUDA graphs"
+        return f"envs: stepped {where}; not captured ({', '.join(eager) or 'capture=false'})"
 
     def _begin_files(self) -> None:
         if not self.is_new:
@@ -241,7 +279,13 @@ class Run:
     def close(self) -> None:
         """Ends the other threads and processes, if there are any, and closes the envs."""
         self.rollouts.close()
-        self.env.close()
+        if isinstance(self.env, ZipfVectorEnv):
+            self.env.close()
+
+    def may_stop(self, requested: int) -> int:
+        """The number of the signal that asks a learner to stop; 0 while there is none, or updates
+        of an unroll are left."""
+        return self.learner.agree(requested) if self.rollouts.is_between_unrolls else 0
 
     def step(self) -> tuple[Unroll, Mapping[str, float | Tensor]]:
         """Collects an unroll and makes one update with it; returns both the unroll and metrics.
@@ -294,6 +338,7 @@ class Run:
             "frames_per_second": frames / (self.clock.training - then),
             **{f"time_{part}": seconds for part, seconds in self.clock.parts.items()},
             **self._learning_rate_factor(),
+            **self._staleness(),
             **self.learner.mean(
                 {
                     **self.rollouts.metrics(),
@@ -316,6 +361,12 @@ class Run:
         if self.config.learning_rate_decay is None:
             return {}
         return {"learning_rate_factor": self.config.learning_rate_factor(self.update - 1)}
+
+    def _staleness(self) -> dict[str, float]:
+        """How many updates older than the newest the weights are, in the mean over an unroll's
+        updates, that played it; where updates learn from parts of it."""
+        parts = self.config.updates_per_unroll
+        return {} if parts == 1 else {"staleness": self.config.lag * parts + (parts - 1) / 2}
 
     @property
     def evaluation_is_due(self) -> bool:
@@ -401,5 +452,17 @@ class Run:
                 self.agent.load_state_dict(saved["agent"])
             except OSError as error:  # files that the checkpoint refers to
                 raise UserError(str(error)) from None
+            if saved.get("without_replay"):  # scripts/pack_runs.py
+                self._notes.append(
+                    "the replay was left behind: a new one is filled before learning goes on, "
+                    "which is not bit for bit as it would have been"
+                )
             self.rollouts.load_state_dict(saved["source"])
+            was_on_device = "tensor_envs" in saved["source"]
+            if was_on_device == isinstance(self.env, ZipfVectorEnv):
+                where, before = ("host", "device") if was_on_device else ("device", "host")
+                self._notes.append(
+                    f"envs are stepped on the {where} now, and were on the {before}: new episodes "
+                    "begin; weights, optimiser and counts are kept"
+                )
             torch.set_rng_state(saved["torch_rng"])

@@ -9,15 +9,17 @@ from typing import Any
 
 from zipf.agents.agent import Agent
 from zipf.agents.learner import Learner
+from zipf.envs.tensor import TensorEnv
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options.schema import Config
-from zipf.experiments.training.build_collector import build_collector
+from zipf.experiments.training.build_collector import build_collector, build_tensor_collector
 from zipf.experiments.training.rollouts import (
     BackgroundRollouts,
     RolloutWorker,
     SynchronousRollouts,
+    TensorRollouts,
 )
 
 
@@ -106,18 +108,22 @@ class Runtime:
         yield OnlyLearner()
 
     def rollouts(
-        self, env: ZipfVectorEnv, agent: Agent, stream: tuple[int, ...] = ()
+        self, env: ZipfVectorEnv | TensorEnv, agent: Agent, stream: tuple[int, ...] = ()
     ) -> RolloutWorker:
         """What collects for the agent.
 
         Args:
             stream: see `build_collector`.
         """
+        parts = self.config.updates_per_unroll
+        if not isinstance(env, ZipfVectorEnv):
+            on_device = build_tensor_collector(self.config, env, agent, stream)
+            return TensorRollouts(on_device, parts, self.config.lag)
         collector = build_collector(self.config, env, agent, stream)
         if self.config.lag == 0:
-            return SynchronousRollouts(collector)
+            return SynchronousRollouts(collector, parts)
         assert isinstance(agent, Learner)  # it has a `largest_lag`
-        return BackgroundRollouts(collector, agent)
+        return BackgroundRollouts(collector, agent, parts)
 
 
 def started_by_torchrun() -> int:

@@ -1,0 +1,68 @@
+"""What of a run can be done on the device of its agent: stepping envs, and in CUDA graphs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from zipf import envs
+from zipf.agents.agent import agents
+from zipf.agents.episodic import NO_EPISODIC
+from zipf.agents.hindsight import AchievedOptions
+from zipf.experiments.hooks.augmentation import RandomAugmentationOptions
+from zipf.experiments.hooks.exploration import CountOptions
+from zipf.experiments.hooks.tensor import host_alone
+from zipf.experiments.options.runtime import RayOptions
+from zipf.experiments.options.schema import Config
+
+
+def on_device(config: Config) -> bool:
+    """Whether the envs are stepped as tensors on the agent's device."""
+    where = config.collector.envs
+    if where == "auto":
+        return config.torch_device.startswith("cuda") and not list(only_on_the_host(config))
+    return where == "device"
+
+
+def only_on_the_host(config: Config) -> Iterator[str]:
+    """The options that take host environments, such as `exploration=rnd`."""
+    if not envs.has_tensor(config.split):
+        yield f"environment.split={config.environment.split}"
+    if isinstance(config.runtime, RayOptions):
+        yield "runtime=ray"
+    if not agents()[config.agent.name].captures:
+        yield f"agent={config.agent.name}"
+    if not isinstance(config.exploration, CountOptions) and config.exploration.name != "none":
+        yield f"exploration={config.exploration.name}"
+    if config.reweighting.name != "none":
+        yield f"reweighting={config.reweighting.name}"
+    if config.episodic != NO_EPISODIC:
+        yield f"episodic={config.episodic.name}"
+    hindsight, augmentation = config.hindsight, config.augmentation
+    if isinstance(hindsight, AchievedOptions):
+        for name in ("kept_per_goal", "matching_cost"):
+            if value := getattr(hindsight, name):
+                yield f"hindsight.{name}={value}"
+    elif hindsight.name != "none":
+        yield f"hindsight={hindsight.name}"
+    if isinstance(augmentation, RandomAugmentationOptions):
+        if problem := host_alone(augmentation):
+            yield problem
+    elif augmentation.name != "none":
+        yield f"augmentation={augmentation.name}"
+
+
+def captures(config: Config) -> bool:
+    """Whether functions are captured as CUDA graphs."""
+    return (
+        config.capture and config.torch_device.startswith("cuda") and not list(not_captured(config))
+    )
+
+
+def not_captured(config: Config) -> Iterator[str]:
+    """The options whose functions have shapes that depend on data, or wait for the device."""
+    if not agents()[config.agent.name].captures:
+        yield f"agent={config.agent.name}"
+    if config.hindsight.name != "none" and not on_device(config):
+        yield f"hindsight={config.hindsight.name}"
+    if config.episodic != NO_EPISODIC:
+        yield f"episodic={config.episodic.name}"
