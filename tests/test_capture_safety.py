@@ -6,23 +6,40 @@ import numpy as np
 import pytest
 import torch
 from conftest import random_unroll
-from fake_cuda import DEVICE, DeviceGenerator, HostTensor, backward, capture_safe, fake_cuda
+from fake_cuda import DEVICE, Generator, HostTensor, backward, capture_safe, fake_cuda
 from networks import compact
 from tensordict import TensorDict
+from test_auxiliary import BYOL, FRAME, HORIZON, VISION
 from test_hindsight import OPTIONS as HINDSIGHT
 from test_impala import OPTIONS as IMPALA
+from test_memory import GTRXL
+from test_r2d2 import OPTIONS as R2D2
+from test_r2d2 import BURN_IN
 from test_vmpo import OPTIONS as VMPO
 from torch._subclasses.fake_tensor import DataDependentOutputException, DynamicOutputShapeException
 
 from zipf.agents import agents, fixed
 from zipf.agents.agent import AgentSpec
 from zipf.agents.hindsight import NO_HINDSIGHT, hindsight_loss
-from zipf.agents.memory import MLPOptions
+from zipf.agents.memory import LSTMMemory, LSTMOptions, MLPOptions
+from zipf.agents.network import Inputs
+from zipf.agents.r2d2 import Replayed
+from zipf.agents.truncations import Finals
+from zipf.agents.unroll import no_observations
 from zipf.agents.vmpo import vmpo_losses
 
 ACTIONS, STEPS, BATCH, LENGTH, EPISODES = 3, 5, 4, 6, 3
 MLP = MLPOptions(name="mlp", size=16, layers=2)
-AGENTS = {"impala": IMPALA, "vmpo": VMPO}
+LSTM = LSTMOptions(name="lstm", size=16, layers=2)
+MEMORIES = {"mlp": MLP, "lstm": LSTM, "gtrxl": GTRXL}
+AGENTS = {"impala": IMPALA, "vmpo": VMPO, "r2d2": R2D2}
+HALF = {"fraction": 0.5}
+AUXILIARIES = {
+    "vision": VISION.model_copy(update=HALF),
+    "byol": BYOL.model_copy(update=HALF),
+    "byol_frame": FRAME.model_copy(update=HALF | {"shift": 2, "unshifted": 3}),
+    "byol_horizon": HORIZON.model_copy(update=HALF | {"shift": 2, "unshifted": 3}),
+}
 
 # PyTorch's copies of tensors without numbers ask for their address.
 pytestmark = pytest.mark.filterwarnings("ignore:Accessing the data pointer of FakeTensor")
@@ -66,17 +83,67 @@ def unroll_of(agent):
     return data.to(DEVICE)
 
 
-@pytest.mark.parametrize("choices", [{}, {"weighted": True, "hindsight": HINDSIGHT}])
-@pytest.mark.parametrize("name", AGENTS)
-def test_actor_critics_learn(name, choices):
+def learn(agent, batch):
+    """The loss of a batch, its gradients, and what follows an optimiser step."""
+    with capture_safe():
+        loss, metrics, kept = agent.loss(batch)
+        backward(loss)
+        agent.auxiliary.after_update(agent.network.encoder)
+    assert all(parameter.grad is not None for parameter in agent.learned)
+    assert {part.device.type for part in (*metrics.values(), *kept.values())} == {"cuda"}
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("memory", MEMORIES)
+@pytest.mark.parametrize("name", ["impala", "vmpo"])
+def test_actor_critics_learn(name, memory, precision):
     with fake_cuda():
-        agent = make(name, **choices)
-        data = unroll_of(agent)
+        agent = make(name, MEMORIES[memory], precision=precision)
+        learn(agent, unroll_of(agent))
+        assert agent.auxiliary.generators() == []
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("auxiliary", AUXILIARIES)
+def test_auxiliary_losses(auxiliary, precision):
+    with fake_cuda():
+        agent = make("vmpo", auxiliary=AUXILIARIES[auxiliary], precision=precision)
+        learn(agent, unroll_of(agent))
+        assert [one.device.type for one in agent.auxiliary.generators()] == ["cuda"]
+
+
+@pytest.mark.parametrize("name", ["impala", "vmpo"])
+def test_actor_critics_learn_with_weights_and_from_hindsight(name):
+    with fake_cuda():
+        agent = make(name, weighted=True, hindsight=HINDSIGHT)
+        learn(agent, unroll_of(agent))
+
+
+def replayed(agent, device=DEVICE):
+    """Sequences as replay gives them."""
+    rows, finals = BURN_IN + STEPS + 1, agent.options.final_observations
+    data = random_unroll(rows - 1, BATCH, ACTIONS)
+    data.steps["weight"] = torch.ones(rows, BATCH)
+    steps = data.steps.select(*agent.sequences._names).transpose(0, 1)
+    final = steps[:, :finals].select("observation", "previous_action", "previous_reward")
+    final["is_first"] = torch.zeros(BATCH, finals, dtype=torch.bool)
+    final["step"] = torch.full((BATCH, finals), -1)
+    memory = TensorDict(agent.initial_memory(BATCH), BATCH)
+    items = TensorDict({"steps": steps, "final": final, "memory": memory}, BATCH)
+    return Replayed(items.to(device), torch.ones(BATCH, device=device))
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("memory", MEMORIES)
+def test_r2d2_learns_and_acts(memory, precision):
+    with fake_cuda():
+        agent = make("r2d2", MEMORIES[memory], precision=precision, weighted=True)
+        learn(agent, replayed(agent))
+        inputs = Inputs.of(random_unroll(STEPS, BATCH, ACTIONS).steps[0].to(DEVICE))
+        memory, generator = agent.initial_memory(BATCH), Generator(DEVICE)
         with capture_safe():
-            loss, metrics, _ = agent.loss(data)
-            backward(loss)
-        assert all(parameter.grad is not None for parameter in agent.learned)
-        assert {metric.device.type for metric in metrics.values()} == {"cuda"}
+            action, memory, _ = agent.act(inputs, memory, generator)
+        assert action.device.type == "cuda"
 
 
 @pytest.mark.parametrize("weighted", [False, True])
@@ -179,7 +246,7 @@ def copy(numbers):
 
 
 def draw(numbers):
-    return numbers + torch.rand(3, generator=torch.Generator(), device=DEVICE)
+    return numbers + torch.rand(3, generator=Generator(), device=DEVICE)
 
 
 REFUSED = {
@@ -202,6 +269,6 @@ def test_what_a_graph_cannot_record_is_refused(error, function):
 def test_what_a_graph_can_record_is_not():
     with fake_cuda(), capture_safe():
         numbers = torch.full((3,), 0.5, device=DEVICE)
-        noise = torch.rand(3, generator=DeviceGenerator(), device=DEVICE)
+        noise = torch.rand(3, generator=Generator(DEVICE), device=DEVICE)
         found = torch.where(numbers > noise, numbers, 2 * numbers.exponential_()).sum()
         assert found.device == torch.device(DEVICE)
