@@ -176,7 +176,7 @@ def _guard_of_cuda() -> Iterator[None]:
 def _check_cell(
     gates: Tensor, recurrent: Tensor, bias: None, other: None, factor: int, cell: Tensor
 ) -> None:
-    """What the fused cell of an LSTM reads; PyTorch's own check forgets that it has no bias here."""
+    """What an LSTM's fused cell reads; PyTorch's own check forgets that it may have no bias."""
     assert gates.shape == recurrent.shape == (len(cell), factor * cell.shape[1])
     assert gates.dtype == recurrent.dtype == cell.dtype == torch.float32
     assert bias is other is None

@@ -5,16 +5,17 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from conftest import random_unroll
+from conftest import assert_equal, random_unroll
 from fake_cuda import DEVICE, Generator, HostTensor, backward, capture_safe, fake_cuda
 from networks import compact
 from tensordict import TensorDict
 from test_auxiliary import BYOL, FRAME, HORIZON, VISION
+from test_critics import DISTRIBUTIONS
 from test_hindsight import OPTIONS as HINDSIGHT
 from test_impala import OPTIONS as IMPALA
 from test_memory import GTRXL
-from test_r2d2 import OPTIONS as R2D2
 from test_r2d2 import BURN_IN
+from test_r2d2 import OPTIONS as R2D2
 from test_vmpo import OPTIONS as VMPO
 from torch._subclasses.fake_tensor import DataDependentOutputException, DynamicOutputShapeException
 
@@ -25,7 +26,6 @@ from zipf.agents.memory import LSTMMemory, LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.r2d2 import Replayed
 from zipf.agents.truncations import Finals
-from zipf.agents.unroll import no_observations
 from zipf.agents.vmpo import vmpo_losses
 
 ACTIONS, STEPS, BATCH, LENGTH, EPISODES = 3, 5, 4, 6, 3
@@ -40,6 +40,7 @@ AUXILIARIES = {
     "byol_frame": FRAME.model_copy(update=HALF | {"shift": 2, "unshifted": 3}),
     "byol_horizon": HORIZON.model_copy(update=HALF | {"shift": 2, "unshifted": 3}),
 }
+CRITICS = [one.model_copy(update={"risk": "averse"}) for one in DISTRIBUTIONS]
 
 # PyTorch's copies of tensors without numbers ask for their address.
 pytestmark = pytest.mark.filterwarnings("ignore:Accessing the data pointer of FakeTensor")
@@ -88,7 +89,7 @@ def learn(agent, batch):
     with capture_safe():
         loss, metrics, kept = agent.loss(batch)
         backward(loss)
-        agent.auxiliary.after_update(agent.network.encoder)
+        agent.after_step(batch, kept)
     assert all(parameter.grad is not None for parameter in agent.learned)
     assert {part.device.type for part in (*metrics.values(), *kept.values())} == {"cuda"}
 
@@ -99,8 +100,12 @@ def learn(agent, batch):
 def test_actor_critics_learn(name, memory, precision):
     with fake_cuda():
         agent = make(name, MEMORIES[memory], precision=precision)
-        learn(agent, unroll_of(agent))
+        data = unroll_of(agent)
+        learn(agent, data)
         assert agent.auxiliary.generators() == []
+        with capture_safe():
+            values = agent.value(Inputs.of(data.steps[0]), data.memory)
+        assert (values.shape, values.device) == ((BATCH,), torch.device(DEVICE))
 
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
@@ -110,6 +115,13 @@ def test_auxiliary_losses(auxiliary, precision):
         agent = make("vmpo", auxiliary=AUXILIARIES[auxiliary], precision=precision)
         learn(agent, unroll_of(agent))
         assert [one.device.type for one in agent.auxiliary.generators()] == ["cuda"]
+
+
+@pytest.mark.parametrize("critic", CRITICS)
+def test_critics(critic):
+    with fake_cuda():
+        agent = make("vmpo", critic=critic)
+        learn(agent, unroll_of(agent))
 
 
 @pytest.mark.parametrize("name", ["impala", "vmpo"])
@@ -144,6 +156,89 @@ def test_r2d2_learns_and_acts(memory, precision):
         with capture_safe():
             action, memory, _ = agent.act(inputs, memory, generator)
         assert action.device.type == "cuda"
+
+
+def fused_cell(gates, recurrent, cell):
+    """What `_thnn_fused_lstm_cell` computes on CUDA."""
+    assert gates.dtype == recurrent.dtype == cell.dtype == torch.float32
+    enter, forget, candidate, leave = (gates + recurrent).chunk(4, -1)
+    after = forget.sigmoid() * cell + enter.sigmoid() * candidate.tanh()
+    return leave.sigmoid() * after.tanh(), after, None
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_the_fused_lstm(precision, monkeypatch):
+    """Outputs, state and gradients are those of the other one; in bfloat16 nearly."""
+    monkeypatch.setattr(torch.ops.aten, "_thnn_fused_lstm_cell", fused_cell)
+    torch.manual_seed(0)
+    memory = LSTMMemory(5, LSTM)
+    inputs, state = torch.randn(STEPS, BATCH, 5), memory.initial_state(BATCH)
+    state = {name: torch.randn_like(part) for name, part in state.items()}
+    is_first = torch.rand(STEPS, BATCH) < 0.3
+
+    def computed():
+        with torch.autocast("cpu", torch.bfloat16, enabled=precision == "bfloat16"):
+            outputs, after = memory(inputs, is_first, state)
+        gradients = torch.autograd.grad(outputs.square().sum(), list(memory.parameters()))
+        return [outputs, *after.values(), *gradients]
+
+    expected = computed()
+    monkeypatch.setattr(LSTMMemory, "unroll", LSTMMemory.unroll_fused)
+    found = computed()
+    within = {"rtol": 0.02, "atol": 0.02} if precision == "bfloat16" else {}
+    for one, other in zip(found, expected, strict=True):
+        torch.testing.assert_close(one, other, **within)
+
+
+@pytest.mark.parametrize("cuts", [[], [(0, 1)], [(0, 1), (4, 1), (2, 3)]])
+def test_r2d2_in_fixed_shapes(cuts, monkeypatch):
+    """Losses and gradients, with and without room for all final observations."""
+    made = make("r2d2", device="cpu", weighted=True)
+    data = replayed(made, "cpu")
+    data.items["steps"]["truncated"].zero_()
+    for step, env in cuts:
+        place = (data.items["final"]["step"][env] >= 0).sum()
+        data.items["final"]["step"][env, place] = step
+        data.items["steps"]["truncated"][env, BURN_IN + step] = True
+
+    def computed(fixed_shapes):
+        monkeypatch.setattr(fixed, "shapes", lambda tensor: fixed_shapes)
+        losses, errors, values = made._losses(data.items)
+        return [losses, errors, values, *torch.autograd.grad(losses.sum(), made.learned)]
+
+    for one, other in zip(computed(True), computed(False), strict=True):
+        torch.testing.assert_close(one, other)
+    finals = Finals(data.items["final"].transpose(0, 1), STEPS + 1)
+    assert len(finals.places) == min(len(cuts), 2)
+
+
+def test_vision_in_fixed_shapes(monkeypatch):
+    """Over several updates, of which the first has the mean image."""
+
+    def trained(fixed_shapes):
+        monkeypatch.setattr(fixed, "shapes", lambda tensor: fixed_shapes)
+        made = make("impala", device="cpu", auxiliary=AUXILIARIES["vision"])
+        for seed in range(3):
+            data = random_unroll(STEPS, BATCH, ACTIONS, seed)
+            data.memory = {}
+            made.update(data)
+        return made.state_dict()
+
+    found, expected = trained(True), trained(False)
+    assert_equal(found, expected)
+    assert expected["auxiliary"]["mean_image"].any()
+
+
+def test_draws_on_a_device_follow_from_the_seed_and_the_number_of_updates():
+    with fake_cuda():
+        auxiliary = make("impala", auxiliary=AUXILIARIES["byol_horizon"], seed=5).auxiliary
+        (generator,) = auxiliary.generators()
+        assert auxiliary.generator() is generator
+        for updates in range(3):
+            assert generator.initial_seed() == 5 + updates
+            auxiliary.after_update(auxiliary.target_encoder)
+        auxiliary.set_extra_state(7)
+        assert generator.initial_seed() == 12
 
 
 @pytest.mark.parametrize("weighted", [False, True])
