@@ -206,6 +206,7 @@ class R2D2(Learner):
             # At random, since several levels have a row of envs each, and should explore alike.
             places = torch.randperm(self.num_envs, generator=torch.Generator().manual_seed(0))
             self.epsilon **= 1 + LADDER * places / (self.num_envs - 1)
+        self.epsilon = self.epsilon.to(self.device)
         self._inserts = spec.num_envs  # sequences of an update, at most
         if isinstance(spec.hindsight, AchievedOptions) and spec.hindsight.length:
             cuts = -(-spec.hindsight.length // spec.unroll_length)
@@ -236,15 +237,19 @@ class R2D2(Learner):
         with probability `epsilon`, or with the ladder (Horgan et al. 2018) epsilon^(1 + 7 k /
         (num_envs - 1)), k a place of its own in 0 .. num_envs - 1.
 
-        The generator is the CPU's whatever the device, so that a run can move between devices.
+        What is random is drawn on the generator's device.
         """
         with self.autocast():
             q, memory = self.actor(inputs.unsqueeze(), memory)
         action = q[0].argmax(-1)
         if training:
-            explores = torch.rand(len(action), generator=generator) < self.epsilon
-            anything = torch.randint(self.network.actions, action.shape, generator=generator)
-            action = torch.where(explores.to(action.device), anything.to(action.device), action)
+            device = generator.device
+            chance = torch.rand(len(action), generator=generator, device=device)
+            anything = torch.randint(
+                self.network.actions, action.shape, generator=generator, device=device
+            )
+            explores = chance.to(action.device) < self.epsilon
+            action = torch.where(explores, anything.to(action.device), action)
         return action, memory, {}
 
     def begin_learning(self, folder: Path | None = None, every: int = 0) -> list[str]:
@@ -355,6 +360,10 @@ class R2D2(Learner):
 
     def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
         super().after_step(batch, kept)
+        self.after_update()
+
+    def after_update(self) -> None:
+        """Lets the target network follow; on the host, where updates are counted."""
         if self.updates % self.options.target_period == 0:
             self.target.load_state_dict(self.network.state_dict())
 

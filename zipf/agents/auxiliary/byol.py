@@ -111,7 +111,7 @@ class BYOL(Auxiliary):
         """
         generator = self.generator()
         if self.options.fraction < 1:
-            envs = sample(core.shape[1], self.options.fraction, generator).to(core.device)
+            envs = sample(core.shape[1], self.options.fraction, generator)
             core = core[:, envs]
             inputs = Inputs(
                 {name: part[:, envs] for name, part in inputs.observation.items()},
@@ -265,7 +265,7 @@ def random_shift(image: Tensor, most: int, unshifted: int, generator: torch.Gene
     padded[:, inner_rows, most + width :] = image[:, :, -1:]
     padded[:, :most] = padded[:, most : most + 1]
     padded[:, most + height :] = padded[:, most + height - 1 : most + height]
-    down, right = torch.randint(0, 2 * most + 1, (2, n), generator=generator).to(device)
+    down, right = torch.randint(0, 2 * most + 1, (2, n), generator=generator, device=device)
     # All shifts of an image as views of it: choosing one copies whole rows.
     one, row, column, channel = padded.stride()
     views = padded.as_strided(
