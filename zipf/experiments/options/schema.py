@@ -116,6 +116,7 @@ class Config(Options):
     device: Device
     precision: Literal["auto", "float32", "bfloat16"]
     compile: bool
+    deterministic: bool = False
     threads: PositiveInt | None = None
     resume: Literal["auto", "must", "never"]
     agent: Any
