@@ -183,10 +183,9 @@ def _check_cell(
 
 
 def _moved(module: nn.Module, device: Any = None, memory_format: Any = None) -> nn.Module:
-    """`nn.Module.to`, which cannot replace parameters without numbers."""
-    if device is None:
-        return module
-    for part in module.modules():
+    """`nn.Module.to`, which cannot replace parameters without numbers; their order in memory stays
+    as it is."""
+    for part in module.modules() if device is not None else ():
         for name, parameter in part._parameters.items():
             if parameter is not None:
                 moved = parameter.detach().to(device)

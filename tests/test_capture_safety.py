@@ -11,6 +11,7 @@ from networks import compact
 from tensordict import TensorDict
 from test_auxiliary import BYOL, FRAME, HORIZON, VISION
 from test_critics import DISTRIBUTIONS
+from test_encoders import RESNET, SHALLOW, comparing
 from test_hindsight import OPTIONS as HINDSIGHT
 from test_impala import OPTIONS as IMPALA
 from test_memory import GTRXL
@@ -21,11 +22,13 @@ from torch._subclasses.fake_tensor import DataDependentOutputException, DynamicO
 
 from zipf.agents import agents, fixed
 from zipf.agents.agent import AgentSpec
+from zipf.agents.encoders import Encoder
 from zipf.agents.hindsight import NO_HINDSIGHT, hindsight_loss
 from zipf.agents.memory import LSTMMemory, LSTMOptions, MLPOptions
-from zipf.agents.network import Inputs
+from zipf.agents.network import Inputs, autocast
 from zipf.agents.r2d2 import Replayed
 from zipf.agents.truncations import Finals
+from zipf.agents.unroll import no_observations
 from zipf.agents.vmpo import vmpo_losses
 
 ACTIONS, STEPS, BATCH, LENGTH, EPISODES = 3, 5, 4, 6, 3
@@ -115,6 +118,28 @@ def test_auxiliary_losses(auxiliary, precision):
         agent = make("vmpo", auxiliary=AUXILIARIES[auxiliary], precision=precision)
         learn(agent, unroll_of(agent))
         assert [one.device.type for one in agent.auxiliary.generators()] == ["cuda"]
+
+
+SPACE = gym.spaces.Dict(
+    image=gym.spaces.Box(0, 255, (36, 36, 3), np.uint8),
+    tiles=gym.spaces.MultiDiscrete([5] * 49),
+    vector=gym.spaces.Box(-np.inf, np.inf, (4,), np.float32),
+)
+NETWORKS = [RESNET, SHALLOW, compact(), comparing("learned"), comparing("given")]
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("network", NETWORKS, ids=lambda options: options.name)
+def test_encoders(network, precision):
+    with fake_cuda():
+        encoder = Encoder(SPACE, network).to(DEVICE)
+        parts = no_observations(SPACE, 4)
+        observation = {name: part.to(DEVICE) for name, part in parts.items()}
+        with capture_safe():
+            with autocast(DEVICE, precision):
+                encoded = encoder(observation)
+            backward(encoded.sum())
+        assert all(parameter.grad is not None for parameter in encoder.parameters())
 
 
 @pytest.mark.parametrize("critic", CRITICS)
