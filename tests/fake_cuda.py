@@ -182,8 +182,10 @@ def _check_cell(
     assert bias is other is None
 
 
-def _moved(module: nn.Module, device: Any) -> nn.Module:
+def _moved(module: nn.Module, device: Any = None, memory_format: Any = None) -> nn.Module:
     """`nn.Module.to`, which cannot replace parameters without numbers."""
+    if device is None:
+        return module
     for part in module.modules():
         for name, parameter in part._parameters.items():
             if parameter is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import signal
 import time
@@ -67,6 +68,7 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
     schedule = config.schedule
     with ExitStack() as stack:
         stack.enter_context(_as_user_errors(config))
+        _choose_kernels(config)
         learner = stack.enter_context(runtime.learner())
         if learner.is_first:
             stack.enter_context(run_folder.lock(config.folder))
@@ -115,10 +117,29 @@ def _as_user_errors(config: Config) -> Iterator[None]:
         try:
             yield
         except RuntimeError as error:
-            if not config.compile or not isinstance(error, torch._dynamo.exc.TorchDynamoException):
-                raise
-            first = str(error).strip().splitlines()[0]
-            raise UserError(f"compile=true: {first}; choose compile=false") from None
+            first = next(iter(str(error).strip().splitlines()), "")
+            if config.compile and isinstance(error, torch._dynamo.exc.TorchDynamoException):
+                raise UserError(f"compile=true: {first}; choose compile=false") from None
+            if config.deterministic and "not have a deterministic implementation" in first:
+                raise UserError(f"deterministic=true: {first}; choose false") from None
+            raise
+
+
+def _choose_kernels(config: Config) -> None:
+    """On CUDA: with `deterministic=true` kernels that give the same bits every time."""
+    if not config.torch_device.startswith("cuda"):
+        return
+    if config.deterministic:
+        name, values = "CUBLAS_WORKSPACE_CONFIG", (":4096:8", ":16:8")  # PyTorch's documentation
+        if not torch.cuda.is_initialized():  # cuBLAS reads it when it starts
+            os.environ.setdefault(name, values[0])
+        if os.environ.get(name) not in values:
+            raise UserError(
+                f"deterministic=true: the environment variable {name} is {os.environ.get(name)}; "
+                f"should be {' or '.join(values)} before CUDA starts"
+            )
+        torch.backends.cudnn.benchmark = False
+    torch.use_deterministic_algorithms(config.deterministic)
 
 
 class Run:
