@@ -37,8 +37,7 @@ ROWS = {
     "R2D2, LSTM": "experiment=gridworld_compact condition=r2d2 memory=lstm",
     "gridworld, ResNet, LSTM": "experiment=gridworld condition=impala",
     "the same, 1,024 envs": (
-        "experiment=gridworld condition=impala collector.num_envs=1024 "
-        "collector.envs_per_update=32"
+        "experiment=gridworld condition=impala collector.num_envs=1024 collector.envs_per_update=32"
     ),
     "playroom_lift_compact": "experiment=playroom_lift_compact condition=impala",
     "labyrinth_compact": "experiment=labyrinth_compact condition=impala",

@@ -6,19 +6,28 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from conftest import assert_equal, random_unroll
 from networks import compact
 from tape import Tape
+from test_auxiliary import HORIZON, VISION
+from test_hindsight import OPTIONS as HINDSIGHT
+from test_hindsight import episodes_of
 from test_impala import OPTIONS
+from test_r2d2 import agent as r2d2_agent
+from test_r2d2 import unrolls as r2d2_unrolls
+from test_vmpo import OPTIONS as VMPO_OPTIONS
 
-from zipf.agents import learner
+from zipf.agents import fixed, learner
 from zipf.agents.agent import AgentSpec
+from zipf.agents.auxiliary import Auxiliary
 from zipf.agents.capture import Captured, CaptureFailed
 from zipf.agents.impala import Impala
 from zipf.agents.learner import Loss
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
+from zipf.agents.vmpo import VMPO
 
 ACTIONS, STEPS, BATCH = 3, 6, 4
 MEMORIES = {
@@ -27,9 +36,9 @@ MEMORIES = {
 }
 
 
-def build(memory="mlp", captured=False, device="cpu", agent=Impala, **parts):
+def build(memory="mlp", captured=False, agent=Impala, options=OPTIONS, **parts):
     made = agent(
-        OPTIONS.model_copy(update={"max_gradient_norm": 0.1}),
+        options.model_copy(update={"max_gradient_norm": 0.1}),
         AgentSpec(
             gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
             gym.spaces.Discrete(ACTIONS),
@@ -37,7 +46,6 @@ def build(memory="mlp", captured=False, device="cpu", agent=Impala, **parts):
             MEMORIES[memory],
             num_envs=BATCH,
             unroll_length=STEPS,
-            device=device,
             **parts,
         ),
     )
@@ -66,9 +74,7 @@ def numbers(metrics):
 
 
 def saved(agent):
-    state = deepcopy(agent.state_dict())
-    del state["auxiliary"]["_extra_state"]
-    return state
+    return deepcopy(agent.state_dict())
 
 
 def learn_alike(one, other, seeds, **kinds):
@@ -85,6 +91,79 @@ def test_captured_updates_equal_others(memory, weighted):
     eager, captured = build(memory), build(memory, captured=True)
     learn_alike(eager, captured, range(10), **kinds)
     assert eager.updates_made == captured.updates == captured.updates_made == 10
+
+
+def lasting(auxiliary):
+    """The generator as it is on a device: always the same."""
+    if auxiliary._generator is None:
+        auxiliary._generator = torch.Generator().manual_seed(auxiliary.seed + auxiliary.updates)
+    return auxiliary._generator
+
+
+def one_hot(index, size):
+    """As on CUDA: on a CPU PyTorch's reads the largest index on the host."""
+    return (index.unsqueeze(-1) == torch.arange(size)).long()
+
+
+@pytest.mark.parametrize(
+    "auxiliary",
+    [
+        VISION.model_copy(update={"fraction": 0.5}),
+        HORIZON.model_copy(update={"fraction": 0.5, "shift": 2, "unshifted": 3}),
+    ],
+    ids=lambda options: options.name,
+)
+def test_captured_updates_draw_what_others_draw(auxiliary, monkeypatch):
+    """From the first update, and in a run that goes on."""
+    monkeypatch.setattr(Auxiliary, "generator", lasting)
+    monkeypatch.setattr(Auxiliary, "generators", lambda one: [lasting(one)])
+    monkeypatch.setattr(fixed, "shapes", lambda tensor: True)
+    monkeypatch.setattr(F, "one_hot", one_hot)
+    eager, captured = (build("lstm", one, auxiliary=auxiliary) for one in (False, True))
+    learn_alike(eager, captured, range(5), memory="lstm")
+    resumed = build("lstm", captured=True, auxiliary=auxiliary)
+    resumed.load_state_dict(saved(eager))
+    learn_alike(eager, resumed, range(5, 8), memory="lstm")
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_vmpo_is_captured(weighted, monkeypatch):
+    """Its target follows every second update, and its duals have an optimiser of their own."""
+    monkeypatch.setattr(fixed, "shapes", lambda tensor: True)
+    options = VMPO_OPTIONS.model_copy(update={"target_period": 2})
+    kinds = {"agent": VMPO, "options": options, "weighted": weighted}
+    eager, captured = (build("lstm", one, **kinds) for one in (False, True))
+    for seed in range(7):
+        learn_alike(eager, captured, [seed], memory="lstm", weighted=weighted)
+        one, other = (acted(agent, agent.initial_memory(BATCH), 1) for agent in (eager, captured))
+        assert_equal(one, other)
+
+
+def test_costs_fade_in_what_is_captured():
+    """Up to how their factor is rounded."""
+    options = HINDSIGHT.model_copy(update={"fade": 4})
+    eager, captured = (build("mlp", one, hindsight=options) for one in (False, True))
+    for seed in range(6):
+        metrics = []
+        for agent in (eager, captured):
+            data = unroll(seed)
+            data.episodes = episodes_of([2, 4], actions=ACTIONS)
+            metrics.append(numbers(agent.update(data)))
+        assert metrics[0] == pytest.approx(metrics[1], rel=1e-5, nan_ok=True)
+
+
+def test_r2d2_is_captured(monkeypatch):
+    """With sequences from its replay, whose priorities follow from what the loss keeps."""
+    monkeypatch.setattr(fixed, "shapes", lambda tensor: True)
+    eager, captured = (r2d2_agent(target_period=2) for _ in range(2))
+    captured.capture(Tape)
+    learned = []
+    for one, other in zip(r2d2_unrolls(8), r2d2_unrolls(8), strict=True):
+        metrics = [numbers(agent.update(data)) for agent, data in ((eager, one), (captured, other))]
+        np.testing.assert_equal(*metrics)
+        learned.append(np.isfinite(metrics[0]["loss"]))
+    assert sum(learned) > 3
+    assert_equal(saved(eager), saved(captured))
 
 
 def test_heads_are_what_they_are_in_bfloat16():
@@ -151,7 +230,8 @@ def test_divergence_changes_nothing_until_it_is_reported(what, first):
         captured.update(unroll(5))
     after = saved(captured)
     assert captured.updates_made == first
-    assert after.pop("updates") == before.pop("updates") + 2
+    for name in ("updates", "auxiliary"):  # what the host counts
+        assert after.pop(name) != before.pop(name)
     if not first:  # the optimiser has a state now, of zeros
         state = after["optimiser"].pop("state")
         assert all((part == 0).all() for one in state.values() for part in one.values())

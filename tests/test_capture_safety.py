@@ -260,8 +260,8 @@ def test_draws_on_a_device_follow_from_the_seed_and_the_number_of_updates():
         (generator,) = auxiliary.generators()
         assert auxiliary.generator() is generator
         for updates in range(3):
+            auxiliary.count(updates)
             assert generator.initial_seed() == 5 + updates
-            auxiliary.after_update(auxiliary.target_encoder)
         auxiliary.set_extra_state(7)
         assert generator.initial_seed() == 12
 

@@ -246,7 +246,11 @@ class Learner(Agent):
         self.parts |= {name: CapturedOptimiser(one) for name, one in self.optimisers.items()}
         self._new_graph = graph
         backward = Captured(
-            self._backward, graph(self.device), self._tensors, name="the loss of an update"
+            self._backward,
+            graph(self.device),
+            self._tensors,
+            generators=self.auxiliary.generators(),
+            name="the loss of an update",
         )
 
         def follow() -> Tensor:
@@ -309,6 +313,7 @@ class Learner(Agent):
     def after_update(self) -> None:
         """Follows an update on the host and is never captured: what is done every so many `updates`
         is done here."""
+        self.auxiliary.count(self.updates)
 
     def state_dict(self) -> dict[str, Any]:
         return {name: part.state_dict() for name, part in self.parts.items()} | {

@@ -229,7 +229,6 @@ class R2D2(Learner):
         decay = self.options.weight_decay
         return torch.optim.AdamW(parameters, **adam(self.options), weight_decay=decay)
 
-    @torch.no_grad()
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
@@ -239,8 +238,7 @@ class R2D2(Learner):
 
         What is random is drawn on the generator's device.
         """
-        with self.autocast():
-            q, memory = self.actor(inputs.unsqueeze(), memory)
+        q, memory = self.forward_actor(inputs.unsqueeze(), memory)
         action = q[0].argmax(-1)
         if training:
             device = generator.device
@@ -281,7 +279,7 @@ class R2D2(Learner):
             f"learning begins with {o.replay_min} sequences",
         ]
 
-    def update(self, unroll: Unroll) -> dict[str, float]:
+    def update(self, unroll: Unroll) -> dict[str, float | Tensor]:
         """Puts an unroll into replay and takes one optimiser step on a batch from there.
 
         Returns the loss and other metrics; all but those of the replay are NaN where no step was
@@ -290,11 +288,13 @@ class R2D2(Learner):
         """
         assert self.replay is not None, "begin_learning() comes first"
         inserted = self._insert(unroll)
-        metrics = dict.fromkeys(METRICS, float("nan"))
+        metrics: dict[str, float | Tensor] = dict.fromkeys(METRICS, float("nan"))
         if len(self.replay) >= self.options.replay_min:
             items, index, weights = self.replay.sample(self.batch_size)
             replayed = Replayed(self._seen(items), weights.to(self.device))
-            metrics, kept = self.learn(replayed)
+            learned, kept = self.learn(replayed)
+            self.check_finite()  # the priorities are waited for anyway
+            metrics |= learned
             self.replay.update_priorities(index, kept["priorities"].cpu())
         return metrics | {"replay_sequences": len(self.replay), "replay_inserted": inserted}
 
@@ -358,12 +358,9 @@ class R2D2(Learner):
         }
         return Loss(loss, metrics, {"priorities": priorities})
 
-    def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
-        super().after_step(batch, kept)
-        self.after_update()
-
     def after_update(self) -> None:
-        """Lets the target network follow; on the host, where updates are counted."""
+        """Lets the target network follow."""
+        super().after_update()
         if self.updates % self.options.target_period == 0:
             self.target.load_state_dict(self.network.state_dict())
 

@@ -73,11 +73,11 @@ class Auxiliary(nn.Module):
         return
 
     def after_update(self, encoder: Encoder) -> None:
-        """Follows an optimiser step that changed the agent's encoder."""
-        self.count(self.updates + 1)
+        """Follows an optimiser step that changed the agent's encoder; `count` comes after it."""
+        return
 
     def count(self, updates: int) -> None:
-        """So many updates were made; on the host."""
+        """So many updates were made. On the host, and never captured."""
         self.updates = updates
         for generator in self.generators():
             generator.manual_seed(self.seed + updates)

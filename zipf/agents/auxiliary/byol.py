@@ -171,7 +171,6 @@ class BYOL(Auxiliary):
     @torch.no_grad()
     def after_update(self, encoder: Encoder) -> None:
         """Moves the target networks: target <- rate * target + (1 - rate) * online."""
-        super().after_update(encoder)
         pairs = (self.target_encoder, encoder), (self.target_projector, self.projector)
         for target, online in pairs:
             for old, new in zip(target.parameters(), online.parameters(), strict=True):
