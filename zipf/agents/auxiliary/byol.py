@@ -140,7 +140,8 @@ class BYOL(Auxiliary):
             yield 0, self.forward_map(core[1:]), self.targeted(inputs)
             return
         # The action between two rows of an episode; -1, no action, where an episode begins.
-        actions = F.one_hot(inputs.previous_action[1:] + 1, self.actions + 1)[..., 1:]
+        every = torch.arange(self.actions, device=core.device)
+        actions = (inputs.previous_action[1:].unsqueeze(-1) == every).to(torch.int64)
         same_episode = torch.ones_like(inputs.is_first)
         for k, features in enumerate(self.forward_map(core[:-1], actions.to(core.dtype)), start=1):
             same_episode = same_episode[:-1] & ~inputs.is_first[k:]

@@ -69,7 +69,7 @@ def build_agent(config: Config, env: ZipfVectorEnv | TensorEnv) -> Agent:
 
 def _space(env: TensorEnv) -> gym.spaces.Dict:
     """The codes of one env."""
-    space = {}
+    space: dict[str, gym.Space] = {}
     for name, part in env.observe().items():
         dtype = np.dtype(str(part.dtype).removeprefix("torch."))
         space[name] = gym.spaces.Box(0, np.iinfo(dtype).max, part.shape[1:], dtype.type)
