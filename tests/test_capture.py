@@ -1,13 +1,14 @@
 """Captured agents against the same agents uncaptured, bit for bit; a tape takes a graph's place."""
 
 from copy import deepcopy
+from functools import partialmethod
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from conftest import assert_equal, random_unroll
+from conftest import TINY, assert_equal, learned, random_unroll, slow_but
 from networks import compact
 from tape import Tape
 from test_auxiliary import HORIZON, VISION
@@ -23,11 +24,14 @@ from zipf.agents.agent import AgentSpec
 from zipf.agents.auxiliary import Auxiliary
 from zipf.agents.capture import Captured, CaptureFailed
 from zipf.agents.impala import Impala
-from zipf.agents.learner import Loss
+from zipf.agents.learner import Learner, Loss
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
 from zipf.agents.vmpo import VMPO
+from zipf.errors import UserError
+from zipf.experiments.building import checkpoint, loading
+from zipf.experiments.training import runner
 
 ACTIONS, STEPS, BATCH = 3, 6, 4
 MEMORIES = {
@@ -157,12 +161,12 @@ def test_r2d2_is_captured(monkeypatch):
     monkeypatch.setattr(fixed, "shapes", lambda tensor: True)
     eager, captured = (r2d2_agent(target_period=2) for _ in range(2))
     captured.capture(Tape)
-    learned = []
+    steps = 0
     for one, other in zip(r2d2_unrolls(8), r2d2_unrolls(8), strict=True):
         metrics = [numbers(agent.update(data)) for agent, data in ((eager, one), (captured, other))]
         np.testing.assert_equal(*metrics)
-        learned.append(np.isfinite(metrics[0]["loss"]))
-    assert sum(learned) > 3
+        steps += np.isfinite(metrics[0]["loss"])
+    assert steps > 3
     assert_equal(saved(eager), saved(captured))
 
 
@@ -455,3 +459,40 @@ def test_unrolls_are_nests():
     assert isinstance(sums.inputs[0], Unroll)
     with pytest.raises(TypeError, match="0 is a float: expected tensors"):
         Captured(lambda one: one, Tape(), list, name="a number")(1.0)
+
+
+# Runs
+
+
+def train(root, *options, captured=True):
+    """Trains with captured updates; returns the folder."""
+    config = loading.load([*TINY, "name=one", f"run_root={root}", *options])
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(runner, "captures", lambda config: captured)
+        patched.setattr(Learner, "capture", partialmethod(Learner.capture, Tape))
+        # Batches of other sizes are summed up in another order.
+        patched.setattr(Learner, "filled_up", lambda agent, inputs, memory: (inputs, memory))
+        assert runner.train(config) == 0
+    return config.folder
+
+
+@pytest.mark.parametrize("every", ["schedule.log_every", "schedule.checkpoint_every"])
+def test_a_run_that_diverges_ends_before_that_is_logged_or_saved(every, tmp_path):
+    never = ["schedule.log_every=100", "schedule.checkpoint_every=100"]
+    options = [*never, f"{every}=3", "updates=4", "agent.learning_rate=1e30"]
+    with pytest.raises(UserError, match=r"learning diverged by update 3 \(the .* is \w+\)"):
+        train(tmp_path, *options)
+    (saved,) = tmp_path.rglob("checkpoint.pt")
+    assert checkpoint.load(saved)["update"] == 0
+
+
+@pytest.mark.parametrize("lag", slow_but([0, 1], 0))
+def test_a_captured_run_goes_on_as_another(lag, tmp_path):
+    """With a learning rate that falls, whichever of both is captured."""
+    options = ["agent=impala", "learning_rate_decay=[1,6]", f"collector.lag={lag}"]
+    whole = learned(train(tmp_path / "whole", *options, "updates=4", captured=False))
+    for first in (False, True):
+        root = tmp_path / str(first)
+        train(root, *options, "updates=2", captured=first)
+        both = learned(train(root, *options, "updates=4", captured=not first))
+        assert_equal(both, whole)
